@@ -1,0 +1,50 @@
+"""Conventions of torchid: units, axes, orders and names that must not vary.
+
+Units are SI and radians; files are converted in ``io`` and nowhere else. The world W is right-handed with Z up.
+In the neutral standing pose every body's axes point X forward, Y left, Z up; a body's origin is its proximal joint
+centre (the pelvis' is the midpoint of the hip centres).
+
+Names follow the monogram notation: ``X_WB`` pose of B in W, ``R_WB`` rotation, ``p_BM_B`` position of M from B in
+axes of B. Frames: W world, B body, P parent, J joint, M marker, F plate, C centre of mass.
+Six-vectors are linear first: wrench (force, moment), twist (linear, angular). Quaternions are wxyz.
+Arrays lead with ``*batch``, then ``frames``, ``bodies``, ``dofs``, ``markers``, ``plates``, ``params``.
+"""
+
+from enum import IntEnum
+
+import torch
+from torch import Tensor
+
+GRAVITY = 9.80665
+"""Standard gravity [m/s^2]; the field points along -Z of W."""
+
+
+class Inertial(IntEnum):
+    """Order of the ten inertial parameters of a body, about its origin, in its axes (the order of Pinocchio)."""
+
+    M = 0
+    MCX = 1
+    MCY = 2
+    MCZ = 3
+    IXX = 4
+    IXY = 5
+    IYY = 6
+    IXZ = 7
+    IYZ = 8
+    IZZ = 9
+
+
+INERTIAL_NAMES = ("m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+INERTIAL_UNITS = ("kg",) + ("kg m",) * 3 + ("kg m^2",) * 6
+INERTIA_PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+"""Matrix entries of the six moments of inertia, in the order of ``Inertial``."""
+
+
+def gravity(like: Tensor) -> Tensor:
+    """Gravity vector in W [m/s^2], shape (3,), dtype and device of ``like``."""
+    return like.new_tensor([0.0, 0.0, -GRAVITY])
+
+
+def y_up_to_z_up(vector: Tensor) -> Tensor:
+    """Rotate vectors (*batch, 3) of a Y-up file into W: (x, y, z) -> (x, -z, y)."""
+    return torch.stack([vector[..., 0], -vector[..., 2], vector[..., 1]], dim=-1)
