@@ -1,0 +1,38 @@
+"""Kinematics and equations of motion against Pinocchio on random trees."""
+
+import numpy as np
+import pytest
+import torch
+from torch.testing import assert_close
+from trees import pinocchio_state, pinocchio_twin, random_inertia, random_motion, random_tree
+
+from torchid.dynamics import base_rows, body_rows, dynamic_state, inverse_dynamics
+
+pin = pytest.importorskip("pinocchio")
+FRAMES = 3
+
+
+@pytest.mark.parametrize("case", range(6))
+def test_joint_and_base_rows_equal_pinocchio(case: int, seed: int) -> None:
+    """Inverse dynamics and the base rows of the regressor equal Pinocchio's on any tree."""
+    rng = np.random.default_rng([seed, case])
+    tree, geometry = random_tree(rng)
+    phi = random_inertia(rng, len(tree.bodies))
+    q, v, a = (x.T.contiguous() for x in random_motion(rng, tree, FRAMES))
+    tau = inverse_dynamics(tree, geometry, phi, q, v, a)
+    state = dynamic_state(tree, geometry, q, v, a)
+    predicted = torch.einsum("ipt,p->it", base_rows(state.plan, body_rows(state)), phi.reshape(-1))
+    assert_close(predicted, tau[:6], rtol=1e-10, atol=1e-9)
+    twin = pinocchio_twin(tree, geometry, phi)
+    for t in range(FRAMES):
+        assert_close(tau[:, t], _pinocchio_rnea(twin, tree, q[:, t], v[:, t], a[:, t]), rtol=1e-10, atol=1e-9)
+
+
+def _pinocchio_rnea(twin, tree, q, v, a) -> torch.Tensor:
+    Q, V, A = pinocchio_state(twin, tree, q, v, a)
+    data = twin.createData()
+    tau = pin.rnea(twin, data, Q, V, A)
+    R_WB = pin.Quaternion(Q[3:7]).matrix()
+    out = [*(R_WB @ tau[:3]), *(R_WB @ tau[3:6])]
+    out += [tau[twin.joints[twin.getJointId(f"q{k}")].idx_v] for k in range(6, len(tree.dofs))]
+    return torch.tensor(np.array(out))

@@ -1,0 +1,63 @@
+"""The lean recursion, the pytorch-kinematics chain and Pinocchio agree on random trees."""
+
+import numpy as np
+import pytest
+import torch
+from torch.testing import assert_close
+from trees import pinocchio_state, pinocchio_twin, random_motion, random_tree
+
+from torchid.kinematics.chain import chain_poses
+from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.recursion import body_motion, poses
+from torchid.model.model import Geometry
+
+pin = pytest.importorskip("pinocchio")
+
+
+@pytest.mark.parametrize("case", range(6))
+def test_recursion_equals_chain(case: int, seed: int) -> None:
+    """Poses of the lean recursion equal those of the pytorch-kinematics chain."""
+    rng = np.random.default_rng([seed, case])
+    tree, geometry = random_tree(rng)
+    q, _, _ = random_motion(rng, tree, 5)
+    at = poses(plan_tree(tree), q.T.contiguous(), geometry)
+    position = list(plan_tree(tree).position)
+    X = chain_poses(tree, q, geometry, chunk=2)
+    assert_close(at.p[position].permute(2, 0, 1), X[..., :3, 3], rtol=0, atol=1e-12)
+    assert_close(torch.stack(at.R, -1)[position].permute(2, 0, 1, 3), X[..., :3, :3], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", range(4))
+def test_velocities_and_accelerations_equal_pinocchio(case: int, seed: int) -> None:
+    """Twists and classical accelerations of every body equal Pinocchio's."""
+    rng = np.random.default_rng([seed, case])
+    tree, geometry = random_tree(rng)
+    q, v, a = (x.T.contiguous() for x in random_motion(rng, tree, 2))
+    plan = plan_tree(tree)
+    moving = body_motion(plan, poses(plan, q, geometry), v, a)
+    twin = pinocchio_twin(tree, geometry)
+    data = twin.createData()
+    for t in range(2):
+        pin.forwardKinematics(twin, data, *pinocchio_state(twin, tree, q[:, t], v[:, t], a[:, t]))
+        pin.updateFramePlacements(twin, data)
+        for k, body in enumerate(plan.order):
+            frame = twin.getFrameId(tree.bodies[body].name)
+            twist = pin.getFrameVelocity(twin, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            spatial = pin.getFrameClassicalAcceleration(twin, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            assert_close(moving.v[k, :, t], torch.tensor(twist.linear), rtol=1e-10, atol=1e-10)
+            assert_close(moving.w[k, :, t], torch.tensor(twist.angular), rtol=1e-10, atol=1e-10)
+            assert_close(moving.a[k, :, t], torch.tensor(spatial.linear), rtol=1e-9, atol=1e-9)
+            assert_close(moving.alpha[k, :, t], torch.tensor(spatial.angular), rtol=1e-9, atol=1e-9)
+
+
+def test_chain_gradients_reach_motion_and_geometry(seed: int) -> None:
+    """Positions of the chain are differentiable in coordinates, offsets and hinge angles."""
+    rng = np.random.default_rng(seed)
+    tree, geometry = random_tree(rng, bodies=4)
+    q, _, _ = random_motion(rng, tree, 2)
+
+    def place(q: torch.Tensor, offset: torch.Tensor, hinge: torch.Tensor) -> torch.Tensor:
+        return chain_poses(tree, q, Geometry(offset, hinge))[..., :3, :]
+
+    inputs = tuple(x.clone().requires_grad_() for x in (q, geometry.offset, geometry.hinge))
+    assert torch.autograd.gradcheck(place, inputs, atol=1e-6)

@@ -1,0 +1,107 @@
+"""Random trees and their twins in other libraries, for tests."""
+
+import numpy as np
+import roma
+import torch
+from scipy.spatial.transform import Rotation as R
+
+from torchid.model.model import Geometry
+from torchid.model.tree import Body, Dof, Slide, Tree, Turn
+
+BASE = tuple(Dof(name, "m" if k < 3 else "rad") for k, name in enumerate(("x", "y", "z", "rx", "ry", "rz")))
+
+
+def random_tree(rng: np.random.Generator, bodies: int = 9, constant: bool = True) -> tuple[Tree, Geometry]:
+    """A tree with turns about any axes and signs, hinge angles, slides and constant rotations."""
+    dofs, hinges, made = list(BASE), [], [Body("b0", -1)]
+    for k in range(1, bodies):
+        turns: list[Turn] = []
+        for _ in range(int(rng.integers(0, 4))):
+            turns.append(Turn(int(rng.integers(3)), len(dofs), sign=float(rng.choice([-1, 1]))))
+            dofs.append(Dof(f"q{len(dofs)}", "rad"))
+        if rng.random() < 0.5:
+            axis = int(rng.integers(3))
+            turns = [Turn(axis, len(hinges), False), *turns, Turn(axis, len(hinges), False, -1.0)]
+            hinges.append(f"h{len(hinges)}")
+        slides = ()
+        if rng.random() < 0.3:
+            slides = (Slide(int(rng.integers(3)), len(dofs)),)
+            dofs.append(Dof(f"q{len(dofs)}", "m"))
+        before, after = (_rotation(rng) if constant and rng.random() < 0.4 else None for _ in range(2))
+        made.append(Body(f"b{k}", int(rng.integers(max(0, k - 4), k)), tuple(turns), slides, before, after))
+    offset = torch.tensor(rng.normal(size=(bodies, 3)) * 0.2)
+    offset[0] = 0.0
+    hinge = torch.tensor(rng.normal(size=len(hinges)) * 0.2)
+    return Tree(tuple(made), tuple(dofs), tuple(hinges)), Geometry(offset, hinge)
+
+
+def random_motion(rng: np.random.Generator, tree: Tree, frames: int) -> tuple[torch.Tensor, ...]:
+    """Independent q, v, a, each (frames, dofs)."""
+    return tuple(torch.tensor(rng.normal(size=(frames, len(tree.dofs)))) for _ in range(3))
+
+
+def random_inertia(rng: np.random.Generator, bodies: int) -> torch.Tensor:
+    """Physically consistent ten parameters per body, about the body's origin."""
+    rows = []
+    for _ in range(bodies):
+        m, c = rng.uniform(0.5, 10.0), rng.normal(size=3) * 0.1
+        A = rng.normal(size=(3, 3)) * 0.1
+        second = A @ A.T * m + m * np.outer(c, c)
+        I = np.trace(second) * np.eye(3) - second
+        rows.append([m, *(m * c), I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]])
+    return torch.tensor(np.array(rows))
+
+
+def pinocchio_twin(tree: Tree, geometry: Geometry, inertia: torch.Tensor | None = None):
+    """The tree in Pinocchio: single-axis joints in the order of the chain; returns the model and frame ids of bodies."""
+    import pinocchio as pin
+
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, 0.0, -9.80665])
+    joint = {0: model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")}
+    place = {0: pin.SE3.Identity()}
+    for k, body in enumerate(tree.bodies):
+        if k:
+            at, X = joint[body.parent], place[body.parent] * pin.SE3(np.eye(3), geometry.offset[k].numpy())
+            X = X * pin.SE3(np.array(body.R_PJ) if body.R_PJ else np.eye(3), np.zeros(3))
+            for slide in body.slides:
+                kind = [pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ][slide.axis]()
+                at, X = model.addJoint(at, kind, X, f"q{slide.row}"), pin.SE3.Identity()
+            for turn in body.turns:
+                unit = np.eye(3)[turn.axis] * turn.sign
+                if turn.moving:
+                    at = model.addJoint(at, pin.JointModelRevoluteUnaligned(unit), X, f"q{turn.row}")
+                    X = pin.SE3.Identity()
+                else:
+                    X = X * pin.SE3(R.from_rotvec(unit * float(geometry.hinge[turn.row])).as_matrix(), np.zeros(3))
+            X = X * pin.SE3(np.array(body.R_JB) if body.R_JB else np.eye(3), np.zeros(3))
+            joint[k], place[k] = at, X
+        if inertia is not None:
+            m, h, I = inertia[k, 0].item(), inertia[k, 1:4].numpy(), inertia[k, 4:].numpy()
+            full = np.array([[I[0], I[1], I[3]], [I[1], I[2], I[4]], [I[3], I[4], I[5]]])
+            c = h / m
+            about_com = full - m * (c @ c * np.eye(3) - np.outer(c, c))
+            model.appendBodyToJoint(joint[k], pin.Inertia(m, c, about_com), place[k])
+        model.addFrame(pin.Frame(tree.bodies[k].name, joint[k], 0, place[k], pin.FrameType.OP_FRAME))
+    return model
+
+
+def pinocchio_state(model, tree: Tree, q, v, a) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One frame of our coordinates in Pinocchio's (base velocity and spatial acceleration in base axes)."""
+    import pinocchio as pin
+
+    Q, V, A = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+    R_WB = roma.rotvec_to_rotmat(q[3:6]).numpy()
+    Q[:3], Q[3:7] = q[:3], pin.Quaternion(R_WB).coeffs()
+    V[:3], V[3:6] = R_WB.T @ v[:3].numpy(), R_WB.T @ v[3:6].numpy()
+    A[:3] = R_WB.T @ a[:3].numpy() - np.cross(V[3:6], V[:3])
+    A[3:6] = R_WB.T @ a[3:6].numpy()
+    for k in range(6, len(tree.dofs)):
+        j = model.joints[model.getJointId(f"q{k}")]
+        Q[j.idx_q], V[j.idx_v], A[j.idx_v] = q[k], v[k], a[k]
+    return Q, V, A
+
+
+def _rotation(rng: np.random.Generator):
+    M = R.random(random_state=int(rng.integers(2**31))).as_matrix()
+    return tuple(tuple(float(x) for x in row) for row in M)

@@ -1,0 +1,1 @@
+"""Geometry and posture from markers, all frames at once."""

@@ -1,0 +1,127 @@
+"""The one least-squares problem that every geometric solver minimises.
+
+    1/2 sum_t sum_m rho_m(|| p_m(q_t, xi) - p_hat_m(t) ||^2 w_mt) + 1/2 || xi - mean ||^2_prior + 1/2 sum_t || q_t - mean_t ||^2_prior
+
+xi holds the named geometric parameters and, behind them, the places of the markers that are free on their segments.
+A missing marker has weight zero.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.kinematics.plan import Plan
+from torchid.kinematics.recursion import Poses, points, poses
+from torchid.model.model import Geometry, GeometryPrior
+
+
+@dataclass(frozen=True)
+class PosturePrior:
+    """Independent normal priors on the coordinates, and soft limits; zero precision is no prior."""
+
+    mean: Float[Tensor, "dofs #frames"]
+    precision: Float[Tensor, "dofs #frames"]
+    lower: Float[Tensor, "dofs 1"]
+    upper: Float[Tensor, "dofs 1"]
+    limit_precision: float
+
+    def frames(self, index: Tensor | slice) -> "PosturePrior":
+        """The prior of some frames."""
+        cut = [x if x.shape[1] == 1 else x[:, index] for x in (self.mean, self.precision)]
+        return replace(self, mean=cut[0], precision=cut[1])
+
+    def pull(self, q: Float[Tensor, "dofs frames"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Cost per frame, gradient and curvature (diagonal) at q."""
+        error = q - self.mean
+        beyond = (q - self.upper).clamp(min=0.0) - (self.lower - q).clamp(min=0.0)
+        gradient = self.precision * error + self.limit_precision * beyond
+        curvature = self.precision + self.limit_precision * (beyond != 0.0)
+        cost = 0.5 * (self.precision * error.square() + self.limit_precision * beyond.square()).sum(0)
+        return cost, gradient, curvature.expand_as(q)
+
+
+@dataclass(frozen=True)
+class MarkerProblem:
+    """Markers of many frames on one tree, frames last."""
+
+    plan: Plan
+    geometry: GeometryPrior
+    body: Int[Tensor, " markers"]
+    """Plan position of the body that carries each marker."""
+    target: Float[Tensor, "markers 3 frames"]
+    """p_WM_W [m], zero where missing."""
+    weight: Float[Tensor, "markers frames"]
+    """1 / sigma^2 [1/m^2], zero where missing."""
+    place: Float[Tensor, "markers 3"]
+    """p_BM_B: prior mean, or the value itself where fixed [m]."""
+    place_sd: Float[Tensor, "markers 3"]
+    free: Int[Tensor, " free"]
+    """Markers whose place is unknown."""
+    posture: PosturePrior
+    robust: float | None = None
+    """Residuals beyond this many standard deviations lose their influence (Geman-McClure); None: least squares."""
+
+    @property
+    def n_named(self) -> int:
+        """Number of named geometric parameters; marker places follow."""
+        return len(self.geometry.mean)
+
+    @property
+    def xi_mean(self) -> Float[Tensor, " xi"]:
+        """Prior mean of everything shared."""
+        return torch.cat([self.geometry.mean, self.place[self.free].reshape(-1)])
+
+    @property
+    def xi_precision(self) -> Float[Tensor, " xi"]:
+        """Prior precision of everything shared."""
+        return torch.cat([self.geometry.sd, self.place_sd[self.free].reshape(-1)]).square().reciprocal()
+
+    def split(self, xi: Float[Tensor, " xi"]) -> tuple[Geometry, Float[Tensor, "markers 3"]]:
+        """Geometry and marker places at xi."""
+        place = self.place.clone()
+        place[self.free] = xi[self.n_named :].reshape(-1, 3)
+        return self.geometry.geometry(xi[: self.n_named]), place
+
+    def frames(self, index: Tensor | slice) -> "MarkerProblem":
+        """The same problem on some of its frames."""
+        return replace(
+            self,
+            target=self.target[:, :, index],
+            weight=self.weight[:, index],
+            posture=self.posture.frames(index),
+        )
+
+    def residual(
+        self, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]
+    ) -> tuple[Poses, Float[Tensor, "markers 3 frames"], Float[Tensor, "markers 3 frames"]]:
+        """Poses, marker positions and their residuals (arbitrary where the weight is zero)."""
+        geometry, place = self.split(xi)
+        at = poses(self.plan, q, geometry)
+        p = points(at, self.body, place)
+        return at, p, p - self.target
+
+    def robust_cost(
+        self, residual: Float[Tensor, "markers 3 frames"]
+    ) -> tuple[Float[Tensor, " frames"], Float[Tensor, "markers frames"]]:
+        """Cost of the markers per frame and the weights of the equivalent least-squares problem.
+
+        Geman & McClure 1985: rho(s) = c^2 s / (c^2 + s) of the normalised squared residual s; reweighting by
+        rho'(s) = (c^2 / (c^2 + s))^2 majorises the cost, since rho is concave in s.
+        """
+        s = residual.square().sum(1) * self.weight
+        if self.robust is None:
+            return 0.5 * s.sum(0), self.weight
+        c2 = 3.0 * self.robust**2
+        shrink = c2 / (c2 + s)
+        return 0.5 * (shrink * s).sum(0), self.weight * shrink.square()
+
+    def frame_cost(self, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]) -> Float[Tensor, " frames"]:
+        """Cost of each frame (markers and posture), without the prior on xi."""
+        _, _, residual = self.residual(q, xi)
+        return self.robust_cost(residual)[0] + self.posture.pull(q)[0]
+
+    def xi_cost(self, xi: Float[Tensor, " xi"]) -> float:
+        """Cost of the prior on xi."""
+        return 0.5 * float((self.xi_precision * (xi - self.xi_mean).square()).sum())

@@ -1,0 +1,1 @@
+"""Poses, marker positions and accelerations of a tree, batched over frames."""

@@ -1,0 +1,227 @@
+"""The whole body's tree: 16 bodies, 41 coordinates of motion, and how their signs read.
+
+Bodies' axes are parallel (X forward, Y left, Z up) in the neutral standing pose, arms hanging, palms to the thighs.
+Signs follow ISB (Wu et al. 2002, J Biomech 35:543; 2005, 38:981): flexion, adduction, internal rotation, dorsiflexion,
+inversion, pronation and ulnar deviation are positive on both sides, so that equal coordinates left and right are
+mirrored poses; spine and neck: flexion, bending to the right, turning to the left are positive.
+
+Three-axis joints turn about Y, X, Z in that order (flexion, adduction, rotation); the shoulder about Y, Z, X, because
+the first sequence is singular at 90 degrees of abduction, an everyday pose, and this one only at 90 degrees of
+rotation of the hanging arm. The subtalar axis leans 42 degrees up and 23 degrees inwards on average (Inman 1976, The
+Joints of the Ankle; ranges 20-68 and 4-47).
+Limits: American Academy of Orthopaedic Surgeons 1965 (Joint Motion), Roaas & Andersson 1982 (Acta Orthop Scand 53:205),
+White & Panjabi 1990 for the spine, widened by about 10-20 degrees, since they act on an Euler sequence and bound
+searches, not diagnoses. Posture scatter is weak; it settles how two spine joints share a bend that markers do not.
+"""
+
+import math
+from dataclasses import dataclass
+
+from torchid.model.tree import Body, Dof, Tree, Turn
+
+SIDES = ("l", "r")
+SEGMENTS = ("pelvis", "abdomen", "thorax", "head") + tuple(
+    f"{part}_{side}" for side in SIDES for part in ("upper_arm", "forearm", "hand", "thigh", "shank", "foot")
+)
+X, Y, Z = 0, 1, 2
+BASE_SD = 100.0
+"""Scatter of the base's coordinates [m, rad]: no prior worth the name."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One coordinate of a joint: name, axis, sign on the right side, whether it mirrors, limits and scatter [deg]."""
+
+    name: str
+    axis: int
+    sign: float
+    mirrored: bool
+    lower: float
+    upper: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Lean:
+    """A hinge angle in front of a moving axis and undone behind it, mirrored between the sides."""
+
+    name: str
+    axis: int
+    sign: float
+    mirrored: bool
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint of the template: ``child`` on ``parent``, its axes in order, leans of its first or last axis."""
+
+    name: str
+    child: str
+    parent: str
+    axes: tuple[Axis, ...]
+    leans: tuple[tuple[Lean, ...], ...] = ()
+    """One tuple per axis; empty tuples for axes that do not lean."""
+
+
+def _hinge(name: str) -> tuple[Lean, ...]:
+    """Lean of a flexion axis: ``axis_x`` lowers its lateral end, ``axis_z`` brings its lateral end forward."""
+    return (Lean(f"{name}_axis_x", X, 1.0, True), Lean(f"{name}_axis_z", Z, 1.0, True))
+
+
+AXIAL = (
+    Joint(
+        "lower_spine", "abdomen", "pelvis",
+        (
+            Axis("lower_spine_flexion", Y, 1.0, False, -40, 75, 25),
+            Axis("lower_spine_bending", X, 1.0, False, -40, 40, 20),
+            Axis("lower_spine_rotation", Z, 1.0, False, -35, 35, 15),
+        ),
+    ),
+    Joint(
+        "upper_spine", "thorax", "abdomen",
+        (
+            Axis("upper_spine_flexion", Y, 1.0, False, -40, 65, 25),
+            Axis("upper_spine_bending", X, 1.0, False, -45, 45, 20),
+            Axis("upper_spine_rotation", Z, 1.0, False, -55, 55, 20),
+        ),
+    ),
+    Joint(
+        "neck", "head", "thorax",
+        (
+            Axis("neck_flexion", Y, 1.0, False, -80, 80, 30),
+            Axis("neck_bending", X, 1.0, False, -60, 60, 20),
+            Axis("neck_rotation", Z, 1.0, False, -95, 95, 35),
+        ),
+    ),
+)  # fmt: skip
+LIMBS = (
+    Joint(
+        "shoulder", "upper_arm", "thorax",
+        (
+            Axis("shoulder_flexion", Y, -1.0, False, -90, 190, 60),
+            Axis("shoulder_rotation", Z, 1.0, True, -85, 85, 45),
+            Axis("shoulder_adduction", X, 1.0, True, -190, 75, 60),
+        ),
+    ),
+    Joint(
+        "elbow", "forearm", "upper_arm",
+        (
+            Axis("elbow_flexion", Y, -1.0, False, -15, 160, 60),
+            Axis("elbow_pronation", Z, 1.0, True, -105, 105, 50),
+        ),
+        (_hinge("elbow"), ()),
+    ),
+    Joint(
+        "wrist", "hand", "forearm",
+        (
+            Axis("wrist_flexion", X, 1.0, True, -90, 95, 30),
+            Axis("wrist_deviation", Y, 1.0, False, -35, 50, 15),
+        ),
+    ),
+    Joint(
+        "hip", "thigh", "pelvis",
+        (
+            Axis("hip_flexion", Y, -1.0, False, -45, 145, 45),
+            Axis("hip_adduction", X, 1.0, True, -70, 50, 20),
+            Axis("hip_rotation", Z, 1.0, True, -65, 65, 20),
+        ),
+    ),
+    Joint("knee", "shank", "thigh", (Axis("knee_flexion", Y, 1.0, False, -15, 165, 50),), (_hinge("knee"),)),
+    Joint(
+        "ankle", "foot", "shank",
+        (
+            Axis("ankle_flexion", Y, -1.0, False, -70, 50, 25),
+            Axis("ankle_inversion", X, 1.0, True, -45, 55, 15),
+        ),
+        (
+            _hinge("ankle"),
+            # The azimuth comes first, so that the elevation is that of the axis itself.
+            (Lean("subtalar_axis_z", Z, 1.0, True), Lean("subtalar_axis_y", Y, -1.0, False)),
+        ),
+    ),
+)  # fmt: skip
+
+
+def _sided(joint: Joint, side: str) -> Joint:
+    """The joint of one side: names take ``_l`` or ``_r``, mirrored signs turn on the left."""
+    flip = -1.0 if side == "l" else 1.0
+
+    def name(text: str) -> str:
+        stem, _, tail = text.partition("_")
+        return f"{stem}_{side}_{tail}"
+
+    return Joint(
+        f"{joint.name}_{side}",
+        f"{joint.child}_{side}",
+        joint.parent if joint.parent in SEGMENTS else f"{joint.parent}_{side}",
+        tuple(
+            Axis(name(a.name), a.axis, a.sign * (flip if a.mirrored else 1.0), a.mirrored, a.lower, a.upper, a.sd)
+            for a in joint.axes
+        ),
+        tuple(
+            tuple(Lean(name(n.name), n.axis, n.sign * (flip if n.mirrored else 1.0), n.mirrored) for n in leans)
+            for leans in joint.leans
+        ),
+    )
+
+
+JOINTS = AXIAL + tuple(_sided(joint, side) for side in SIDES for joint in LIMBS)
+"""Joints of the whole body; the n-th carries the n-th segment after the pelvis."""
+
+
+def whole_body_tree(hip_height: float) -> Tree:
+    """Tree of the whole body; ``hip_height`` [m] is where the base rests.
+
+    The base's three rotations are a rotation vector; its three positions are the midpoint of the hips.
+    """
+    hinges = tuple(lean.name for joint in JOINTS for leans in joint.leans for lean in leans)
+    dofs = _base_dofs(hip_height)
+    bodies = [Body("pelvis", -1)]
+    for joint in JOINTS:
+        turns: list[Turn] = []
+        for k, axis in enumerate(joint.axes):
+            leans = joint.leans[k] if joint.leans else ()
+            tilt = [Turn(n.axis, hinges.index(n.name), moving=False, sign=n.sign) for n in leans]
+            undo = [Turn(t.axis, t.row, moving=False, sign=-t.sign) for t in reversed(tilt)]
+            turns += [*tilt, Turn(axis.axis, len(dofs), sign=axis.sign), *undo]
+            dofs.append(_dof(axis))
+        bodies.append(Body(joint.child, SEGMENTS.index(joint.parent), tuple(turns)))
+    return Tree(tuple(bodies), tuple(dofs), hinges)
+
+
+def _base_dofs(hip_height: float) -> list[Dof]:
+    rest = {"pelvis_z": hip_height}
+    return [
+        Dof(f"pelvis_{axis}", unit, rest=rest.get(f"pelvis_{axis}", 0.0), sd=BASE_SD)
+        for unit, axes in (("m", ("x", "y", "z")), ("rad", ("rx", "ry", "rz")))
+        for axis in axes
+    ]
+
+
+def _dof(axis: Axis) -> Dof:
+    return Dof(axis.name, "rad", math.radians(axis.lower), math.radians(axis.upper), 0.0, math.radians(axis.sd))
+
+
+def joint_table(tree: Tree) -> str:
+    """Markdown table of the joints: child, parent, axes in order, coordinates, limits [deg]; for any tree."""
+    rows = ["| body | parent | axes | coordinates | limits |", "|---|---|---|---|---|"]
+    base = tree.dof_names[:6]
+    rows.append(f"| {tree.names[0]} | ground | position, rotation vector | {', '.join(base)} | |")
+    for body in tree.bodies[1:]:
+        moving = [turn for turn in body.turns if turn.moving]
+        dofs = [tree.dofs[s.row] for s in body.slides] + [tree.dofs[turn.row] for turn in moving]
+        axes = ["slide " + "XYZ"[s.axis] for s in body.slides] + [_axis_text(turn) for turn in moving]
+        rows.append(
+            f"| {body.name} | {tree.names[body.parent]} | {', '.join(axes) or 'fixed'} | "
+            f"{', '.join(d.name for d in dofs)} | {', '.join(_limits_text(d) for d in dofs)} |"
+        )
+    return "\n".join(rows)
+
+
+def _axis_text(turn: Turn) -> str:
+    return ("-" if turn.sign < 0 else "") + "XYZ"[turn.axis]
+
+
+def _limits_text(dof: Dof) -> str:
+    lower, upper = (math.degrees(v) if dof.unit == "rad" else v for v in (dof.lower, dof.upper))
+    return f"{lower:.0f} to {upper:.0f}" if math.isfinite(lower) and math.isfinite(upper) else "free"
