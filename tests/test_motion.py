@@ -1,0 +1,81 @@
+"""Filters and derivatives: response, ends, gaps, poles."""
+
+import numpy as np
+import pytest
+import roma
+import torch
+from torch.testing import assert_close
+
+from torchid.model.tree import Body, Tree, Turn
+from torchid.motion import Smoother, choose_cutoff, smooth_motion
+from torchid.motion.rotations import filter_rotation, turns_to_rotation
+from trees import BASE, Dof
+
+RATE = 100.0
+
+
+@pytest.mark.parametrize("kind", ["spline", "butterworth"])
+def test_response_is_minus_3_db_at_the_cutoff(kind: str) -> None:
+    """A sine at the cut-off passes with 0.707 of its amplitude, one at a fifth of it unharmed, one at thrice not."""
+    t = torch.arange(4000, dtype=torch.float64) / RATE
+    for ratio, low, high in ((1.0, 0.69, 0.725), (0.2, 0.995, 1.005), (3.0, 0.0, 0.05)):
+        x = torch.sin(2 * torch.pi * 6.0 * ratio * t)
+        y = Smoother(6.0, RATE, kind)(x)[1000:3000]  # type: ignore[arg-type]
+        gain = float((y.square().mean() * 2).sqrt())
+        assert low <= gain <= high
+
+
+def test_spline_leaves_the_acceleration_free_at_the_ends() -> None:
+    """A parabola passes the spline filter unchanged, up to its ends."""
+    t = torch.arange(131, dtype=torch.float64)[:, None] / RATE
+    x = 0.3 + 2.0 * t - 4.0 * t**2
+    assert_close(Smoother(6.0, RATE)(x), x, rtol=0, atol=1e-8)
+
+
+def test_gap_is_bridged(seed: int) -> None:
+    """Samples without weight are not read, and a slow signal is restored inside the gap."""
+    t = torch.arange(400, dtype=torch.float64) / RATE
+    x = torch.sin(2 * torch.pi * 0.7 * t)
+    weight = torch.ones(400, dtype=torch.float64)
+    weight[150:165] = 0.0
+    spoilt = torch.where(weight > 0, x, torch.nan)
+    assert_close(Smoother(8.0, RATE)(spoilt, weight), x, rtol=0, atol=2e-3)
+
+
+def test_angular_rates_of_a_known_rotation(seed: int) -> None:
+    """Angular velocity and acceleration of R(t) = exp(a(t) u) R0 are a' u and a'' u."""
+    rng = np.random.default_rng(seed)
+    u = torch.tensor(rng.normal(size=3))
+    u = u / u.norm()
+    t = torch.arange(300, dtype=torch.float64)[:, None] / RATE
+    angle, rate, rate2 = 5 * torch.sin(t * 2), 10 * torch.cos(t * 2), -20 * torch.sin(t * 2)
+    R = roma.rotvec_to_rotmat(angle * u) @ roma.random_rotmat(dtype=torch.float64)
+    found = filter_rotation(R, Smoother(49.0, RATE))
+    assert_close(found.w, rate * u, rtol=0, atol=1e-4)
+    assert_close(found.alpha, rate2 * u, rtol=0, atol=1e-2)
+
+
+def test_joint_passes_the_pole_of_its_angles() -> None:
+    """A three-axis joint moving through its singular pose keeps exact body rates away from a few frames."""
+    turns = (Turn(1, 6), Turn(0, 7, sign=-1.0), Turn(2, 8))
+    tree = Tree((Body("a", -1), Body("b", 0, turns)), BASE + tuple(Dof(n, "rad") for n in "pqr"))
+    t = torch.arange(300, dtype=torch.float64) / RATE
+    q = torch.zeros(300, 9, dtype=torch.float64)
+    q[:, 6], q[:, 7], q[:, 8] = 0.4 * torch.sin(3 * t), 1.2 * t, 0.3 * torch.cos(2 * t)
+    motion = smooth_motion(tree, t, q, Smoother(49.0, RATE))
+    assert_close(turns_to_rotation(turns, motion.q[:, 6:]), turns_to_rotation(turns, q[:, 6:]), rtol=0, atol=1e-8)
+    away = (torch.cos(q[:, 7]).abs() > 0.05) & (t > 0.05) & (t < 2.9)
+    assert_close(motion.v[away, 7], torch.full((int(away.sum()),), 1.2, dtype=torch.float64), rtol=0, atol=1e-3)
+    assert torch.isfinite(motion.a).all()
+
+
+def test_cutoff_grows_with_the_band_of_the_signal(seed: int) -> None:
+    """A signal up to 3 Hz in noise gets a lower cut-off than one up to 9 Hz, and both keep their band."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(1000) / RATE
+    found = []
+    for top in (3.0, 9.0):
+        waves = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) / f for f in np.linspace(0.5, top, 12))
+        x = torch.tensor(0.05 * waves[:, None, None] + 1e-3 * rng.normal(size=(1000, 8, 3)))
+        found.append(choose_cutoff(x, RATE))
+    assert found[0] < found[1] and found[0] >= 2.9 and found[1] >= 8.5

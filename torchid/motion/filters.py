@@ -1,0 +1,83 @@
+"""Zero-lag low-pass filters for uniformly sampled signals; one of them serves kinematics and forces alike."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import scipy.interpolate
+import scipy.linalg
+import scipy.signal
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+FilterKind = Literal["spline", "butterworth"]
+ORDER = 3
+"""Of the differences that the spline penalises: accelerations stay free at the ends of a trial."""
+HALF_POWER = (np.sqrt(2.0) - 1.0) ** (1.0 / (2 * ORDER))
+"""Ratio of the -3 dB frequency of 1 / (1 + (f / f0)^6) to f0."""
+BUTTERWORTH_PASS = 0.802
+"""A 2nd-order Butterworth run both ways has -3 dB at this part of its design cut-off (Winter 2009, section 3.4.4.2)."""
+
+
+@dataclass(frozen=True)
+class Smoother:
+    """A low-pass filter with -3 dB at ``cutoff_hz``.
+
+    ``spline``: least squares with a penalty on third differences (Woltring 1986, quintic spline; Eilers 2003), whose
+    response 1 / (1 + (f/f0)^6) is that of a 3rd-order Butterworth run both ways, but whose ends are natural and whose
+    missing samples simply carry no weight. ``butterworth``: 2nd order, both ways, odd padding.
+    """
+
+    cutoff_hz: float
+    rate_hz: float
+    kind: FilterKind = "spline"
+
+    def __call__(
+        self, x: Float[Tensor, "frames *channels"], weight: Float[Tensor, " frames"] | None = None
+    ) -> Float[Tensor, "frames *channels"]:
+        """Filtered signal; samples of weight zero are bridged (their values are not read)."""
+        if self.cutoff_hz >= 0.45 * self.rate_hz:
+            return x
+        flat = x.detach().cpu().numpy().reshape(len(x), -1)
+        w = np.ones(len(x)) if weight is None else weight.detach().cpu().numpy()
+        flat = np.where(w[:, None] > 0.0, flat, 0.0)
+        out = self._spline(flat, w) if self.kind == "spline" or w.min() <= 0.0 else self._butterworth(flat)
+        return torch.as_tensor(out, dtype=x.dtype, device=x.device).reshape(x.shape)
+
+    def _spline(self, x: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        if len(x) <= 2 * ORDER:
+            return x
+        f0 = self.cutoff_hz / HALF_POWER
+        penalty = (2.0 * np.sin(np.pi * min(f0 / self.rate_hz, 0.5))) ** (-2.0 * ORDER)
+        bands = penalty * _difference_bands(len(x))
+        # A long gap leaves the solution to the penalty alone: a parabola between its sides.
+        bands[-1] += np.maximum(weight, 1e-12)
+        return scipy.linalg.solveh_banded(bands, weight[:, None] * x, overwrite_ab=True, check_finite=False)
+
+    def _butterworth(self, x: np.ndarray) -> np.ndarray:
+        design = min(self.cutoff_hz / BUTTERWORTH_PASS, 0.49 * self.rate_hz)
+        sos = scipy.signal.butter(2, design, fs=self.rate_hz, output="sos")
+        pad = min(len(x) - 1, int(3 * self.rate_hz / self.cutoff_hz))
+        return scipy.signal.sosfiltfilt(sos, x, axis=0, padlen=pad).copy()
+
+
+def _difference_bands(n: int) -> np.ndarray:
+    """Upper bands (ORDER + 1, n) of D'D for differences of order ORDER."""
+    stencil = np.array([-1.0, 3.0, -3.0, 1.0])
+    bands = np.zeros((ORDER + 1, n))
+    for i in range(ORDER + 1):
+        for j in range(i, ORDER + 1):
+            bands[ORDER - (j - i), j : n - ORDER + j] += stencil[i] * stencil[j]
+    return bands
+
+
+def differentiate(
+    x: Float[Tensor, "frames *channels"], rate_hz: float
+) -> tuple[Float[Tensor, "frames *channels"], Float[Tensor, "frames *channels"]]:
+    """First and second time derivative of the quintic spline through the samples."""
+    flat = x.detach().cpu().numpy().reshape(len(x), -1)
+    time = np.arange(len(x)) / rate_hz
+    spline = scipy.interpolate.make_interp_spline(time, flat, k=5)
+    first, second = (torch.as_tensor(spline.derivative(k)(time), dtype=x.dtype, device=x.device) for k in (1, 2))
+    return first.reshape(x.shape), second.reshape(x.shape)

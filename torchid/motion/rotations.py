@@ -1,0 +1,96 @@
+"""Rotations over time: filtering as quaternions, angular rates, and the angles of three-axis joints."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import roma
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.model.tree import Turn
+from torchid.motion.filters import Smoother, differentiate
+
+POLE = 1e-3
+"""Sine of the angle to the pole below which angle rates are taken from damped least squares."""
+
+
+@dataclass(frozen=True)
+class AngularMotion:
+    """A rotation over time with its angular velocity and acceleration, both in the axes it starts from."""
+
+    R: Float[Tensor, "frames 3 3"]
+    w: Float[Tensor, "frames 3"]
+    alpha: Float[Tensor, "frames 3"]
+
+
+def filter_rotation(
+    R: Float[Tensor, "frames 3 3"], smoother: Smoother, weight: Float[Tensor, " frames"] | None = None
+) -> AngularMotion:
+    """Low-pass a rotation and differentiate it: w = 2 Im(n' n*), alpha = 2 Im(n'' n*) for the unit quaternion n."""
+    y = smoother(continuous_quaternion(R), weight)
+    yd, ydd = differentiate(y, smoother.rate_hz)
+    r = y.norm(dim=1, keepdim=True)
+    n = y / r
+    s = (n * yd).sum(1, keepdim=True)
+    nd = (yd - n * s) / r
+    ndd = (ydd - nd * s) / r - nd * s / r
+    inverse = roma.quat_conjugation(n)
+    w, alpha = (2.0 * roma.quat_product(x, inverse)[:, :3] for x in (nd, ndd))
+    return AngularMotion(roma.unitquat_to_rotmat(n), w, alpha)
+
+
+def continuous_quaternion(R: Float[Tensor, "frames 3 3"]) -> Float[Tensor, "frames 4"]:
+    """Unit quaternions (xyzw, as roma) without sign flips along the frames."""
+    n = roma.rotmat_to_unitquat(R)
+    flips = (n[1:] * n[:-1]).sum(1) < 0.0
+    sign = torch.cat([n.new_ones(1), 1.0 - 2.0 * (torch.cumsum(flips, 0) % 2).to(n)])
+    return n * sign[:, None]
+
+
+def turns_to_rotation(turns: Sequence[Turn], q: Float[Tensor, "frames turns"]) -> Float[Tensor, "frames 3 3"]:
+    """Product of the turns."""
+    R = torch.eye(3, dtype=q.dtype, device=q.device).expand(len(q), 3, 3)
+    for k, turn in enumerate(turns):
+        unit = q.new_zeros(3)
+        unit[turn.axis] = turn.sign
+        R = R @ roma.rotvec_to_rotmat(q[:, k, None] * unit)
+    return R
+
+
+def rotation_to_turns(
+    turns: Sequence[Turn], R: Float[Tensor, "frames 3 3"], near: Float[Tensor, "frames 3"]
+) -> Float[Tensor, "frames 3"]:
+    """Angles of three different axes that make R, on the branch nearest to ``near``."""
+    sign = near.new_tensor([turn.sign for turn in turns])
+    convention = "".join("XYZ"[turn.axis] for turn in turns)
+    first = roma.rotmat_to_euler(convention, R)
+    other = torch.stack([first[:, 0] + torch.pi, torch.pi - first[:, 1], first[:, 2] + torch.pi], dim=1)
+    options = torch.stack([first, other]) * sign
+    options = options + 2.0 * torch.pi * torch.round((near - options) / (2.0 * torch.pi))
+    miss = (options - near).square().sum(2)
+    return torch.where((miss[0] <= miss[1])[:, None], options[0], options[1])
+
+
+def joint_rates(
+    turns: Sequence[Turn], q: Float[Tensor, "frames 3"], moving: AngularMotion
+) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3"]]:
+    """Rates and accelerations of the angles that reproduce the angular motion (damped at the pole)."""
+    axes = []
+    R = torch.eye(3, dtype=q.dtype, device=q.device).expand(len(q), 3, 3)
+    for k, turn in enumerate(turns):
+        axes.append(turn.sign * R[:, :, turn.axis])
+        R = turns_to_rotation(turns[: k + 1], q[:, : k + 1])
+    S = torch.stack(axes, dim=2)
+    v = _solve(S, moving.w)
+    a0, a1, a2 = (axes[k] * v[:, k, None] for k in range(3))
+    bias = torch.linalg.cross(a0, a1) + torch.linalg.cross(a0 + a1, a2)
+    return v, _solve(S, moving.alpha - bias)
+
+
+def _solve(S: Tensor, x: Tensor) -> Tensor:
+    near_pole = (torch.linalg.det(S).abs() < POLE).to(S)
+    normal = S.mT @ S + (POLE**2) * near_pole[:, None, None] * torch.eye(3, dtype=S.dtype, device=S.device)
+    safe = torch.linalg.solve(normal, (S.mT @ x[:, :, None]))[:, :, 0]
+    plain = torch.linalg.solve(torch.where(near_pole[:, None, None] > 0, normal, S), x[:, :, None])[:, :, 0]
+    return torch.where(near_pole[:, None] > 0, safe, plain)
