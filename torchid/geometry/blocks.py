@@ -163,7 +163,7 @@ def _with_shared(
 
 def _gram(a: Tensor, b: Tensor) -> Tensor:
     """Sum over frames of a_k . b_l for (frames, k, 6), (frames, l, 6)."""
-    return a.transpose(0, 1).reshape(a.shape[1], -1) @ b.transpose(0, 1).reshape(b.shape[1], -1).T
+    return a.transpose(0, 1).reshape(a.shape[1], 6 * len(a)) @ b.transpose(0, 1).reshape(b.shape[1], 6 * len(b)).T
 
 
 def _fold(x: Tensor, layout: Layout, named: int) -> Tensor:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.model.tree import Tree
-from torchid.motion.filters import Smoother, differentiate
+from torchid.filters import Smoother, differentiate
 from torchid.motion.rotations import AngularMotion, filter_rotation, joint_rates, rotation_to_turns, turns_to_rotation
 
 

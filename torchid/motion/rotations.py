@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.model.tree import Turn
-from torchid.motion.filters import Smoother, differentiate
+from torchid.filters import Smoother, differentiate
 
 POLE = 1e-3
 """Sine of the angle to the pole below which angle rates are taken from damped least squares."""

@@ -1,0 +1,74 @@
+"""Where the solvers start: a closed-form pose of the root, joints at rest, and restarts of frames that went astray."""
+
+import roma
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.geometry.inverse import solve_poses
+from torchid.geometry.problem import MarkerProblem
+from torchid.kinematics.recursion import poses
+
+ASTRAY = 3.0
+"""A frame whose cost is this many times the median of all restarts from a neighbour."""
+
+
+def initial_posture(problem: MarkerProblem, xi: Float[Tensor, " xi"], rest: Float[Tensor, " dofs"]) -> Tensor:
+    """Coordinates (dofs, frames): root pose by weighted Procrustes on the root's rigid neighbourhood, joints at rest.
+
+    Markers of the root body count fully; those of its neighbours, taken at the resting pose, help with a hundredth
+    of the weight, so that a frame with fewer than three root markers still gets a pose. (Umeyama 1991.)
+    """
+    geometry, place = problem.split(xi)
+    q = rest[:, None].expand(-1, problem.target.shape[2]).clone()
+    q[:6] = 0.0
+    at = poses(problem.plan, q[:, :1], geometry)
+    R0 = torch.stack([column[..., 0] for column in at.R], dim=2)[problem.body]
+    model = (R0 @ place[:, :, None])[:, :, 0] + at.p[problem.body, :, 0]
+    near = torch.where(problem.body == 0, 1.0, 1e-2 * (problem.body < problem.plan.levels[1].stop)).to(q)
+    certainty = problem.place_sd.square().sum(1).add(1e-4).reciprocal()
+    weight = (problem.weight > 0) * (near * certainty / certainty.max())[:, None]
+    seen = weight.sum(0) > 0
+    R, t = _procrustes(model, problem.target, torch.where(seen, weight, 1.0))
+    q[:3], q[3:6] = t.T, roma.rotmat_to_rotvec(R).T
+    return hold(q, seen)
+
+
+def _procrustes(model: Tensor, target: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """R (frames, 3, 3) and t (frames, 3) that bring (markers, 3) onto (markers, 3, frames)."""
+    share = (weight / weight.sum(0)).T
+    to = target.permute(2, 0, 1)
+    centre_m, centre_t = share @ model, (share[:, :, None] * to).sum(1)
+    H = torch.einsum("tm,tmi,tmj->tij", share, to - centre_t[:, None], model - centre_m[:, None])
+    R = roma.special_procrustes(H)
+    return R, centre_t - (R @ centre_m[:, :, None])[:, :, 0]
+
+
+def hold(q: Tensor, good: Tensor) -> Tensor:
+    """Columns of q that are not good, replaced by the nearest good one."""
+    if bool(good.all()) or not bool(good.any()):
+        return q
+    known = good.nonzero()[:, 0]
+    every = torch.arange(q.shape[1], device=q.device)
+    right = torch.searchsorted(known, every).clamp(max=len(known) - 1)
+    left = (right - 1).clamp(min=0)
+    nearest = torch.where((known[right] - every).abs() < (every - known[left]).abs(), known[right], known[left])
+    return torch.where(good, q, q[:, nearest])
+
+
+def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 3) -> Tensor:
+    """Inverse kinematics from q, then again from good neighbours where the cost stands out."""
+    q, cost = solve_poses(problem, q, xi)
+    for _ in range(rounds):
+        seen = (problem.weight > 0).sum(0).clamp(min=1)
+        rating = cost / seen
+        astray = rating > ASTRAY * rating.median()
+        if not bool(astray.any()) or bool(astray.all()):
+            break
+        index = astray.nonzero()[:, 0]
+        again, new = solve_poses(problem.frames(index), hold(q, ~astray)[:, index], xi)
+        better = new < 0.99 * cost[index]
+        if not bool(better.any()):
+            break
+        q[:, index[better]], cost[index[better]] = again[:, better], new[better]
+    return q
