@@ -14,8 +14,9 @@ class GeometryOptions:
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """New name: parameters that become one (grouped bones)."""
     sigma_mm: float | dict[str, float] = 5.0
-    """Expected marker residual (noise and skin), for all markers or by label; re-estimated from the residuals."""
+    """Expected marker residual (noise and skin), for all markers or by label."""
     reestimate_sigma: bool = True
+    """Bring sigma to the level of the residuals by a common factor."""
     robust: float | None = 4.0
     """Residuals beyond this many standard deviations lose their influence; None: plain least squares."""
     static_posture_sd: float = 0.15

@@ -1,23 +1,22 @@
 """Proportions of the standing body as fractions of stature: joint centres, and how much they scatter between people.
 
-Lengths between joint centres of arms and legs follow de Leva 1996 (J Biomech 29:1223, Table 4, mean statures 1.741 m
-and 1.735 m) and Drillis & Contini 1966 as in Winter 2009, Fig. 4.1; the female thigh of de Leva (0.212 of stature) is
-not used for lengths, because it contradicts trochanteric and knee heights of surveys (Gordon et al. 2014, ANSUR II: both sexes
-stand on legs of 0.52-0.54 of stature). Foot length: ANSUR II. Hip centres: Harrington et al. 2007 (J Biomech 40:595) at mean pelvic width and
-depth. Sacral endplate against the hip axis: Legaye et al. 1998 and Vaz et al. 2002 (Eur Spine J): pelvic tilt about 12
-degrees, 11 cm. Lumbar and thoracic heights: Panjabi et al. 1991-92 (Spine) vertebral and disc heights summed.
-Scatter of a length at given stature is 4-5 percent (ANSUR II: residual standard deviation of limb lengths after
-regression on stature); positions across the body scatter by 5-20 mm, a choice by the size of anatomical landmarks'
-scatter in the same sources.
+Arm lengths follow de Leva 1996 (J Biomech 29:1223, Table 4, mean statures 1.741 m and 1.735 m). Legs: de Leva's thigh
+and shank (male 0.243 and 0.253) with an ankle at 0.042 would put the hip at 0.538, his female thigh (0.212) at 0.507;
+iliospinale height (0.56, Gordon et al. 2014, ANSUR II) less the hip's depth below it, and the functional hip centres of
+one public recording (0.515), put it at 0.52 for both sexes, so thigh and shank are 0.236 and 0.2435. Foot length:
+ANSUR II. Hip centres: Harrington et al. 2007 (J Biomech 40:595) at mean pelvic width and depth. Sacral endplate against
+the hip axis: Legaye et al. 1998 and Vaz et al. 2002 (Eur Spine J): pelvic tilt about 12 degrees, 11 cm. Lumbar and
+thoracic heights share what remains up to the cervicale (0.86, ANSUR II) as the vertebral and disc heights of Panjabi et
+al. 1991-92 (Spine). Scatter of a length at given stature is 4-5 percent (ANSUR II: residual of limb lengths after
+regression on stature); positions across the body scatter by 5-20 mm, a choice by the anatomical scatter in these
+sources.
 """
 
 from dataclasses import dataclass, fields
-from typing import Literal
 
 from torchid.errors import ConfigError
 
-Sex = Literal["male", "female", "unknown"]
-SEXES: tuple[Sex, ...] = ("male", "female", "unknown")
+SEXES = ("male", "female", "unknown")
 STATURE = {"male": (1.755, 0.07), "female": (1.63, 0.065), "unknown": (1.69, 0.095)}
 """Mean and standard deviation of adults' stature [m] (ANSUR II), used when the height is not given."""
 
@@ -64,9 +63,9 @@ class Proportions:
 MALE = Proportions(
     pelvis_width=0.101,
     lower_spine_x=-0.015,
-    lower_spine_z=0.064,
+    lower_spine_z=0.066,
     upper_spine_x=-0.008,
-    upper_spine_z=0.103,
+    upper_spine_z=0.110,
     neck_x=0.005,
     neck_z=0.163,
     shoulder_x=0.017,
@@ -74,8 +73,8 @@ MALE = Proportions(
     shoulder_z=0.100,
     upper_arm_length=0.1618,
     forearm_length=0.1545,
-    thigh_length=0.2425,
-    shank_length=0.2470,
+    thigh_length=0.2360,
+    shank_length=0.2435,
     ankle_height=0.0420,
     foot_length=0.152,
     asis_width=0.136,
@@ -85,9 +84,9 @@ MALE = Proportions(
 FEMALE = Proportions(
     pelvis_width=0.108,
     lower_spine_x=-0.015,
-    lower_spine_z=0.065,
+    lower_spine_z=0.067,
     upper_spine_x=-0.008,
-    upper_spine_z=0.105,
+    upper_spine_z=0.111,
     neck_x=0.005,
     neck_z=0.160,
     shoulder_x=0.017,
@@ -95,8 +94,8 @@ FEMALE = Proportions(
     shoulder_z=0.098,
     upper_arm_length=0.1586,
     forearm_length=0.1523,
-    thigh_length=0.2425,
-    shank_length=0.2460,
+    thigh_length=0.2360,
+    shank_length=0.2430,
     ankle_height=0.0415,
     foot_length=0.150,
     asis_width=0.147,
@@ -105,7 +104,7 @@ FEMALE = Proportions(
 )
 
 
-def proportions(sex: Sex) -> Proportions:
+def proportions(sex: str) -> Proportions:
     """Proportions of one sex; unknown: the mean of both.
 
     Raises:
@@ -126,7 +125,7 @@ def check_sex(sex: str) -> None:
         )
 
 
-def stature(height: float | None, sex: Sex) -> tuple[float, float]:
+def stature(height: float | None, sex: str) -> tuple[float, float]:
     """Height and its standard deviation [m]: as given (to 1 cm), or the mean and scatter of adults of that sex.
 
     Raises:

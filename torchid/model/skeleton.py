@@ -72,25 +72,25 @@ AXIAL = (
     Joint(
         "lower_spine", "abdomen", "pelvis",
         (
-            Axis("lower_spine_flexion", Y, 1.0, False, -40, 75, 25),
-            Axis("lower_spine_bending", X, 1.0, False, -40, 40, 20),
-            Axis("lower_spine_rotation", Z, 1.0, False, -35, 35, 15),
+            Axis("lower_spine_flexion", Y, 1.0, False, -40.0, 75.0, 25.0),
+            Axis("lower_spine_bending", X, 1.0, False, -40.0, 40.0, 20.0),
+            Axis("lower_spine_rotation", Z, 1.0, False, -35.0, 35.0, 15.0),
         ),
     ),
     Joint(
         "upper_spine", "thorax", "abdomen",
         (
-            Axis("upper_spine_flexion", Y, 1.0, False, -40, 65, 25),
-            Axis("upper_spine_bending", X, 1.0, False, -45, 45, 20),
-            Axis("upper_spine_rotation", Z, 1.0, False, -55, 55, 20),
+            Axis("upper_spine_flexion", Y, 1.0, False, -40.0, 65.0, 25.0),
+            Axis("upper_spine_bending", X, 1.0, False, -45.0, 45.0, 20.0),
+            Axis("upper_spine_rotation", Z, 1.0, False, -55.0, 55.0, 20.0),
         ),
     ),
     Joint(
         "neck", "head", "thorax",
         (
-            Axis("neck_flexion", Y, 1.0, False, -80, 80, 30),
-            Axis("neck_bending", X, 1.0, False, -60, 60, 20),
-            Axis("neck_rotation", Z, 1.0, False, -95, 95, 35),
+            Axis("neck_flexion", Y, 1.0, False, -80.0, 80.0, 30.0),
+            Axis("neck_bending", X, 1.0, False, -60.0, 60.0, 20.0),
+            Axis("neck_rotation", Z, 1.0, False, -95.0, 95.0, 35.0),
         ),
     ),
 )  # fmt: skip
@@ -98,40 +98,40 @@ LIMBS = (
     Joint(
         "shoulder", "upper_arm", "thorax",
         (
-            Axis("shoulder_flexion", Y, -1.0, False, -90, 190, 60),
-            Axis("shoulder_rotation", Z, 1.0, True, -85, 85, 45),
-            Axis("shoulder_adduction", X, 1.0, True, -190, 75, 60),
+            Axis("shoulder_flexion", Y, -1.0, False, -90.0, 190.0, 60.0),
+            Axis("shoulder_rotation", Z, 1.0, True, -85.0, 85.0, 45.0),
+            Axis("shoulder_adduction", X, 1.0, True, -190.0, 75.0, 60.0),
         ),
     ),
     Joint(
         "elbow", "forearm", "upper_arm",
         (
-            Axis("elbow_flexion", Y, -1.0, False, -15, 160, 60),
-            Axis("elbow_pronation", Z, 1.0, True, -105, 105, 50),
+            Axis("elbow_flexion", Y, -1.0, False, -15.0, 160.0, 60.0),
+            Axis("elbow_pronation", Z, 1.0, True, -105.0, 105.0, 50.0),
         ),
         (_hinge("elbow"), ()),
     ),
     Joint(
         "wrist", "hand", "forearm",
         (
-            Axis("wrist_flexion", X, 1.0, True, -90, 95, 30),
-            Axis("wrist_deviation", Y, 1.0, False, -35, 50, 15),
+            Axis("wrist_flexion", X, 1.0, True, -90.0, 95.0, 30.0),
+            Axis("wrist_deviation", Y, 1.0, False, -35.0, 50.0, 15.0),
         ),
     ),
     Joint(
         "hip", "thigh", "pelvis",
         (
-            Axis("hip_flexion", Y, -1.0, False, -45, 145, 45),
-            Axis("hip_adduction", X, 1.0, True, -70, 50, 20),
-            Axis("hip_rotation", Z, 1.0, True, -65, 65, 20),
+            Axis("hip_flexion", Y, -1.0, False, -45.0, 145.0, 45.0),
+            Axis("hip_adduction", X, 1.0, True, -70.0, 50.0, 20.0),
+            Axis("hip_rotation", Z, 1.0, True, -65.0, 65.0, 20.0),
         ),
     ),
-    Joint("knee", "shank", "thigh", (Axis("knee_flexion", Y, 1.0, False, -15, 165, 50),), (_hinge("knee"),)),
+    Joint("knee", "shank", "thigh", (Axis("knee_flexion", Y, 1.0, False, -15.0, 165.0, 50.0),), (_hinge("knee"),)),
     Joint(
         "ankle", "foot", "shank",
         (
-            Axis("ankle_flexion", Y, -1.0, False, -70, 50, 25),
-            Axis("ankle_inversion", X, 1.0, True, -45, 55, 15),
+            Axis("ankle_flexion", Y, -1.0, False, -70.0, 50.0, 25.0),
+            Axis("ankle_inversion", X, 1.0, True, -45.0, 55.0, 15.0),
         ),
         (
             _hinge("ankle"),

@@ -1,0 +1,132 @@
+"""Tests of torchid.check: each planted fault is named with its cure, and a clean trial raises none."""
+
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+from rich.console import Console
+
+from torchid.check import check_trial, format_check, moved_mass, plate_weight
+from torchid.conventions import GRAVITY
+from torchid.errors import Note
+from torchid.recording import Forces, Markers, Plate, Trial
+
+FRAMES, RATIO, RATE, MASS = 200, 10, 100.0, 70.0
+
+
+def swaying(amplitude: float = 0.0, seed: int = 0) -> Trial:
+    """Somebody of 70 kg who bounces by ``amplitude`` [m] at 1 Hz over a plate of 0.6 by 0.4 m; starts off the plate."""
+    random = np.random.default_rng(seed)
+    time = np.arange(FRAMES) / RATE
+    fine = np.arange(FRAMES * RATIO) / RATE / RATIO
+    offsets = random.uniform([-0.2, -0.2, 0.1], [0.2, 0.2, 1.7], (8, 3))
+    position = offsets + amplitude * np.sin(2 * np.pi * time)[:, None, None] * np.array([0, 0, 1.0])
+    position = position + 1e-5 * random.normal(size=position.shape)
+    vertical = MASS * (GRAVITY - amplitude * (2 * np.pi) ** 2 * np.sin(2 * np.pi * fine))
+    vertical = np.where(fine < 0.3, 0.0, vertical) + 0.2 * random.normal(size=len(fine))
+    wrench = np.zeros((len(fine), 1, 6))
+    wrench[:, 0, 2], wrench[:, 0, 3], wrench[:, 0, 4] = vertical, 0.2 * vertical, -0.3 * vertical
+    corners = torch.tensor([[0.6, 0.0, 0], [0.0, 0.0, 0], [0.0, 0.4, 0], [0.6, 0.4, 0]], dtype=torch.float64)
+    forces = Forces(torch.from_numpy(fine), torch.from_numpy(wrench), (Plate("plate 1", corners),))
+    markers = Markers(tuple("ABCDEFGH"), torch.from_numpy(time), torch.from_numpy(position))
+    return Trial("t", markers, forces, parameters={"mass_kg": "70", "plate 1 type": "2", "units": "mm", "up": "z"})
+
+
+def with_wrench(trial: Trial, change) -> Trial:
+    assert trial.forces is not None
+    wrench = trial.forces.wrench.clone()
+    change(wrench)
+    return replace(trial, forces=replace(trial.forces, wrench=wrench))
+
+
+def codes(trial: Trial) -> set[str]:
+    return {note.code for note in check_trial(trial).problems}
+
+
+def test_a_clean_trial_has_no_problems() -> None:
+    """Facts are right, nothing is flagged."""
+    check = check_trial(swaying())
+    assert check.problems == ()
+    assert (check.markers, check.frames, check.units, check.up) == (8, FRAMES, "mm", "z")
+    assert_allclose([check.rate, check.force_rate or 0.0], [RATE, RATE * RATIO])
+    plate = check.plates[0]
+    assert plate.kind == "2" and plate.saturated == 0 and plate.outside == 0.0
+    assert plate.baseline is not None and check.weight is not None and check.mass is not None
+    assert_allclose(plate.baseline, 0.0, atol=0.1)
+    assert_allclose(check.weight, MASS, rtol=1e-3)
+    assert_allclose(check.mass, MASS, rtol=1e-2)  # the step onto the plate is spread over two frames of 170
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda w: w.__setitem__((..., slice(None)), w * 1.2), "plates.weight"),
+        (lambda w: w[..., 2].add_(30.0), "plates.offset"),
+        (lambda w: w[..., 3:5].add_(300.0), "plates.outside"),
+        (lambda w: w[..., 2].clamp_(max=800.0), "plates.saturated"),
+    ],
+)
+def test_planted_plate_faults_are_named(change, code: str) -> None:
+    """A gain of 1.2, 30 N of offset, shifted moments and a clipped force are found while somebody bounces."""
+    assert code in codes(with_wrench(swaying(0.06), change))
+
+
+def test_gaps_are_named() -> None:
+    """A marker missing in 60 % of the frames is named with its share."""
+    trial = swaying()
+    position = trial.markers.position.clone()
+    position[:120, 3] = torch.nan
+    check = check_trial(replace(trial, markers=replace(trial.markers, position=position)))
+    assert_allclose(check.gaps["D"], 60.0)
+    assert_allclose(check.gap_share, 60.0 / 8)
+    assert [note for note in check.problems if note.code == "markers.gaps" and "D (60 %)" in note.message]
+
+
+def test_notes_of_reading_become_problems_with_a_cure() -> None:
+    """Held markers and reversed plates, found on reading, are problems; a choice of axes is not."""
+    notes = (Note("markers.held", "held: C"), Note("plates.sign", "down"), Note("axes.up", "vertical axis Z"))
+    check = check_trial(replace(swaying(), notes=notes))
+    assert [note.code for note in check.problems] == ["markers.held", "plates.sign"]
+    assert all("Cure: " in note.message for note in check.problems)
+    assert [note.code for note in check.notes] == ["axes.up"]
+
+
+def test_bouncing_does_not_pass_for_another_weight() -> None:
+    """Part of a bounce biases the mean force; with the markers' acceleration the mass is right."""
+    trial = swaying(0.08)
+    assert trial.forces is not None
+    part = slice(300, 800)
+    cut = Forces(trial.forces.time[part], trial.forces.wrench[part], trial.forces.plates)
+    assert abs((plate_weight(cut) or 0.0) / MASS - 1.0) > 0.05
+    assert_allclose(moved_mass(replace(trial, forces=cut)) or 0.0, MASS, rtol=0.01)
+    assert "plates.weight" not in codes(replace(trial, forces=cut))
+
+
+def test_a_trial_without_forces_or_frames_is_checked() -> None:
+    """Missing parts are facts, not crashes."""
+    trial = replace(swaying(), forces=None)
+    assert check_trial(trial).weight is None and check_trial(trial).plates == ()
+    none = Markers((), torch.zeros(0, dtype=torch.float64), torch.zeros(0, 0, 3, dtype=torch.float64))
+    assert check_trial(replace(trial, markers=none)).gap_share == 0.0
+
+
+def test_checking_changes_nothing() -> None:
+    """The trial is the same before and after."""
+    trial = swaying()
+    assert trial.forces is not None
+    before = trial.forces.wrench.clone(), trial.markers.position.clone()
+    check_trial(trial)
+    torch.testing.assert_close((trial.forces.wrench, trial.markers.position), before)
+
+
+def test_the_table_shows_labels_as_they_are() -> None:
+    """Text from files is shown, not interpreted as markup."""
+    trial = replace(swaying(), name="[bold]walk[/bold]", parameters={"subject": "[red]S1"})
+    console = Console(width=160, file=(shown := StringIO()))
+    console.print(format_check(check_trial(trial, mass_kg=90.0)))
+    text = shown.getvalue()
+    assert "[bold]walk[/bold]" in text and "[red]S1" in text
+    assert "plates.weight" in text and "Cure:" in text

@@ -1,0 +1,162 @@
+"""The command line: exit codes, one line per error, speed of the help."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from torchid import cli
+from torchid.cli import app, pair_files
+from torchid.config import load_config
+from torchid.errors import DataError, InputError
+
+runner = CliRunner()
+CONFIG = "{subject: {name: S01}, markers: plug_in_gait, trials: [{name: a, file: a.c3d}]}"
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> str:
+    (tmp_path / "a.c3d").write_bytes(b"")
+    (tmp_path / "c.yaml").write_text(CONFIG)
+    return str(tmp_path / "c.yaml")
+
+
+@pytest.fixture
+def experiment(monkeypatch):
+    """Replaces the run itself: what is tested here is what the command makes of its end."""
+    seen: list = []
+    module = type(sys)("torchid.experiment")
+    outcome: list[BaseException] = []
+
+    def run_experiment(loaded, progress) -> None:
+        seen.append(loaded)
+        progress("geometry", 0.5)
+        if outcome:
+            raise outcome[0]
+
+    module.run_experiment = run_experiment
+    monkeypatch.setitem(sys.modules, "torchid.experiment", module)
+    return seen, outcome
+
+
+def test_help_names_every_command_within_half_a_second():
+    """``torchid --help`` answers at once: processor time of the best of three, for other programs share the machine."""
+    script = "import sys; sys.argv[1:] = ['--help']; from torchid.cli import app; app()"
+    costs = []
+    for _ in range(3):
+        before = os.times()
+        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+        after = os.times()
+        costs.append(after.children_user + after.children_system - before.children_user - before.children_system)
+        assert {"run", "check", "simulate"} <= set(done.stdout.split())
+    assert min(costs) < 0.5
+
+
+def test_the_command_line_imports_nothing_heavy():
+    """Neither torch nor numpy nor pydantic is loaded until a command needs it."""
+    script = "import sys, torchid.cli; print(sorted({'torch', 'numpy', 'pydantic', 'xarray'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_run_gets_the_config_with_its_overrides(config, experiment):
+    """Extra ``key=value`` arguments reach the run; the end says where the results are."""
+    result = runner.invoke(app, ["run", config, "geometry.solver=adam"])
+    assert result.exit_code == 0, result.output
+    (loaded,), _ = experiment
+    assert loaded == load_config(config, ["geometry.solver=adam"])
+    assert str(loaded.out) in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (InputError("c3d.truncated", "cut short", source="a.c3d"), 2),
+        (DataError("inertia.motion", "too little motion"), 3),
+        (ZeroDivisionError("a\nb"), 1),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_every_end_has_its_exit_code_and_one_line(config, experiment, error, code):
+    """Errors of the input, of the data and of torchid, and Ctrl-C, end with one line on stderr and no traceback."""
+    experiment[1].append(error)
+    result = runner.invoke(app, ["run", config])
+    assert result.exit_code == code
+    assert result.stdout == ""
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert result.stderr.startswith("torchid: ")
+    assert "Traceback" not in result.stderr
+
+
+def test_debug_shows_the_traceback(config, experiment):
+    """``--debug`` adds the traceback and keeps the exit code."""
+    experiment[1].append(ZeroDivisionError("x"))
+    result = runner.invoke(app, ["run", "--debug", config])
+    assert result.exit_code == 1
+    assert "Traceback" in result.stderr
+
+
+def test_faults_of_the_config_come_one_per_line(config, experiment):
+    """Two faults are two lines, each with file and key, exit code 2, and nothing was run."""
+    result = runner.invoke(app, ["run", config, "geometry.solvr=adam", "inertia.lmi=no"])
+    assert result.exit_code == 2
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 2
+    assert all(config in line for line in lines)
+    assert "Did you mean 'solver'?" in result.stderr
+    assert experiment[0] == []
+
+
+@pytest.mark.parametrize("arguments", [["run"], ["run", "nowhere.yaml"], ["nonsense"], ["check", "notes.txt"]])
+def test_wrong_use_ends_with_two(arguments):
+    """A missing argument, file or command is the caller's fault."""
+    assert runner.invoke(app, arguments).exit_code == 2
+
+
+def test_terminal_escapes_in_messages_are_shown_not_obeyed(config, experiment):
+    """A label that holds an escape sequence cannot write to the terminal."""
+    experiment[1].append(InputError("m", "bad label \x1b[2J\x07[red]"))
+    result = runner.invoke(app, ["run", config])
+    assert "\x1b" not in result.stderr and "\x07" not in result.stderr
+    assert "[2J" in result.stderr and "[red]" in result.stderr
+
+
+@pytest.mark.data
+def test_check_describes_real_recordings_and_refuses_what_it_cannot_read(data_dir, tmp_path):
+    """Each readable file is described, each unreadable one gets its line, and one refusal makes the exit code 2."""
+    good = sorted((data_dir / "btk_c3d").rglob("*.c3d"))[0]
+    bad = tmp_path / "bad.c3d"
+    bad.write_bytes(b"<html>")
+    result = runner.invoke(app, ["check", str(bad), str(good)])
+    assert result.exit_code == 2, result.output
+    assert str(bad) in result.stderr and "Traceback" not in result.stderr
+    assert good.stem in result.stdout
+    assert runner.invoke(app, ["check", str(good)]).exit_code == 0
+
+
+def test_files_to_check_are_paired_in_order():
+    """A force file belongs to the marker file before it; one without is refused, and so is another kind."""
+    a, b, f = Path("a.TRC"), Path("b.c3d"), Path("a_grf.mot")
+    assert pair_files([a, f, b]) == [(a, f), (b, None)]
+    for files, code in (([f], "check.order"), ([a, f, f], "check.order"), ([Path("a.txt")], "check.kind")):
+        with pytest.raises(InputError) as caught:
+            pair_files(files)
+        assert caught.value.code == code
+
+
+def test_version_is_the_package_version(monkeypatch):
+    """``torchid --version`` prints what is installed."""
+    monkeypatch.setattr("importlib.metadata.version", lambda name: f"{name} 1.2.3")
+    result = runner.invoke(app, ["--version"])
+    assert (result.exit_code, result.stdout.strip()) == (0, "torchid 1.2.3")
+
+
+def test_progress_survives_any_order_of_stages():
+    """Stages may come, go and come again; a name with markup is text."""
+    with cli._progress() as progress:
+        for stage, fraction in (("a[b]", 0.0), ("c", 1.0), ("a[b]", 0.5), ("[/red]", 0.1)):
+            progress(stage, fraction)
+    assert set(progress.tasks) == {"a[b]", "c", "[/red]"}

@@ -1,0 +1,85 @@
+"""Choice of the weights of data and prior."""
+
+import numpy as np
+import pytest
+import torch
+from inertia_cases import bodies, chain_rows, draw, names, prior
+from scipy.stats import multivariate_normal
+
+from torchid.errors import ConfigError
+from torchid.inertia import InertiaOptions, fit_inertia
+from torchid.inertia.spectrum import diagonalise
+from torchid.inertia.weights import log_evidence
+from torchid.regressor.equations import NormalEquations
+
+
+def test_log_evidence_is_the_marginal_likelihood(seed: int) -> None:
+    """Differences of log evidence equal those of the dense Gaussian density of the rows and the weighed mass."""
+    given = prior(bodies(2), 0.2)
+    Y = chain_rows(2, 8, seed)
+    F = Y @ draw(given).flatten() + torch.randn(len(Y), dtype=torch.float64)
+    total = float(given.mean[:, 0].sum())
+    spectrum = diagonalise(NormalEquations.from_rows(Y, F), given.mean.flatten(), given.covariance, (total + 1, 0.7))
+    row = torch.zeros(1, 20, dtype=torch.float64)
+    row[0, ::10] = 1 / 0.7
+    rows, values = torch.cat([Y, row]), torch.cat([F, torch.tensor([(total + 1) / 0.7])])
+
+    def dense(omega_1: float, omega_2: float) -> float:
+        noise = torch.full((len(rows),), 1 / omega_1, dtype=torch.float64)
+        noise[-1] = 1
+        covariance = rows @ (given.covariance / omega_2) @ rows.mT + torch.diag(noise)
+        return float(multivariate_normal((rows @ given.mean.flatten()).numpy(), covariance.numpy()).logpdf(values))
+
+    points = [(1.0, 1.0), (0.3, 2.0), (2.0, 0.1)]
+    ours = np.array([log_evidence(spectrum, *point)[0] for point in points])
+    theirs = np.array([dense(*point) for point in points])
+    np.testing.assert_allclose(ours - ours[0], theirs - theirs[0], rtol=1e-6, atol=1e-6)
+
+
+def test_log_evidence_slopes(seed: int) -> None:
+    """Analytic slopes equal central differences in log omega."""
+    given = prior(bodies(3), 0.2)
+    Y = chain_rows(3, 30, seed)
+    F = Y @ draw(given).flatten() + torch.randn(len(Y), dtype=torch.float64)
+    equations = NormalEquations.from_rows(Y, F)
+    spectrum = diagonalise(equations, given.mean.flatten(), given.covariance, (20.0, 0.5))
+    point, step = np.log([0.7, 1.8]), 1e-5
+    slopes = log_evidence(spectrum, *np.exp(point))[1:]
+    for axis in range(2):
+        shift = step * np.eye(2)[axis]
+        up, down = (log_evidence(spectrum, *np.exp(point + s * shift))[0] for s in (1, -1))
+        np.testing.assert_allclose(slopes[axis], (up - down) / (2 * step), rtol=1e-5, atol=1e-4)
+
+
+def test_evidence_finds_noise_and_scatter_and_intervals_cover(seed: int) -> None:
+    """For subjects drawn from a prior twice as tight as stated, both weights are right and 95 % intervals cover."""
+    noise, tight, draws = 3.0, 4.0, 40
+    Y = chain_rows(4, 60, seed)
+    omega_1, omega_2, inside = [], [], []
+    for _ in range(draws):
+        stated = prior(bodies(4), 0.2)
+        truth = draw(prior(stated.mean, 0.2 / tight**0.5))
+        F = Y @ truth.flatten() + noise * torch.randn(len(Y), dtype=torch.float64)
+        equations = NormalEquations.from_rows(Y, F)
+        fit = fit_inertia(equations, stated, names(4), InertiaOptions(lmi=False, base_parameters=False))
+        omega_1.append(fit.omega_1)
+        omega_2.append(fit.omega_2)
+        inside.append(((fit.phi - truth).abs() < 1.96 * fit.sd.phi).double().mean())
+    np.testing.assert_allclose(np.median(omega_1) * noise**2, 1, rtol=0.1)
+    np.testing.assert_allclose(np.median(omega_2) / tight, 1, rtol=0.35)
+    assert 0.90 < float(np.mean(inside)) < 0.985
+
+
+def test_cross_validation_trusts_a_right_prior_more_than_a_wrong_one(seed: int) -> None:
+    """The weight chosen across noisy trials is larger for a prior centred on the truth than for one far off."""
+    right, options = prior(bodies(3), 0.1), InertiaOptions(prior_weight="cross_validation", mass_ratio=(0.01, 100.0))
+    wrong = prior(3 * right.mean, 0.1)
+    trials = []
+    for k in range(4):
+        Y = chain_rows(3, 30, seed + k) / 10
+        trials.append(NormalEquations.from_rows(Y, Y @ right.mean.flatten() + torch.randn(len(Y), dtype=torch.float64)))
+    total = sum(trials[1:], trials[0])
+    chosen = [fit_inertia(total, given, names(3), options, trials=trials).omega_2 for given in (right, wrong)]
+    assert chosen[0] > 10 * chosen[1]
+    with pytest.raises(ConfigError, match="two fit trials"):
+        fit_inertia(total, right, names(3), options, trials=trials[:1])

@@ -1,0 +1,331 @@
+"""The results folder: whole files, safe names, one run at a time, stages that a later run takes up."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import xarray
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchid import files
+from torchid.errors import DataError, InputError, Note
+from torchid.files import atomic_write, file_sha256, safe_name, write_json, write_netcdf
+from torchid.provenance import provenance, stage_key
+from torchid.recording import Event, Markers, Trial
+from torchid.results import OutputFolder
+from torchid.snapshot import SnapshotError, from_bytes, to_bytes
+
+
+class Killed(BaseException):
+    """Stands for the end of the process."""
+
+
+@pytest.mark.parametrize("call", ["open", "fsync", "replace"])
+@pytest.mark.parametrize("nth", range(3))
+def test_the_old_file_survives_any_failing_call(tmp_path, monkeypatch, call, nth):
+    """Whichever system call fails, the file holds the old or the new content in full, and nothing else is left."""
+    path = tmp_path / "a.json"
+    path.write_bytes(b"old")
+    real, calls = getattr(os, call), [0]
+
+    def failing(*args, **kwargs):
+        calls[0] += 1
+        if calls[0] == nth + 1:
+            raise OSError(28, "No space left on device")
+        return real(*args, **kwargs)
+
+    monkeypatch.setattr(files.os, call, failing)
+    try:
+        with atomic_write(path) as file:
+            file.write(b"new")
+        failed = False
+    except InputError as error:
+        failed = True
+        assert error.code == "results.unwritable"
+        assert "No space left" in error.found
+    monkeypatch.undo()
+    assert failed == (calls[0] > nth)
+    assert path.read_bytes() in ((b"old", b"new") if failed else (b"new",))
+    assert os.listdir(tmp_path) == ["a.json"]
+
+
+@pytest.mark.parametrize("error", [ValueError, Killed])
+def test_an_error_in_the_block_leaves_the_old_file(tmp_path, error):
+    """A writer that fails half-way changes nothing."""
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+    with pytest.raises(error), atomic_write(path) as file:
+        file.write(b"half")
+        raise error
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["a"]
+
+
+def test_new_files_have_the_permissions_of_the_user(tmp_path):
+    """A result is as readable as any file of the user's, not private as temporary files are."""
+    (tmp_path / "ordinary").write_bytes(b"")
+    with atomic_write(tmp_path / "a") as file:
+        file.write(b"x")
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "ordinary").stat().st_mode
+
+
+@given(st.text(max_size=300))
+def test_names_from_data_stay_one_plain_component(text: str):
+    """Any text becomes one short ASCII component that is no device, no dot name, and its own safe name."""
+    name = safe_name(text)
+    assert name.isascii() and len(name) <= 64 and Path(name).name == name
+    assert not name.startswith(".") and not name.endswith(".")
+    assert safe_name(name) == name
+
+
+def test_plain_names_stay_and_others_stay_distinct():
+    """A plain trial name is its own file name; names that share a slug differ by their hash."""
+    assert safe_name("squat_2.5-fast") == "squat_2.5-fast"
+    hostile = ["../x", "..", "x/", "/x", "\0x", "x ", "ü", "u", "CON", "nul.txt", "", "x" * 300, "x" * 301, "Я", "=x"]
+    names = [safe_name(text) for text in hostile]
+    assert len(set(names)) == len(names)
+
+
+def test_json_has_no_nan_and_keeps_order(tmp_path):
+    """Tensors, arrays, notes and paths are written; no number is null; half a surrogate pair passes."""
+    value = {
+        "b": torch.tensor([[1.0, torch.nan], [torch.inf, 2.0]]),
+        "a": np.float64(0.1),
+        "note": Note("c3d.gap", "a gap"),
+        "path": Path("x"),
+        "label": "é\udc80",
+        "n": np.int64(3),
+    }
+    write_json(tmp_path / "a.json", value)
+    text = (tmp_path / "a.json").read_bytes().decode("utf-8")
+    read = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} in the file"))
+    assert list(read) == list(value)
+    assert read["b"] == [[1.0, None], [None, 2.0]]
+    assert (read["a"], read["n"], read["label"], read["note"]["code"]) == (0.1, 3, "é\udc80", "c3d.gap")
+    with pytest.raises(TypeError):
+        write_json(tmp_path / "b.json", {"x": object()})
+    assert not (tmp_path / "b.json").exists()
+
+
+def test_netcdf_reads_back_and_repeats_byte_for_byte(tmp_path, seed):
+    """A dataset with text coordinates and NaN comes back equal, and the same dataset gives the same bytes."""
+    rng = np.random.default_rng(seed)
+    q = rng.normal(size=(7, 2))
+    q[3, 1] = np.nan
+    dataset = xarray.Dataset(
+        {"q": (("time", "dof"), q), "used": ("time", q[:, 0] > 0), "rate": ((), 100.0)},
+        coords={"time": np.arange(7) / 100, "dof": ["pelvis_x", "knee_é"]},
+        attrs={"units": "rad"},
+    )
+    write_netcdf(tmp_path / "a.nc", dataset)
+    write_netcdf(tmp_path / "b.nc", dataset)
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as read:
+        xarray.testing.assert_identical(read.load(), dataset)
+    assert file_sha256(tmp_path / "a.nc") == file_sha256(tmp_path / "b.nc")
+    assert sorted(os.listdir(tmp_path)) == ["a.nc", "b.nc"]
+
+
+def trial(rng: np.random.Generator) -> Trial:
+    position = torch.from_numpy(rng.normal(size=(5, 2, 3)))
+    position[1, 0] = torch.nan
+    return Trial(
+        name="gait é",
+        markers=Markers(("LASI", "RASI"), torch.arange(5, dtype=torch.float64) / 100, position),
+        events=(Event("strike", "left", 0.02),),
+        notes=(Note("c3d.gap", "a gap", "LASI"),),
+        parameters={"up": "z"},
+    )
+
+
+def test_snapshots_rebuild_nested_dataclasses(seed):
+    """A recording goes through bytes bit for bit: types, tuples, dtypes, NaN."""
+    original = trial(np.random.default_rng(seed))
+    value = {"trial": original, "list": [1, 2.5, None, True], "array": np.arange(3), "path": Path("a"), "x": ()}
+    again = from_bytes(to_bytes(value))
+    torch.testing.assert_close(
+        again["trial"].markers.position, original.markers.position, rtol=0, atol=0, equal_nan=True
+    )
+    assert isinstance(again["trial"].events[0], Event)
+    assert again["trial"].notes == original.notes
+    assert again["trial"].markers.labels == original.markers.labels
+    assert (again["list"], again["path"], again["x"]) == (value["list"], value["path"], ())
+    np.testing.assert_array_equal(again["array"], value["array"])
+    assert again["array"].dtype == value["array"].dtype
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """A dataclass that is not torchid's."""
+
+    x: int = 1
+
+
+def test_snapshots_hold_and_rebuild_nothing_foreign(tmp_path):
+    """A foreign class is refused on writing, and a forged class name on reading, before any code of it runs."""
+    with pytest.raises(TypeError):
+        to_bytes(Foreign())
+    with pytest.raises(TypeError):
+        to_bytes(lambda: None)
+    for name in ("os:system", "torchid.results:os.system", "torchid.files:write_json", "torchid.results:OutputFolder"):
+        document = json.dumps({"class": name, "fields": {}})
+        np.savez(tmp_path / "forged.npz", __document__=np.frombuffer(document.encode(), np.uint8))
+        content = (tmp_path / "forged.npz").read_bytes()
+        with pytest.raises(SnapshotError, match="unreadable"):
+            from_bytes(hashlib.sha256(content).digest() + content)
+
+
+def test_damaged_snapshots_are_recognised(seed):
+    """A snapshot that is cut or altered anywhere is refused with the one error that a stage expects."""
+    rng = np.random.default_rng(seed)
+    content = to_bytes({"x": torch.arange(50.0), "name": "a"})
+    for _ in range(200):
+        damaged = bytearray(content)
+        damaged[rng.integers(len(damaged))] ^= int(rng.integers(1, 256))
+        for candidate in (bytes(damaged), content[: rng.integers(len(content))]):
+            with pytest.raises(SnapshotError):
+                from_bytes(candidate)
+
+
+def test_stages_are_reused_only_while_their_key_matches(tmp_path):
+    """A second run takes the stored result; another key, or a damaged store, computes again."""
+    calls = []
+
+    def compute() -> Note:
+        calls.append(1)
+        return Note("a", "b")
+
+    def run(key: str) -> Note:
+        with OutputFolder(tmp_path / "out") as folder:
+            result = folder.stage("geometry", key, compute)
+            assert folder.times["geometry"].reused == (len(calls) == before)
+        return result
+
+    for key, expected in (("k1", 1), ("k1", 1), ("k2", 2), ("k1", 3)):
+        before = len(calls)
+        assert run(key) == Note("a", "b")
+        assert len(calls) == expected
+    (stored,) = (tmp_path / "out" / ".torchid" / "stages").iterdir()
+    stored.write_bytes(stored.read_bytes()[:-30])
+    before = len(calls)
+    run("k1")
+    assert len(calls) == 4
+
+
+def test_a_killed_run_is_continued(tmp_path):
+    """After kill -9 the finished stage is reused, the lock is free and only whole files stand in the folder."""
+    script = """
+import os, signal, sys
+from torchid.results import OutputFolder
+from torchid.files import write_json
+with OutputFolder(sys.argv[1]) as folder:
+    folder.stage("one", "k", lambda: [1.5])
+    write_json(folder.path("one.json"), folder.times)
+    folder.stage("two", "k", lambda: os.kill(os.getpid(), signal.SIGKILL))
+"""
+    out = tmp_path / "out"
+    ended = subprocess.run([sys.executable, "-c", script, str(out)], capture_output=True, timeout=60, check=False)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
+    json.loads((out / "one.json").read_text())
+    with OutputFolder(out) as folder:
+        assert folder.stage("one", "k", lambda: pytest.fail("computed again")) == [1.5]
+        assert folder.stage("two", "k", lambda: "new") == "new"
+
+
+def test_a_second_run_on_the_same_folder_is_refused_with_the_process(tmp_path):
+    """While one run writes, another one is told which process holds the folder; afterwards it may."""
+    with OutputFolder(tmp_path / "out"):
+        with pytest.raises(InputError) as caught:
+            OutputFolder(tmp_path / "out").__enter__()
+        assert caught.value.code == "results.locked"
+        assert str(os.getpid()) in caught.value.found
+    with OutputFolder(tmp_path / "out"):
+        pass
+
+
+def test_an_impossible_folder_is_refused(tmp_path):
+    """A file in the place of the folder is an input error."""
+    (tmp_path / "out").write_bytes(b"")
+    with pytest.raises(InputError) as caught:
+        OutputFolder(tmp_path / "out").__enter__()
+    assert caught.value.code == "results.unwritable"
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/x", "a/../../x", ".", "", ".torchid/lock", "link/x"])
+def test_results_stay_below_the_folder(tmp_path, name):
+    """No name, and no link inside the folder, leads a result out of it or into the folder's own state."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "link").symlink_to(tmp_path)
+    with OutputFolder(tmp_path / "out") as folder, pytest.raises(InputError) as caught:
+        folder.path(name)
+    assert caught.value.code == "results.outside"
+
+
+def test_files_of_an_earlier_run_do_not_stand_beside_new_results(tmp_path):
+    """What a run did not write again is removed when it ends, kept when it breaks; the user's own files always stay."""
+    out = tmp_path / "out"
+
+    def run(*names: str, error: BaseException | None = None) -> set[str]:
+        with suppress(DataError, KeyboardInterrupt), OutputFolder(out) as folder:
+            for name in names:
+                write_json(folder.path(name), name)
+            if error is not None:
+                raise error
+        return {path.name for path in out.iterdir() if path.is_file()}
+
+    assert run("a.json", "b.json") == {"a.json", "b.json"}
+    (out / "notes.txt").write_text("mine")
+    assert run("c.json", error=KeyboardInterrupt()) == {"a.json", "b.json", "c.json", "notes.txt"}
+    assert run("a.json", error=DataError("data.poor", "too little")) == {"a.json", "notes.txt"}
+    assert run("d.json") == {"d.json", "notes.txt"}
+
+
+def test_keys_change_with_everything_that_matters(seed):
+    """Any change of a tensor, an option, a type or a name gives another key; equal parts give the same."""
+    rng = np.random.default_rng(seed)
+    base = trial(rng)
+    x = torch.from_numpy(rng.normal(size=6))
+    parts = [
+        {"x": x},
+        {"y": x},
+        {"x": x.reshape(2, 3)},
+        {"x": x.float()},
+        {"x": x + 1e-15 * x.abs().max()},
+        {"x": base},
+        {"x": base.markers},
+        {"x": 1},
+        {"x": 1.0},
+        {"x": "1"},
+        {"x": (1, 2)},
+        {"x": ((1,), 2)},
+        {"x": {"a": 1}},
+        {"x": None},
+        {"x": float("nan")},
+    ]
+    keys = [stage_key(**part) for part in parts]
+    assert len(set(keys)) == len(keys)
+    assert keys == [stage_key(**part) for part in parts]
+
+
+def test_provenance_names_inputs_versions_and_costs(tmp_path):
+    """The record holds the hash of each input file, the versions and what each stage cost."""
+    (tmp_path / "a.c3d").write_bytes(b"abc")
+    with OutputFolder(tmp_path / "out") as folder:
+        folder.stage("one", "k", lambda: 1)
+        record = provenance([tmp_path / "a.c3d"], 7, folder.times)
+        write_json(folder.path("provenance.json"), record)
+    read = json.loads((tmp_path / "out" / "provenance.json").read_text())
+    expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-2, example B.1
+    assert read["inputs"] == {str(tmp_path / "a.c3d"): expected}
+    assert read["seed"] == 7
+    assert read["versions"]["torch"] == torch.__version__
+    assert read["stages"]["one"]["reused"] is False

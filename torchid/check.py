@@ -1,0 +1,292 @@
+"""What a recording holds and what is wrong with it, before any fit; nothing is repaired here."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from torchid.conventions import GRAVITY
+from torchid.errors import Note
+from torchid.io.plates import baseline
+from torchid.io.resample import to_clock
+from torchid.recording import Forces, Trial
+
+LOADED = 50.0
+"""Vertical force [N] above which a plate or all of them together carry somebody."""
+WEIGHT_MISMATCH = 0.05
+"""Relative difference of mean vertical force and recorded weight worth saying."""
+OUTSIDE = 0.02
+"""Share of a plate's loaded time that its centre of pressure may lie beside it."""
+MARGIN = 0.02
+"""How far [m] beside the plate still counts as on it."""
+MANY_GAPS = 40.0
+"""Share of missing samples [%] above which a marker is worth naming."""
+LARGE_BASELINE = 5.0
+"""Unloaded reading [N] above which an offset is worth a cure."""
+RAIL_SAMPLES = 3
+RAIL_SECONDS = 0.01
+"""A plateau at the peak is suspect from so many samples on, where channels are coarsely quantised from so long on."""
+
+CURES = {
+    "markers.held": "check the marker in the recording system; torchid treats the run as a gap",
+    "markers.duplicates": "rename them in the recording system, or leave the numbered ones out of the marker map",
+    "markers.never_seen": "leave them out of the marker map",
+    "plates.sign": "reverse the plate's channels where they are recorded, or leave the plate out",
+    "plates.refused": "correct FORCE_PLATFORM in the file, or leave the plate out",
+    "plates.used": "correct FORCE_PLATFORM:USED in the file",
+    "plates.invalid": "export the analog channels again",
+    "plates.none": "give forces: beside a TRC, or use the trial for geometry only",
+    "axes.markers": "give up: if the vertical axis is wrong; a person lying or with arms spread looks the same",
+    "trial.overlap": "frames without forces are left out of the inertia; export the whole trial if there is more",
+    "c3d.truncated": "copy or export the file again",
+    "c3d.frames": "check that the whole trial was read",
+    "text.last_row": "export the file again",
+}
+"""What to do about the notes of reading that are problems."""
+
+
+@dataclass(frozen=True)
+class PlateCheck:
+    """One plate during a trial."""
+
+    name: str
+    kind: str
+    """Type in the C3D file, empty where the file has none."""
+    mean: float
+    """Mean vertical force [N] over the whole trial."""
+    peak: float
+    """Largest vertical force [N] by size."""
+    baseline: float | None
+    """Median vertical force [N] while unloaded, None where it always carries somebody."""
+    outside: float
+    """Share of the loaded time that the centre of pressure lies beside the plate; NaN without corners or load."""
+    saturated: int
+    """Samples on a plateau at the peak."""
+
+
+@dataclass(frozen=True)
+class TrialCheck:
+    """Facts about a trial and the problems found."""
+
+    name: str
+    source: str
+    subject: str
+    markers: int
+    frames: int
+    rate: float
+    duration: float
+    gaps: dict[str, float]
+    """Missing samples [%] of every marker."""
+    force_rate: float | None
+    plates: tuple[PlateCheck, ...]
+    weight: float | None
+    """Mean vertical force over the frames where the plates carry somebody, as a mass [kg]."""
+    mass: float | None
+    """The same with gravity plus the markers' vertical acceleration for gravity [kg]: fit for runs and jumps too."""
+    recorded_mass: float | None
+    units: str
+    up: str
+    events: int
+    problems: tuple[Note, ...]
+    """Each with its cure."""
+    notes: tuple[Note, ...]
+    """What reading chose or repaired without it being a problem."""
+
+    @property
+    def gap_share(self) -> float:
+        """Missing samples [%] of all markers together."""
+        return float(np.mean(list(self.gaps.values()))) if self.gaps else 0.0
+
+
+def check_trial(trial: Trial, mass_kg: float | None = None) -> TrialCheck:
+    """Look at a trial without changing it.
+
+    Args:
+        trial: as read.
+        mass_kg: the subject's mass on record; by default what the file states.
+    """
+    facts, markers, forces = trial.parameters, trial.markers, trial.forces
+    mass = mass_kg if mass_kg is not None else _mass(facts.get("mass_kg", ""))
+    missing = 100.0 * markers.position.isnan().any(dim=-1).double().mean(dim=0)
+    gaps = {label: float(share) for label, share in zip(markers.labels, missing, strict=True)}
+    kinds = [facts.get(f"{plate.name} type", "") for plate in forces.plates] if forces else []
+    plates = tuple(_plate(forces, k, kind) for k, kind in enumerate(kinds)) if forces else ()
+    weight = plate_weight(forces) if forces else None
+    source = facts.get("file", trial.name)
+    found = [*_from_notes(trial), *_gap_problems(gaps, source), *_plate_problems(plates, source)]
+    moved = moved_mass(trial)
+    found += _weight_problems(moved, mass, source)
+    frames = len(markers.time)
+    return TrialCheck(
+        name=trial.name, source=source, subject=facts.get("subject", ""), markers=len(markers.labels), frames=frames,
+        rate=markers.rate if frames > 1 else float("nan"),
+        duration=float(markers.time[-1] - markers.time[0]) if frames else 0.0, gaps=gaps,
+        force_rate=forces.rate if forces and len(forces.time) > 1 else None, plates=plates, weight=weight,
+        mass=moved,
+        recorded_mass=mass, units=facts.get("units", ""), up=facts.get("up", ""), events=len(trial.events),
+        problems=tuple(found), notes=tuple(note for note in trial.notes if note.code not in CURES)
+    )  # fmt: skip
+
+
+def _mass(text: str) -> float | None:
+    try:
+        return float(text) or None
+    except ValueError:
+        return None
+
+
+def plate_weight(forces: Forces) -> float | None:
+    """Mean total vertical force while loaded, as a mass [kg]; None where nobody stands on the plates.
+
+    Loaded are the samples above half of the median of those above ``LOADED``: steps onto and off the plates would
+    otherwise lower the mean.
+    """
+    vertical = forces.total[:, 2]
+    vertical = vertical[vertical > LOADED]
+    if not len(vertical):
+        return None
+    return float(vertical[vertical > 0.5 * vertical.median()].mean()) / GRAVITY
+
+
+def moved_mass(trial: Trial) -> float | None:
+    """Mass [kg] that the vertical force moves: its mean over the mean of g + a while loaded.
+
+    a is the vertical acceleration of the markers' mean, so that a flight phase or a push-off does not pass for a wrong
+    weight. None without enough markers or loaded frames.
+    """
+    if trial.forces is None or len(trial.forces.time) < 2 or len(trial.markers.time) < 5:
+        return None
+    height = trial.markers.position[..., 2]
+    height = height[:, height.isfinite().all(dim=0)]
+    if height.shape[1] < 3:
+        return None
+    rate = trial.markers.rate
+    mean = height.mean(dim=1)
+    acceleration = (mean[4:] - 2 * mean[2:-2] + mean[:-4]) * (rate / 2) ** 2
+    vertical = to_clock(trial.forces, trial.markers.time).total[2:-2, 2].nan_to_num()
+    loaded = vertical > LOADED
+    if int(loaded.sum()) < 5:
+        return None
+    loaded = vertical > 0.5 * vertical[loaded].median()
+    return float(vertical[loaded].mean() / (GRAVITY + acceleration[loaded].mean()))
+
+
+def _plate(forces: Forces, k: int, kind: str) -> PlateCheck:
+    vertical = forces.wrench[:, k, 2].nan_to_num()
+    peak = float(vertical[vertical.abs().argmax()]) if len(vertical) else 0.0
+    return PlateCheck(
+        forces.plates[k].name, kind, float(vertical.mean()) if len(vertical) else 0.0, peak,
+        baseline(forces.wrench[:, k, 2].numpy()), _outside(forces, k), _saturated(forces, k)
+    )  # fmt: skip
+
+
+def _outside(forces: Forces, k: int) -> float:
+    """Share of the loaded time that the centre of pressure of plate k lies beside it."""
+    corners = forces.plates[k].corners
+    point = forces.centre_of_pressure(LOADED)[:, k]
+    point = point[point.isfinite().all(dim=1)]
+    if corners is None or not len(point):
+        return float("nan")
+    edges = torch.stack([corners[1] - corners[0], corners[3] - corners[0]])
+    lengths = edges.norm(dim=1)
+    along = (point - corners[0]) @ (edges / lengths[:, None]).T
+    beside = ((along < -MARGIN) | (along > lengths + MARGIN)).any(dim=1)
+    return float(beside.double().mean())
+
+
+def _saturated(forces: Forces, k: int) -> int:
+    """Samples of plate k on a plateau at the largest value of a force component."""
+    if len(forces.time) < RAIL_SAMPLES:
+        return 0
+    worst = 0
+    for column in forces.wrench[:, k, :3].numpy().T:
+        size = np.abs(column)
+        if not size.max() > LOADED:
+            continue
+        inner = column[(size < size.max()) & (column != 0.0)]
+        coarse = len(np.unique(inner)) < len(inner) / 2
+        least = max(RAIL_SAMPLES, int(np.ceil(RAIL_SECONDS * forces.rate)) + 1) if coarse else RAIL_SAMPLES
+        worst = max(worst, _longest(size == size.max()) if _longest(size == size.max()) >= least else 0)
+    return worst
+
+
+def _longest(mask: np.ndarray) -> int:
+    """Length of the longest run of true entries."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return int((ends[1::2] - ends[::2]).max()) if len(ends) else 0
+
+
+def _from_notes(trial: Trial) -> list[Note]:
+    return [Note(n.code, f"{n.message}. Cure: {CURES[n.code]}", n.source) for n in trial.notes if n.code in CURES]
+
+
+def _gap_problems(gaps: dict[str, float], source: str) -> list[Note]:
+    many = [f"{label} ({share:.0f} %)" for label, share in gaps.items() if MANY_GAPS < share < 100.0]
+    if not many:
+        return []
+    text = (
+        f"markers with many gaps: {', '.join(many[:12])}. Cure: label them again, or leave them out of the marker map"
+    )
+    return [Note("markers.gaps", text, source)]
+
+
+def _plate_problems(plates: tuple[PlateCheck, ...], source: str) -> list[Note]:
+    found = []
+    for plate in plates:
+        if plate.baseline is not None and abs(plate.baseline) > LARGE_BASELINE:
+            text = f"{plate.name} reads {plate.baseline:.1f} N unloaded. Cure: zero it before recording; else the"
+            found.append(Note("plates.offset", f"{text} diagnosis may name a plate_offset", source))
+        if plate.outside > OUTSIDE:
+            text = (
+                f"{plate.name}: centre of pressure beside the plate for {100 * plate.outside:.0f} % of its loaded time"
+            )
+            found.append(Note("plates.outside", f"{text}. Cure: check CORNERS, ORIGIN and the channel order", source))
+        if plate.saturated:
+            text = f"{plate.name} stays on its largest value for {plate.saturated} samples: saturated"
+            found.append(Note("plates.saturated", f"{text}. Cure: lower its gain, leave those frames out", source))
+    return found
+
+
+def _weight_problems(weight: float | None, mass: float | None, source: str) -> list[Note]:
+    if weight is None or not mass or abs(weight / mass - 1.0) <= WEIGHT_MISMATCH:
+        return []
+    text = f"the plates move {weight:.1f} kg on average while loaded, {mass:.1f} kg are on record"
+    cure = (
+        "check the mass, whether all contact is on the plates, and their gains; the fit goes on with the mass unknown"
+    )
+    return [Note("plates.weight", f"{text}. Cure: {cure}", source)]
+
+
+def format_check(check: TrialCheck) -> Group:
+    """The check for a terminal: facts, plates, problems with their cures, notes."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for key, value in _facts(check):
+        table.add_row(Text(key, style="dim"), Text(value))
+    problems = [Text(f"! {note}", style="yellow") for note in check.problems]
+    notes = [Text(f"  {note.message} [{note.code}]", style="dim") for note in check.notes]
+    return Group(
+        Text(f"{check.name}", style="bold"), table, *(problems or [Text("no problems found", "green")]), *notes
+    )
+
+
+def _facts(check: TrialCheck) -> list[tuple[str, str]]:
+    worst = sorted(check.gaps.items(), key=lambda item: -item[1])[:3]
+    gaps = f"{check.gap_share:.1f} %" + "".join(f", {label} {share:.0f} %" for label, share in worst if share)
+    facts = [
+        ("file", check.source), ("subject", check.subject or "not stated"),
+        ("markers", f"{check.markers} at {check.rate:.6g} Hz, {check.frames} frames, {check.duration:.2f} s"),
+        ("gaps", gaps), ("axes", f"{check.up.upper()} up in the file, unit {check.units or 'not stated'}"),
+        ("events", str(check.events)), ("forces", f"{check.force_rate:.6g} Hz" if check.force_rate else "none"),
+    ]  # fmt: skip
+    for plate in check.plates:
+        kind = f"type {plate.kind}, " if plate.kind else ""
+        free = "never free" if plate.baseline is None else f"{plate.baseline:.1f} N unloaded"
+        facts.append((plate.name, f"{kind}vertical mean {plate.mean:.1f} N, peak {plate.peak:.0f} N, {free}"))
+    if check.weight is not None:
+        stated = f", {check.recorded_mass:g} kg on record" if check.recorded_mass else ""
+        moved = f", {check.mass:.2f} kg by the markers' acceleration" if check.mass else ""
+        facts.append(("weight", f"{check.weight:.2f} kg on the plates{moved}{stated}"))
+    return facts

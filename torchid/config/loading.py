@@ -1,0 +1,92 @@
+"""Reads a config file with overrides from the command line, and writes the resolved one."""
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from torchid.config.explain import InvalidConfig, explain
+from torchid.config.sections import Config
+from torchid.documents import Document, dump_document, parse_document, read_document
+from torchid.errors import ConfigError
+
+
+def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
+    """The config in a YAML or JSON file.
+
+    Args:
+        path: the file; relative paths inside it start at its folder.
+        overrides: ``key=value`` with a dotted key (``geometry.solver=adam``, ``trials.0.role=fit``) and a YAML value.
+
+    Raises:
+        ConfigError: the file is not plain YAML, or an override is malformed.
+        InvalidConfig: keys or values at fault, all of them at once; so are recordings that do not exist.
+    """
+    path = Path(path)
+    document = read_document(path)
+    if not isinstance(document, dict):
+        raise ConfigError("config.not_a_mapping", "a config is a list of `key: value` lines", source=path)
+    for override in overrides:
+        _override(document, override)
+    # JSON mode: strict about numbers and truth values, yet a list is a tuple and a text a path.
+    text = json.dumps(document)
+    try:
+        config = Config.model_validate_json(text, context={"base": path.resolve().parent})
+    except ValidationError as error:
+        raise explain(error.errors(include_url=False), document, Config, str(path)) from error
+    missing = _missing_files(config, str(path))
+    if missing:
+        raise InvalidConfig(missing)
+    return config
+
+
+def dump_config(config: Config) -> str:
+    """The resolved config as YAML, defaults written out; ``load_config`` reads an equal one."""
+    return dump_document(config.model_dump(mode="json"))
+
+
+def _missing_files(config: Config, source: str) -> list[ConfigError]:
+    named: dict[str, Path | str | None] = {"model": config.model, "markers": config.markers}
+    for k, trial in enumerate(config.trials):
+        named |= {f"trials.{k}.file": trial.file, f"trials.{k}.forces": trial.forces}
+    absent = [(key, file) for key, file in named.items() if isinstance(file, Path) and not os.path.isfile(file)]
+    return [
+        ConfigError("config.missing_file", "no such file", source=source, place=key, found=str(file))
+        for key, file in absent
+    ]
+
+
+def _override(document: dict[str, Document], override: str) -> None:
+    """Set one dotted key in place; sections on the way are made where they are absent."""
+    key, equals, text = override.partition("=")
+    steps = key.strip().split(".")
+    if not equals or not all(steps):
+        raise _bad_override(override, "an override is written key=value", "For example geometry.solver=adam.")
+    value = parse_document(text, source=f"override {key}")
+    holder: Any = document
+    for step in steps[:-1]:
+        if isinstance(holder, dict):
+            if holder.get(step) is None:
+                holder[step] = {}
+            holder = holder[step]
+        else:
+            holder = holder[_index(holder, step, override)]
+    if isinstance(holder, dict):
+        holder[steps[-1]] = value
+    else:
+        holder[_index(holder, steps[-1], override)] = value
+
+
+def _index(holder: Document, step: str, override: str) -> int:
+    if not isinstance(holder, list):
+        raise _bad_override(override, f"nothing can stand below a single value at '{step}'", "")
+    if not (step.isascii() and step.isdigit() and len(step) < 10 and int(step) < len(holder)):
+        raise _bad_override(override, f"'{step}' is no entry of this list", f"It has {len(holder)}, counted from 0.")
+    return int(step)
+
+
+def _bad_override(override: str, message: str, remedy: str) -> ConfigError:
+    return ConfigError("config.override", message, source="command line", found=override[:80], remedy=remedy)

@@ -1,0 +1,244 @@
+"""The inertial fit: weigh data against prior, keep every body physical, certify, and say what the data decided."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.errors import DataError, Note
+from torchid.inertia import cone, entropic
+from torchid.inertia.base_parameters import BaseParameters, Structure, base_parameters, structure
+from torchid.inertia.certificate import (
+    MESSAGES,
+    Certificate,
+    InertiaStatus,
+    check_optimality,
+    compare_with_prior,
+    judge,
+)
+from torchid.inertia.options import InertiaOptions
+from torchid.inertia.posterior import Progress, Uncertainty, progress, uncertainty
+from torchid.inertia.problem import Problem, pose
+from torchid.inertia.pseudo import com, inertia_com, mass, params_to_pseudo
+from torchid.inertia.spectrum import Spectrum, cholesky, diagonalise
+from torchid.inertia.weights import Weights, choose_weights
+from torchid.model.model import InertialPrior
+from torchid.regressor.equations import NormalEquations
+
+ACTIVE = 1e-5
+"""Relative eigenvalue above the floor up to which an LMI counts as active."""
+
+
+@dataclass(frozen=True)
+class InertiaFit:
+    """Identified inertial parameters and everything that qualifies them."""
+
+    names: tuple[str, ...]
+    phi: Float[Tensor, "bodies 10"]
+    covariance: Float[Tensor, "params params"]
+    """Gaussian posterior, without the LMI."""
+    prior: InertialPrior
+    omega_1: float
+    omega_2: float
+    log_evidence: float
+    """Of the Gaussian problem; compare only fits of the same rows [nat]."""
+    sd: Uncertainty
+    progress: Progress
+    base: BaseParameters | None
+    """None when not asked for or when the data have rank 0."""
+    certificate: Certificate
+    status: InertiaStatus
+    notes: tuple[Note, ...]
+
+    @property
+    def rank(self) -> int:
+        """Number of parameter combinations that the data determine at all."""
+        return self.certificate.rank
+
+    @property
+    def mass(self) -> Float[Tensor, " bodies"]:
+        """Mass of each body [kg]."""
+        return mass(self.phi)
+
+    @property
+    def com(self) -> Float[Tensor, "bodies 3"]:
+        """Centre of mass p_BC_B [m]."""
+        return com(self.phi)
+
+    @property
+    def inertia_com(self) -> Float[Tensor, "bodies 3 3"]:
+        """Inertia about the centre of mass, body axes [kg m^2]."""
+        return inertia_com(self.phi)
+
+
+def fit_inertia(
+    equations: NormalEquations,
+    prior: InertialPrior,
+    names: tuple[str, ...],
+    options: InertiaOptions | None = None,
+    *,
+    mass: tuple[float, float] | None = None,
+    com_box: Float[Tensor, "bodies 2 3"] | None = None,
+    trials: Sequence[NormalEquations] = (),
+) -> InertiaFit:
+    """Identify the ten inertial parameters of every body.
+
+        min omega_1 ||Y phi - F||^2 + omega_2 ||phi - phi_hat||^2_P   s.t.  P(phi_b) >= floor P(phi_hat_b)
+
+    Args:
+        equations: whitened sums over all fit trials.
+        prior: mean and covariance, same bodies.
+        names: of the bodies.
+        options: defaults to ``InertiaOptions()``.
+        mass: total mass and its standard deviation [kg], when the prior does not hold it already.
+        com_box: lower and upper corner of the box that holds each centre of mass, body axes [m].
+        trials: the equations trial by trial, for ``prior_weight="cross_validation"``.
+
+    Raises:
+        ConfigError: prior, mass or boxes cannot be.
+        DataError: the equations are not finite or inconsistent, no solution exists, or the result is not accepted
+            (unless ``options.refuse`` is False: then ``status`` says why).
+
+    Reference: Wensing, Kim, Slotine, IEEE RA-L 3(1), 2018 (LMI); Traversaro et al., IROS 2016 (full consistency).
+    """
+    options = options or InertiaOptions()
+    problem = pose(equations, prior, names, options, mass, com_box)
+    spectrum = diagonalise(equations, problem.mean, problem.covariance, mass)
+    data = structure(equations, options.rank_tolerance)
+    if data.rank:
+        weights = choose_weights(spectrum, options, trials, problem.covariance, mass)
+    else:
+        weights = Weights(1.0, 1.0, 0.0)
+    free = spectrum.params(spectrum.solve(weights.omega_1, weights.omega_2))
+    covariance = spectrum.covariance(weights.omega_1, weights.omega_2)
+    solution = _solve(problem, weights, free, covariance, options)
+    phi = (problem.T @ free.new_tensor(solution.x).reshape(-1, 10, 1)).squeeze(-1)
+    certificate = _certify(problem, spectrum, data, weights, phi, covariance, solution, names, options)
+    status = judge(certificate, options)
+    if options.refuse and status is not InertiaStatus.ACCEPTED:
+        raise _refusal(status, certificate)
+    with_base = options.base_parameters and data.rank > 0
+    return InertiaFit(
+        names=names,
+        phi=phi,
+        covariance=covariance,
+        prior=prior,
+        omega_1=weights.omega_1,
+        omega_2=weights.omega_2,
+        log_evidence=weights.log_evidence,
+        sd=uncertainty(phi, covariance),
+        progress=progress(spectrum, covariance, weights.omega_2),
+        base=base_parameters(data, names, phi, covariance) if with_base else None,
+        certificate=certificate,
+        status=status,
+        notes=weights.notes + _notes(certificate, solution),
+    )
+
+
+def _solve(
+    problem: Problem, weights: Weights, free: Tensor, covariance: Tensor, options: InertiaOptions
+) -> cone.ConeSolution:
+    """The constrained optimum in relative parameters."""
+    gram, moment = problem.data_terms(weights.omega_1)
+    for _ in range(2):
+        # The diagonalisation is exact to rounding times its condition number: iterative refinement in phi.
+        pulled = weights.omega_2 * torch.cholesky_solve((free - problem.mean)[:, None], cholesky(problem.covariance))
+        free = free + covariance @ (moment - gram @ free - pulled[:, 0])
+    start = torch.linalg.solve(problem.T, free.reshape(-1, 10, 1)).flatten().cpu().numpy()
+    scaled = _unit_rows(problem)
+    boxes = tuple(tuple(row) for row in scaled.tolist())
+    block = torch.block_diag(*problem.T)
+    if problem.divergence is not None:
+        hessian = (block.mT @ gram @ block).cpu().numpy()
+        pull = (block.mT @ moment).cpu().numpy()
+        omega = weights.omega_2 * problem.divergence.cpu().numpy()
+        return entropic.minimise(start, hessian, pull, omega, boxes)
+    if not options.lmi and not boxes:
+        zero = np.zeros((len(problem.T), 4, 4))
+        return cone.ConeSolution(start, zero, np.zeros(0), "Solved", 0, 1)
+    factor = torch.linalg.solve_triangular(cholesky(problem.covariance), block, upper=False)
+    hessian = block.mT @ gram @ block + weights.omega_2 * factor.mT @ factor
+    return cone.project(start, hessian.cpu().numpy(), lmi=options.lmi, floor=options.floor, boxes=boxes)
+
+
+def _unit_rows(problem: Problem) -> Float[Tensor, "boxes params"]:
+    """Box rows over relative parameters, each of unit length."""
+    rows = problem.boxes @ torch.block_diag(*problem.T)
+    return rows / rows.norm(dim=-1, keepdim=True)
+
+
+def _certify(
+    problem: Problem,
+    spectrum: Spectrum,
+    data: Structure,
+    weights: Weights,
+    phi: Float[Tensor, "bodies 10"],
+    covariance: Tensor,
+    solution: cone.ConeSolution,
+    names: tuple[str, ...],
+    options: InertiaOptions,
+) -> Certificate:
+    """Recompute optimality, physical consistency and agreement with the prior in original units."""
+    flat, equations = phi.flatten(), problem.equations
+    gram, moment = problem.data_terms(weights.omega_1)
+    gradient, price = 2 * (gram @ flat - moment), 0.0
+    difference = (flat - problem.mean)[:, None]
+    if problem.divergence is None:
+        gradient = gradient + 2 * weights.omega_2 * torch.cholesky_solve(difference, cholesky(problem.covariance))[:, 0]
+        free = spectrum.params(spectrum.solve(weights.omega_1, weights.omega_2))
+        price = 0.5 * float(gradient @ (flat - free))
+    else:
+        x = torch.linalg.solve(problem.T, phi[..., None]).squeeze(-1)
+        slope = weights.omega_2 * problem.divergence[:, None] * entropic.divergence_slope(x)
+        gradient = gradient + torch.linalg.solve(problem.T.mT, slope[..., None]).flatten()
+    factor = torch.linalg.cholesky(params_to_pseudo(problem.mean.reshape(-1, 10)))
+    inverse = torch.linalg.inv(factor)
+    multiplier = inverse.mT @ phi.new_tensor(solution.lmi_dual) @ inverse
+    floor = options.floor if options.lmi and problem.divergence is None else 0.0
+    length = (problem.boxes @ torch.block_diag(*problem.T)).norm(dim=-1)
+    box_dual = phi.new_tensor(solution.box_dual) / length
+    pseudo = params_to_pseudo(phi)
+    lowest = torch.linalg.eigvalsh(inverse @ pseudo @ inverse.mT)[:, 0]
+    residual = equations.residual_square(flat)
+    return Certificate(
+        solver=solution.status,
+        iterations=solution.iterations,
+        optimality=check_optimality(
+            phi, gradient, covariance, (factor, multiplier, floor), (problem.boxes, box_dual), price
+        ),
+        smallest_eigenvalue=torch.linalg.eigvalsh(pseudo)[:, 0] / pseudo.diagonal(dim1=-2, dim2=-1).sum(-1),
+        rank=data.rank,
+        condition=data.condition,
+        conflict=compare_with_prior(spectrum, data.rank),
+        explained=1 - residual / equations.square if equations.square > 0 else 0.0,
+        active=tuple(name for name, low in zip(names, lowest, strict=True) if floor and float(low) < floor + ACTIVE),
+    )
+
+
+def _refusal(status: InertiaStatus, certificate: Certificate) -> DataError:
+    message, remedy = MESSAGES[status]
+    conflict, optimality = certificate.conflict, certificate.optimality
+    found = (
+        f"rank {certificate.rank}, total mass {conflict.mass_ratio:.2f} of the prior's ({conflict.mass_z:+.1f} sd), "
+        f"{100 * certificate.explained:.0f} % of the squared wrench explained, solver {certificate.solver}, "
+        f"residuals {optimality.primal:.0e} {optimality.dual:.0e}, gap {optimality.gap:.0e}"
+    )
+    return DataError(f"inertia.{status}", message, found=found, remedy=remedy)
+
+
+def _notes(certificate: Certificate, solution: cone.ConeSolution) -> tuple[Note, ...]:
+    notes = []
+    if certificate.active:
+        bodies = ", ".join(certificate.active)
+        notes.append(Note("inertia.lmi_active", f"at the limit of what is physical: {bodies}"))
+    if abs(certificate.conflict.mass_z) > 5:
+        conflict = certificate.conflict
+        text = f"the forces ask for {conflict.mass_ratio:.3f} of the expected total mass ({conflict.mass_z:+.1f} sd)"
+        notes.append(Note("inertia.mass_conflict", text))
+    if solution.attempts > 1 or solution.status != "Solved":
+        text = f"Clarabel needed {solution.attempts} settings and ended with {solution.status}; the certificate holds"
+        notes.append(Note("inertia.solver_retry", text))
+    return tuple(notes)

@@ -1,0 +1,47 @@
+"""Options of the inertial fit."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from torchid.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class InertiaOptions:
+    """How data and prior are weighed and what the result must fulfil."""
+
+    lmi: bool = True
+    """Every pseudo-inertia positive definite."""
+    prior: Literal["quadratic", "entropic"] = "quadratic"
+    """Distance to the prior mean: Mahalanobis, or the log-det divergence of pseudo-inertias."""
+    prior_weight: Literal["evidence", "cross_validation"] | float = "evidence"
+    """omega_2, the factor on the prior's precision: a number, or how to choose it."""
+    noise: Literal["estimated", "known"] = "estimated"
+    """omega_1: estimated from the residual, or 1 because the rows are truly whitened."""
+    floor: float = 1e-6
+    """Smallest eigenvalue of a pseudo-inertia relative to that of the prior mean (see ``relative_map``)."""
+    prior_weight_range: tuple[float, float] = (1e-3, 1e3)
+    """Where omega_2 is looked for."""
+    base_parameters: bool = True
+    """Whether to work out the identifiable combinations."""
+    rank_tolerance: float = 1e-6
+    """Singular value of the regressor with unit columns, relative to the largest, that counts as zero."""
+    gap_limit: float = 1e-6
+    """Largest relative gap, primal and dual residual of an accepted result."""
+    mass_ratio: tuple[float, float] = (0.5, 2.0)
+    """Total mass that the data ask for over that of the prior: outside, the plates are at fault."""
+    explained_limit: float = 0.5
+    """Smallest share of the squared wrench that an accepted result explains."""
+    refuse: bool = True
+    """Raise DataError where the result is not accepted; otherwise return it with its status."""
+
+    def __post_init__(self) -> None:
+        positive = {"floor": self.floor, "rank_tolerance": self.rank_tolerance, "gap_limit": self.gap_limit}
+        if not isinstance(self.prior_weight, str):
+            positive["prior_weight"] = self.prior_weight
+        for name, value in positive.items():
+            if not 0 < value < float("inf"):
+                raise ConfigError("inertia.option", "must be a positive number", place=name, found=str(value))
+        if not 0 < self.prior_weight_range[0] <= self.prior_weight_range[1]:
+            found = str(self.prior_weight_range)
+            raise ConfigError("inertia.option", "must be (low, high)", place="prior_weight_range", found=found)

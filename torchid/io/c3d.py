@@ -1,0 +1,154 @@
+"""C3D files: header, parameters, points, analog channels, plates and events to one `Trial`."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from torchid.errors import InputError, Note
+from torchid.io.c3d_data import Layout, read_analogs, read_points, resolve_layout
+from torchid.io.c3d_header import C3dHeader, read_header
+from torchid.io.files import read_bytes
+from torchid.io.frame import METRES, length_unit
+from torchid.io.labels import OUTPUT_LISTS, select_markers
+from torchid.io.options import ReadOptions
+from torchid.io.plates import read_plates
+from torchid.io.raw import RawTrial, assemble
+from torchid.recording import Event, Forces, Trial
+
+
+def read_c3d(path: str | Path, name: str | None = None, role: str = "fit", options: ReadOptions | None = None) -> Trial:
+    """A trial from a C3D file.
+
+    Args:
+        path: the file.
+        name: of the trial; the file's stem by default.
+        role: static, fit or heldout; markers that stand still are not suspect in a static trial.
+        options: what the file leaves open.
+
+    Raises:
+        InputError: the file cannot be read or contradicts itself; codes ``c3d.*``, ``markers.*``,
+            ``units.*``, ``axes.*``.
+
+    Reference: the C3D file format user guide, https://www.c3d.org.
+    """
+    path, options = Path(path), options or ReadOptions()
+    data = read_bytes(path)
+    header = read_header(data, path)
+    _refuse_rotations(header)
+    layout = resolve_layout(header, len(data), options.allow_truncated)
+    return assemble(_raw(data, header, layout, options), name or path.stem, role, options)
+
+
+def _refuse_rotations(header: C3dHeader) -> None:
+    if header.number("ROTATION", "USED"):
+        raise InputError(
+            "c3d.rotations",
+            "rotations are not supported",
+            source=header.source,
+            place="ROTATION:USED",
+            found=f"{header.number('ROTATION', 'USED'):g} rotations",
+            remedy="Export marker positions",
+        )
+
+
+def _raw(data: bytes, header: C3dHeader, layout: Layout, options: ReadOptions) -> RawTrial:
+    points = read_points(data, layout, header)
+    labels = (header.strings("POINT", "LABELS") + [""] * layout.points)[: layout.points]
+    chosen = select_markers(labels, header.source, _outputs(header), options.prefix)
+    position = points[:, list(chosen.columns)]
+    unit, said = length_unit(" ".join(header.strings("POINT", "UNITS")[:1]), position, options, header.source)
+    begin = (layout.first_frame - 1) / layout.rate
+    forces, force_notes, plate_facts = _forces(data, header, layout, METRES[unit], begin)
+    time = begin + np.arange(layout.frames) / layout.rate
+    events, event_notes = _events(header, layout, begin)
+    return RawTrial(
+        source=header.source,
+        labels=chosen.labels,
+        time=time,
+        position=position * METRES[unit],
+        forces=forces,
+        up=_screen_axis(header),
+        customary="z",
+        events=events,
+        notes=(*header.notes, *layout.notes, *chosen.notes, *said, *force_notes, *event_notes),
+        parameters=(*_facts(header, layout, unit).items(), *plate_facts.items()),
+    )
+
+
+def _outputs(header: C3dHeader) -> frozenset[str]:
+    """Labels that the file lists as outputs of a model (POINT:TYPE_GROUPS and the lists it names)."""
+    groups = {*OUTPUT_LISTS, *(g.upper() for g in header.strings("POINT", "TYPE_GROUPS")[::2])}
+    return frozenset(label for group in groups if group for label in header.strings("POINT", group))
+
+
+def _screen_axis(header: C3dHeader) -> str:
+    """Vertical axis by POINT:Y_SCREEN, empty where it names none that can be vertical."""
+    text = " ".join(header.strings("POINT", "Y_SCREEN")[:1]).strip("+ ").lower()
+    return text if text in ("y", "z") else ""
+
+
+def _forces(
+    data: bytes, header: C3dHeader, layout: Layout, metres: float, begin: float
+) -> tuple[Forces | None, list[Note], dict[str, str]]:
+    if not layout.channels or not layout.frames:
+        return None, [Note("plates.none", "the file has no analog data", header.source)], {}
+    analogs, said = read_analogs(data, layout, header)
+    wrench, plates, notes, facts = read_plates(header, analogs, metres)
+    if not plates:
+        return None, [*said, *notes, Note("plates.none", "the file has no usable force plate", header.source)], facts
+    notes += _invalid(wrench, header.source)
+    time = begin + torch.arange(len(analogs), dtype=torch.float64) / (layout.rate * layout.ratio)
+    return Forces(time, wrench, plates), [*said, *notes], facts
+
+
+def _invalid(wrench: torch.Tensor, source: str) -> list[Note]:
+    count = int(wrench.isnan().any(dim=-1).sum())
+    return [Note("plates.invalid", f"{count} plate samples are not numbers", source)] if count else []
+
+
+def _facts(header: C3dHeader, layout: Layout, unit: str) -> dict[str, str]:
+    facts = {
+        "format": "C3D",
+        "storage": f"{header.processor.name} {'real' if layout.is_float else 'integer'}",
+        "units": unit,
+        "rate_hz": f"{layout.rate:.10g}",
+        "analog_rate_hz": f"{layout.rate * layout.ratio:.10g}",
+        "first_frame": str(layout.first_frame),
+    }
+    stated = {
+        "subject": " ".join(header.strings("SUBJECTS", "NAMES")[:1]),
+        "marker_set": " ".join(header.strings("SUBJECTS", "MARKER_SETS")[:1]),
+        "software": " ".join(header.strings("MANUFACTURER", "SOFTWARE")[:1]),
+        "mass_kg": _text(header.number("PROCESSING", "BODYMASS"), 1.0),
+        "height_m": _text(header.number("PROCESSING", "HEIGHT"), METRES[unit]),
+    }
+    return facts | {key: value for key, value in stated.items() if value}
+
+
+def _text(value: float | None, factor: float) -> str:
+    return f"{value * factor:.6g}" if value else ""
+
+
+def _events(header: C3dHeader, layout: Layout, begin: float) -> tuple[tuple[Event, ...], list[Note]]:
+    """Events of the group EVENT; their times [min, s] count from frame 1, as the trial's clock does.
+
+    Some programs count from the first frame stored; where only that puts them inside the trial, they are shifted.
+    """
+    labels, sides = header.strings("EVENT", "LABELS"), header.strings("EVENT", "CONTEXTS")
+    times = header.numbers("EVENT", "TIMES")
+    times = times[: len(times) // 2 * 2].reshape(-1, 2) @ np.array([60.0, 1.0])
+    count = min(len(labels), len(times))
+    times = times[:count]
+    if not count or not np.isfinite(times).all():
+        return (), []
+    end, slack, notes = begin + layout.frames / layout.rate, 2.0 / layout.rate, []
+    inside = (times >= begin - slack) & (times <= end + slack)
+    shifted = (times + begin >= begin - slack) & (times + begin <= end + slack)
+    if shifted.all() and not inside.any():
+        times = times + begin
+        notes.append(Note("events.shifted", "event times count from the first stored frame; shifted", header.source))
+    elif not inside.all():
+        notes.append(Note("events.outside", f"{int((~inside).sum())} events lie outside the trial", header.source))
+    found = [Event(labels[k], (sides + [""] * count)[k], float(times[k])) for k in range(count)]
+    return tuple(sorted(found, key=lambda event: event.time)), notes

@@ -1,0 +1,173 @@
+"""Units and the vertical axis of a file, from what it states and from what the data show."""
+
+import re
+import warnings
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.conventions import y_up_to_z_up
+from torchid.errors import InputError, Note
+from torchid.io.options import ReadOptions
+from torchid.recording import Forces
+
+METRES = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
+WORDS = {
+    "millimetres": "mm", "millimeters": "mm", "centimetres": "cm", "centimeters": "cm", "metres": "m", "meters": "m",
+    "inches": "in",
+}  # fmt: skip
+"""Units spelled out; files cut them short (``mete``)."""
+POSSIBLE = (0.1, 6.0)
+"""Extent of a marker cloud [m] that raises no doubt."""
+LIKELY = (0.3, 3.0)
+"""Extent [m] that another unit must give before the stated one is called wrong."""
+CLEAR_EXTENT = 1.3
+"""A cloud this much taller than wide shows which axis is vertical."""
+CLEAR_FORCE = 0.8
+"""Share of the mean ground reaction along one axis that shows it to be vertical."""
+
+
+def length_unit(
+    stated: str, position: Float[np.ndarray, "frames markers 3"], options: ReadOptions, source: str
+) -> tuple[str, list[Note]]:
+    """Unit of the positions (frames, markers, 3), a key of ``METRES``.
+
+    Raises:
+        InputError: ``units.missing`` or ``units.implausible`` where the file and its data leave it open.
+    """
+    if options.units is not None:
+        return options.units, [Note("units.override", f"positions read in {options.units} as asked", source)]
+    cleaned = re.sub(r"[^a-z]", "", stated.lower())
+    words = [unit for word, unit in WORDS.items() if len(cleaned) > 2 and word.startswith(cleaned)]
+    unit = words[0] if words else cleaned
+    extent = _extent(position)
+    likely = [u for u in METRES if LIKELY[0] <= extent * METRES[u] <= LIKELY[1]]
+    if unit in METRES:
+        if likely and not POSSIBLE[0] <= extent * METRES[unit] <= POSSIBLE[1]:
+            raise _ask("units.implausible", "the unit stated does not fit the markers", stated, extent, likely, source)
+        return unit, []
+    if len(likely) == 1 and not cleaned:
+        text = f"no unit stated; {likely[0]} taken from the size of the marker cloud"
+        return likely[0], [Note("units.assumed", text, source)]
+    if not np.isfinite(extent) and not cleaned:
+        return "mm", [Note("units.assumed", "no unit stated and no markers; mm taken", source)]
+    raise _ask("units.missing", "the unit of the positions is not known", stated, extent, likely, source)
+
+
+def _ask(code: str, message: str, stated: str, extent: float, likely: list[str], source: str) -> InputError:
+    found = f"{stated!r}, markers {extent:.4g} units apart"
+    return InputError(
+        code,
+        message,
+        source=source,
+        place="units",
+        found=found,
+        remedy=f"Give units: ({' or '.join(likely) if likely else 'mm, cm, m or in'})",
+    )
+
+
+def _extent(position: np.ndarray) -> float:
+    """Median over the frames of the largest side of the box around the markers; NaN for fewer than three markers."""
+    return float(np.max(_extents(position), initial=-np.inf)) if position.shape[1] >= 3 and len(position) else np.nan
+
+
+def _extents(position: np.ndarray) -> np.ndarray:
+    """Sides (3,) of the box around the markers, median over at most 500 frames."""
+    some = position[:: max(1, len(position) // 500)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.nanmedian(np.nanmax(some, axis=1) - np.nanmin(some, axis=1), axis=0)
+
+
+def vertical_axis(
+    position: Float[np.ndarray, "frames markers 3"],
+    forces: Forces | None,
+    stated: str,
+    customary: str,
+    options: ReadOptions,
+    source: str,
+) -> tuple[str, list[Note]]:
+    """``y`` or ``z``: the vertical axis of a file.
+
+    The ground reaction decides, then what the file states, then the markers, then the custom of the format; an override
+    stands above the file but not above the ground reaction.
+
+    Args:
+        position: (frames, markers, 3) in m.
+        forces: in the file's axes, or None.
+        stated: ``y``, ``z`` or empty.
+        customary: the axis that the format usually has, used last and said.
+        options: of the reading.
+        source: the file.
+
+    Raises:
+        InputError: ``axes.contradiction`` and ``axes.unsupported``.
+    """
+    pushed = _force_axis(forces)
+    if pushed == "x":
+        raise InputError(
+            "axes.unsupported",
+            "the ground reaction points along X",
+            source=source,
+            place="force plates",
+            found="X vertical",
+            remedy="Rotate the laboratory's axes so that Y or Z is vertical",
+        )
+    chosen = options.up or stated
+    if pushed and chosen and pushed != chosen:
+        raise InputError(
+            "axes.contradiction",
+            f"the vertical axis is {chosen.upper()} by the {'config' if options.up else 'file'}, "
+            f"but the ground reaction points along {pushed.upper()}",
+            source=source,
+            place="axes",
+            found=f"{pushed.upper()} vertical by force",
+            remedy=f"Give up: {pushed} if the plates are right",
+        )
+    seen = _marker_axis(position)
+    axis = chosen or pushed or seen or customary
+    reason = (
+        "as asked" if options.up else "by the ground reaction" if pushed else "stated by the file" if stated else ""
+    )
+    reason = reason or ("by the markers" if seen else "by custom of the format; nothing in the file shows it")
+    notes = [
+        Note("axes.up", f"vertical axis {axis.upper()} {reason}" + ("; rotated to Z up" if axis == "y" else ""), source)
+    ]
+    if seen and seen != axis:
+        notes.append(
+            Note("axes.markers", f"the marker cloud is tallest along {seen.upper()}, not {axis.upper()}", source)
+        )
+    return axis, notes
+
+
+def _force_axis(forces: Forces | None) -> str:
+    """Axis of the mean total force while loaded, empty where no axis stands out."""
+    if forces is None or not len(forces.time) or not forces.plates:
+        return ""
+    force = forces.total[:, :3].nan_to_num()
+    size = force.norm(dim=1)
+    loaded = force[size > 0.3 * size.max()]
+    if float(size.max()) < 50.0:
+        return ""
+    mean = loaded.mean(dim=0).abs()
+    share, axis = (mean / mean.norm().clamp_min(1e-9)).max(dim=0)
+    return "xyz"[int(axis)] if float(share) > CLEAR_FORCE else ""
+
+
+def _marker_axis(position: np.ndarray) -> str:
+    """Y or Z along which the cloud is clearly the tallest, else empty."""
+    if position.shape[1] < 6 or not len(position):
+        return ""
+    extents = _extents(position)
+    order = np.argsort(extents)
+    clear = np.isfinite(extents).all() and extents[order[2]] > CLEAR_EXTENT * extents[order[1]]
+    return "xyz"[order[2]] if clear and order[2] > 0 else ""
+
+
+def to_world(vectors: Float[Tensor, "*batch n"], axis: str) -> Float[Tensor, "*batch n"]:
+    """Vectors (*batch, 3) or six-vectors (*batch, 6) of a file with this vertical axis, in W."""
+    if axis == "z":
+        return vectors
+    return torch.cat([y_up_to_z_up(part) for part in vectors.split(3, dim=-1)], dim=-1)

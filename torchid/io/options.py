@@ -1,0 +1,18 @@
+"""What a user may say about a file that the file itself leaves open or gets wrong."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """Choices for reading one trial; the defaults trust the file and refuse where it contradicts itself."""
+
+    prefix: str | None = None
+    """Subject whose markers are read, where a file holds several (``Subj:LASI``)."""
+    up: Literal["y", "z"] | None = None
+    """Vertical axis of the file, where it cannot be told or the file is wrong."""
+    units: Literal["mm", "cm", "dm", "m", "in"] | None = None
+    """Unit of the marker positions, where the file states none or a wrong one."""
+    allow_truncated: bool = False
+    """Read what is there of a C3D whose data section ends early, and say so."""

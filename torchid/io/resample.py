@@ -1,0 +1,91 @@
+"""One clock for markers and forces."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
+from torch import Tensor
+
+from torchid.errors import InputError, Note
+from torchid.recording import Forces, Trial
+
+PASS_BAND = 0.4
+"""Cut-off before decimation as a share of the new rate; half would be the Nyquist limit."""
+ORDER = 4
+SAME_RATE = 1e-6
+
+
+def to_clock(forces: Forces, time: Float[Tensor, " frames"]) -> Forces:
+    """Forces on another uniform clock, band-limited to what it can carry.
+
+    Towards a lower rate a zero-lag Butterworth low-pass (order 4 run forward and back, cut-off 0.4 of the new rate)
+    goes first; cubic splines interpolate. Constants and straight lines pass unchanged up to the ends. NaN outside the
+    forces' own time and within a new period of a missing sample.
+
+    Raises:
+        InputError: ``forces.short`` for fewer than two samples.
+    """
+    if len(forces.time) < 2:
+        raise InputError("forces.short", "forces have fewer than two samples", found=str(len(forces.time)))
+    own, new = forces.time.detach().cpu().numpy(), time.detach().cpu().numpy()
+    values = forces.wrench.detach().cpu().numpy().reshape(len(own), -1)
+    rate = (len(new) - 1) / (new[-1] - new[0]) if len(new) > 1 else forces.rate
+    missing = np.asarray(~np.isfinite(values).all(axis=1))
+    values = _bridged(values, missing, own)
+    if forces.rate > rate * (1 + SAME_RATE):
+        values = _low_pass(values, PASS_BAND * rate / forces.rate)
+    slack = 1e-6 / forces.rate
+    inside = (new >= own[0] - slack) & (new <= own[-1] + slack)
+    resampled = np.full((len(new), values.shape[1]), np.nan)
+    resampled[inside] = CubicSpline(own, values)(np.clip(new[inside], own[0], own[-1]))
+    resampled[_near(new, own[missing], max(1.0 / rate, 1.0 / forces.rate))] = np.nan
+    wrench = torch.from_numpy(resampled).to(forces.wrench).reshape(len(new), *forces.wrench.shape[1:])
+    return Forces(time, wrench, forces.plates)
+
+
+def _bridged(values: np.ndarray, missing: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Missing samples on straight lines, so that a filter can pass; they are masked again afterwards."""
+    if not missing.any() or missing.all():
+        return np.nan_to_num(values)
+    return np.stack([np.interp(time, time[~missing], column[~missing]) for column in values.T], axis=1)
+
+
+def _low_pass(values: np.ndarray, cutoff: float) -> np.ndarray:
+    """Zero-lag low-pass along axis 0; ``cutoff`` in cycles per sample."""
+    if len(values) < 4:
+        return values
+    sections = butter(ORDER, cutoff, fs=1.0, output="sos")
+    return sosfiltfilt(sections, values, axis=0, padlen=min(len(values) - 1, int(10 / cutoff)))
+
+
+def _near(time: np.ndarray, gaps: np.ndarray, distance: float) -> np.ndarray:
+    """Which times lie within ``distance`` of a gap."""
+    if not len(gaps):
+        return np.zeros(len(time), bool)
+    after = np.clip(np.searchsorted(gaps, time), 0, len(gaps) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.minimum(np.abs(gaps[after] - time), np.abs(gaps[before] - time)) < distance
+
+
+def synchronise(trial: Trial) -> Trial:
+    """The trial with its forces on the clock of its markers; frames without forces are NaN, and said.
+
+    Raises:
+        InputError: ``trial.no_overlap`` where markers and forces share no frame.
+    """
+    if trial.forces is None:
+        return trial
+    forces = to_clock(trial.forces, trial.markers.time)
+    shared = int(forces.wrench.isfinite().flatten(1).all(dim=1).sum())
+    if shared == 0:
+        raise InputError("trial.no_overlap", "markers and forces share no frame", place=f"trial {trial.name}")
+    frames, notes = len(trial.markers.time), trial.notes
+    if shared < frames:
+        notes = (
+            *notes,
+            Note("trial.frames", f"{shared} of {frames} frames have forces; only they are used", trial.name),
+        )
+    return replace(trial, forces=forces, notes=notes)

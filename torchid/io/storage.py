@@ -1,0 +1,127 @@
+"""OpenSim's MOT and STO files: a header, then columns over time."""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from torchid.errors import InputError, Note
+from torchid.io.files import read_lines, replacing
+from torchid.io.table import parse_rows, split_row
+
+MAX_HEADER_LINES = 500
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Columns over time, in the units of the file."""
+
+    columns: tuple[str, ...]
+    """Names without the time column."""
+    time: Float[np.ndarray, " rows"]
+    values: Float[np.ndarray, "rows columns"]
+    """NaN where a cell is blank or spelled so."""
+    header: dict[str, str] = field(default_factory=dict)
+    in_degrees: bool | None = None
+    """What ``inDegrees`` says, None where it is absent."""
+    notes: tuple[Note, ...] = ()
+
+    def column(self, name: str) -> Float[np.ndarray, " rows"]:
+        """Values (rows,) of a column.
+
+        Raises:
+            InputError: ``storage.column`` where it is absent.
+        """
+        if name not in self.columns:
+            raise InputError("storage.column", "a column is missing", place=name, found=", ".join(self.columns[:40]))
+        return self.values[:, self.columns.index(name)]
+
+
+def read_storage(path: str | Path) -> Storage:
+    """A MOT or STO file.
+
+    Header keys in the styles ``key=value`` (OpenSim) and ``key value`` (SIMM) are kept, keys in lower case.
+
+    Raises:
+        InputError: ``storage.header`` without ``endheader`` or column line, ``text.*`` for its rows.
+    """
+    source = str(path)
+    lines = read_lines(Path(path))
+    end = next((k for k, line in enumerate(lines[:MAX_HEADER_LINES]) if line.strip().lower() == "endheader"), None)
+    names = next((k for k in range((end or 0) + 1, len(lines)) if lines[k].strip()), None)
+    if end is None or names is None:
+        raise InputError(
+            "storage.header",
+            "this is no MOT or STO file",
+            source=source,
+            place="header",
+            found=repr(lines[0][:40]),
+            remedy="A line endheader must stand before the line of column names",
+        )
+    columns = _columns(lines[names])
+    header, notes = _header(lines[:end]), []
+    if not columns or columns[0].lower() != "time":
+        raise InputError(
+            "storage.header",
+            "the first column is not time",
+            source=source,
+            place=f"line {names + 1}",
+            found=", ".join(columns[:8]),
+            remedy="Export the file again",
+        )
+    rows = [(k + 1, lines[k]) for k in range(names + 1, len(lines)) if lines[k].strip()]
+    table = parse_rows(rows, len(columns), source, notes)
+    for keys, actual in ((("nrows", "datarows"), len(table)), (("ncolumns", "datacolumns"), len(columns))):
+        notes += _counted(header, keys, actual, source)
+    return Storage(columns[1:], table[:, 0], table[:, 1:], header, _degrees(header), tuple(notes))
+
+
+def _columns(line: str) -> tuple[str, ...]:
+    cells = split_row(line)
+    while cells and not cells[-1]:
+        cells.pop()
+    return tuple(cells)
+
+
+def _header(lines: list[str]) -> dict[str, str]:
+    header = {"title": lines[0].strip()} if lines else {}
+    for line in lines:
+        match = re.fullmatch(r"(\w+)\s*=\s*(.*)", line.strip()) or re.fullmatch(r"(\w+)\s+(\S.*)", line.strip())
+        if match:
+            header.setdefault(match[1].lower(), match[2].strip())
+    return header
+
+
+def _degrees(header: dict[str, str]) -> bool | None:
+    return {"yes": True, "no": False}.get(header.get("indegrees", "").lower())
+
+
+def _counted(header: dict[str, str], keys: tuple[str, ...], actual: int, source: str) -> list[Note]:
+    stated = next((header[key] for key in keys if key in header), None)
+    if stated is None or stated == str(actual):
+        return []
+    return [Note("storage.counts", f"{keys[0]} is {stated[:20]}, the file holds {actual}", source)]
+
+
+def write_storage(
+    path: str | Path,
+    columns: tuple[str, ...],
+    time: np.ndarray,
+    values: np.ndarray,
+    in_degrees: bool = False,
+    title: str = "torchid",
+) -> None:
+    """Write columns over time as MOT or STO, whole or not at all; NaN as ``nan``.
+
+    Raises:
+        ValueError: shapes that do not agree.
+    """
+    if values.shape != (len(time), len(columns)):
+        raise ValueError(f"values {values.shape}, time {len(time)}, columns {len(columns)}")
+    head = [title, "version=1", f"nRows={len(time)}", f"nColumns={len(columns) + 1}"]
+    head += [f"inDegrees={'yes' if in_degrees else 'no'}", "endheader", "\t".join(("time", *columns))]
+    rows = ("\t".join(f"{x:.12g}" for x in (t, *row)) for t, row in zip(time, values, strict=True))
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")

@@ -1,0 +1,95 @@
+"""One trial from whatever the laboratory exported."""
+
+from pathlib import Path
+
+from torchid.errors import InputError, Note
+from torchid.io.c3d import read_c3d
+from torchid.io.frame import METRES, length_unit
+from torchid.io.grf import forces_from_storage
+from torchid.io.labels import select_markers
+from torchid.io.options import ReadOptions
+from torchid.io.raw import RawTrial, assemble
+from torchid.io.storage import read_storage
+from torchid.io.trc import read_trc
+from torchid.recording import Forces, Trial
+
+ROLES = ("static", "fit", "heldout")
+
+
+def read_trial(
+    name: str, file: str | Path, forces: str | Path | None = None, role: str = "fit", options: ReadOptions | None = None
+) -> Trial:
+    """A trial in W, SI units and float64, from a C3D, or from a TRC with or without a MOT/STO of ground reactions.
+
+    Args:
+        name: of the trial.
+        file: .c3d or .trc.
+        forces: .mot or .sto beside a .trc.
+        role: static, fit or heldout.
+        options: what the file leaves open.
+
+    Raises:
+        InputError: a file cannot be read, or files contradict themselves or each other.
+    """
+    file, options = Path(file), options or ReadOptions()
+    suffix = file.suffix.lower()
+    if role not in ROLES:
+        raise InputError("trial.role", "this role does not exist", place=f"trial {name}", found=role, remedy=f"{ROLES}")
+    if suffix not in (".c3d", ".trc"):
+        raise InputError(
+            "trial.format",
+            "markers are read from .c3d and .trc files",
+            source=file,
+            found=file.suffix or "no suffix",
+            remedy="Give forces (.mot, .sto) under forces:",
+        )
+    if suffix == ".trc":
+        return _read_text(name, file, None if forces is None else Path(forces), role, options)
+    if forces is not None:
+        raise InputError(
+            "trial.forces",
+            "a C3D brings its own force plates",
+            source=file,
+            place="forces",
+            found=str(forces),
+            remedy="Leave forces: out, or give the markers as .trc",
+        )
+    return read_c3d(file, name, role, options)
+
+
+def _read_text(name: str, file: Path, forces: Path | None, role: str, options: ReadOptions) -> Trial:
+    trc = read_trc(file)
+    source = str(file)
+    chosen = select_markers(list(trc.labels), source, prefix=options.prefix)
+    position = trc.position[:, list(chosen.columns)]
+    unit, said = length_unit(trc.units, position, options, source)
+    measured, force_notes, facts = _read_forces(forces)
+    rate = (len(trc.time) - 1) / (trc.time[-1] - trc.time[0]) if len(trc.time) > 1 else 0.0
+    raw = RawTrial(
+        source=source,
+        labels=chosen.labels,
+        time=trc.time,
+        position=position * METRES[unit],
+        forces=measured,
+        up="",
+        customary="y",
+        notes=(*trc.notes, *chosen.notes, *said, *force_notes),
+        parameters=(("format", "TRC"), ("units", unit), ("rate_hz", f"{rate:.10g}"), *facts),
+    )
+    return assemble(raw, name, role, options)
+
+
+def _read_forces(path: Path | None) -> tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]:
+    if path is None:
+        return None, (), ()
+    if path.suffix.lower() not in (".mot", ".sto"):
+        raise InputError(
+            "trial.format",
+            "forces are read from .mot and .sto files",
+            source=path,
+            found=path.suffix or "no suffix",
+            remedy="Give a MOT or STO of ground reactions",
+        )
+    measured, notes = forces_from_storage(read_storage(path), str(path))
+    rate = f"{measured.rate:.10g}" if len(measured.time) > 1 else "0"
+    return measured, notes, (("forces", str(path)), ("analog_rate_hz", rate))

@@ -1,0 +1,138 @@
+"""Legs that reach prescribed feet: six angles per leg for the six coordinates of the foot, all frames at once."""
+
+import roma
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import conv1d, max_pool1d
+
+from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.recursion import Poses, cross, poses
+from torchid.model.skeleton import SIDES
+from torchid.model.tree import Tree
+from torchid.simulate.script import FootPath, Script
+from torchid.simulate.subject import SimulatedSubject, Sole
+
+REACH = 0.990
+"""Longest distance of the ankle from the hip, part of the stretched leg's: knees stay bent by 15 degrees or more, away
+from the singularity of the straight leg."""
+CALM_S = 0.30
+"""Half the time over which the highest place of the pelvis is evened out [s]."""
+START = {"hip_flexion": 0.4, "knee_flexion": 0.7, "ankle_flexion": 0.3}
+LEG = ("hip_flexion", "hip_adduction", "hip_rotation", "knee_flexion", "ankle_flexion", "ankle_inversion")
+
+
+def leg_rows(tree: Tree, side: str) -> list[int]:
+    """Rows of q of one leg."""
+    return [tree.dof_names.index(name.replace("_", f"_{side}_", 1)) for name in LEG]
+
+
+def foot_pose(path: FootPath, sole: Sole) -> tuple[Float[Tensor, "frames 3 3"], Float[Tensor, "frames 3"]]:
+    """Where a foot's axes are: flat, or pitched about the point where it bears."""
+    yaw = roma.rotvec_to_rotmat(path.pitch.new_tensor([0.0, 0.0, path.yaw]))
+    turn = path.pitch[:, None] * path.pitch.new_tensor([0.0, 1.0, 0.0])
+    pitch = roma.rotvec_to_rotmat(turn) @ roma.rotvec_to_rotmat(path.roll[:, None] * turn.new_tensor([1.0, 0.0, 0.0]))
+    pivot = torch.stack(
+        [path.bearing[:, 0], torch.zeros_like(path.pitch), torch.full_like(path.pitch, -sole.height)], 1
+    )
+    moved = pivot - (pitch @ pivot[:, :, None])[:, :, 0]
+    return yaw @ pitch, path.base + moved @ yaw.T
+
+
+def bearing_point(path: FootPath, sole: Sole) -> Float[Tensor, "frames 3"]:
+    """Centre of pressure intended under a foot, in W."""
+    R, p = foot_pose(path, sole)
+    local = torch.cat([path.bearing, torch.full_like(path.bearing[:, :1], -sole.height)], 1)
+    return p + (R @ local[:, :, None])[:, :, 0]
+
+
+def stand(
+    subject: SimulatedSubject,
+    script: Script,
+    place: Float[Tensor, "frames 2"],
+    start: Float[Tensor, "frames dofs"] | None,
+) -> Float[Tensor, "frames dofs"]:
+    """Coordinates of the whole body with the pelvis above ``place`` and the feet where the script wants them.
+
+    Args:
+        subject: whose legs they are.
+        script: the motion.
+        place: x and y of the pelvis [m].
+        start: an earlier solution nearby, which saves iterations.
+    """
+    tree = subject.model.tree
+    q = script.angles.clone()
+    feet = [foot_pose(path, subject.sole) for path in script.feet]
+    q[:, 3:6] = script.pelvis_turn
+    q[:, :2] = place
+    q[:, 2] = highest(subject, script.time, q, [p for _, p in feet]) - script.drop
+    wanted = q.clone()
+    rows = [leg_rows(tree, side) for side in SIDES]
+    for row in rows:
+        q[:, row] = _guess(tree, q, row) if start is None else start[:, row]
+    q = _reach(subject, q, feet, rows, 30 if start is None else 8)
+    for row, path in zip(rows, script.feet, strict=True):
+        q[:, row] += path.free[:, None] * (wanted[:, row] - q[:, row])
+    return q
+
+
+def highest(
+    subject: SimulatedSubject, time: Float[Tensor, " frames"], q: Float[Tensor, "frames dofs"], ankles: list[Tensor]
+) -> Float[Tensor, " frames"]:
+    """Smooth height of the pelvis at which no leg is stretched beyond ``REACH`` [m].
+
+    The lowest limit within ``CALM_S`` is averaged with weights that vanish at ``CALM_S``, so the mean stays below.
+    """
+    tree, offset = subject.model.tree, subject.geometry.offset
+    R = roma.rotvec_to_rotmat(q[:, 3:6])
+    limits = []
+    for side, ankle in zip(SIDES, ankles, strict=True):
+        hip = R @ offset[tree.index(f"thigh_{side}")]
+        length = REACH * (offset[tree.index(f"shank_{side}")].norm() + offset[tree.index(f"foot_{side}")].norm())
+        across = (q[:, :2] + hip[:, :2] - ankle[:, :2]).square().sum(1)
+        limits.append(ankle[:, 2] + (length**2 - across).clamp(min=0.25 * length**2).sqrt() - hip[:, 2])
+    half = max(1, round(CALM_S / float(time[1] - time[0])))
+    limit = torch.stack(limits).amin(0)[None]
+    lowest = -max_pool1d(_hold_ends(-limit, half), 2 * half + 1, stride=1)
+    x = torch.arange(-half, half + 1, dtype=q.dtype, device=q.device) / (half + 1)
+    kernel = (1.0 - x**2) ** 4
+    return conv1d(_hold_ends(lowest, half)[None], (kernel / kernel.sum())[None, None])[0, 0]
+
+
+def _hold_ends(x: Tensor, count: int) -> Tensor:
+    return torch.cat([x[:, :1].expand(-1, count), x, x[:, -1:].expand(-1, count)], 1)
+
+
+def _guess(tree: Tree, q: Tensor, rows: list[int]) -> Tensor:
+    value = [START.get(tree.dof_names[r].replace("_l_", "_").replace("_r_", "_"), 0.0) for r in rows]
+    return q.new_tensor(value).expand(len(q), -1)
+
+
+def _reach(subject: SimulatedSubject, q: Tensor, feet: list, rows: list[list[int]], iterations: int) -> Tensor:
+    """Gauss-Newton on both feet's poses; damped where a leg is nearly straight, steps bounded."""
+    tree, plan = subject.model.tree, plan_tree(subject.model.tree)
+    column = {c.row: k for k, c in enumerate(plan.turns)}
+    foot = [plan.position[tree.index(f"foot_{side}")] for side in SIDES]
+    body = torch.tensor([plan.position[c.body] for c in plan.turns])
+    for _ in range(iterations):
+        at = poses(plan, q.T.contiguous(), subject.geometry)
+        worst = 0.0
+        for k, row in enumerate(rows):
+            turns = [column[r] for r in row]
+            error = _foot_error(at, foot[k], *feet[k])
+            worst = max(worst, float(error.abs().max()))
+            axis = at.turn_axis[turns]
+            arm = at.p[foot[k]][None] - at.p[body[turns]]
+            J = torch.cat([cross(axis, arm), axis], 1).permute(2, 1, 0)
+            H = J.mT @ J + 1e-9 * torch.eye(6, dtype=q.dtype, device=q.device)
+            step = torch.linalg.solve(H, J.mT @ error[:, :, None])[:, :, 0]
+            q[:, row] += step * (0.5 / step.abs().amax(1, keepdim=True)).clamp(max=1.0)
+        if worst < 1e-11:
+            break
+    return q
+
+
+def _foot_error(at: Poses, foot: int, R: Tensor, p: Tensor) -> Float[Tensor, "frames 6"]:
+    """Shift and rotation vector in W from the foot to where it should be."""
+    now = torch.stack([column[foot].T for column in at.R], 2)
+    return torch.cat([p - at.p[foot].T, roma.rotmat_to_rotvec(R @ now.mT)], 1)

@@ -1,0 +1,56 @@
+"""What a synthetic session holds and how badly it is measured."""
+
+from dataclasses import dataclass
+
+from torchid.errors import ConfigError
+
+ANALOG_RATIO = 10
+"""Samples of the plates per frame of the markers."""
+
+
+@dataclass(frozen=True)
+class SimulateOptions:
+    """A synthetic session; the defaults make seven short trials."""
+
+    fit: tuple[str, ...] = ("squats", "hip_rom", "arms", "trunk")
+    """Motions of the fit trials; one named twice is drawn twice."""
+    heldout: tuple[str, ...] = ("sway_steps", "walk")
+    """Motions of the held-out trials. A ``static`` trial of 3 s is always there."""
+    duration_s: float = 10.0
+    rate_hz: float = 100.0
+    """Frames per second; plates sample ten times as often."""
+    plates: int = 4
+    """1 to 4: left and right of the origin, then left and right in front of them."""
+    marker_noise_mm: float = 1.0
+    """Standard deviation of white noise on every coordinate of every marker."""
+    force_noise_n: float = 2.0
+    """Standard deviation of white noise on each force of each plate, once the samples are averaged to the frame rate
+    (a single sample has sqrt(10) times as much); moments about the plate's centre get 0.2 m times that."""
+    skin_motion_mm: float = 0.0
+    """Shift of a thigh marker where a neighbouring joint has turned by one radian; other segments in proportion."""
+    gap_fraction: float = 0.0
+    """Share of marker samples lost in bursts."""
+    mass_kg: float | None = None
+    height_m: float | None = None
+    sex: str | None = None
+    """None: drawn."""
+    scatter: float = 1.0
+    """How far geometry, markers and inertia are drawn from their priors' means, in prior standard deviations."""
+
+    def __post_init__(self) -> None:
+        checks = (
+            ("plates", 1 <= self.plates <= 4, "1 to 4"),
+            ("duration_s", 2.0 <= self.duration_s <= 600.0, "2 to 600 s"),
+            ("rate_hz", 50.0 <= self.rate_hz <= 1000.0, "50 to 1000 Hz: the motions reach 5 Hz"),
+            ("gap_fraction", 0.0 <= self.gap_fraction <= 0.8, "0 to 0.8"),
+            ("marker_noise_mm", self.marker_noise_mm >= 0.0, "zero or more"),
+            ("force_noise_n", self.force_noise_n >= 0.0, "zero or more"),
+            ("skin_motion_mm", self.skin_motion_mm >= 0.0, "zero or more"),
+            ("scatter", 0.0 <= self.scatter <= 1.5, "0 to 1.5: beyond, legs would not fit the floor"),
+        )
+        for key, good, remedy in checks:
+            if not good:
+                raise ConfigError(
+                    f"simulate.{key}", "cannot be simulated", place=f"simulate.{key}", found=str(getattr(self, key)),
+                    remedy=f"Give {remedy}",
+                )  # fmt: skip

@@ -1,0 +1,189 @@
+"""One synthetic recording and the truth behind it."""
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.interpolate
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.errors import ConfigError
+from torchid.filters import Smoother
+from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.recursion import points, poses
+from torchid.motion.motion import Motion
+from torchid.recording import Forces, Markers, Trial
+from torchid.simulate.balance import Moving, balance
+from torchid.simulate.ground import FootLoad, clearance, force_plates, plate_wrenches, share_load
+from torchid.simulate.motions import make_script
+from torchid.simulate.noise import lose_markers, noisy_markers, noisy_plates, skin_shift
+from torchid.simulate.options import ANALOG_RATIO, SimulateOptions
+from torchid.simulate.script import Script
+from torchid.simulate.subject import SimulatedSubject
+
+MARGIN_S = 0.8
+"""Simulated before and after the trial and cut away: filters and splines behave differently at ends."""
+STATIC_S = 3.0
+MISS = 0.01
+"""Largest miss of the centre of pressure that a trial may have [m]."""
+ATTEMPTS = 8
+
+
+@dataclass(frozen=True)
+class TrialTruth:
+    """What no laboratory knows about a trial; frames of the markers."""
+
+    motion: Motion
+    markers: Float[Tensor, "frames markers 3"]
+    """Where the markers are, skin motion included, without noise or gaps."""
+    wrench: Float[Tensor, "frames 6"]
+    """Total wrench on the subject about the origin of W."""
+    feet: FootLoad
+    complete: Bool[Tensor, " frames"]
+    """Every foot that bears stands on a plate."""
+    clearance: Float[Tensor, " frames"]
+    """Lowest corner of the soles over the floor [m]."""
+    miss: float
+    """Largest distance of the centre of pressure from the one intended [m]."""
+
+
+@dataclass(frozen=True)
+class SimulatedTrial:
+    """A recording with its truth."""
+
+    trial: Trial
+    truth: TrialTruth
+
+
+Hook = Callable[[SimulatedSubject, SimulatedTrial, np.random.Generator], SimulatedTrial]
+"""A change of a still noiseless recording, such as a planted effect."""
+
+
+def simulate_trial(
+    subject: SimulatedSubject,
+    motion: str,
+    options: SimulateOptions | None = None,
+    seed: int = 0,
+    *,
+    name: str | None = None,
+    role: str = "fit",
+    hooks: tuple[Hook, ...] = (),
+) -> SimulatedTrial:
+    """Move the subject, let plates carry it, then measure.
+
+    Args:
+        subject: from ``simulate_subject``.
+        motion: a name of ``motions.MOTIONS``.
+        options: duration, rates and noise.
+        seed: of the motion and of the noise.
+        name: of the trial; the motion's if absent.
+        role: static, fit or heldout.
+        hooks: applied in order before noise and gaps.
+
+    Raises:
+        ConfigError: no such motion, or the subject cannot do it in balance.
+    """
+    options = options or SimulateOptions()
+    key = (seed, zlib.crc32((name or motion).encode()))
+    simulated = _clean_trial(subject, motion, options, key, name or motion, role)
+    for k, hook in enumerate(hooks):
+        simulated = hook(subject, simulated, np.random.default_rng((*key, 3, k)))
+    return _measure(subject, simulated, options, np.random.default_rng((*key, 2)))
+
+
+def _clean_trial(
+    subject: SimulatedSubject, motion: str, options: SimulateOptions, key: tuple[int, int], name: str, role: str
+) -> SimulatedTrial:
+    rate, margin = options.rate_hz, round(MARGIN_S * options.rate_hz)
+    frames = round((STATIC_S if motion == "static" else options.duration_s) * rate)
+    time = torch.arange(-margin, frames + margin, dtype=torch.float64) / rate
+    script, moving = _possible(subject, motion, time, frames / rate, key, name)
+    plates = force_plates(options.plates)
+    load = share_load(subject, script, moving.wrench, plates)
+    cut = slice(margin, margin + frames)
+    fine = _upsample(time, plate_wrenches(load, len(plates)), rate, frames)
+    kept = _cut_motion(moving.motion, cut)
+    load = FootLoad(load.wrench[cut], load.plate[cut], load.pressure[cut])
+    position, low = _markers(subject, kept, options)
+    bears = load.wrench[:, :, 2] > 1.0
+    truth = TrialTruth(kept, position, moving.wrench[cut], load, ~(bears & (load.plate < 0)).any(1), low, moving.miss)
+    clock = torch.arange(frames * ANALOG_RATIO, dtype=torch.float64) / (rate * ANALOG_RATIO)
+    trial = Trial(
+        name=name,
+        markers=Markers(subject.labels, kept.time, position),
+        forces=Forces(clock, fine, plates),
+        role=role,
+        parameters={"subject": f"S{subject.seed:02d}", "mass_kg": f"{subject.recorded_mass:.1f}",
+                    "height_m": f"{subject.recorded_height:.3f}"},
+    )  # fmt: skip
+    return SimulatedTrial(trial, truth)
+
+
+def _possible(
+    subject: SimulatedSubject, motion: str, time: Tensor, duration: float, key: tuple[int, int], name: str
+) -> tuple[Script, Moving]:
+    """Draw motions until one is in balance and within the joints' limits."""
+    dofs = subject.model.tree.dofs
+    low, high = (time.new_tensor([getattr(dof, side) for dof in dofs]) for side in ("lower", "upper"))
+    rate = float(1.0 / (time[1] - time[0]))
+    found = ""
+    for attempt in range(ATTEMPTS):
+        script = make_script(motion, np.random.default_rng((*key, 1, attempt)), subject, time, duration)
+        moving = balance(subject, script, rate)
+        beyond = ((moving.motion.q < low) | (moving.motion.q > high)).any(0)
+        if moving.miss <= MISS and not bool(beyond.any()):
+            return script, moving
+        limits = [dof.name for dof, out in zip(dofs, beyond.tolist(), strict=True) if out]
+        found = f"centre of pressure {1e3 * moving.miss:.0f} mm off, beyond limits: {', '.join(limits) or 'none'}"
+    raise ConfigError(
+        "simulate.balance", "the subject cannot do this motion in balance", place=name, found=found,
+        remedy="Take another seed",
+    )  # fmt: skip
+
+
+def _upsample(time: Tensor, wrench: Float[Tensor, "frames plates 6"], rate: float, frames: int) -> Tensor:
+    """Quintic spline through the wrenches at the plates' rate, from time zero on."""
+    spline = scipy.interpolate.make_interp_spline(time.numpy(), wrench.flatten(1).numpy(), k=5)
+    fine = spline(np.arange(frames * ANALOG_RATIO) / (rate * ANALOG_RATIO))
+    return torch.as_tensor(fine).reshape(-1, *wrench.shape[1:])
+
+
+def _cut_motion(motion: Motion, cut: slice) -> Motion:
+    rate = motion.smoother.rate_hz
+    return Motion(motion.time[cut], motion.q[cut], motion.v[cut], motion.a[cut], Smoother(rate, rate))
+
+
+def _markers(
+    subject: SimulatedSubject, motion: Motion, options: SimulateOptions
+) -> tuple[Float[Tensor, "frames markers 3"], Float[Tensor, " frames"]]:
+    """Marker positions with skin motion, and the feet's clearance."""
+    tree = subject.model.tree
+    plan = plan_tree(tree)
+    at = poses(plan, motion.q.T.contiguous(), subject.geometry)
+    body = torch.tensor([plan.position[tree.index(segment)] for segment in subject.segments])
+    p = points(at, body, subject.p_BM_B).permute(2, 0, 1)
+    if options.skin_motion_mm > 0.0:
+        shift = skin_shift(subject, motion, 1e-3 * options.skin_motion_mm)
+        p = p + sum(at.R[a][body].permute(2, 0, 1) * shift[:, :, a : a + 1] for a in range(3))
+    feet = [plan.position[tree.index(f"foot_{side}")] for side in ("l", "r")]
+    R = [torch.stack([column[k].T for column in at.R], 2) for k in feet]
+    return p.contiguous(), clearance(subject, R, [at.p[k].T for k in feet])
+
+
+def _measure(
+    subject: SimulatedSubject, simulated: SimulatedTrial, options: SimulateOptions, rng: np.random.Generator
+) -> SimulatedTrial:
+    trial = simulated.trial
+    assert trial.forces is not None
+    position = noisy_markers(rng, trial.markers.position, 1e-3 * options.marker_noise_mm)
+    position = lose_markers(rng, position, subject.segments, options.gap_fraction, options.rate_hz)
+    wrench = noisy_plates(rng, trial.forces.wrench, trial.forces.plates, options.force_noise_n)
+    trial = replace(
+        trial,
+        markers=replace(trial.markers, position=position),
+        forces=replace(trial.forces, wrench=wrench),
+    )
+    return replace(simulated, trial=trial)
