@@ -53,7 +53,7 @@ def test_log_evidence_slopes(seed: int) -> None:
 
 def test_evidence_finds_noise_and_scatter_and_intervals_cover(seed: int) -> None:
     """For subjects drawn from a prior twice as tight as stated, both weights are right and 95 % intervals cover."""
-    noise, tight, draws = 3.0, 4.0, 40
+    noise, tight, draws = 1.0, 4.0, 40
     Y = chain_rows(4, 60, seed)
     omega_1, omega_2, inside = [], [], []
     for _ in range(draws):

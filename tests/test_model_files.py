@@ -271,7 +271,7 @@ MJCF = """<mujoco>
 </mujoco>"""
 
 
-@pytest.mark.parametrize(("angle", "sequence"), [("degree", "xyz"), ("radian", "ZYX")])
+@pytest.mark.parametrize(("angle", "sequence"), [("degree", "xyz"), ("radian", "ZYX"), ("radian", "xZx")])
 def test_mjcf_means_what_mujoco_reads(angle: str, sequence: str, seed: int, tmp_path: Path) -> None:
     """Sites and inverse dynamics of the model read are those of MuJoCo, for random states."""
     mujoco = pytest.importorskip("mujoco")

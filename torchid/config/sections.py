@@ -107,55 +107,55 @@ class TrialFile(Section):
 
 
 class Geometry(Section):
-    """Fit of joint centres, lengths and marker places with the motion of all frames."""
+    """Fit of joint centres, lengths and marker places; the fields of ``GeometryOptions``."""
 
     solver: Literal["arrow", "adam", "lbfgs"] = "arrow"
-    robust: bool = True
-    robust_mm: Positive = 30.0
-    """Residual beyond which a marker counts as an outlier [mm]."""
     symmetry: Literal["none", "tied"] = "none"
     groups: dict[Name, tuple[Name, ...]] = Field(default_factory=dict)
-    """New parameter: the geometric parameters that it replaces."""
-    sigma_mm: Positive | dict[Name, Positive] = 10.0
-    """Standard deviation of a marker's residual, for all or by label [mm]."""
-    iterations: Annotated[int, Field(gt=0, le=100_000)] = 50
-    tolerance: Positive = 1e-8
-    """Relative decrease of the objective at which the solver stops."""
-    max_frames: Annotated[int, Field(gt=0)] = 4000
-    """Frames of the joint fit; longer sessions are thinned evenly, and all frames get their motion afterwards."""
-    posture: bool = True
-    """Weak prior on the joint angles."""
-    prior_scale: Positive = 1.0
-    """Factor on the standard deviations of the geometric prior."""
+    sigma_mm: Positive | dict[Name, Positive] = 5.0
+    reestimate_sigma: bool = True
+    robust: Positive | None = 4.0
+    static_posture_sd: Positive = 0.15
+    limit_sd: Positive = 0.05
+    temporal: bool = True
+    max_frames: Annotated[int, Field(gt=0)] = 1000
+    static_frames: Annotated[int, Field(gt=0)] = 30
+    iterations: Annotated[int, Field(gt=0, le=100_000)] = 60
+    gradient_iterations: Annotated[int, Field(gt=0, le=1_000_000)] = 2000
+    tolerance: Positive = 1e-6
 
 
 class Motion(Section):
-    """Filter of kinematics and forces alike."""
+    """Filter of kinematics and forces alike; the fields of ``MotionOptions``."""
 
-    filter: Literal["butterworth", "spline"] = "butterworth"
+    filter: Literal["spline", "butterworth"] = "spline"
     cutoff_hz: Positive | Literal["auto"] = "auto"
 
 
 class Contact(Section):
-    """When all contact is on the plates."""
+    """When all contact is on the plates; the fields of ``ContactOptions``."""
 
-    threshold_n: Positive = 20.0
-    """Vertical force above which a plate is loaded [N]."""
-    margin_mm: NonNegative = 50.0
-    """How far beyond a plate's edge a foot may stand before its frame is left out [mm]."""
+    height_m: Positive = 0.03
+    speed_m_s: Positive = 0.4
+    loaded_n: Positive = 20.0
+    margin_m: NonNegative = 0.03
+    reach_m: Positive = 0.10
+    shortest_s: NonNegative = 0.06
 
 
 class Inertia(Section):
-    """Fit of mass, centre of mass and inertia tensor of every segment."""
+    """Fit of mass, centre of mass and inertia tensor of every segment; fields of ``InertiaOptions`` and two more."""
 
+    enabled: bool = True
     lmi: bool = True
-    """Physically consistent by linear matrix inequalities."""
     prior: Literal["quadratic", "entropic"] = "quadratic"
     prior_weight: Literal["evidence", "cross_validation"] | Positive = "evidence"
+    prior_weight_range: tuple[Positive, Positive] = (0.5, 1e3)
+    refuse: bool = True
     known_mass: bool = False
-    """Hold the total mass at ``subject.mass_kg``."""
+    """Hold the total mass at ``subject.mass_kg`` (within ``mass_sd_kg``, or 0.1 %)."""
     com_boxes: bool = False
-    """Keep each centre of mass inside its segment's box."""
+    """Keep each centre of mass within three prior standard deviations of the template's."""
 
 
 class Diagnosis(Section):
@@ -168,38 +168,22 @@ class Diagnosis(Section):
     exclude: tuple[Name, ...] = ()
 
 
-class SimulatedSubject(Section):
-    """Body of the synthetic subject."""
-
-    mass_kg: Annotated[float, Field(gt=0, lt=1000)] = 70.0
-    height_m: Annotated[float, Field(gt=0.3, lt=3)] = 1.75
-    sex: Literal["male", "female", "unknown"] = "unknown"
-    scatter: NonNegative = 1.0
-    """How far it is drawn from the prior's mean, in prior standard deviations."""
-
-
-class PlantedEffect(Section):
-    """An effect of the catalogue, planted on purpose."""
-
-    effect: Name
-    where: tuple[Name, ...] = ()
-    when: tuple[dict[Name, float | Name], ...] | None = None
-    parameters: dict[Name, float | tuple[float, ...] | tuple[tuple[float, ...], ...]] = Field(default_factory=dict)
-
-
 class Simulate(Section):
-    """A synthetic recording session."""
+    """A synthetic recording session; the fields of ``SimulateOptions`` and the effects to plant."""
 
-    subject: SimulatedSubject = SimulatedSubject()
-    seed: Annotated[int, Field(ge=0)] = 0
-    motions: tuple[Name, ...] = ("static", "squat", "walk")
-    duration_s: Annotated[float, Field(gt=0, le=3600)] = 10.0
-    rate_hz: Annotated[float, Field(gt=0, le=10_000)] = 100.0
+    fit: tuple[Name, ...] = ("squats", "hip_rom", "arms", "trunk")
+    heldout: tuple[Name, ...] = ("sway_steps", "walk")
+    duration_s: Positive = 10.0
+    rate_hz: Positive = 100.0
+    plates: Annotated[int, Field(ge=1, le=4)] = 4
     marker_noise_mm: NonNegative = 1.0
-    force_noise_n: NonNegative = 1.0
+    force_noise_n: NonNegative = 2.0
     skin_motion_mm: NonNegative = 0.0
     gap_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    effects: tuple[PlantedEffect, ...] = ()
+    mass_kg: Positive | None = None
+    height_m: Positive | None = None
+    sex: Literal["male", "female"] | None = None
+    scatter: NonNegative = 1.0
 
 
 class Config(Section):

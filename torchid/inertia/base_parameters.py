@@ -97,7 +97,8 @@ def base_parameters(
         names: of the bodies.
         phi, covariance: of the fit.
     """
-    _, R, order = scipy.linalg.qr(data.root.cpu().numpy(), mode="economic", pivoting=True)
+    factors = scipy.linalg.qr(data.root.cpu().numpy(), mode="r", pivoting=True)
+    R, order = np.asarray(factors[0]), np.asarray(factors[-1])
     rank = data.rank
     unit = np.zeros((rank, len(order)))
     unit[:, order[:rank]] = np.eye(rank)

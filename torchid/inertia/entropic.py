@@ -8,6 +8,8 @@ covariance over its ten parameters. Correlations between bodies are not part of 
 Reference: Lee, Wensing, Park, IEEE T-RO 36(1), 2020, eqs. 18-22.
 """
 
+import warnings
+
 import cvxpy as cp
 import numpy as np
 import scipy.linalg
@@ -20,6 +22,8 @@ from torchid.inertia.cone import Boxes, ConeSolution, Matrix, Vector, squares
 from torchid.inertia.pseudo import triangle, untriangle
 
 _NEWTON_STEPS = 20
+_TOUCHED = 1e-5
+"""Multiplier above which a box counts as touched."""
 
 
 def body_weights(
@@ -81,29 +85,42 @@ def minimise(start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, 
     slope = 2 * rotate.T @ (hessian @ start - pull)
     constraints = [np.array(boxes) @ x >= 0] if boxes else []
     problem = cp.Problem(cp.Minimize(cp.sum_squares(root @ w) + slope @ w + cp.sum(terms)), constraints)
-    problem.solve(solver=cp.CLARABEL, max_threads=1, tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-10)
+    with warnings.catch_warnings():
+        # "Solution may be inaccurate": the certificate decides, after the Newton steps.
+        warnings.simplefilter("ignore", UserWarning)
+        problem.solve(solver=cp.CLARABEL, max_threads=1, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
     if w.value is None:
         raise DataError("inertia.solver", "the entropic fit has no solution", found=f"Clarabel: {problem.status}")
-    solution = start + rotate @ w.value
     dual = np.asarray(constraints[0].dual_value) if boxes else np.zeros(0)
-    if not boxes:
-        solution = _polish(solution, hessian, pull, weights)
+    rows = np.array(boxes).reshape(len(boxes), len(start))
+    touched = dual > _TOUCHED * max(1.0, dual.max(initial=0.0))
+    solution, multiplier = _polish(start + rotate @ w.value, hessian, pull, weights, rows[touched])
+    dual = np.zeros(len(boxes))
+    dual[touched] = multiplier
     status = "Solved" if problem.status == cp.OPTIMAL else str(problem.status)
     zero = np.zeros((len(weights), 4, 4))
     return ConeSolution(solution, zero, dual, status, int(problem.solver_stats.num_iters or 0), 1)
 
 
-def _polish(x: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray) -> Vector:
-    """Damped Newton steps: the exponential cones leave a stationarity residual that smooth steps remove."""
+def _polish(
+    x: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, rows: Float[np.ndarray, "touched params"]
+) -> tuple[Vector, Float[np.ndarray, " touched"]]:
+    """Damped Newton steps along the touched boxes, rows x = 0, and the boxes' multipliers.
+
+    The exponential cones leave a stationarity residual of 1e-6 that smooth steps remove.
+    """
+    multiplier = np.zeros(len(rows))
     for _ in range(_NEWTON_STEPS):
         square = x.reshape(-1, 10)
-        bend = scipy.linalg.block_diag(*(weights[:, None, None] * _curvature(square)))
+        bend = 2 * hessian + scipy.linalg.block_diag(*(weights[:, None, None] * _curvature(square)))
         slope = divergence_slope(torch.from_numpy(square)).numpy() * weights[:, None]
         gradient = 2 * (hessian @ x - pull) + slope.ravel()
-        step = -np.linalg.solve(2 * hessian + bend, gradient)
-        decrement = float(np.sqrt(max(-gradient @ step, 0.0)))
+        system = np.block([[bend, -rows.T], [-rows, np.zeros((len(rows), len(rows)))]])
+        solution = np.linalg.solve(system, np.concatenate([-gradient, rows @ x]))
+        step, multiplier = solution[: len(x)], solution[len(x) :]
+        decrement = float(np.sqrt(max(step @ bend @ step, 0.0)))
         # Self-concordance holds for the divergence with weight 1/2 or more; smaller weights shorten the step.
         x = x + step / (1 + decrement / np.sqrt(2 * min(weights.min(), 0.5)))
         if decrement < 1e-10:
             break
-    return x
+    return x, multiplier

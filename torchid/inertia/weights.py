@@ -84,7 +84,7 @@ def choose_weights(
     covariance: Float[Tensor, "params params"] | None = None,
     mass: tuple[float, float] | None = None,
 ) -> Weights:
-    """Weights after ``options``; cross-validation needs at least two ``trials`` (ConfigError) and the ``covariance``."""
+    """Weights after ``options``; cross-validation needs two ``trials`` or more (ConfigError) and ``covariance``."""
     omega_1 = 1.0 if options.noise == "known" else None
     omega_2, notes = None, ()
     if options.prior_weight == "cross_validation":

@@ -111,7 +111,7 @@ class _Assembly:
     """Moving links so far, and where every link of the file lies on one of them."""
 
     def __init__(self, source: str | Path) -> None:
-        self.source, self.notes = source, list[Note]()
+        self.source, self.said = source, dict[tuple[str, str], list[str]]()
         self.moving: dict[str, Link] = {}
         self.on: dict[str, tuple[str, Array]] = {}
         """Link of the file: moving link that carries it, and its pose there."""
@@ -123,7 +123,7 @@ class _Assembly:
         if base is None or link.axes:
             at_joint = pose(p=link.anchor if base else None)
             if np.abs(at_joint[:3, 3]).max() > SAME_POINT:
-                self._say("origin_moved", f"{link.name}: its origin is moved to its joint centre")
+                self._say("origin_moved", link.name, "origin moved to the joint centre")
             back = pose(p=-at_joint[:3, 3])
             pseudo = back @ link.pseudo @ back.T
             self.moving[link.name] = replace(link, parent=base, X_PL=X_BP @ link.X_PL @ at_joint, pseudo=pseudo)
@@ -134,7 +134,7 @@ class _Assembly:
         carrier = self.moving[base]
         self.moving[base] = replace(carrier, pseudo=carrier.pseudo + X @ link.pseudo @ X.T)
         if link.pseudo[3, 3] > 0.0:
-            self._say("merged", f"{link.name} is rigid on {base} and part of it")
+            self._say("merged", f"{link.name} (on {base})", "without joint, part of its parent")
         else:
             self.points[link.name] = base, X[:3, 3]
 
@@ -165,7 +165,7 @@ class _Assembly:
         self.moving[child.name] = replace(child, parent=link.parent, X_PL=X_PL, axes=before + child.axes)
         lost = [name for name, (on, _) in self.points.items() if on == link.name]
         for point in lost:
-            self._say("landmark_lost", f"{point} lies on {link.name}, which has no mass; it is left out")
+            self._say("landmark_lost", f"{point} (on {link.name})", "on a link without mass, left out")
             del self.points[point]
 
     def placed(self) -> list[Placed]:
@@ -188,5 +188,13 @@ class _Assembly:
         sd = (scatter.landmark, scatter.landmark, scatter.landmark)
         return {n: Landmark(on, (float(p[0]), float(p[1]), float(p[2])), sd) for n, (on, p) in self.points.items()}
 
-    def _say(self, code: str, message: str) -> None:
-        self.notes.append(Note(f"model.{code}", message, str(self.source)))
+    def _say(self, code: str, name: str, text: str) -> None:
+        self.said.setdefault((code, text), []).append(name)
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What was changed, one note per kind."""
+        said = self.said.items()
+        return tuple(
+            Note(f"model.{code}", f"{', '.join(names)}: {text}", str(self.source)) for (code, text), names in said
+        )

@@ -12,6 +12,8 @@ from torchid.errors import InputError
 from torchid.files import atomic_write
 
 MAX_BYTES = 64 << 20
+MAX_NUMBER = 1e30
+"""Larger numbers than any model has; products of a few of these are still finite."""
 
 
 def read_xml(path: str | Path, root: str) -> Element:
@@ -57,7 +59,7 @@ def fault(
 
 
 def numbers(text: str, element: Element, source: str | Path, counts: Sequence[int]) -> list[float]:
-    """Finite numbers in ``text`` of an attribute of ``element``; as many as one of ``counts``.
+    """Numbers in ``text`` of an attribute of ``element``; as many as one of ``counts``.
 
     Raises:
         InputError: ``xml.number`` for anything else.
@@ -66,9 +68,9 @@ def numbers(text: str, element: Element, source: str | Path, counts: Sequence[in
         values = [float(word) for word in text.split()]
     except ValueError:
         values = [math.nan]
-    if len(values) not in counts or not all(math.isfinite(value) for value in values):
+    if len(values) not in counts or not all(abs(value) <= MAX_NUMBER for value in values):
         wanted = " or ".join(str(count) for count in counts)
-        raise fault(element, source, "xml.number", f"needs {wanted} finite number(s)", text)
+        raise fault(element, source, "xml.number", f"needs {wanted} number(s) of sound size", text)
     return values
 
 

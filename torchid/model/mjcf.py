@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from torchid.errors import Note
 from torchid.model.assembly import Link, assemble, check_body
 from torchid.model.markup import Element, fault, numbers, place, read_xml
-from torchid.model.mechanics import Array, pose, pseudo_inertia
+from torchid.model.mechanics import Array, axis_rotation, pose, pseudo_inertia
 from torchid.model.mjcf_shapes import shape_inertia, z_to
 from torchid.model.model import Model
 from torchid.model.tree_of_links import Axis, FileScatter
@@ -38,6 +38,8 @@ class _Reading:
     """Class: tag: attributes, inherited ones included."""
     links: list[Link] = field(default_factory=list)
     sites: dict[str, tuple[str, Array]] = field(default_factory=dict)
+    armature: list[str] = field(default_factory=list)
+    """Joints that have one."""
     notes: list[Note] = field(default_factory=list)
 
     def say(self, code: str, message: str) -> None:
@@ -76,6 +78,8 @@ def read_mjcf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
     if len(tops) > 1:
         reading.say("scenery", f"{len(tops) - 1} other bodies of the world are left out")
     _read_body(top, None, top.get("childclass"), reading)
+    if reading.armature:
+        reading.say("armature", f"{', '.join(reading.armature)}: armature is no inertia of a body and is left out")
     model, notes = assemble(reading.links, path, reading.sites, scatter or FileScatter())
     return model, (*reading.notes, *notes)
 
@@ -168,8 +172,8 @@ def _joints(body: Element, name: str, inherited: str | None, reading: _Reading) 
                 message, remedy = "turns of one body about different points", "Put a body with mass between them."
                 raise fault(joint, reading.path, "mjcf.anchor", message, remedy=remedy)
             anchor = here
-        if any(float(word or 0) for word in values.get("armature", "0").split()):
-            reading.say("armature", f"{label}: its armature is no inertia of a body and is left out")
+        if numbers(values.get("armature", "0"), joint, reading.path, (1,))[0] != 0.0:
+            reading.armature.append(label)
     return tuple(axes), np.zeros(3) if anchor is None else anchor
 
 
@@ -220,10 +224,7 @@ def _orientation(element: Element, values: dict[str, str], reading: _Reading) ->
     if kind == "axisangle":
         return Rotation.from_rotvec(v[:3] / norm * v[3] * unit).as_matrix()
     if kind == "euler":
-        if len(reading.sequence) != 3 or set(reading.sequence.lower()) > set("xyz"):
-            raise fault(element, reading.path, "mjcf.eulerseq", "not a sequence of three axes", reading.sequence)
-        # MuJoCo's lower case turns about axes that turn along, SciPy's about fixed ones.
-        return Rotation.from_euler(reading.sequence.swapcase(), v * unit).as_matrix()
+        return _euler(element, v * unit, reading)
     if kind == "zaxis":
         return z_to(v / norm)
     x, y = v[:3] / norm, v[3:] - (v[3:] @ v[:3]) / norm**2 * v[:3]
@@ -231,6 +232,17 @@ def _orientation(element: Element, values: dict[str, str], reading: _Reading) ->
         raise fault(element, reading.path, "mjcf.orientation", "axes of one direction", values[kind])
     y = y / np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _euler(element: Element, angles: Array, reading: _Reading) -> Array:
+    """Three turns: lower case about axes that turn along, upper case about the parent's."""
+    if len(reading.sequence) != 3 or not set(reading.sequence.lower()) <= set("xyz"):
+        raise fault(element, reading.path, "mjcf.eulerseq", "not a sequence of three axes", reading.sequence)
+    R = np.eye(3)
+    for letter, angle in zip(reading.sequence, angles, strict=True):
+        turn = axis_rotation("xyz".index(letter.lower()), angle)
+        R = R @ turn if letter.islower() else turn @ R
+    return R
 
 
 def _inertia(body: Element, inherited: str | None, reading: _Reading) -> Array:

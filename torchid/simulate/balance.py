@@ -69,9 +69,9 @@ def balance(subject: SimulatedSubject, script: Script, rate: float) -> Moving:
     wanted = wanted_pressure(subject, script)
     exact, calm = Smoother(rate, rate), Smoother(CUTOFF, rate)
     place = _pendulum(wanted, rate)
-    q = None
+    legs = None
     for k in range(ITERATIONS):
-        q = stand(subject, script, place, q)
+        q, legs = stand(subject, script, place, legs)
         motion = smooth_motion(subject.model.tree, script.time, q, exact)
         wrench = needed_wrench(subject, motion)
         error = centre_of_pressure(wrench) - wanted

@@ -1,12 +1,14 @@
 """Legs that reach prescribed feet: six angles per leg for the six coordinates of the foot, all frames at once."""
 
+from dataclasses import dataclass
+
 import roma
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import conv1d, max_pool1d
 
-from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.plan import Plan, plan_tree
 from torchid.kinematics.recursion import Poses, cross, poses
 from torchid.model.skeleton import SIDES
 from torchid.model.tree import Tree
@@ -22,6 +24,19 @@ START = {"hip_flexion": 0.4, "knee_flexion": 0.7, "ankle_flexion": 0.3}
 LEG = ("hip_flexion", "hip_adduction", "hip_rotation", "knee_flexion", "ankle_flexion", "ankle_inversion")
 
 
+@dataclass(frozen=True)
+class Goal:
+    """What one leg has to reach."""
+
+    R: Float[Tensor, "frames 3 3"]
+    p: Float[Tensor, "frames 3"]
+    """Pose of the foot."""
+    foot: int
+    """Tree index of the foot."""
+    rows: list[int]
+    """Rows of q."""
+
+
 def leg_rows(tree: Tree, side: str) -> list[int]:
     """Rows of q of one leg."""
     return [tree.dof_names.index(name.replace("_", f"_{side}_", 1)) for name in LEG]
@@ -31,10 +46,10 @@ def foot_pose(path: FootPath, sole: Sole) -> tuple[Float[Tensor, "frames 3 3"], 
     """Where a foot's axes are: flat, or pitched about the point where it bears."""
     yaw = roma.rotvec_to_rotmat(path.pitch.new_tensor([0.0, 0.0, path.yaw]))
     turn = path.pitch[:, None] * path.pitch.new_tensor([0.0, 1.0, 0.0])
-    pitch = roma.rotvec_to_rotmat(turn) @ roma.rotvec_to_rotmat(path.roll[:, None] * turn.new_tensor([1.0, 0.0, 0.0]))
-    pivot = torch.stack(
-        [path.bearing[:, 0], torch.zeros_like(path.pitch), torch.full_like(path.pitch, -sole.height)], 1
-    )
+    lean = path.roll[:, None] * path.roll.new_tensor([1.0, 0.0, 0.0])
+    pitch = roma.rotvec_to_rotmat(turn) @ roma.rotvec_to_rotmat(lean)
+    zero = torch.zeros_like(path.pitch)
+    pivot = torch.stack([path.bearing[:, 0], zero, zero - sole.height], 1)
     moved = pivot - (pitch @ pivot[:, :, None])[:, :, 0]
     return yaw @ pitch, path.base + moved @ yaw.T
 
@@ -50,30 +65,34 @@ def stand(
     subject: SimulatedSubject,
     script: Script,
     place: Float[Tensor, "frames 2"],
-    start: Float[Tensor, "frames dofs"] | None,
-) -> Float[Tensor, "frames dofs"]:
+    start: Float[Tensor, "frames 12"] | None = None,
+) -> tuple[Float[Tensor, "frames dofs"], Float[Tensor, "frames 12"]]:
     """Coordinates of the whole body with the pelvis above ``place`` and the feet where the script wants them.
 
     Args:
         subject: whose legs they are.
         script: the motion.
         place: x and y of the pelvis [m].
-        start: an earlier solution nearby, which saves iterations.
+        start: leg angles of a nearby solution, which save iterations.
+
+    Returns:
+        The coordinates, and the angles with which both legs reach their feet's paths.
     """
     tree = subject.model.tree
+    rows = [leg_rows(tree, side) for side in SIDES]
     q = script.angles.clone()
     feet = [foot_pose(path, subject.sole) for path in script.feet]
     q[:, 3:6] = script.pelvis_turn
     q[:, :2] = place
     q[:, 2] = highest(subject, script.time, q, [p for _, p in feet]) - script.drop
-    wanted = q.clone()
-    rows = [leg_rows(tree, side) for side in SIDES]
-    for row in rows:
-        q[:, row] = _guess(tree, q, row) if start is None else start[:, row]
-    q = _reach(subject, q, feet, rows, 30 if start is None else 8)
+    legs = rows[0] + rows[1]
+    q[:, legs] = _guess(tree, q, legs) if start is None else start
+    goals = [Goal(*feet[k], tree.index(f"foot_{side}"), rows[k]) for k, side in enumerate(SIDES)]
+    q = _reach(subject, q, goals, 30 if start is None else 8)
+    reached = q[:, legs].clone()
     for row, path in zip(rows, script.feet, strict=True):
-        q[:, row] += path.free[:, None] * (wanted[:, row] - q[:, row])
-    return q
+        q[:, row] += path.free[:, None] * (script.angles[:, row] - q[:, row])
+    return q, reached
 
 
 def highest(
@@ -108,28 +127,30 @@ def _guess(tree: Tree, q: Tensor, rows: list[int]) -> Tensor:
     return q.new_tensor(value).expand(len(q), -1)
 
 
-def _reach(subject: SimulatedSubject, q: Tensor, feet: list, rows: list[list[int]], iterations: int) -> Tensor:
-    """Gauss-Newton on both feet's poses; damped where a leg is nearly straight, steps bounded."""
-    tree, plan = subject.model.tree, plan_tree(subject.model.tree)
-    column = {c.row: k for k, c in enumerate(plan.turns)}
-    foot = [plan.position[tree.index(f"foot_{side}")] for side in SIDES]
-    body = torch.tensor([plan.position[c.body] for c in plan.turns])
+def _reach(subject: SimulatedSubject, q: Tensor, goals: list[Goal], iterations: int) -> Tensor:
+    """Gauss-Newton on both feet's poses with bounded steps."""
+    plan = plan_tree(subject.model.tree)
     for _ in range(iterations):
         at = poses(plan, q.T.contiguous(), subject.geometry)
-        worst = 0.0
-        for k, row in enumerate(rows):
-            turns = [column[r] for r in row]
-            error = _foot_error(at, foot[k], *feet[k])
-            worst = max(worst, float(error.abs().max()))
-            axis = at.turn_axis[turns]
-            arm = at.p[foot[k]][None] - at.p[body[turns]]
-            J = torch.cat([cross(axis, arm), axis], 1).permute(2, 1, 0)
-            H = J.mT @ J + 1e-9 * torch.eye(6, dtype=q.dtype, device=q.device)
-            step = torch.linalg.solve(H, J.mT @ error[:, :, None])[:, :, 0]
-            q[:, row] += step * (0.5 / step.abs().amax(1, keepdim=True)).clamp(max=1.0)
-        if worst < 1e-11:
+        steps = [_leg_step(plan, at, goal) for goal in goals]
+        for goal, step in zip(goals, steps, strict=True):
+            q[:, goal.rows] += step
+        if max(float(step.abs().max()) for step in steps) < 1e-12:
             break
     return q
+
+
+def _leg_step(plan: Plan, at: Poses, goal: Goal) -> Float[Tensor, "frames 6"]:
+    column = {c.row: k for k, c in enumerate(plan.turns)}
+    turns = [column[row] for row in goal.rows]
+    foot = plan.position[goal.foot]
+    axis = at.turn_axis[turns]
+    arm = at.p[foot][None] - at.p[[plan.position[plan.turns[k].body] for k in turns]]
+    J = torch.cat([cross(axis, arm), axis], 1).permute(2, 1, 0)
+    error = _foot_error(at, foot, goal.R, goal.p)
+    H = J.mT @ J + 1e-9 * torch.eye(6, dtype=error.dtype, device=error.device)
+    step = torch.linalg.solve(H, J.mT @ error[:, :, None])[:, :, 0]
+    return step * (0.5 / step.abs().amax(1, keepdim=True)).clamp(max=1.0)
 
 
 def _foot_error(at: Poses, foot: int, R: Tensor, p: Tensor) -> Float[Tensor, "frames 6"]:

@@ -142,7 +142,7 @@ def sway_steps(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor
 def walk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float) -> Script:
     """To and fro over the plates: forward over the heel, backward over the ball; the front foot once beside them."""
     places = {LEFT: (-0.02, 0.42, 1.00), RIGHT: (-0.15, 0.12, 0.68)}
-    half = abs(random_stance(rng, subject).left[1])
+    half = float(rng.uniform(0.085, 0.115))
     stance = Stance((places[LEFT][0], half), (places[RIGHT][0], -half), float(rng.uniform(0.03, 0.15)))
     cycle = [(RIGHT, 1), (LEFT, 1), (RIGHT, 2), (LEFT, 2), (LEFT, 1), (RIGHT, 1), (LEFT, 0), (RIGHT, 0)]
     steps: list[Step] = []
@@ -159,8 +159,7 @@ def walk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, dura
         t += T + (2.0 * TRANSFER + 2.0 * ROLL if again else float(rng.uniform(0.24, 0.34)))
         k += 1
     drop = wander(rng, time, 0.01, 0.025)
-    script = _script(rng, subject, time, _join(QUIET, SWING), drop, tilt=0.04, steps=steps, stance=stance)
-    return script
+    return _script(rng, subject, time, _join(QUIET, SWING), drop, tilt=0.04, steps=steps, stance=stance)
 
 
 MOTIONS: Mapping[str, Maker] = {

@@ -61,7 +61,8 @@ def skin_shift(subject: SimulatedSubject, motion: Motion, size: float) -> Float[
     """Shift of every marker on its segment, in the segment's axes [m].
 
     Cues of a segment: its own joint's angles, those of the joint below (sines; none of them in the neutral pose), and
-    the acceleration of its origin against gravity's. A cue of one (57 degrees, 1 g) shifts a thigh marker by about ``size``.
+    the acceleration of its origin against gravity's. A cue of one (57 degrees, 1 g) shifts a thigh marker by
+    about ``size``.
     """
     cues = skin_cues(subject, motion)
     shift = [size * cues[segment] @ subject.skin[k].T for k, segment in enumerate(subject.segments)]

@@ -21,7 +21,6 @@ TRANSFER = 0.30
 ROLL = 0.22
 """Time for which a loaded foot pivots on ball or heel [s]."""
 
-
 ROLL_IN_AIR = 0.22
 """A swinging foot follows its leg, which leans outwards from a pelvis above the other foot [rad]."""
 
@@ -112,7 +111,8 @@ def foot_path(
     """The foot's own steps, at rest on the floor in between."""
     x, y = stance.place(side)
     keys: dict[str, list[tuple[float, float]]] = {
-        "x": [(-1e3, x)], "y": [(-1e3, y)], "z": [(-1e3, 0.0)], "pitch": [(-1e3, 0.0)], "roll": [(-1e3, 0.0)], "free": [(-1e3, 0.0)],
+        "x": [(-1e3, x)], "y": [(-1e3, y)], "z": [(-1e3, 0.0)], "pitch": [(-1e3, 0.0)], "roll": [(-1e3, 0.0)],
+        "free": [(-1e3, 0.0)],
         "bearing": [(-1e3, _middle(sole))],
     }  # fmt: skip
     airborne = torch.zeros_like(time)
@@ -145,7 +145,8 @@ def _add_step(keys: dict[str, list[tuple[float, float]]], step: Step, sole: Sole
     if step.free:
         keys["free"] += [(t0 + 0.6 * rise, 0.0), (t0 + 2.0 * rise, 1.0), (t1 - 2.0 * rise, 1.0), (t1 - 0.6 * rise, 0.0)]
     tilt = ROLL_IN_AIR if step.side == LEFT else -ROLL_IN_AIR
-    keys["roll"] += [(t0 + 0.1 * T, 0.0), (t0 + 0.4 * T, tilt), (t1 - 0.4 * T, tilt), (t1 - 0.1 * T, 0.0)]
+    ease = min(0.4 * T, 0.5)
+    keys["roll"] += [(t0, 0.0), (t0 + ease, tilt), (t1 - ease, tilt), (t1, 0.0)]
     if step.leave or step.land:
         _add_pitch(keys, step, sole)
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -110,7 +111,7 @@ def subject_truth(subject: SimulatedSubject, options: SimulateOptions) -> dict[s
 
 
 def _write_truth(path: Path, truth: TrialTruth) -> None:
-    arrays = {
+    arrays: dict[str, Any] = {
         "time": truth.motion.time,
         "q": truth.motion.q,
         "v": truth.motion.v,

@@ -23,6 +23,8 @@ SIDE_CORRELATION = 0.95
 """Between left and right lengths of one person; legs drawn independently would differ by 4 cm on average."""
 BOUND = 2.2
 """Draws beyond so many standard deviations are repeated."""
+HINGE_BOUND = 1.5
+"""The same for hinge angles: ankles at the ends of Inman's ranges on all axes at once cannot keep a foot flat."""
 FREE_SCATTER = 0.010
 """Of markers that sit on no landmark, about ``FREE_PLACES`` [m]."""
 FREE_PLACES = {
@@ -131,7 +133,8 @@ def simulate_subject(options: SimulateOptions | None = None, seed: int = 0) -> S
 
 def draw_geometry(rng: np.random.Generator, prior: GeometryPrior, scatter: float) -> Float[Tensor, " params"]:
     """Named geometric parameters; those of the left share most of their deviation with the right's."""
-    unit = {name: _bounded(rng) for name in prior.names}
+    bounds = [HINGE_BOUND if unit == "rad" else BOUND for unit in prior.units]
+    unit = {name: _bounded(rng, bound) for name, bound in zip(prior.names, bounds, strict=True)}
     for name in prior.names:
         twin = name.replace("_l_", "_r_")
         if twin != name and twin in unit and name.endswith("_length"):
@@ -177,8 +180,8 @@ def is_physical(phi: Float[Tensor, "bodies 10"]) -> bool:
     return bool((torch.linalg.eigvalsh(params_to_pseudo(phi)) > 0.0).all())
 
 
-def _bounded(rng: np.random.Generator) -> float:
-    while abs(value := float(rng.normal())) > BOUND:
+def _bounded(rng: np.random.Generator, bound: float = BOUND) -> float:
+    while abs(value := float(rng.normal())) > bound:
         pass
     return value
 

@@ -1,0 +1,198 @@
+"""The sequence: read, geometry, motion, inertia, inverse dynamics, files, report."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+
+from torchid.config import Config, dump_config
+from torchid.errors import DataError, Note
+from torchid.experiment.outcome import Outcome, Residual
+from torchid.experiment.read import Session, geometry_options, inertia_options, read_session
+from torchid.experiment.simulation import with_recordings
+from torchid.experiment.stages import Followed, cutoff, follow, residual_rms, subject_prior, torques
+from torchid.experiment.write import write_outcome
+from torchid.files import file_sha256, write_json, write_text
+from torchid.geometry.fit import GeometryFit, Tracked, fit_geometry, track
+from torchid.inertia.identify import Identified, identify_inertia
+from torchid.model.model import InertialPrior
+from torchid.provenance import provenance, stage_key
+from torchid.report import write_report
+from torchid.results import OutputFolder
+
+log = logging.getLogger(__name__)
+Progress = Callable[[str, float], None]
+UNFILTERED_HZ = 20.0
+"""What stands for no filter in the table of contributions: above it nothing of a person's motion is left."""
+
+
+def run_experiment(config: Config, progress: Progress = lambda stage, fraction: None) -> Outcome:
+    """Everything the config asks for, into its ``out`` folder; a second call takes up finished stages.
+
+    Raises:
+        TorchidError: bad input (nothing more is written), or data that do not support a result (what there is, is).
+    """
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
+    with OutputFolder(config.out) as folder:
+        config = with_recordings(config, progress)
+        write_text(folder.path("config.yaml"), dump_config(config))
+        progress("read", 0.0)
+        session = read_session(config)
+        progress("read", 1.0)
+        outcome, failure = _compute(config, session, folder, progress)
+        progress("write", 0.0)
+        write_outcome(outcome, folder, failure)
+        write_report(outcome, folder.path("report.html"), failure)
+        write_json(folder.path("provenance.json"), provenance(_inputs(config), config.seed, folder.times))
+        progress("write", 1.0)
+        if failure is not None:
+            raise failure
+    return outcome
+
+
+def _inputs(config: Config) -> list:
+    files = [path for trial in config.trials for path in (trial.file, trial.forces) if path is not None]
+    return files + [path for path in (config.model, config.markers) if not isinstance(path, str)]
+
+
+def _compute(
+    config: Config, session: Session, folder: OutputFolder, progress: Progress
+) -> tuple[Outcome, DataError | None]:
+    key = stage_key(
+        inputs=[file_sha256(path) for path in _inputs(config)],
+        config={k: v for k, v in config.model_dump(mode="json").items() if k not in ("out", "threads")},
+    )
+    fit, scaled = _geometry(config, session, folder, key, progress)
+    cutoff_hz = cutoff(config, session)
+    tracked = _track_all(session, folder, key, {"motion": fit, "scaled": scaled}, progress)
+    followed, followed_scaled = (
+        {name: follow(g, trial, tracked[kind][name], cutoff_hz, config) for name, trial in session.trials.items()}
+        for kind, g in (("motion", fit), ("scaled", scaled))
+    )
+    outcome = Outcome(
+        config, session, fit, scaled, cutoff_hz, followed, followed_scaled,
+        subject_prior(config, fit), subject_prior(config, scaled), notes=(*session.notes, *fit.notes),
+    )  # fmt: skip
+    outcome = replace(outcome, notes=(*outcome.notes, *_contact_notes(followed)))
+    if not config.inertia.enabled:
+        return _with_torques(outcome), None
+    try:
+        identified = folder.stage("inertia", key, lambda: _identify(config, outcome, progress))
+    except DataError as failure:
+        log.warning("%s", failure)
+        return _with_torques(outcome), failure
+    outcome = replace(outcome, identified=identified, notes=(*outcome.notes, *identified.fit.notes))
+    return _with_torques(replace(outcome, residuals=contributions(outcome))), None
+
+
+def _geometry(
+    config: Config, session: Session, folder: OutputFolder, key: str, progress: Progress
+) -> tuple[GeometryFit, GeometryFit]:
+    options, static = geometry_options(config), session.static
+    trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
+    if not trials:
+        trials = {n: t.markers for n, t in session.trials.items() if t.role == "static"}
+    assignment, markers = session.assignment, None if static is None else static.markers
+
+    def fit(free: bool) -> GeometryFit:
+        return fit_geometry(
+            assignment.model, assignment.attachment, trials, markers, options, free,
+            lambda step, cost: progress("geometry", min(0.95, step / options.iterations)),
+        )  # fmt: skip
+
+    found = folder.stage("geometry", key, lambda: fit(True)), folder.stage("scaled", key, lambda: fit(False))
+    progress("geometry", 1.0)
+    return found
+
+
+def _track_all(
+    session: Session, folder: OutputFolder, key: str, fits: dict[str, GeometryFit], progress: Progress
+) -> dict[str, dict[str, Tracked]]:
+    found: dict[str, dict[str, Tracked]] = {kind: {} for kind in fits}
+    done, total = 0, len(fits) * len(session.trials)
+    for kind, fit in fits.items():
+        for name, trial in session.trials.items():
+            found[kind][name] = folder.stage(f"{kind}_{name}", key, lambda f=fit, t=trial: track(f, t.markers))
+            done += 1
+            progress("motion", done / total)
+    return found
+
+
+def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
+    notes = []
+    for name, item in followed.items():
+        if item.contact is not None and item.contact.excluded:
+            frames = len(item.contact.used)
+            said = f"{item.contact.excluded} of {frames} frames left out: a foot stands beside the plates"
+            notes.append(Note("contact.beside", said, name))
+    return notes
+
+
+def _identify(config: Config, outcome: Outcome, progress: Progress) -> Identified:
+    progress("inertia", 0.0)
+    names = outcome.session.fit("inertia")
+    trials = [outcome.followed[n].wrench for n in names]
+    mass, box = None, None
+    who = config.subject
+    if config.inertia.known_mass and who.mass_kg:
+        mass = (who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg)
+    if config.inertia.com_boxes:
+        box = _com_boxes(outcome.prior)
+    found = identify_inertia(
+        [t for t in trials if t is not None], outcome.prior, inertia_options(config), mass, box
+    )
+    progress("inertia", 1.0)
+    return found
+
+
+def _com_boxes(prior: InertialPrior) -> torch.Tensor:
+    """Three prior standard deviations about the template's centres of mass."""
+    m, centre = prior.mean[:, :1], prior.mean[:, 1:4] / prior.mean[:, :1]
+    sd = torch.diagonal(prior.covariance).sqrt().reshape(-1, 10)
+    reach = 3.0 * sd[:, 1:4] / m
+    return torch.stack([centre - reach, centre + reach], dim=1)
+
+
+def _with_torques(outcome: Outcome) -> Outcome:
+    def each(followed: dict[str, Followed], fit: GeometryFit, phi: torch.Tensor) -> dict[str, torch.Tensor]:
+        tree = fit.model.tree
+        return {n: torques(f, tree, fit.geometry, phi, outcome.session.trials[n]) for n, f in followed.items()}
+
+    return replace(
+        outcome,
+        torque=each(outcome.followed, outcome.fit, outcome.phi),
+        torque_scaled=each(outcome.followed_scaled, outcome.scaled, outcome.prior_scaled.mean),
+    )
+
+
+def contributions(outcome: Outcome) -> tuple[Residual, ...]:
+    """Residuals of fit and held-out trials from the unfiltered scaled template to the identified model, step by step."""
+    config, session, rows = outcome.config, outcome.session, []
+    steps = (
+        ("scaled template, hardly filtered", UNFILTERED_HZ, "scaled", "prior"),
+        ("+ filter", outcome.cutoff_hz, "scaled", "prior"),
+        ("+ identified geometry", outcome.cutoff_hz, "identified", "prior"),
+        ("+ identified inertia", outcome.cutoff_hz, "identified", "identified"),
+    )
+    for label, cutoff_hz, geometry, inertia in steps:
+        fit, source, prior = (
+            (outcome.scaled, outcome.followed_scaled, outcome.prior_scaled)
+            if geometry == "scaled"
+            else (outcome.fit, outcome.followed, outcome.prior)
+        )
+        phi = outcome.phi if inertia == "identified" else prior.mean
+        for role in ("fit", "heldout"):
+            names = session.fit("inertia") if role == "fit" else session.role("heldout")
+            trials = []
+            for name in names:
+                item = source[name]
+                if cutoff_hz != outcome.cutoff_hz:
+                    item = follow(fit, session.trials[name], item.tracked, cutoff_hz, config)
+                if item.wrench is not None:
+                    trials.append(item.wrench)
+            if trials:
+                rows.append(Residual(label, role, cutoff_hz, geometry, inertia, *residual_rms(trials, phi)))
+    return tuple(rows)

@@ -1,0 +1,37 @@
+"""A synthetic session from a config."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from torchid.config import Config, load_config
+from torchid.errors import ConfigError
+from torchid.simulate.options import SimulateOptions
+from torchid.simulate.session import simulate_session
+
+RECORDINGS = "recordings"
+"""Folder inside ``out``; the truth stands apart from the recordings, in ``recordings/truth``."""
+
+
+def run_simulation(config: Config, progress: Callable[[str, float], None] = lambda stage, fraction: None) -> Path:
+    """Write the recordings that ``simulate:`` asks for, with a config that identifies them; returns its path.
+
+    Raises:
+        ConfigError: the config has no ``simulate:`` section.
+    """
+    if config.simulate is None:
+        raise ConfigError(
+            "simulate.missing", "the config has no `simulate:` section", remedy="add one, if only `simulate: {}`"
+        )
+    progress("simulate", 0.0)
+    session = simulate_session(SimulateOptions(**dict(config.simulate)), config.seed, config.out / RECORDINGS)
+    progress("simulate", 1.0)
+    assert session.config is not None
+    return session.config
+
+
+def with_recordings(config: Config, progress: Callable[[str, float], None]) -> Config:
+    """The config itself, or, where it lists no trials but simulates, the same with the simulated subject and trials."""
+    if config.trials or config.simulate is None:
+        return config
+    made = load_config(run_simulation(config, progress))
+    return config.model_copy(update={"subject": made.subject, "trials": made.trials, "markers": made.markers})

@@ -1,0 +1,166 @@
+"""What each stage of an experiment computes from the stages before."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.config import Config
+from torchid.contact import Contact, find_contact
+from torchid.dynamics import body_rows, body_wrenches, dynamic_state, generalised_forces, wrench_about
+from torchid.experiment.read import Session, contact_options, motion_options
+from torchid.filters import Smoother
+from torchid.geometry.fit import GeometryFit, Tracked
+from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.recursion import poses
+from torchid.model.anthropometry import inertial_prior
+from torchid.model.model import Geometry, InertialPrior
+from torchid.model.tree import Tree
+from torchid.motion import Motion, choose_cutoff, smooth_motion
+from torchid.recording import Trial
+from torchid.regressor.rows import WrenchTrial, measured, predict
+
+SOLE = ("heel", "mt5", "mt1", "toe")
+"""Landmarks of a sole, heel first, toes last."""
+SPREAD = 0.25
+"""Frames closer to an unmeasured one than this part of the cut-off's period are left out."""
+CHUNK = 2048
+
+
+@dataclass(frozen=True)
+class Followed:
+    """One trial followed by one model: motion, contact and wrench through the same filter."""
+
+    name: str
+    tracked: Tracked
+    motion: Motion
+    contact: Contact | None = None
+    wrench: WrenchTrial | None = None
+    """None where the trial has no forces."""
+
+
+def cutoff(config: Config, session: Session) -> float:
+    """Cut-off of the filter [Hz]: as configured, or the largest that a fit trial asks for."""
+    wanted = motion_options(config).cutoff_hz
+    if wanted != "auto":
+        return float(wanted)
+    labels = session.assignment.attachment.labels
+    trials = session.role("fit") or session.trials
+    return max(choose_cutoff(t.markers.select(labels).position, t.markers.rate) for t in trials.values())
+
+
+def follow(fit: GeometryFit, trial: Trial, tracked: Tracked, cutoff_hz: float, config: Config) -> Followed:
+    """Smooth motion of a tracked trial, its contacts, and the wrench of the plates."""
+    tree, rate = fit.model.tree, trial.markers.rate
+    smoother = Smoother(min(cutoff_hz, 0.4 * rate), rate, motion_options(config).filter)
+    seen = torch.isfinite(tracked.error).any(dim=1)
+    motion = smooth_motion(tree, trial.markers.time, tracked.q, smoother, seen)
+    if trial.forces is None:
+        return Followed(trial.name, tracked, motion)
+    contact = find_contact(
+        soles(fit, tracked), trial.forces, seen, rate, SPREAD / smoother.cutoff_hz, contact_options(config)
+    )
+    total = smoother(torch.nan_to_num(trial.forces.total), contact.measured.to(torch.float64))
+    wrench = WrenchTrial(trial.name, tree, fit.geometry, motion, total, contact.used)
+    return Followed(trial.name, tracked, motion, contact, wrench)
+
+
+def soles(fit: GeometryFit, tracked: Tracked) -> dict[str, Float[Tensor, "frames points 3"]]:
+    """Points of each foot's sole in W: the template's landmarks on the feet of the model."""
+    tree, found = fit.model.tree, {}
+    plan = plan_tree(tree)
+    at = poses(plan, tracked.q.T.contiguous(), fit.geometry)
+    for side in ("l", "r"):
+        marks = [fit.model.landmarks.get(f"{name}_{side}") for name in SOLE]
+        if any(mark is None for mark in marks):
+            continue
+        body = tree.names.index(marks[0].segment)  # type: ignore[union-attr]
+        position = plan.position[body]
+        R = torch.stack([column[position] for column in at.R], dim=2)
+        local = R.new_tensor([mark.p_BM_B for mark in marks])  # type: ignore[union-attr]
+        found[tree.names[body]] = at.p[position].T[:, None] + torch.einsum("itj,mj->tmi", R, local)
+    return found
+
+
+def subject_prior(config: Config, fit: GeometryFit) -> InertialPrior:
+    """Inertial prior for the fit's segment lengths; a model from a file brings its own."""
+    if config.model != "whole_body":
+        return fit.model.inertia
+    who = config.subject
+    return inertial_prior(fit.geometry, who.height_m, who.mass_kg, who.mass_sd_kg, who.sex)
+
+
+def residual_rms(trials: list[WrenchTrial], phi: Float[Tensor, "bodies 10"]) -> tuple[float, float]:
+    """RMS over used frames of the 3-vectors of residual force [N] and of moment about the pelvis origin [N m]."""
+    parts = [(measured(t) - predict(t, phi))[t.used] for t in trials]
+    both = torch.cat(parts) if parts else phi.new_zeros(0, 6)
+    if not len(both):
+        return float("nan"), float("nan")
+    return float(both[:, :3].square().sum(1).mean().sqrt()), float(both[:, 3:].square().sum(1).mean().sqrt())
+
+
+def torques(
+    followed: Followed, tree: Tree, geometry: Geometry, phi: Float[Tensor, "bodies 10"], trial: Trial
+) -> Float[Tensor, "frames dofs"]:
+    """Generalised forces of a trial; rows of the base are the residual wrench. NaN where a contact is not measured.
+
+    A leg's torques need its own foot's wrench: they are masked while the foot touches the ground beside the plates or
+    shares a plate with the other foot. Everything is masked in frames without motion, the base in unused frames.
+    """
+    motion, out = followed.motion, []
+    external = _foot_wrenches(followed, trial)
+    for start in range(0, len(motion.q), CHUNK):
+        part = slice(start, start + CHUNK)
+        state = dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
+        needed = body_wrenches(state.plan, body_rows(state), phi)
+        for body, wrench in external.items():
+            position = state.plan.position[tree.names.index(body)]
+            needed[position] -= wrench_about(wrench[part], motion.q[part, :3]).T
+        out.append(generalised_forces(state, needed).T)
+    return _masked(torch.cat(out), followed, tree)
+
+
+def _foot_wrenches(followed: Followed, trial: Trial) -> dict[str, Float[Tensor, "frames 6"]]:
+    """Filtered wrench under each foot about the world's origin."""
+    if trial.forces is None or followed.contact is None:
+        return {}
+    contact, raw = followed.contact, torch.nan_to_num(trial.forces.wrench)
+    return {
+        foot: followed.motion.smoother((raw * (contact.plate == k)[..., None]).sum(dim=1))
+        for k, foot in enumerate(contact.feet)
+    }
+
+
+def _masked(tau: Tensor, followed: Followed, tree: Tree) -> Tensor:
+    tau = tau.clone()
+    contact = followed.contact
+    seen = torch.isfinite(followed.tracked.error).any(dim=1)
+    tau[~seen] = torch.nan
+    if contact is None:
+        for dofs in legs(tree).values():
+            tau[:, dofs] = torch.nan
+        tau[:, :6] = torch.nan
+        return tau
+    tau[~contact.used, :6] = torch.nan
+    shared = (contact.plate == -2).any(dim=1)
+    for k, foot in enumerate(contact.feet):
+        unknown = ~contact.supported[:, k] | (shared & contact.touching[:, k])
+        for row in legs(tree)[foot]:
+            tau[unknown, row] = torch.nan
+    return tau
+
+
+def legs(tree: Tree) -> dict[str, list[int]]:
+    """Rows of q of the joints between the root and each foot."""
+    found = {}
+    for k, body in enumerate(tree.bodies):
+        if body.name.startswith("foot"):
+            above = [tree.bodies[j] for j in tree.ancestors[k]]
+            found[body.name] = [turn.row for b in above for turn in b.turns if turn.moving]
+    return found
+
+
+def at_cutoff(followed: Followed, fit: GeometryFit, trial: Trial, cutoff_hz: float, config: Config) -> Followed:
+    """The same tracked trial through another cut-off (to say what the filter contributed)."""
+    return follow(fit, trial, replace(followed.tracked), cutoff_hz, config)

@@ -1,0 +1,85 @@
+"""From trials to inertia: rows, noise and parameters, each improved by the other until they agree."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.errors import DataError
+from torchid.inertia.fit import InertiaFit, fit_inertia
+from torchid.inertia.options import InertiaOptions
+from torchid.model.model import InertialPrior
+from torchid.regressor.rows import WrenchTrial
+from torchid.regressor.whitening import (
+    Spectrum,
+    Whitening,
+    accumulate,
+    estimate_whitening,
+    initial_whitening,
+    spectra,
+)
+
+ROUNDS = 4
+"""Of noise and parameters; the third changes masses by less than a tenth of their standard deviation."""
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Inertia with the noise it was found under."""
+
+    fit: InertiaFit
+    whitening: Whitening
+    rows: int
+    """Whitened rows: cosine coefficients below the cut-off, times six."""
+
+
+def identify_inertia(
+    trials: Sequence[WrenchTrial],
+    prior: InertialPrior,
+    options: InertiaOptions | None = None,
+    mass: tuple[float, float] | None = None,
+    com_box: Float[Tensor, "bodies 2 3"] | None = None,
+) -> Identified:
+    """Identify the inertia of every body from the used frames of the trials.
+
+    Raises:
+        DataError: no run of used frames is long enough, or the fit is not accepted.
+    """
+    options = options or InertiaOptions()
+    by_trial = [blocks for blocks in map(spectra, trials) if blocks]
+    if not by_trial:
+        raise DataError(
+            "inertia.no_frames",
+            "no trial has a run of frames with all contact on the plates",
+            found=", ".join(f"{t.name}: {int(t.used.sum())} of {len(t.used)} frames" for t in trials) or "no trials",
+            remedy="Record trials with both feet on plates, or check the plates with `torchid check`",
+        )
+    blocks = [block for own in by_trial for block in own]
+    names, whitening = trials[0].tree.names, initial_whitening(prior.mean)
+    lenient = replace(options, refuse=False, base_parameters=False)
+    for _ in range(ROUNDS - 1):
+        fit = _fit(by_trial, whitening, prior, names, lenient, mass, com_box)
+        whitening = estimate_whitening(blocks, fit.phi.reshape(-1), determined(fit))
+    fit = _fit(by_trial, whitening, prior, names, options, mass, com_box)
+    return Identified(fit, whitening, 6 * sum(block.F.shape[1] for block in blocks))
+
+
+def _fit(
+    by_trial: Sequence[Sequence[Spectrum]],
+    whitening: Whitening,
+    prior: InertialPrior,
+    names: tuple[str, ...],
+    options: InertiaOptions,
+    mass: tuple[float, float] | None,
+    com_box: Tensor | None,
+) -> InertiaFit:
+    own = [accumulate(blocks, whitening) for blocks in by_trial]
+    return fit_inertia(sum(own[1:], own[0]), prior, names, options, mass=mass, com_box=com_box, trials=own)
+
+
+def determined(fit: InertiaFit) -> float:
+    """Number of parameter directions that the data took from the prior: the trace of I - (posterior / prior)."""
+    scaled = torch.linalg.solve(fit.prior.covariance / fit.omega_2, fit.covariance)
+    return float((len(scaled) - torch.trace(scaled)).clamp(min=0.0))
