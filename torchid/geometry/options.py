@@ -16,7 +16,7 @@ class GeometryOptions:
     sigma_mm: float | dict[str, float] = 5.0
     """Expected marker residual (noise and skin), for all markers or by label."""
     reestimate_sigma: bool = True
-    """Bring sigma to the level of the residuals by a common factor."""
+    """Take noise and skin from the residuals; of ``sigma_mm`` by label only the proportions of skin remain."""
     robust: float | None = 4.0
     """Residuals beyond this many standard deviations lose their influence; None: plain least squares."""
     static_posture_sd: float = 0.15

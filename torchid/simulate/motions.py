@@ -12,7 +12,6 @@ from torchid.model.skeleton import SIDES
 from torchid.simulate.script import (
     LEFT,
     RIGHT,
-    ROLL,
     TRANSFER,
     Script,
     Stance,
@@ -24,7 +23,7 @@ from torchid.simulate.script import (
 from torchid.simulate.signals import passages, wander
 from torchid.simulate.subject import SimulatedSubject
 
-Range = tuple[float, float]
+Range = tuple[int | float, int | float]
 """Smallest and largest value of an angle [deg]."""
 QUIET: dict[str, Range] = {
     "lower_spine_flexion": (-2, 3), "upper_spine_flexion": (-2, 3), "neck_flexion": (-4, 6), "neck_rotation": (-6, 6),
@@ -152,11 +151,15 @@ def walk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, dura
         forward, long = k % len(cycle) < 4, k % len(cycle) > 0
         T = float(rng.uniform(0.58, 0.72)) * (1.0 if forward else 1.15)
         to = (places[side][place] + float(rng.uniform(-0.015, 0.015)), half if side == LEFT else -half)
-        leave, land = (0.55, -0.25) if forward and long else (0.35, -0.05) if forward else (0.3, 0.25)
-        steps.append(Step(side, t, T, to, lift=float(rng.uniform(0.06, 0.09)), leave=leave, land=land))
+        lift = float(rng.uniform(0.06, 0.09))
+        if forward:
+            leave, land = (0.60, -0.25) if long else (0.4, -0.05)
+            steps.append(Step(side, t, T, to, lift, leave=leave, land=land, leave_s=0.38, land_s=0.15))
+        else:
+            steps.append(Step(side, t, T, to, lift, leave=0.35, land=0.45, leave_s=0.25, land_s=0.40))
         # One foot that moves twice in turn stands still in between for as long as the weight needs to come back.
         again = cycle[(k + 1) % len(cycle)][0] == side
-        t += T + (2.0 * TRANSFER + 2.0 * ROLL if again else float(rng.uniform(0.24, 0.34)))
+        t += T + (2.0 * TRANSFER + 0.45 if again else float(rng.uniform(0.24, 0.34)))
         k += 1
     drop = wander(rng, time, 0.01, 0.025)
     return _script(rng, subject, time, _join(QUIET, SWING), drop, tilt=0.04, steps=steps, stance=stance)

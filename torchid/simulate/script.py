@@ -18,8 +18,8 @@ from torchid.simulate.subject import SimulatedSubject, Sole
 LEFT, RIGHT = 0, 1
 TRANSFER = 0.30
 """Time over which weight passes from one foot to the other [s]."""
-ROLL = 0.22
-"""Time for which a loaded foot pivots on ball or heel [s]."""
+PASS = 0.20
+"""Time over which the bearing point moves along the sole [s]."""
 
 ROLL_IN_AIR = 0.22
 """A swinging foot follows its leg, which leans outwards from a pelvis above the other foot [rad]."""
@@ -42,6 +42,10 @@ class Step:
     """Pitch after leaving over the ball, toes down [rad]."""
     land: float = 0.0
     """Pitch before landing: on the ball if positive, on the heel if negative [rad]."""
+    leave_s: float = 0.22
+    """Time for which the foot pivots on its ball before it leaves the floor [s]."""
+    land_s: float = 0.22
+    """Time for which it pivots on ball or heel after landing [s]."""
 
 
 @dataclass(frozen=True)
@@ -152,26 +156,28 @@ def _add_step(keys: dict[str, list[tuple[float, float]]], step: Step, sole: Sole
 
 
 def _add_pitch(keys: dict[str, list[tuple[float, float]]], step: Step, sole: Sole) -> None:
-    t0, t1, T = step.start, step.start + step.duration, step.duration
-    keys["pitch"] += [(t0 - ROLL, 0.0), (t0 + 0.3 * T, step.leave), (t1 - 0.3 * T, step.land), (t1 + ROLL, 0.0)]
-    middle = keys["bearing"][-1][1]
+    T, off, flat = step.duration, step.start - step.leave_s, step.start + step.duration + step.land_s
+    t0, t1 = step.start, step.start + T
+    keys["pitch"] += [(off, 0.0), (t0 + 0.3 * T, step.leave), (t1 - 0.3 * T, step.land), (flat, 0.0)]
+    middle = _middle(sole)
     start = sole.ball if step.leave else middle
     end = sole.ball if step.land > 0.0 else sole.heel if step.land < 0.0 else middle
-    keys["bearing"] += [
-        (t0 - ROLL - TRANSFER, middle), (t0 - ROLL, start), (t0 + 0.2 * T, start),
-        (t1 - 0.2 * T, end), (t1 + ROLL, end), (t1 + ROLL + TRANSFER, middle),
-    ]  # fmt: skip
+    if keys["bearing"][-1][0] > off - PASS:
+        keys["bearing"].pop()  # no time for the middle of the foot between two steps
+    else:
+        keys["bearing"].append((off - PASS, middle))
+    keys["bearing"] += [(off, start), (t0 + 0.2 * T, start), (t1 - 0.2 * T, end), (flat, end), (flat + PASS, middle)]
 
 
 def _calm_keys(steps: Sequence[Step]) -> list[tuple[float, float]]:
     keys = [(-1e3, 1.0)]
     for s in steps:
-        t0, t1 = s.start - ROLL, s.start + s.duration + ROLL
-        if t0 - TRANSFER < keys[-1][0]:
+        t0, t1 = s.start - s.leave_s, s.start + s.duration + s.land_s
+        if t0 - PASS < keys[-1][0]:
             keys = keys[:-1]
         else:
-            keys.append((t0 - TRANSFER, 1.0))
-        keys += [(t0, 0.0), (t1, 0.0), (t1 + TRANSFER, 1.0)]
+            keys.append((t0 - PASS, 1.0))
+        keys += [(t0, 0.0), (t1, 0.0), (t1 + PASS, 1.0)]
     return keys
 
 

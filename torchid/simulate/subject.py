@@ -1,5 +1,6 @@
 """A synthetic subject: true geometry, marker places and inertia, drawn from the priors that fits start from."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,8 @@ BOUND = 2.2
 """Draws beyond so many standard deviations are repeated."""
 HINGE_BOUND = 1.5
 """The same for hinge angles: ankles at the ends of Inman's ranges on all axes at once cannot keep a foot flat."""
+ROLL_AUTHORITY = 0.60
+"""Least part of the subtalar axis along the foot; below 0.58 some walks never kept the foot flat on the floor."""
 FREE_SCATTER = 0.010
 """Of markers that sit on no landmark, about ``FREE_PLACES`` [m]."""
 FREE_PLACES = {
@@ -139,7 +142,10 @@ def draw_geometry(rng: np.random.Generator, prior: GeometryPrior, scatter: float
         twin = name.replace("_l_", "_r_")
         if twin != name and twin in unit and name.endswith("_length"):
             unit[name] = SIDE_CORRELATION * unit[twin] + (1.0 - SIDE_CORRELATION**2) ** 0.5 * unit[name]
-    return prior.mean + scatter * prior.sd * prior.mean.new_tensor([unit[name] for name in prior.names])
+    xi = prior.mean + scatter * prior.sd * prior.mean.new_tensor([unit[name] for name in prior.names])
+    angle = dict(zip(prior.names, xi.tolist(), strict=True))
+    rolls = [math.cos(angle[f"subtalar_{s}_axis_y"]) * math.cos(angle[f"subtalar_{s}_axis_z"]) for s in SIDES]
+    return xi if min(rolls) >= ROLL_AUTHORITY else draw_geometry(rng, prior, scatter)
 
 
 def draw_inertia(rng: np.random.Generator, model: Model, scatter: float) -> Float[Tensor, "bodies 10"]:
