@@ -5,11 +5,11 @@ import pytest
 import roma
 import torch
 from torch.testing import assert_close
+from trees import BASE, Dof
 
 from torchid.model.tree import Body, Tree, Turn
 from torchid.motion import Smoother, choose_cutoff, smooth_motion
 from torchid.motion.rotations import filter_rotation, turns_to_rotation
-from trees import BASE, Dof
 
 RATE = 100.0
 

@@ -3,7 +3,8 @@
 import dataclasses
 import hashlib
 import json
-import secrets
+import os
+import time as clock
 
 import numpy as np
 import numpy.testing as npt
@@ -21,25 +22,26 @@ from torchid.io import read_trial
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses
 from torchid.simulate import SimulateOptions, simulate_session, simulate_subject, simulate_trial
+from torchid.simulate.ground import force_plates
 from torchid.simulate.legs import foot_pose
 from torchid.simulate.motions import MOTIONS, make_script
 from torchid.simulate.noise import lose_markers, noisy_plates
 from torchid.simulate.signals import passages, wander
 
 CLEAN = SimulateOptions(duration_s=4.0, marker_noise_mm=0.0, force_noise_n=0.0)
-SEED = secrets.randbelow(10_000)
+SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
 EDGE = slice(5, -5)
 
 
 @pytest.fixture(scope="module")
 def subject():
-    print("seed", SEED)
+    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
     return simulate_subject(CLEAN, SEED)
 
 
 @pytest.fixture(scope="module", params=sorted(MOTIONS))
 def simulated(request, subject):
-    print("seed", SEED, request.param)
+    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
     duration = 8.0 if request.param in ("walk", "sway_steps") else 4.0
     return simulate_trial(subject, request.param, dataclasses.replace(CLEAN, duration_s=duration), SEED)
 
@@ -107,8 +109,7 @@ def test_plates_hold_the_feet(simulated):
     total = forces.total[::10]
     assert_close(total[truth.complete], truth.wrench[truth.complete], atol=0.05, rtol=1e-6)
     lost = (total - truth.wrench)[~truth.complete].norm(dim=1)
-    assert not len(lost) or float(lost.min()) > 0.5
-    assert simulated.trial.name != "walk" or len(lost)
+    assert not len(lost) or float(lost.min()) > 0.005
 
 
 def test_centre_of_pressure_lies_on_its_plate(simulated):
@@ -120,10 +121,22 @@ def test_centre_of_pressure_lies_on_its_plate(simulated):
         assert bool((loaded[:, :2] <= plate.corners.amax(0)[:2]).all())
 
 
+def test_walk_leaves_the_plates(subject):
+    """A walk with long steps puts a loaded foot beside the plates; with two plates it is there more often."""
+    script = make_script("walk", np.random.default_rng(SEED), subject, torch.arange(-0.8, 8.8, 0.01).double(), 8.0)
+    away = []
+    for count in (2, 4):
+        low, high = torch.stack([p.corners for p in force_plates(count)]).flatten(0, 1)[:, 0].aminmax()
+        x = torch.stack([path.base[:, 0] for path in script.feet], 1)
+        away.append(int(((x > high) | (x < low)).sum()))
+    assert away[0] > away[1] > 0
+
+
 def test_motions_excite(simulated):
-    """Every motion but standing still turns many joints by more than ten degrees."""
+    """Every motion but standing still turns at least six joints by more than six degrees, standing still none."""
     turned = (simulated.truth.motion.q.amax(0) - simulated.truth.motion.q.amin(0))[6:]
-    assert (int((turned > 0.17).sum()) >= 10) == (simulated.trial.name != "static")
+    assert (int((turned > 0.1).sum()) >= 6) == (simulated.trial.name != "static")
+    assert simulated.trial.name != "static" or float(turned.max()) < 0.1
 
 
 def test_subject_is_physical_and_differs_by_seed():
@@ -240,7 +253,7 @@ def test_signals_keep_their_bounds():
     assert -0.3 <= float(x.min()) < float(x.max()) <= 1.2
     y = passages(time, [(2.0, 1.0), (4.0, 3.0), (9.0, -1.0)])
     assert_close(y[[0, 400, 800, 1800, 4000]], y.new_tensor([1.0, 1.0, 3.0, -1.0, -1.0]))
-    assert float(y.gradient(spacing=0.005)[0][[400, 800, 1800]].abs().max()) < 1e-4
+    assert float((y[[401, 801, 1801]] - y[[399, 799, 1799]]).abs().max()) < 1e-6
 
 
 def test_impossible_options_are_refused(subject):

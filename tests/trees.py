@@ -1,6 +1,7 @@
 """Random trees and their twins in other libraries, for tests."""
 
 import numpy as np
+import pinocchio as pin
 import roma
 import torch
 from scipy.spatial.transform import Rotation as R
@@ -53,9 +54,7 @@ def random_inertia(rng: np.random.Generator, bodies: int) -> torch.Tensor:
 
 
 def pinocchio_twin(tree: Tree, geometry: Geometry, inertia: torch.Tensor | None = None):
-    """The tree in Pinocchio: single-axis joints in the order of the chain; returns the model and frame ids of bodies."""
-    import pinocchio as pin
-
+    """The tree in Pinocchio: single-axis joints in the order of the chain; one frame for each body."""
     model = pin.Model()
     model.gravity.linear = np.array([0.0, 0.0, -9.80665])
     joint = {0: model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")}
@@ -88,8 +87,6 @@ def pinocchio_twin(tree: Tree, geometry: Geometry, inertia: torch.Tensor | None 
 
 def pinocchio_state(model, tree: Tree, q, v, a) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One frame of our coordinates in Pinocchio's (base velocity and spatial acceleration in base axes)."""
-    import pinocchio as pin
-
     Q, V, A = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
     R_WB = roma.rotvec_to_rotmat(q[3:6]).numpy()
     Q[:3], Q[3:7] = q[:3], pin.Quaternion(R_WB).coeffs()

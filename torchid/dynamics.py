@@ -62,9 +62,7 @@ def body_rows(state: DynamicState) -> BodyRows:
     return inertial_columns(*at.R, at.p - at.p[:1], motion.w, motion.alpha, motion.a + lift)
 
 
-def inertial_columns(
-    X: Tensor, Y: Tensor, Z: Tensor, p: Tensor, w: Tensor, alpha: Tensor, a: Tensor
-) -> BodyRows:
+def inertial_columns(X: Tensor, Y: Tensor, Z: Tensor, p: Tensor, w: Tensor, alpha: Tensor, a: Tensor) -> BodyRows:
     """A from columns of R_WB, place, rates and acceleration minus gravity, each (bodies, 3, frames).
 
     Functional and without branches, so that ``torch.compile`` fuses it into one pass over memory.
@@ -130,6 +128,24 @@ def base_rows(plan: Plan, rows: BodyRows) -> Float[Tensor, "6 params frames"]:
     return Y.reshape(6, 10 * bodies, frames)
 
 
+def base_gram(
+    plan: Plan, rows: BodyRows, wrench: Float[Tensor, "6 frames"]
+) -> tuple[Float[Tensor, "params params"], Float[Tensor, " params"]]:
+    """Y_O' Y_O and Y_O' F summed over the frames, without Y_O; the order of parameters of ``base_rows``.
+
+    Six of ten columns of the force rows are zero: their product is left out (a third of the work).
+    """
+    bodies = rows.force.shape[2]
+    force = rows.force.permute(2, 1, 0, 3).reshape(4 * bodies, -1)
+    moment = rows.moment.permute(2, 1, 0, 3).reshape(10 * bodies, -1)
+    gram = (moment @ moment.T).view(bodies, 10, bodies, 10)
+    rhs = (moment @ wrench[3:].reshape(-1)).view(bodies, 10)
+    gram[:, :4, :, :4] += (force @ force.T).view(bodies, 4, bodies, 4)
+    rhs[:, :4] += (force @ wrench[:3].reshape(-1)).view(bodies, 4)
+    position = list(plan.position)
+    return gram[position][:, :, position].reshape(10 * bodies, -1), rhs[position].reshape(-1)
+
+
 def body_wrenches(plan: Plan, rows: BodyRows, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "bodies 6 frames"]:
     """Wrench that each body's motion needs, about the root's origin; plan order."""
     ordered = phi[list(plan.order)]
@@ -158,9 +174,7 @@ def joint_axes(state: DynamicState) -> tuple[Float[Tensor, "dofs 6 frames"], Ten
     return S, body
 
 
-def generalised_forces(
-    state: DynamicState, wrenches: Float[Tensor, "bodies 6 frames"]
-) -> Float[Tensor, "dofs frames"]:
+def generalised_forces(state: DynamicState, wrenches: Float[Tensor, "bodies 6 frames"]) -> Float[Tensor, "dofs frames"]:
     """S^T (subtree sums): what the actuators must supply for these body wrenches (needed minus external).
 
     Rows 0-5 are the residual force and moment at the root's origin, in W.
@@ -187,9 +201,7 @@ def inverse_dynamics(
     return generalised_forces(state, body_wrenches(state.plan, body_rows(state), phi))
 
 
-def wrench_about(
-    wrench: Float[Tensor, "*batch 6"], point: Float[Tensor, "*batch 3"]
-) -> Float[Tensor, "*batch 6"]:
+def wrench_about(wrench: Float[Tensor, "*batch 6"], point: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 6"]:
     """A wrench about the world's origin, taken about ``point`` instead."""
     force, moment = wrench[..., :3], wrench[..., 3:]
     return torch.cat([force, moment - torch.linalg.cross(point.expand_as(force), force)], dim=-1)

@@ -115,7 +115,7 @@ class Geometry(Section):
     sigma_mm: Positive | dict[Name, Positive] = 5.0
     reestimate_sigma: bool = True
     robust: Positive | None = 4.0
-    static_posture_sd: Positive = 0.15
+    static_posture_sd: Positive = 0.2
     limit_sd: Positive = 0.05
     temporal: bool = True
     max_frames: Annotated[int, Field(gt=0)] = 1000

@@ -39,11 +39,13 @@ class Contact:
     supported: Bool[Tensor, "frames feet"]
     """The foot's wrench is on plates (or the foot is in the air)."""
     plate: Int[Tensor, "frames plates"]
-    """Foot that each plate carries; -1: none or unloaded, -2: more than one."""
+    """Foot that each plate carries; -1: unloaded, -2: more than one, or none that can be told."""
     measured: Bool[Tensor, " frames"]
     """Frames whose total wrench is on plates."""
     used: Bool[Tensor, " frames"]
     """Those of them that the filter keeps clear of the others, and whose motion is known."""
+    belt: Float[Tensor, "feet 2"]
+    """Horizontal velocity of the ground under each foot [m/s], zero where nothing moves: a treadmill's belts."""
 
     @property
     def excluded(self) -> int:
@@ -71,24 +73,53 @@ def find_contact(
     """
     options = options or ContactOptions()
     feet = tuple(soles)
-    touching = torch.stack([_touching(p, rate_hz, options) for p in soles.values()], dim=1)
     measured = torch.isfinite(forces.wrench).all(dim=2).all(dim=1)
+    if not feet:
+        return _footless(measured, forces, seen, round(spread_s * rate_hz))
     near = _near(list(soles.values()), forces, options)
+    belt = torch.stack([_belt(p, near[..., k].any(dim=1), rate_hz, options) for k, p in enumerate(soles.values())])
+    pairs = zip(soles.values(), belt, strict=True)
+    touching = torch.stack([_touching(points, v, rate_hz, options) for points, v in pairs], dim=1)
     supported = _supported(touching, near, list(soles.values()), forces, options)
     supported = ~_lasting(~supported, round(options.shortest_s * rate_hz))
     whole = measured & supported.all(dim=1)
     clean = ~_dilate(~whole, round(spread_s * rate_hz))
-    return Contact(feet, touching, supported, _assign(near, touching), whole, clean & seen)
+    loaded = torch.isfinite(forces.centre_of_pressure(options.loaded_n)[..., 0])
+    return Contact(feet, touching, supported, _assign(near, touching, loaded), whole, clean & seen, belt)
 
 
-def _touching(points: Tensor, rate_hz: float, options: ContactOptions) -> Tensor:
-    """A point of the sole is low and slow."""
-    ground = points[..., 2].quantile(0.02, dim=0)
+def _footless(measured: Tensor, forces: Forces, seen: Tensor, spread: int) -> Contact:
+    """A model without soles: every measured frame is taken at its word."""
+    none = measured.new_zeros(len(measured), 0)
+    plate = torch.full(forces.wrench.shape[:2], -1, device=measured.device)
+    belt = forces.wrench.new_zeros(0, 2)
+    return Contact((), none, none, plate, measured, ~_dilate(~measured, spread) & seen, belt)
+
+
+def _low(points: Tensor, options: ContactOptions) -> Tensor:
+    """(frames, points): within reach of the ground, taken from the lowest that each point gets."""
+    return points[..., 2] - points[..., 2].quantile(0.02, dim=0) < options.height_m
+
+
+def _belt(points: Tensor, loaded: Tensor, rate_hz: float, options: ContactOptions) -> Tensor:
+    """Velocity of the ground (2): the median of the sole's low points while a plate is loaded under it.
+
+    Slower than half the speed at which a point still counts as standing, it is that of a foot that rolls: zero.
+    """
+    velocity = torch.diff(points[..., :2], dim=0) * rate_hz
+    down = _low(points, options) & loaded[:, None]
+    held = velocity[down[1:] & down[:-1]]
+    median = held.median(dim=0).values if len(held) else points.new_zeros(2)
+    return torch.where(median.norm() > 0.5 * options.speed_m_s, median, 0.0)
+
+
+def _touching(points: Tensor, belt: Tensor, rate_hz: float, options: ContactOptions) -> Tensor:
+    """A point of the sole is low, and slow as seen from the ground."""
     speed = torch.zeros_like(points[..., 0])
-    step = (points[1:] - points[:-1]).norm(dim=2) * rate_hz
+    step = (torch.diff(points, dim=0) * rate_hz - torch.nn.functional.pad(belt, (0, 1))).norm(dim=2)
     speed[1:-1] = 0.5 * (step[1:] + step[:-1])
     speed[0], speed[-1] = step[0], step[-1]
-    return ((points[..., 2] - ground < options.height_m) & (speed < options.speed_m_s)).any(dim=1)
+    return (_low(points, options) & (speed < options.speed_m_s)).any(dim=1)
 
 
 def _near(soles: list[Tensor], forces: Forces, options: ContactOptions) -> Tensor:
@@ -106,10 +137,8 @@ def _to_axis(centre: Tensor, points: Tensor) -> Tensor:
     return (centre[..., :2] - heel - share[..., None] * along).norm(dim=-1)
 
 
-def _supported(
-    touching: Tensor, near: Tensor, soles: list[Tensor], forces: Forces, options: ContactOptions
-) -> Tensor:
-    """Every touching foot stands inside a plate with known corners, or has a centre of pressure of its own or shared."""
+def _supported(touching: Tensor, near: Tensor, soles: list[Tensor], forces: Forces, options: ContactOptions) -> Tensor:
+    """Every touching foot stands inside a plate with known corners, or has a centre of pressure, its own or shared."""
     corners = [plate.corners for plate in forces.plates]
     if all(c is not None for c in corners) and corners:
         inside = [_inside(points, [c for c in corners if c is not None], options.margin_m) for points in soles]
@@ -135,11 +164,12 @@ def _inside(points: Tensor, plates: list[Tensor], margin: float) -> Tensor:
     return (inside | ~low).all(dim=1)
 
 
-def _assign(near: Tensor, touching: Tensor) -> Tensor:
-    under = near & touching[:, None]
-    count = under.sum(dim=2)
-    foot = torch.where(count == 1, under.to(torch.long).argmax(dim=2), -1)
-    return torch.where(count > 1, -2, foot)
+def _assign(near: Tensor, touching: Tensor, loaded: Tensor) -> Tensor:
+    """Of the feet over a loaded plate's centre of pressure the one that touches, or the only one (strike, push-off)."""
+    standing = near & touching[:, None]
+    under = torch.where(standing.any(dim=2, keepdim=True), standing, near)
+    foot = torch.where(under.sum(dim=2) == 1, under.to(torch.long).argmax(dim=2), -2)
+    return torch.where(loaded, foot, -1)
 
 
 def _lasting(flag: Tensor, frames: int) -> Tensor:

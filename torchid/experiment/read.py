@@ -1,12 +1,10 @@
 """Recordings and model of a config, ready for the fits."""
 
-from dataclasses import dataclass
-
 from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.contact import ContactOptions
-from torchid.errors import Note
-from torchid.geometry.assign import Assignment, assign_markers
+from torchid.errors import DataError, Note
+from torchid.geometry.assign import assign_markers
 from torchid.geometry.options import GeometryOptions
 from torchid.inertia.options import InertiaOptions
 from torchid.io import ReadOptions, read_trial
@@ -16,40 +14,22 @@ from torchid.model.marker_set import load_marker_set
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
 from torchid.motion import MotionOptions
+from torchid.outcome import Session
 from torchid.recording import Trial
 
-
-@dataclass(frozen=True)
-class Session:
-    """One subject's trials with forces on the markers' clock, and the model whose bodies carry those markers."""
-
-    trials: dict[str, Trial]
-    files: dict[str, TrialFile]
-    assignment: Assignment
-    notes: tuple[Note, ...]
-
-    @property
-    def static(self) -> Trial | None:
-        """The first static trial."""
-        return next((trial for trial in self.trials.values() if trial.role == "static"), None)
-
-    def fit(self, stage: str) -> dict[str, Trial]:
-        """Fit trials that take part in ``stage`` (geometry or inertia)."""
-        return {n: t for n, t in self.trials.items() if t.role == "fit" and getattr(self.files[n], stage)}
-
-    def role(self, role: str) -> dict[str, Trial]:
-        """Trials of a role."""
-        return {name: trial for name, trial in self.trials.items() if trial.role == role}
+SHORTEST = 6
+"""Frames of the shortest trial whose accelerations a quintic spline tells; a static trial may be shorter."""
 
 
 def read_session(config: Config) -> Session:
     """Read all trials of the config and assign their markers to the model.
 
     Raises:
-        TorchidError: a file, the model or the marker set is at fault.
+        TorchidError: a file, the model or the marker set is at fault, or a trial that moves is too short.
     """
     files = {file.name: file for file in config.trials}
     trials = {name: synchronise(_read(file)) for name, file in files.items()}
+    _refuse_short(trials)
     model, said = _model(config)
     markers = load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
     assignment = assign_markers(model, markers, tuple(trials.values()))
@@ -60,6 +40,15 @@ def read_session(config: Config) -> Session:
 def _read(file: TrialFile) -> Trial:
     options = ReadOptions(file.subject, file.up, file.units, file.allow_truncated)
     return read_trial(file.name, file.file, file.forces, file.role, options)
+
+
+def _refuse_short(trials: dict[str, Trial]) -> None:
+    for name, trial in trials.items():
+        if trial.role != "static" and len(trial.markers.time) < SHORTEST:
+            raise DataError(
+                "trial.short", "too few frames to tell accelerations", source=trial.parameters.get("file", name),
+                found=f"{len(trial.markers.time)} frames", remedy="Give it the role static, or leave it out",
+            )  # fmt: skip
 
 
 def _model(config: Config) -> tuple[Model, tuple[Note, ...]]:

@@ -1,8 +1,8 @@
 """Blocks of the arrow: normal matrix of one chunk of frames, without ever forming a marker Jacobian.
 
 Given q, a marker's position is linear in the offsets and in its own place; H_qq is the mass matrix of point masses
-w_m at the markers, the gradient a subtree sum of wrenches. All twists and wrenches are taken about the origin of the
-root body of each frame, in W axes.
+w_m at the markers, the gradient a subtree sum of wrenches. The dense blocks of this module serve covariances and are
+what the elimination by branches is tested against.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchid.geometry.layout import Layout
 from torchid.geometry.problem import MarkerProblem
-from torchid.kinematics.recursion import Poses, cross
+from torchid.geometry.twists import Twists, column_gradient, column_twists, moments, with_markers
 
 
 @dataclass(frozen=True)
@@ -34,175 +34,107 @@ class Blocks:
 
 
 @dataclass(frozen=True)
-class _Moments:
-    """Sums over the markers of each subtree, (bodies, ., frames): mass, first and second moments, residual wrench."""
+class Pieces:
+    """What all blocks of a chunk are made of."""
 
-    mass: Tensor
-    first: Tensor
-    second: Tensor
-    force: Tensor
-    moment: Tensor
+    cost: Tensor
+    """(frames,), posture included."""
+    columns: Twists
+    pull: Tensor
+    """Gradient of the posture prior, (frames, motion)."""
+    curvature: Tensor
+    """Its second derivative, (frames, motion)."""
+    marker_weight: Tensor
+    """Sum of the free markers' weights over the frames, three times each; empty without xi."""
 
 
-def assemble(problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shared: bool) -> Blocks:
-    """Blocks of the frames of ``problem`` at (q, xi); without the columns of xi unless ``shared``."""
+def make_pieces(problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shared: bool) -> Pieces:
+    """Twists, wrenches and gradients of the frames of ``problem`` at (q, xi)."""
     at, p, residual = problem.residual(q, xi)
     cost, weight = problem.robust_cost(residual)
     p = p - at.p[:1]
     pull = weight[:, None] * residual
-    sums = _moments(layout, weight, p, pull)
-    S, F = _motion_twists(layout, at, sums)
-    g_q = _motion_gradient(S, layout, sums)
+    columns = column_twists(layout, at, moments(layout, weight, p, pull), shared)
     prior_cost, prior_gradient, prior_curvature = problem.posture.pull(q)
-    H_qq = torch.bmm(F, S.mT).mul_(layout.motion_over_motion)
-    torch.diagonal(H_qq, dim1=1, dim2=2).add_(prior_curvature[layout.dof_rows].T)
-    g_q += prior_gradient[layout.dof_rows].T
+    total = weight[problem.free].sum(1).repeat_interleave(3)
+    if shared and len(problem.free):
+        free = problem.free
+        R = torch.stack(at.R, dim=1).index_select(0, problem.body[free])
+        columns = with_markers(columns, R, p[free], weight[free], pull[free])
+    rows = layout.dof_rows
+    return Pieces(cost + prior_cost, columns, prior_gradient[rows].T, prior_curvature[rows].T, total)
+
+
+def make_gradient(
+    problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shared: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Cost (frames,) and gradient of each frame in motion (motion, frames) and entries (entries, frames)."""
+    at, p, residual = problem.residual(q, xi)
+    cost, weight = problem.robust_cost(residual)
+    pull = weight[:, None] * residual
+    columns = column_gradient(layout, at, p - at.p[:1], pull, shared)
+    prior_cost, prior_gradient, _ = problem.posture.pull(q)
+    g_q = columns.index_select(0, layout.motion if shared else layout.motion_alone)
+    g_q += prior_gradient.index_select(0, layout.dof_rows)
     if not shared:
-        return Blocks(cost + prior_cost, g_q, H_qq)
-    return _with_shared(problem, layout, Blocks(cost + prior_cost, g_q, H_qq), at, p, pull, weight, sums, (S, F))
-
-
-def _moments(layout: Layout, weight: Tensor, p: Tensor, pull: Tensor) -> _Moments:
-    markers, _, frames = p.shape
-    wp = weight[:, None] * p
-    stacked = torch.empty(markers, 16, frames, dtype=p.dtype, device=p.device)
-    stacked[:, 0] = weight
-    stacked[:, 1:4] = wp
-    for k, (i, j) in enumerate(_PAIRS):
-        torch.mul(wp[:, i], p[:, j], out=stacked[:, 4 + k])
-    stacked[:, 10:13] = pull
-    stacked[:, 13:16] = cross(p, pull)
-    sums = (layout.subtree @ stacked.view(markers, -1)).view(-1, 16, frames)
-    return _Moments(sums[:, 0:1], sums[:, 1:4], sums[:, 4:10], sums[:, 10:13], sums[:, 13:16])
-
-
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-
-
-def _second_times(second: Tensor, z: Tensor) -> Tensor:
-    """Symmetric (n, 6, frames) times (n, 3, frames)."""
-    xx, xy, xz, yy, yz, zz = (second[:, k] for k in range(6))
-    x, y, w = z[:, 0], z[:, 1], z[:, 2]
-    return torch.stack([xx * x + xy * y + xz * w, xy * x + yy * y + yz * w, xz * x + yz * y + zz * w], dim=1)
-
-
-def _wrench(mass: Tensor, first: Tensor, second: Tensor, v: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
-    """Momentum of composite point masses that move with twist (v, z)."""
-    trace = (second[:, 0] + second[:, 3] + second[:, 5])[:, None]
-    return mass * v + cross(z, first), cross(first, v) + trace * z - _second_times(second, z)
-
-
-def _motion_twists(layout: Layout, at: Poses, sums: _Moments) -> tuple[Tensor, Tensor]:
-    """Twists S and wrenches F = I S of the motion columns, each (frames, motion, 6)."""
-    frames = at.p.shape[2]
-    n = 6 + len(layout.motion_body)
-    S = at.p.new_zeros(frames, n, 6)
-    F = at.p.new_zeros(frames, n, 6)
-    S[:, range(6), range(6)] = 1.0
-    mass, first, second = sums.mass[0], sums.first[0], sums.second[0]
-    F[:, 0, 0] = F[:, 1, 1] = F[:, 2, 2] = mass[0]
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        F[:, i, 3 + j], F[:, j, 3 + i] = first[k], -first[k]
-        F[:, 3 + i, j], F[:, 3 + j, i] = -first[k], first[k]
-    trace = second[0] + second[3] + second[5]
-    for k, (i, j) in enumerate(_PAIRS):
-        F[:, 3 + i, 3 + j] = F[:, 3 + j, 3 + i] = -second[k]
-    for k in range(3):
-        F[:, 3 + k, 3 + k] += trace
-    body = layout.motion_body
-    z, slide = at.turn_axis, at.slide_axis
-    if len(slide):
-        z = torch.cat([z, torch.zeros_like(slide)]).index_select(0, layout.motion_order)
-        slide = torch.cat([torch.zeros_like(at.turn_axis), slide]).index_select(0, layout.motion_order)
-    v = cross((at.p - at.p[:1]).index_select(0, body), z)
-    if len(slide):
-        v += slide
-    f, m = _wrench(*(x.index_select(0, body) for x in (sums.mass, sums.first, sums.second)), v, z)
-    for out, parts in ((S, (v, z)), (F, (f, m))):
-        out[:, 6:, :3] = parts[0].permute(2, 0, 1)
-        out[:, 6:, 3:] = parts[1].permute(2, 0, 1)
-    return S, F
-
-
-def _motion_gradient(S: Tensor, layout: Layout, sums: _Moments) -> Tensor:
-    wrench = torch.cat([sums.force, sums.moment], dim=1)
-    g = torch.empty(S.shape[:2], dtype=S.dtype, device=S.device)
-    g[:, :6] = wrench[0].T
-    torch.sum(S[:, 6:] * wrench.index_select(0, layout.motion_body).permute(2, 0, 1), dim=2, out=g[:, 6:])
-    return g
-
-
-def _with_shared(
-    problem: MarkerProblem,
-    layout: Layout,
-    blocks: Blocks,
-    at: Poses,
-    p: Tensor,
-    pull: Tensor,
-    weight: Tensor,
-    sums: _Moments,
-    motion: tuple[Tensor, Tensor],
-) -> Blocks:
-    """Add the columns of xi: named parameters, then places of free markers."""
-    (S, F), (Sg, Fg, gg) = motion, _shared_twists(layout, at, sums)
-    Fm, gm = _marker_twists(problem, at, p, pull, weight)
-    named = problem.n_named
-    H_qg = torch.bmm(S, Fg.mT).mul_(layout.shared_in_motion)
-    H_qg.addcmul_(torch.bmm(F, Sg.mT), layout.motion_in_shared.expand(len(F), -1, -1))
-    H_qm = torch.bmm(S, Fm.mT).mul_(layout.marker_in_motion)
-    half = layout.shared_in_shared * (_gram(Fg, Sg))
-    H_gg = _fold(_fold(half + half.T, layout, named).T, layout, named)
-    H_gm = _fold((layout.marker_in_shared * _gram(Sg, Fm)).T, layout, named).T
-    H_mm = torch.diag(weight[problem.free].sum(1).repeat_interleave(3))
-    H_xx = torch.cat([torch.cat([H_gg, H_gm], dim=1), torch.cat([H_gm.T, H_mm], dim=1)])
-    H_qx = torch.cat([_fold(H_qg, layout, named), H_qm], dim=2)
-    g_x = torch.cat([_fold(gg, layout, named), gm], dim=1)
-    return Blocks(blocks.cost, blocks.g_q, blocks.H_qq, H_qx, g_x, H_xx)
-
-
-def _gram(a: Tensor, b: Tensor) -> Tensor:
-    """Sum over frames of a_k . b_l for (frames, k, 6), (frames, l, 6)."""
-    return a.transpose(0, 1).reshape(a.shape[1], 6 * len(a)) @ b.transpose(0, 1).reshape(b.shape[1], 6 * len(b)).T
-
-
-def _fold(x: Tensor, layout: Layout, named: int) -> Tensor:
-    """Sum the entries (last dimension) that belong to the same named parameter."""
-    if x.shape[-1] == named:
-        return x
-    return x[..., :named].index_add(-1, layout.parameter[named:], x[..., named:])
-
-
-def _shared_twists(layout: Layout, at: Poses, sums: _Moments) -> tuple[Tensor, Tensor, Tensor]:
-    """Twists, wrenches (frames, entries, 6) and gradients (frames, entries) of the geometry entries."""
-    body = layout.shared_body
-    n, frames = len(body), at.p.shape[2]
-    v, z = at.p.new_zeros(n, 3, frames), at.p.new_zeros(n, 3, frames)
-    R = torch.stack(at.R)
-    v[layout.is_offset] = R[layout.offset_axis, layout.offset_parent]
-    hinge = at.hinge_axis.index_select(0, layout.hinge_turn)
-    origin = (at.p - at.p[:1]).index_select(0, body[~layout.is_offset])
-    z[~layout.is_offset] = hinge
-    v[~layout.is_offset] = cross(origin, hinge)
-    v *= layout.coefficient[:, None, None]
-    z *= layout.coefficient[:, None, None]
-    f, m = _wrench(*(x.index_select(0, body) for x in (sums.mass, sums.first, sums.second)), v, z)
-    g = (v * sums.force.index_select(0, body) + z * sums.moment.index_select(0, body)).sum(1).T
-    return _six(v, z), _six(f, m), g
-
-
-def _marker_twists(
-    problem: MarkerProblem, at: Poses, p: Tensor, pull: Tensor, weight: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Wrenches (frames, 3 markers, 6) and gradients of the free markers' places."""
-    free, frames = problem.free, p.shape[2]
+        return cost + prior_cost, g_q, columns[:0]
+    free = problem.free
     R = torch.stack(at.R, dim=1).index_select(0, problem.body[free])
-    f = (weight[free, None, None] * R).reshape(-1, 3, frames)
-    g = (R * pull[free, None]).sum(2).reshape(-1, frames).T
-    return _six(f, cross(p[free].repeat_interleave(3, 0), f)), g
+    places = (R * pull[free, None]).sum(2).flatten(0, 1)
+    return cost + prior_cost, g_q, torch.cat([columns[layout.entries[: layout.geometric]], places])
 
 
-def _six(linear: Tensor, angular: Tensor) -> Tensor:
-    out = torch.empty(linear.shape[2], linear.shape[0], 6, dtype=linear.dtype, device=linear.device)
-    out[:, :, :3], out[:, :, 3:] = linear.permute(2, 0, 1), angular.permute(2, 0, 1)
-    return out
+def assemble(problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shared: bool) -> Blocks:
+    """Blocks of the frames of ``problem`` at (q, xi); without the columns of xi unless ``shared``."""
+    pieces = make_pieces(problem, layout, q, xi, shared)
+    motion = layout.motion if shared else layout.motion_alone
+    S, F = pieces.columns.S[:, motion], pieces.columns.F[:, motion]
+    H_qq = torch.bmm(F, S.mT).mul_(lower_mask(layout, layout.motion_body))
+    torch.diagonal(H_qq, dim1=1, dim2=2).add_(pieces.curvature)
+    blocks = Blocks(pieces.cost, pieces.columns.g[:, motion] + pieces.pull, H_qq)
+    return _with_shared(layout, pieces, blocks, S, F, len(xi)) if shared else blocks
+
+
+def lower_mask(layout: Layout, body: Tensor) -> Tensor:
+    """(motion, motion) 1 in the lower triangle where the row's support lies within the column's."""
+    return torch.tril(layout.within(body, body))
+
+
+def _with_shared(layout: Layout, pieces: Pieces, blocks: Blocks, S: Tensor, F: Tensor, n_xi: int) -> Blocks:
+    """Add the columns of xi: named parameters, then places of free markers."""
+    Se, Fe = pieces.columns.S[:, layout.entries], pieces.columns.F[:, layout.entries]
+    inside, around = layout.nesting(layout.motion_body)
+    fold = torch.nn.functional.one_hot(layout.entry_xi, n_xi).to(S)
+    H_qx = (torch.bmm(F, Se.mT) * inside + torch.bmm(S, Fe.mT) * around) @ fold
+    g_x = pieces.columns.g[:, layout.entries] @ fold
+    return Blocks(blocks.cost, blocks.g_q, blocks.H_qq, H_qx, g_x, fold.T @ shared_block(layout, pieces) @ fold)
+
+
+def shared_block(layout: Layout, pieces: Pieces) -> Tensor:
+    """H of the entries (entries, entries), summed over the frames."""
+    geometric = layout.geometric
+    S, F = _rows(pieces.columns.S, layout.entries[:geometric]), _rows(pieces.columns.F, layout.entries)
+    H, FS = torch.diag(torch.cat([F.new_zeros(geometric), pieces.marker_weight])), F @ S.T
+    inside = layout.within(layout.entry_body, layout.entry_body[:geometric])
+    own = inside[:geometric]
+    half = (own - 0.5 * own * own.T) * FS[:geometric]
+    H[:geometric, :geometric] = half + half.T
+    H[geometric:, :geometric] = inside[geometric:] * FS[geometric:]
+    H[:geometric, geometric:] = H[geometric:, :geometric].T
+    return H
+
+
+def shared_curve(layout: Layout, pieces: Pieces, dx: Tensor) -> Tensor:
+    """dx' H dx / 2 of the entries alone, for each frame; left out of a frame's model, it looks like a bad model."""
+    geometric, step = layout.geometric, dx[layout.entry_xi]
+    S, F = (x[:, layout.entries] * step[:, None] for x in (pieces.columns.S, pieces.columns.F))
+    inside = layout.within(layout.entry_body, layout.entry_body[:geometric])
+    inside[:geometric] -= 0.5 * inside[:geometric] * inside[:geometric].T
+    carried = inside @ S[:, :geometric]
+    own = 0.5 * (F[:, geometric:, :3] * S[:, geometric:, :3]).sum((1, 2))
+    return (F * carried).sum((1, 2)) + own
+
+
+def _rows(x: Tensor, columns: Tensor) -> Tensor:
+    """Some columns of (frames, n, 6) as (columns, 6 frames)."""
+    return x.transpose(0, 1).index_select(0, columns).reshape(len(columns), -1)

@@ -121,22 +121,30 @@ def fit_geometry(
         free: False keeps the template's geometry and finds only where the markers sit (the scaled template).
 
     Raises:
-        DataError: no frame has markers on the root.
+        DataError: the static trial shows none of the markers.
     """
-    prior = parameters(model, options) if free else fixed(model.geometry)
-    fit = GeometryFit(
-        model, attachment, prior, torch.cat([prior.mean, attachment.mean.reshape(-1)]), _sigma(attachment, options), options
-    )
-    notes = []
-    if static is not None:
-        fit = _from_static(fit, static)
-    else:
-        notes.append(Note("geometry.no_static", "no static trial: scaled and placed from the motion trials"))
-        fit = _from_landmarks(fit, trials)
+    fit = start_fit(model, attachment, trials, static, options, free)
     if not free and static is not None:
         return fit
-    fit = _jointly(fit, trials, static, progress)
-    return replace(fit, notes=tuple(notes))
+    return _jointly(fit, trials, static, progress)
+
+
+def start_fit(
+    model: Model,
+    attachment: Attachment,
+    trials: dict[str, Markers],
+    static: Markers | None,
+    options: GeometryOptions = GeometryOptions(),
+    free: bool = True,
+) -> GeometryFit:
+    """Scale and place the markers once, before any joint fit; arguments and errors as for ``fit_geometry``."""
+    prior = parameters(model, options) if free else fixed(model.geometry)
+    xi = torch.cat([prior.mean, attachment.mean.reshape(-1)])
+    fit = GeometryFit(model, attachment, prior, xi, _sigma(attachment, options), options)
+    if static is not None:
+        return _from_static(fit, static)
+    note = Note("geometry.no_static", "no static trial: scaled and placed from the motion trials")
+    return replace(_from_landmarks(fit, trials), notes=(note,))
 
 
 def track(fit: GeometryFit, markers: Markers, bridge: bool | None = None) -> Tracked:
@@ -208,7 +216,7 @@ def _from_static(fit: GeometryFit, static: Markers) -> GeometryFit:
     problem = replace(problem, robust=None, weight=_landmarks_only(fit, problem))
     q = settle(problem, initial_posture(problem, fit.xi, _rest(fit)), fit.xi)
     full = replace(problem, weight=_problem(fit, static, problem.posture, index).weight)
-    return replace(fit, xi=solve_arrow(full, q, _placed(full, q, fit), tolerance=1e-6).xi)
+    return replace(fit, xi=solve_arrow(_join([full]), q, _placed(full, q, fit), tolerance=1e-6).xi)
 
 
 def _landmarks_only(fit: GeometryFit, problem: MarkerProblem) -> Tensor:
@@ -245,19 +253,31 @@ def _jointly(
     A marker weighs 1 / sigma^2 times the share of its frames that count as independent: skin that slides the same way
     for a second is one observation, not a hundred, and would otherwise drag joint centres away from any prior.
     """
-    problem, q, lengths = _joint_problem(fit, trials, static)
+    problem, q, lengths = joint_problem(fit, trials, static)
     solution = _solve(fit, replace(problem, robust=None), q, fit.xi, COARSE, progress)
     for tolerance in (COARSE, fit.options.tolerance):
-        fit, problem = _reweighted(fit, problem, solution, lengths)
+        fit, problem = reweighted(fit, problem, solution, lengths)
         solution = _solve(fit, problem, solution.q, solution.xi, tolerance, progress)
+    return finish_fit(fit, problem, solution)
+
+
+def finish_fit(fit: GeometryFit, problem: MarkerProblem, solution: Solution) -> GeometryFit:
+    """The fit at a solution of the joint problem, with its uncertainty from the chain's Jacobians."""
     uncertainty = estimate_uncertainty(problem, solution.q, solution.xi, fit.names)
     return replace(fit, xi=solution.xi, solution=solution, uncertainty=uncertainty)
 
 
-def _reweighted(
+def reweighted(
     fit: GeometryFit, problem: MarkerProblem, solution: Solution, lengths: tuple[int, ...]
 ) -> tuple[GeometryFit, MarkerProblem]:
-    """Weights that match the residuals of a solution."""
+    """Weights that match the residuals of a solution; also the fit with the scatter found.
+
+    Args:
+        fit: whose options say whether the scatter is estimated again.
+        problem: from ``joint_problem``.
+        solution: of that problem.
+        lengths: frames of each trial in it.
+    """
     _, _, residual = problem.residual(solution.q, solution.xi)
     seen = problem.weight > 0
     share = independent_share(torch.where(seen[:, None], residual, torch.nan), lengths)
@@ -266,14 +286,16 @@ def _reweighted(
     return fit, replace(problem, weight=seen * (share / fit.sigma.square())[:, None])
 
 
-def _joint_problem(
+def joint_problem(
     fit: GeometryFit, trials: dict[str, Markers], static: Markers | None
 ) -> tuple[MarkerProblem, Tensor, tuple[int, ...]]:
+    """All fit trials and the static one as one problem, with postures to start from and the frames of each trial."""
     total = sum(len(m.time) for m in trials.values())
     share = min(1.0, fit.options.max_frames / max(total, 1))
     pieces = []
     for markers in trials.values():
-        problem = _problem(fit, markers, _posture(fit), _evenly(len(markers.time), max(2, round(share * len(markers.time)))))
+        index = _evenly(len(markers.time), max(2, round(share * len(markers.time))))
+        problem = _problem(fit, markers, _posture(fit), index)
         pieces.append((problem, settle(problem, initial_posture(problem, fit.xi, _rest(fit)), fit.xi)))
     if static is not None:
         posture = _posture(fit, fit.options.static_posture_sd)
@@ -284,15 +306,23 @@ def _joint_problem(
 
 
 def _join(problems: list[MarkerProblem]) -> MarkerProblem:
-    def spread(name: str) -> Tensor:
-        parts = [(getattr(p.posture, name), p.target.shape[2]) for p in problems]
-        return torch.cat([x.expand(-1, frames) for x, frames in parts], dim=1)
+    """Trials side by side. What is expected of a posture counts once a trial, not once a frame.
 
+    Counted every frame, a thousand weak pulls towards the neutral pose outweigh the priors on joint centres and
+    landmarks, which alone say where a segment's axes point.
+    """
+    lengths = [p.target.shape[2] for p in problems]
+    precision = [p.posture.precision.expand(-1, n) / n for p, n in zip(problems, lengths, strict=True)]
+    mean = [p.posture.mean.expand(-1, n) for p, n in zip(problems, lengths, strict=True)]
+    posture = problems[0].posture
+    limit = posture.limit_precision / max(lengths)
     return replace(
         problems[0],
         target=torch.cat([p.target for p in problems], dim=2),
         weight=torch.cat([p.weight for p in problems], dim=1),
-        posture=replace(problems[0].posture, mean=spread("mean"), precision=spread("precision")),
+        posture=replace(
+            posture, mean=torch.cat(mean, dim=1), precision=torch.cat(precision, dim=1), limit_precision=limit
+        ),
     )
 
 
@@ -345,4 +375,3 @@ def _observable(problem: MarkerProblem) -> Tensor:
         of = problem.body == body
         ok &= seen[of].sum(0) >= min(3, int(of.sum()))
     return ok
-

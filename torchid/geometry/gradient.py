@@ -30,8 +30,12 @@ def chain_residual(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
     return p.permute(1, 2, 0) - problem.target
 
 
-def _backward(problem: MarkerProblem, q: Tensor, xi: Tensor) -> float:
-    """Accumulate gradients over chunks of frames and return the cost."""
+def accumulate_gradients(problem: MarkerProblem, q: Tensor, xi: Tensor) -> float:
+    """Add the gradients of the whole cost to the leaves q (dofs, frames) and xi, chunk by chunk, and return the cost.
+
+    Every chunk frees its graph; q and xi must therefore be leaves.
+    """
+    assert q.is_leaf and xi.is_leaf, "a graph in front of q or xi would be freed by the first chunk"
     total = 0.0
     for start in range(0, q.shape[1], CHUNK):
         cost = chain_cost(problem, q, xi, slice(start, start + CHUNK))
@@ -52,7 +56,7 @@ def solve_adam(
     best, kept, trace = float("inf"), (q.detach().clone(), xi.detach().clone()), []
     for k in range(iterations):
         optimiser.zero_grad()
-        cost = _backward(problem, q, xi)
+        cost = accumulate_gradients(problem, q, xi)
         trace.append(cost)
         if cost < best:
             best, kept = cost, (q.detach().clone(), xi.detach().clone())
@@ -73,7 +77,10 @@ def solve_lbfgs(
 
     def closure() -> float:
         optimiser.zero_grad()
-        trace.append(_backward(problem, q, z * scale))
+        xi = (z.detach() * scale).requires_grad_()
+        trace.append(accumulate_gradients(problem, q, xi))
+        assert xi.grad is not None
+        z.grad = xi.grad * scale
         if progress:
             progress(len(trace), trace[-1])
         return trace[-1]

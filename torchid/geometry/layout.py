@@ -13,90 +13,96 @@ from torch import Tensor
 
 from torchid.geometry.problem import MarkerProblem
 from torchid.kinematics.plan import Plan
+from torchid.model.tree import BASE_DOFS
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Index tables of a problem; bodies by plan position, motion columns in plan order behind the six of the base."""
+    """Index tables of a problem; bodies by plan position.
 
+    *Columns* are those of ``twists.Twists``. *Motion* is the subset that q drives, whatever moves more first.
+    *Entries* are the rest: one for each (named parameter, subtree that it moves), then three for each free marker.
+    """
+
+    motion: Tensor
+    """Column of each coordinate of motion, when geometry has columns too."""
+    motion_alone: Tensor
+    """The same when it has none."""
     dof_rows: Tensor
-    """Row of q of each motion column."""
+    """Row of q of each coordinate of motion."""
     motion_body: Tensor
-    """Body of each motion column behind the base's six."""
-    motion_order: Tensor
-    """Order of turns and slides in the motion columns."""
+    """Body whose subtree each coordinate of motion moves; the root for the six of the base."""
+    entries: Tensor
+    """Column of each entry."""
+    entry_body: Tensor
+    entry_xi: Tensor
+    """Row of xi that each entry belongs to."""
+    geometric: int
+    """Number of entries of named parameters; those of the markers follow."""
+    turning_body: Tensor
+    """Body of each turn and hinge entry."""
+    sliding_body: Tensor
+    """Body of each slide and offset entry."""
+    hinge_map: Tensor
+    """(hinge entries, hinge turns): axis of the entry from the axes of the turns."""
+    offset_map: Tensor
+    """(offset entries, 3 * bodies): direction of the entry from the columns of all R_WB."""
+    above: Tensor
+    """(bodies, bodies): 1 where the row is the column or an ancestor of it."""
     subtree: Tensor
     """(bodies, markers): 1 where the marker is on or below the body."""
-    shared_body: Tensor
-    """Body whose subtree each geometry entry moves."""
-    offset_parent: Tensor
-    """Parent body of each offset entry."""
-    offset_axis: Tensor
-    hinge_turn: Tensor
-    """Turn number of each hinge entry."""
-    is_offset: Tensor
-    """Mask over geometry entries; the others are hinges."""
-    coefficient: Tensor
-    """Derivative of the raw number with respect to the named parameter."""
-    parameter: Tensor
-    """Named parameter of each entry; the first n_named entries are parameters 0, 1, ... in order."""
-    motion_over_motion: Tensor
-    """(motion, motion): 1 where the row's support lies within the column's (lower triangle of H)."""
-    shared_in_motion: Tensor
-    """(motion, entries): the entry's support lies within the coordinate's."""
-    motion_in_shared: Tensor
-    """(motion, entries): strictly the reverse."""
-    shared_in_shared: Tensor
-    """(entries, entries): 1 where the row's support lies within the column's; one half for equal supports."""
-    marker_in_motion: Tensor
-    """(motion, 3 free markers)."""
-    marker_in_shared: Tensor
-    """(entries, 3 free markers)."""
+
+    def within(self, inner: Tensor, outer: Tensor) -> Tensor:
+        """(inner, outer) 1 where the subtree of the inner body lies within the outer's."""
+        return self.above[outer][:, inner].T.contiguous()
+
+    def nesting(self, body: Tensor) -> tuple[Tensor, Tensor]:
+        """Of subtrees (rows) and entries (columns): 1 where the row lies within the column; strictly the reverse."""
+        inside = self.within(body, self.entry_body)
+        inside[:, self.geometric :] = 0.0
+        return inside, self.within(self.entry_body, body).T * (1.0 - inside)
 
 
 def make_layout(problem: MarkerProblem) -> Layout:
     """Index tables of ``problem`` on its device."""
     plan, like = problem.plan, problem.target
     position = plan.position
+    hinge, offset = _entries(problem)
+    turns, slides = len(plan.turns), len(plan.slides)
+
+    def index(values: list[int]) -> Tensor:
+        return torch.tensor(values, dtype=torch.long, device=like.device)
+
+    base, first_slide = list(range(BASE_DOFS)), BASE_DOFS + turns + len(hinge)
+    first_marker = first_slide + slides + len(offset)
+    markers = range(3 * len(problem.free))
+    column = [BASE_DOFS + k if k < turns else first_slide + k - turns for k in plan.motion_order]
     above = _above(plan).to(like)
-    base = [0] * 6
-    motion_body = torch.tensor([position[c.body] for c in plan.motion], device=like.device, dtype=torch.long)
-    every = torch.cat([torch.tensor(base, device=like.device), motion_body])
-    entries = _entries(problem)
-    shared = torch.tensor([e[0] for e in entries], device=like.device, dtype=torch.long)
-    marker_body = problem.body[problem.free].repeat_interleave(3)
-    within = above[every][:, shared]
-    strictly = above[shared][:, every].T * (1.0 - within)
-    both = above[shared][:, shared]
-    columns = len(every)
-    lower = torch.tril(torch.ones(columns, columns, dtype=like.dtype, device=like.device))
-    motion = above[every][:, every].T
-    equal = motion * motion.T
-    tables = torch.tensor([e[1:4] for e in entries], device=like.device, dtype=torch.long).reshape(-1, 3)
-    offset = torch.tensor([e[1] >= 0 for e in entries], device=like.device, dtype=torch.bool)
     return Layout(
-        dof_rows=torch.tensor([*range(6), *(c.row for c in plan.motion)], device=like.device),
-        motion_body=motion_body,
-        motion_order=torch.tensor(plan.motion_order, device=like.device, dtype=torch.long),
+        motion=index(base + column),
+        motion_alone=index(base + [BASE_DOFS + k for k in plan.motion_order]),
+        dof_rows=index(base + [c.row for c in plan.motion]),
+        motion_body=index([0] * BASE_DOFS + [position[c.body] for c in plan.motion]),
+        entries=index(
+            [BASE_DOFS + turns + k for k in range(len(hinge))]
+            + [first_slide + slides + k for k in range(len(offset))]
+            + [first_marker + k for k in markers]
+        ),
+        entry_body=torch.cat(
+            [index([body for _, body in (*hinge, *offset)]), problem.body[problem.free].repeat_interleave(3)]
+        ),
+        entry_xi=index([parameter for parameter, _ in (*hinge, *offset)] + [problem.n_named + k for k in markers]),
+        geometric=len(hinge) + len(offset),
+        turning_body=index([position[c.body] for c in plan.turns] + [body for _, body in hinge]),
+        sliding_body=index([position[c.body] for c in plan.slides] + [body for _, body in offset]),
+        hinge_map=_table(hinge, len(plan.hinges), like),
+        offset_map=_table(offset, 3 * len(plan.order), like),
+        above=above,
         subtree=above[:, problem.body].contiguous(),
-        shared_body=shared,
-        offset_parent=tables[offset, 0],
-        offset_axis=tables[offset, 1],
-        hinge_turn=tables[~offset, 2],
-        is_offset=offset,
-        coefficient=like.new_tensor([e[4] for e in entries]),
-        parameter=torch.tensor([e[5] for e in entries], device=like.device, dtype=torch.long),
-        motion_over_motion=torch.where(equal > 0, lower, motion),
-        shared_in_motion=within,
-        motion_in_shared=strictly,
-        shared_in_shared=both.T - 0.5 * both.T * both,
-        marker_in_motion=above[every][:, marker_body],
-        marker_in_shared=above[shared][:, marker_body],
     )
 
 
 def _above(plan: Plan) -> Tensor:
-    """(bodies, bodies) by plan position: 1 where the row is the column or an ancestor of it."""
     n, position = len(plan.order), plan.position
     above = torch.zeros(n, n)
     for body, ancestors in enumerate(plan.tree.ancestors):
@@ -105,29 +111,35 @@ def _above(plan: Plan) -> Tensor:
     return above
 
 
-Entry = tuple[int, int, int, int, float, int]
-"""Body moved, parent (-1: hinge), axis, hinge turn, coefficient, parameter."""
+Entries = dict[tuple[int, int], dict[int, float]]
+"""(named parameter, body) to coefficients of the hinge turns, or of the columns of all rotations, that move it."""
 
 
-def _entries(problem: MarkerProblem) -> list[Entry]:
-    """One entry for each (named parameter, raw number it moves); the first of every parameter in front."""
+def _entries(problem: MarkerProblem) -> tuple[Entries, Entries]:
+    """Hinge entries and offset entries."""
     plan, prior = problem.plan, problem.geometry
     position, parents = plan.position, plan.tree.parents
-    first, extra = [], []
-    for j in range(problem.n_named):
-        found: list[Entry] = []
-        for raw in prior.map[:, j].nonzero()[:, 0].tolist():
-            coefficient = float(prior.map[raw, j])
-            if raw < prior.n_offset:
-                body, axis = divmod(raw, 3)
-                found.append((position[body], position[parents[body]], axis, -1, coefficient, j))
-            else:
-                found += [
-                    (position[column.body], -1, 0, k, coefficient, j)
-                    for k, column in enumerate(plan.hinges)
-                    if column.row == raw - prior.n_offset
-                ]
-        assert found, f"geometric parameter {prior.names[j]} moves nothing"
-        first.append(found[0])
-        extra += found[1:]
-    return first + extra
+    hinge: Entries = {}
+    offset: Entries = {}
+    for raw, parameter in prior.map.nonzero().tolist():
+        coefficient = float(prior.map[raw, parameter])
+        if raw < prior.n_offset:
+            body, axis = divmod(raw, 3)
+            if body:
+                source = axis * len(parents) + position[parents[body]]
+                offset.setdefault((parameter, position[body]), {})[source] = coefficient
+            continue
+        for turn, column in enumerate(plan.hinges):
+            if column.row == raw - prior.n_offset:
+                hinge.setdefault((parameter, position[column.body]), {})[turn] = coefficient
+    missing = set(range(problem.n_named)) - {parameter for parameter, _ in (*hinge, *offset)}
+    assert not missing, f"geometric parameters {[prior.names[k] for k in missing]} move nothing"
+    return hinge, offset
+
+
+def _table(entries: Entries, width: int, like: Tensor) -> Tensor:
+    table = like.new_zeros(len(entries), width)
+    for row, sources in enumerate(entries.values()):
+        for column, coefficient in sources.items():
+            table[row, column] = coefficient
+    return table

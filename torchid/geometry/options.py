@@ -19,7 +19,7 @@ class GeometryOptions:
     """Take noise and skin from the residuals; of ``sigma_mm`` by label only the proportions of skin remain."""
     robust: float | None = 4.0
     """Residuals beyond this many standard deviations lose their influence; None: plain least squares."""
-    static_posture_sd: float = 0.15
+    static_posture_sd: float = 0.2
     """Scatter of the joint angles of a standing subject about the neutral pose [rad]."""
     limit_sd: float = 0.05
     """Softness of joint limits [rad]."""

@@ -1,6 +1,7 @@
 """The one least-squares problem that every geometric solver minimises.
 
-    1/2 sum_t sum_m rho_m(|| p_m(q_t, xi) - p_hat_m(t) ||^2 w_mt) + 1/2 || xi - mean ||^2_prior + 1/2 sum_t || q_t - mean_t ||^2_prior
+    1/2 sum_t sum_m rho_m(|| p_m(q_t, xi) - p_hat_m(t) ||^2 w_mt)
+    + 1/2 || xi - mean ||^2_prior + 1/2 sum_t || q_t - mean_t ||^2_prior
 
 xi holds the named geometric parameters and, behind them, the places of the markers that are free on their segments.
 A missing marker has weight zero.
@@ -8,6 +9,7 @@ A missing marker has weight zero.
 
 from dataclasses import dataclass, replace
 
+import roma
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -15,6 +17,7 @@ from torch import Tensor
 from torchid.kinematics.plan import Plan
 from torchid.kinematics.recursion import Poses, points, poses
 from torchid.model.model import Geometry, GeometryPrior
+from torchid.model.tree import BASE_DOFS
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,13 @@ class PosturePrior:
         return replace(self, mean=cut[0], precision=cut[1])
 
     def pull(self, q: Float[Tensor, "dofs frames"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Cost per frame, gradient and curvature (diagonal) at q."""
+        """Cost per frame, gradient and curvature (diagonal) at q, along the increments of ``retract``."""
         error = q - self.mean
         beyond = (q - self.upper).clamp(min=0.0) - (self.lower - q).clamp(min=0.0)
         gradient = self.precision * error + self.limit_precision * beyond
         curvature = self.precision + self.limit_precision * (beyond != 0.0)
         cost = 0.5 * (self.precision * error.square() + self.limit_precision * beyond.square()).sum(0)
+        gradient[3:BASE_DOFS] = _along_turns(q[3:BASE_DOFS], gradient[3:BASE_DOFS])
         return cost, gradient, curvature.expand_as(q)
 
 
@@ -125,3 +129,19 @@ class MarkerProblem:
     def xi_cost(self, xi: Float[Tensor, " xi"]) -> float:
         """Cost of the prior on xi."""
         return 0.5 * float((self.xi_precision * (xi - self.xi_mean).square()).sum())
+
+
+def retract(q: Tensor, dq: Tensor) -> Tensor:
+    """q moved by dq, whose rows 3-5 are a rotation of the base in W."""
+    new = q + dq
+    R = roma.rotvec_to_rotmat(dq[3:BASE_DOFS].T) @ roma.rotvec_to_rotmat(q[3:BASE_DOFS].T)
+    new[3:BASE_DOFS] = roma.rotmat_to_rotvec(R).T
+    return new
+
+
+def _along_turns(r: Tensor, gradient: Tensor) -> Tensor:
+    """Gradient in a rotation vector r (3, frames) as one in rotations in W (Sola et al. 2018, eq. 146, transposed)."""
+    angle = r.norm(dim=0).clamp(min=1e-3)
+    factor = angle.square().reciprocal() - 0.5 / (angle * (0.5 * angle).tan())
+    once = torch.linalg.cross(r, gradient, dim=0)
+    return gradient + 0.5 * once + factor * torch.linalg.cross(r, once, dim=0)

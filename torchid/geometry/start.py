@@ -1,5 +1,7 @@
 """Where the solvers start: a closed-form pose of the root, joints at rest, and restarts of frames that went astray."""
 
+from dataclasses import replace
+
 import roma
 import torch
 from jaxtyping import Float
@@ -9,7 +11,7 @@ from torchid.geometry.inverse import solve_poses
 from torchid.geometry.problem import MarkerProblem
 from torchid.kinematics.recursion import poses
 
-ASTRAY = 3.0
+ASTRAY = 2.5
 """A frame whose cost is this many times the median of all restarts from a neighbour."""
 
 
@@ -40,7 +42,7 @@ def _procrustes(model: Tensor, target: Tensor, weight: Tensor) -> tuple[Tensor, 
     to = target.permute(2, 0, 1)
     centre_m, centre_t = share @ model, (share[:, :, None] * to).sum(1)
     H = torch.einsum("tm,tmi,tmj->tij", share, to - centre_t[:, None], model - centre_m[:, None])
-    R = roma.special_procrustes(H)
+    R = torch.as_tensor(roma.special_procrustes(H))
     return R, centre_t - (R @ centre_m[:, :, None])[:, :, 0]
 
 
@@ -56,19 +58,23 @@ def hold(q: Tensor, good: Tensor) -> Tensor:
     return torch.where(good, q, q[:, nearest])
 
 
-def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 3) -> Tensor:
-    """Inverse kinematics from q, then again from good neighbours where the cost stands out."""
-    q, cost = solve_poses(problem, q, xi)
+def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> Tensor:
+    """Inverse kinematics from q, then again from good neighbours where the cost stands out.
+
+    Least squares comes first: from far away a redescending loss would take every raised arm for an outlier. A limb
+    that was lost for a while is regained from both ends, a few frames in every round.
+    """
+    plain = replace(problem, robust=None)
+    q, cost = solve_poses(plain, q, xi)
     for _ in range(rounds):
-        seen = (problem.weight > 0).sum(0).clamp(min=1)
-        rating = cost / seen
+        rating = cost / (problem.weight > 0).sum(0).clamp(min=1)
         astray = rating > ASTRAY * rating.median()
         if not bool(astray.any()) or bool(astray.all()):
             break
         index = astray.nonzero()[:, 0]
-        again, new = solve_poses(problem.frames(index), hold(q, ~astray)[:, index], xi)
+        again, new = solve_poses(plain.frames(index), hold(q, ~astray)[:, index], xi)
         better = new < 0.99 * cost[index]
         if not bool(better.any()):
             break
         q[:, index[better]], cost[index[better]] = again[:, better], new[better]
-    return q
+    return q if problem.robust is None else solve_poses(problem, q, xi)[0]

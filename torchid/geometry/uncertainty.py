@@ -156,7 +156,7 @@ def independent_share(residual: Float[Tensor, "markers 3 frames"], lengths: tupl
     share = residual.new_ones(len(residual))
     centred = torch.nan_to_num(residual)
     pieces = centred.split(list(lengths), dim=2)
-    power = sum(piece.square().sum((1, 2)) for piece in pieces)
+    power = torch.stack([piece.square().sum((1, 2)) for piece in pieces]).sum(0)
     total = torch.ones_like(share)
     going = torch.ones_like(share, dtype=torch.bool)
     for lag in range(1, max(lengths)):

@@ -29,4 +29,3 @@ def choose_cutoff(position: Float[Tensor, "frames markers 3"], rate_hz: float) -
     above = power > 3.0 * floor
     last = len(power) - 1 - np.argmax(above[::-1], axis=0)
     return float(np.clip(np.median(frequency[last]), LOWEST, HIGHEST))
-

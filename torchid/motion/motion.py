@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import roma
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.model.tree import Tree
 from torchid.filters import Smoother, differentiate
+from torchid.model.tree import Tree
 from torchid.motion.rotations import AngularMotion, filter_rotation, joint_rates, rotation_to_turns, turns_to_rotation
 
 

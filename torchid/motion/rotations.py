@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.model.tree import Turn
 from torchid.filters import Smoother, differentiate
+from torchid.model.tree import Turn
 
 POLE = 1e-3
 """Sine of the angle to the pole below which angle rates are taken from damped least squares."""
@@ -64,7 +64,7 @@ def rotation_to_turns(
     """Angles of three different axes that make R, on the branch nearest to ``near``."""
     sign = near.new_tensor([turn.sign for turn in turns])
     convention = "".join("XYZ"[turn.axis] for turn in turns)
-    first = roma.rotmat_to_euler(convention, R)
+    first = torch.as_tensor(roma.rotmat_to_euler(convention, R))
     other = torch.stack([first[:, 0] + torch.pi, torch.pi - first[:, 1], first[:, 2] + torch.pi], dim=1)
     options = torch.stack([first, other]) * sign
     options = options + 2.0 * torch.pi * torch.round((near - options) / (2.0 * torch.pi))

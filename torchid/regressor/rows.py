@@ -73,3 +73,12 @@ def predict(trial: WrenchTrial, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor
 def measured(trial: WrenchTrial) -> Float[Tensor, "frames 6"]:
     """Measured wrench about the root's origin."""
     return wrench_about(trial.wrench, trial.motion.q[:, :3])
+
+
+def residual_rms(trials: list[WrenchTrial], phi: Float[Tensor, "bodies 10"]) -> tuple[float, float]:
+    """RMS over used frames of the 3-vectors of residual force [N] and of moment about the pelvis origin [N m]."""
+    parts = [(measured(t) - predict(t, phi))[t.used] for t in trials]
+    both = torch.cat(parts) if parts else phi.new_zeros(0, 6)
+    if not len(both):
+        return float("nan"), float("nan")
+    return float(both[:, :3].square().sum(1).mean().sqrt()), float(both[:, 3:].square().sum(1).mean().sqrt())

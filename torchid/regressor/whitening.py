@@ -92,9 +92,7 @@ def initial_whitening(like: Tensor) -> Whitening:
     return Whitening(torch.diag(diagonal).expand(len(EDGES) + 1, 6, 6).clone())
 
 
-def estimate_whitening(
-    blocks: Sequence[Spectrum], phi: Float[Tensor, " params"], lost: float
-) -> Whitening:
+def estimate_whitening(blocks: Sequence[Spectrum], phi: Float[Tensor, " params"], lost: float) -> Whitening:
     """Covariance per band from the residuals at ``phi``.
 
     Args:

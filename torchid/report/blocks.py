@@ -1,7 +1,6 @@
 """What a section of the report is made of: plain data that one template turns into HTML."""
 
 from dataclasses import dataclass, field
-from typing import Union
 
 from markupsafe import Markup
 
@@ -64,7 +63,7 @@ class Details:
     kind = "details"
 
 
-Block = Union[Paragraph, Items, Table, Figure, Listing, Details]
+Block = Paragraph | Items | Table | Figure | Listing | Details
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,16 @@
 """Figures that several sections state: which trials judge, how large their residuals are, what the subject weighs."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.experiment.outcome import Outcome
-from torchid.experiment.stages import residual_rms
-from torchid.regressor.rows import WrenchTrial
+from torchid.outcome import Outcome
+from torchid.regressor.rows import measured, predict
 
 
 @dataclass(frozen=True)
@@ -33,10 +32,57 @@ def judges(outcome: Outcome) -> Judges:
     return Judges(tuple(outcome.session.trials), "all trials", False)
 
 
-def with_forces(outcome: Outcome, names: Sequence[str]) -> dict[str, WrenchTrial]:
-    """Trials among ``names`` that have forces and frames in which all contact is measured."""
-    found = {name: outcome.followed[name].wrench for name in names}
-    return {name: trial for name, trial in found.items() if trial is not None and bool(trial.used.any())}
+@dataclass(frozen=True)
+class Wrenches:
+    """Ground reaction of one trial about the pelvis' origin: measured, and with either inertia predicted."""
+
+    time: Float[Tensor, " frames"]
+    measured: Float[Tensor, "frames 6"]
+    identified: Float[Tensor, "frames 6"]
+    """With the prior's inertia where none was identified."""
+    prior: Float[Tensor, "frames 6"]
+    scaled: Float[Tensor, "frames 6"]
+    """Residual of the scaled template with tabulated inertia."""
+    used: Bool[Tensor, " frames"]
+
+
+def wrenches(outcome: Outcome) -> dict[str, Wrenches]:
+    """All trials with forces and frames in which all contact is measured."""
+    found = {}
+    for name, item in outcome.followed.items():
+        trial, other = item.wrench, outcome.followed_scaled[name].wrench
+        if trial is None or other is None or not bool(trial.used.any()):
+            continue
+        prior = predict(trial, outcome.prior.mean)
+        found[name] = Wrenches(
+            trial.motion.time, measured(trial), prior if outcome.identified is None else predict(trial, outcome.phi),
+            prior, measured(other) - predict(other, outcome.prior_scaled.mean), trial.used,
+        )  # fmt: skip
+    return found
+
+
+def some(forces: dict[str, Wrenches], names: Iterable[str]) -> dict[str, Wrenches]:
+    """Those of ``names`` that have forces."""
+    return {name: forces[name] for name in names if name in forces}
+
+
+def force_rms(trials: dict[str, Wrenches], which: str) -> tuple[float, float]:
+    """RMS residual force [N] and moment about the pelvis [N m] over the used frames of all trials.
+
+    Args:
+        which: identified, prior or scaled.
+    """
+    parts = [(t.scaled if which == "scaled" else t.measured - getattr(t, which))[t.used] for t in trials.values()]
+    if not parts:
+        return math.nan, math.nan
+    both = torch.cat(parts)
+    return float(both[:, :3].square().sum(1).mean().sqrt()), float(both[:, 3:].square().sum(1).mean().sqrt())
+
+
+def improved(trials: dict[str, Wrenches]) -> tuple[list[str], list[str]]:
+    """Trials whose force the identified inertia predicts better than the tabulated one, and the others."""
+    better = [n for n, t in trials.items() if force_rms({n: t}, "identified")[0] < force_rms({n: t}, "prior")[0]]
+    return better, [name for name in trials if name not in better]
 
 
 def marker_rms(outcome: Outcome, names: Sequence[str], columns: Tensor | None = None) -> tuple[float, float]:
@@ -53,12 +99,6 @@ def rms(x: Float[Tensor, " values"]) -> float:
     """Root mean square of what is finite."""
     known = x[torch.isfinite(x)]
     return float(known.square().mean().sqrt()) if len(known) else math.nan
-
-
-def force_rms(outcome: Outcome, names: Sequence[str], identified: bool) -> tuple[float, float]:
-    """RMS residual force [N] and moment about the pelvis [N m], with the identified inertia or the prior's."""
-    trials = list(with_forces(outcome, names).values())
-    return residual_rms(trials, outcome.phi if identified else outcome.prior.mean)
 
 
 def body_weight(outcome: Outcome) -> float:

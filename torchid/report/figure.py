@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
+from typing import Any
 
 import matplotlib
 from markupsafe import Markup, escape
@@ -16,7 +17,7 @@ IDENTIFIED, SCALED, MEASURED = "#0b5394", "#b45f06", "#111111"
 """Dark blue, brown and black: told apart by luminance in grey print and under any colour blindness."""
 MUTED = "#8a8a8a"
 SHADE = "#e4e4e4"
-STYLE = {
+STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "torchid",
     "text.parse_math": False,

@@ -7,7 +7,7 @@ from pathlib import PurePath
 
 import torch
 
-from torchid.experiment.outcome import Outcome
+from torchid.outcome import Outcome
 from torchid.report.blocks import Paragraph, Section, Table
 from torchid.report.text import ABSENT, clean, listing, merge, number, pattern, percent, plural
 
@@ -85,8 +85,8 @@ def _finding(outcome: Outcome, lines: list[Line]) -> str:
     frames = sum(len(contact.used) for contact in excluded)
     left = frames - sum(int(contact.used.sum()) for contact in excluded)
     said = (
-        f"{plural(len(lines), 'kind')} of notes were made; {percent(missing / max(samples, 1), 1)} of the marker samples "
-        "are missing"
+        f"{plural(len(lines), 'kind')} of notes were made; {percent(missing / max(samples, 1), 1)} of the marker "
+        "samples are missing"
     )
     if frames:
         said += f", and {left} of {frames} frames with forces were left out of all force figures"
@@ -100,11 +100,13 @@ def _gaps(outcome: Outcome) -> Table:
         present = torch.isfinite(error).any(dim=0)
         gaps = ~torch.isfinite(error[:, present])
         rows.append((
-            clean(name), str(len(error)), str(int((~present).sum())), percent(gaps.double().mean() if gaps.numel() else 0.0, 1),
+            clean(name), str(len(error)), str(int((~present).sum())),
+            percent(gaps.double().mean() if gaps.numel() else 0.0, 1),
             str(int((~item.tracked.observable).sum())),
             ABSENT if contact is None else str(contact.excluded),
             ABSENT if contact is None else str(len(contact.used) - int(contact.used.sum())),
         ))  # fmt: skip
-    head = ("Trial", "Frames", "Markers never seen", "Samples missing of the others", "Frames that markers do not determine",
-            "Frames with a foot beside the plates", "Frames left out in all")  # fmt: skip
+    head = ("Trial", "Frames", "Markers never seen", "Samples missing of the others",
+            "Frames that markers do not determine", "Frames with a foot beside the plates",
+            "Frames left out in all")  # fmt: skip
     return Table("Gaps and frames left out", head, tuple(rows))

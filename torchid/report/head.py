@@ -1,35 +1,51 @@
 """Who was measured, what came out, and what a reader must know before believing it."""
 
-from torchid.errors import DataError
-from torchid.experiment.outcome import Outcome
-from torchid.experiment.stages import residual_rms
-from torchid.report.blocks import Block, Items, Paragraph, Section, Table
-from torchid.report.facts import body_weight, force_rms, judges, marker_rms, used_frames, with_forces
-from torchid.report.handling import grouped
-from torchid.report.text import ABSENT, better, change, clean, number, percent, plural, spread
+import math
 
-READING = ("axes.", "units.", "markers.", "trc.", "storage.", "mot.", "text.", "time.", "events.", "trial.frames", "model.")
+from torchid.errors import DataError
+from torchid.outcome import Outcome
+from torchid.report.blocks import Block, Items, Paragraph, Section, Table
+from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
+from torchid.report.handling import grouped
+from torchid.report.text import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
+
+READING = (
+    "axes.",
+    "units.",
+    "markers.",
+    "trc.",
+    "storage.",
+    "mot.",
+    "text.",
+    "time.",
+    "events.",
+    "trial.frames",
+    "model.",
+)
 """Notes about files that were read as they should be; the section on data handling has them all."""
+FAR_SD = 3.0
+"""An identified mass this many prior standard deviations from the table is pointed out."""
 LARGE_MM = 80.0
 """A marker this far from the model was probably swapped or mislabelled [mm]."""
 
 
-def head_section(outcome: Outcome, failure: DataError | None) -> Section:
+def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataError | None) -> Section:
     """The head of the page."""
+    tested = some(forces, judges(outcome).names)
     blocks: list[Block] = [_subject(outcome), Table(
         "How well the model predicts what it has not seen" if judges(outcome).heldout
         else "How well the model fits (no trial was held out: these figures are no test)",
-        ("", "Scaled template, prior inertia", "Identified geometry, prior inertia", "Identified", "Change by the whole"),
-        verdict_rows(outcome),
+        ("", "Scaled template, tabulated inertia", "Identified geometry, tabulated inertia", "Identified", "Change"),
+        verdict_rows(outcome, tested),
     )]  # fmt: skip
-    warnings = tuple(warning_lines(outcome))
+    warnings = tuple(warning_lines(outcome, tested))
     if warnings:
         blocks += [Paragraph("Worth knowing before using these results:"), Items(warnings)]
     blocks.append(_trials(outcome))
-    return Section("summary", "Summary", _finding(outcome, failure), tuple(blocks))
+    return Section("summary", "Summary", _finding(outcome, tested, failure), tuple(blocks))
 
 
-def _finding(outcome: Outcome, failure: DataError | None) -> str:
+def _finding(outcome: Outcome, tested: dict[str, Wrenches], failure: DataError | None) -> str:
     judge = judges(outcome)
     identified, scaled = marker_rms(outcome, judge.names)
     said = (
@@ -39,9 +55,9 @@ def _finding(outcome: Outcome, failure: DataError | None) -> str:
     if outcome.identified is None:
         why = "the inertial fit was not possible" if failure else "no inertia was identified"
         return f"{said}; {why}, so masses and moments below rest on anthropometric tables."
-    if not with_forces(outcome, judge.names):
+    if not tested:
         return f"{said}; none of these trials has forces, so the identified inertia is untested."
-    (force, moment), (force_0, moment_0) = (force_rms(outcome, judge.names, which) for which in (True, False))
+    (force, moment), (force_0, moment_0) = (force_rms(tested, which) for which in ("identified", "prior"))
     return (
         f"{said}; its residual force is {number(force)} N ({percent(force / body_weight(outcome), 1)} of body weight), "
         f"{better(force_0, force)} the {number(force_0)} N of tabulated inertia, and its residual moment "
@@ -49,17 +65,20 @@ def _finding(outcome: Outcome, failure: DataError | None) -> str:
     )
 
 
-def verdict_rows(outcome: Outcome) -> tuple[tuple[str, ...], ...]:
+def verdict_rows(outcome: Outcome, tested: dict[str, Wrenches]) -> tuple[tuple[str, ...], ...]:
     """Markers, force and moment on the judging trials: scaled, identified geometry, all identified, change."""
     judge, weight = judges(outcome), body_weight(outcome)
     identified, scaled = marker_rms(outcome, judge.names)
-    rows = [("Markers, RMS [mm]", number(scaled), number(identified), number(identified), change(scaled, identified))]
-    if with_forces(outcome, judge.names):
-        trials = [outcome.followed_scaled[name].wrench for name in with_forces(outcome, judge.names)]
-        start = residual_rms([t for t in trials if t is not None], outcome.prior_scaled.mean)
-        middle = force_rms(outcome, judge.names, False)
-        end = force_rms(outcome, judge.names, True) if outcome.identified is not None else (float("nan"),) * 2
-        force = [f"{number(x[0])} ({percent(x[0] / weight, 1)})" if x[0] == x[0] else ABSENT for x in (start, middle, end)]
+    rows: list[tuple[str, ...]] = [
+        ("Markers, RMS [mm]", number(scaled), number(identified), number(identified), change(scaled, identified))
+    ]
+    if tested:
+        start, middle, end = (force_rms(tested, which) for which in ("scaled", "prior", "identified"))
+        if outcome.identified is None:
+            end = (math.nan, math.nan)
+        force = [
+            f"{number(x[0])} ({percent(x[0] / weight, 1)})" if x[0] == x[0] else ABSENT for x in (start, middle, end)
+        ]
         rows.append(("Force, RMS [N] (of body weight)", *force, change(start[0], end[0])))
         moments = [number(x[1]) for x in (start, middle, end)]
         rows.append(("Moment about the pelvis, RMS [N m]", *moments, change(start[1], end[1])))
@@ -86,7 +105,7 @@ def _subject(outcome: Outcome) -> Table:
         names = list(outcome.session.fit("inertia"))
         used, frames = used_frames(outcome, names)
         rows.append(("Frames for inertia", f"{used} of {frames} in {plural(len(names), 'fit trial')}"))
-    return Table("", ("", ""), tuple(rows), text=2)
+    return Table("", ("", ""), tuple(rows), text=2, wrap=True)
 
 
 def _trials(outcome: Outcome) -> Table:
@@ -106,17 +125,17 @@ def _trials(outcome: Outcome) -> Table:
     return Table("Trials", head, tuple(rows), text=3)
 
 
-def warning_lines(outcome: Outcome) -> list[str]:
+def warning_lines(outcome: Outcome, tested: dict[str, Wrenches]) -> list[str]:
     """Notes that bear on the results, and what the numbers themselves give cause for."""
     lines = [
         f"{line.message}{f' ({line.where})' if line.where else ''}."
         for line in grouped(outcome)
         if not line.code.startswith(READING) or line.code in ("markers.assigned", "markers.unknown", "markers.held")
     ]
-    return [line[0].upper() + line[1:] for line in lines] + _cautions(outcome)
+    return [line[0].upper() + line[1:] for line in lines] + _cautions(outcome, tested)
 
 
-def _cautions(outcome: Outcome) -> list[str]:
+def _cautions(outcome: Outcome, tested: dict[str, Wrenches]) -> list[str]:
     judge, lines = judges(outcome), []
     if not judge.heldout:
         lines.append("No trial was held out: nothing here tests the model on motion that it has not seen.")
@@ -127,14 +146,35 @@ def _cautions(outcome: Outcome) -> list[str]:
     if far:
         worst = max(far, key=lambda entry: entry[1])
         lines.append(
-            f"In {plural(len(far), 'trial')} a marker is at some time more than {LARGE_MM:.0f} mm from the model, at most "
-            f"{worst[1]:.0f} mm in {clean(worst[0])}: look for swapped or displaced markers."
+            f"In {plural(len(far), 'trial')} a marker is at some time more than {LARGE_MM:.0f} mm from the model, "
+            f"at most {worst[1]:.0f} mm in {clean(worst[0])}: look for swapped or displaced markers."
         )
-    if outcome.identified is not None and with_forces(outcome, judge.names):
-        (force, _), (prior, _) = (force_rms(outcome, judge.names, which) for which in (True, False))
+    odd = odd_masses(outcome)
+    if odd:
+        lines.append(
+            f"Masses more than {FAR_SD:.0f} prior standard deviations from the table, more likely errors of motion or "
+            f"plates than the person: {listing(odd)}."
+        )
+    if outcome.identified is not None and tested:
+        (force, _), (prior, _) = (force_rms(tested, which) for which in ("identified", "prior"))
         if force > 1.02 * prior:
             lines.append(
                 f"The identified inertia predicts the force of the {judge.words} worse than tabulated inertia "
-                f"({number(force)} N against {number(prior)} N): see which trials under Forces."
+                f"({number(force)} N against {number(prior)} N): worse in {listing(improved(tested)[1])}, better in "
+                f"{listing(improved(tested)[0])}."
             )
     return lines
+
+
+def odd_masses(outcome: Outcome) -> list[str]:
+    """Segments whose identified mass lies far from the table, with both masses, the farthest first."""
+    if outcome.identified is None:
+        return []
+    fit, prior = outcome.identified.fit, outcome.prior
+    sd = prior.covariance.diagonal().sqrt().reshape(-1, 10)[:, 0]
+    away = ((fit.mass - prior.mean[:, 0]) / sd).abs()
+    return [
+        f"{segment(fit.names[k])} ({number(fit.mass[k], 2)} kg, table {number(prior.mean[k, 0], 2)} kg)"
+        for k in away.argsort(descending=True).tolist()
+        if float(away[k]) > FAR_SD
+    ]

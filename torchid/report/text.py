@@ -8,6 +8,7 @@ from typing import Any
 ABSENT = "–"
 """Stands for what is not known."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+_UNIT = re.compile(r"(?<=\d) (?=(?:N|mm|kg|m|Hz|s|%|°)(?![\w]))|(?<=\bN) (?=m\b)")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.]*\w)")
 
 
@@ -59,7 +60,12 @@ def better(before: float, after: float) -> str:
     """``lower``, ``higher`` or ``the same``, to within 2 %."""
     if abs(after - before) <= 0.02 * abs(before):
         return "about the same as"
-    return "lower than" if after < before else "HIGHER than"
+    return "lower than" if after < before else "higher than"
+
+
+def bind(text: str) -> str:
+    """Text whose numbers do not part from their units at the end of a line."""
+    return _UNIT.sub("\N{NO-BREAK SPACE}", text)
 
 
 def listing(names: Sequence[str], most: int = 8) -> str:

@@ -25,6 +25,8 @@ from torchid.simulate.subject import SimulatedSubject
 ITERATIONS = 10
 ENOUGH = 0.003
 """Distance of the centre of pressure from the wanted one that ends the search [m]."""
+LOST = 0.5
+"""Distance that no iteration mends: a leg does not reach its foot's path [m]."""
 GAIN = 0.9
 CUTOFF = 12.0
 """Of the pelvis' corrections [Hz]; the discrete pendulum would amplify what is faster."""
@@ -77,7 +79,7 @@ def balance(subject: SimulatedSubject, script: Script, rate: float) -> Moving:
         error = centre_of_pressure(wrench) - wanted
         inner = slice(int(0.3 * rate), -int(0.3 * rate))
         miss = float(error[inner].norm(dim=1).max())
-        if miss < ENOUGH or k == ITERATIONS - 1:
+        if miss < ENOUGH or miss > LOST or k == ITERATIONS - 1:
             break
         place = place - calm(_pendulum(error, rate)) / GAIN
     return Moving(motion, wrench, miss)

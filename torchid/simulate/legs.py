@@ -15,9 +15,6 @@ from torchid.model.tree import Tree
 from torchid.simulate.script import FootPath, Script
 from torchid.simulate.subject import SimulatedSubject, Sole
 
-REACH = 0.990
-"""Longest distance of the ankle from the hip, part of the stretched leg's: knees stay bent by 15 degrees or more, away
-from the singularity of the straight leg."""
 CALM_S = 0.30
 """Half the time over which the highest place of the pelvis is evened out [s]."""
 START = {"hip_flexion": 0.4, "knee_flexion": 0.7, "ankle_flexion": 0.3}
@@ -84,7 +81,7 @@ def stand(
     feet = [foot_pose(path, subject.sole) for path in script.feet]
     q[:, 3:6] = script.pelvis_turn
     q[:, :2] = place
-    q[:, 2] = highest(subject, script.time, q, [p for _, p in feet]) - script.drop
+    q[:, 2] = highest(subject, script, q, [p for _, p in feet]) - script.drop
     legs = rows[0] + rows[1]
     q[:, legs] = _guess(tree, q, legs) if start is None else start
     goals = [Goal(*feet[k], tree.index(f"foot_{side}"), rows[k]) for k, side in enumerate(SIDES)]
@@ -96,9 +93,9 @@ def stand(
 
 
 def highest(
-    subject: SimulatedSubject, time: Float[Tensor, " frames"], q: Float[Tensor, "frames dofs"], ankles: list[Tensor]
+    subject: SimulatedSubject, script: Script, q: Float[Tensor, "frames dofs"], ankles: list[Tensor]
 ) -> Float[Tensor, " frames"]:
-    """Smooth height of the pelvis at which no leg is stretched beyond ``REACH`` [m].
+    """Smooth height of the pelvis at which no leg is stretched beyond the script's reach [m].
 
     The lowest limit within ``CALM_S`` is averaged with weights that vanish at ``CALM_S``, so the mean stays below.
     """
@@ -107,10 +104,10 @@ def highest(
     limits = []
     for side, ankle in zip(SIDES, ankles, strict=True):
         hip = R @ offset[tree.index(f"thigh_{side}")]
-        length = REACH * (offset[tree.index(f"shank_{side}")].norm() + offset[tree.index(f"foot_{side}")].norm())
+        length = script.reach * (offset[tree.index(f"shank_{side}")].norm() + offset[tree.index(f"foot_{side}")].norm())
         across = (q[:, :2] + hip[:, :2] - ankle[:, :2]).square().sum(1)
         limits.append(ankle[:, 2] + (length**2 - across).clamp(min=0.25 * length**2).sqrt() - hip[:, 2])
-    half = max(1, round(CALM_S / float(time[1] - time[0])))
+    half = max(1, round(CALM_S / float(script.time[1] - script.time[0])))
     limit = torch.stack(limits).amin(0)[None]
     lowest = -max_pool1d(_hold_ends(-limit, half), 2 * half + 1, stride=1)
     x = torch.arange(-half, half + 1, dtype=q.dtype, device=q.device) / (half + 1)

@@ -1,6 +1,7 @@
 """Motions by name: each turns a seed into a script."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -51,13 +52,23 @@ FREE_LEG: dict[str, Range] = {
     "hip_flexion": (0, 68), "hip_adduction": (-36, -2), "hip_rotation": (-22, 22), "knee_flexion": (42, 95),
     "ankle_flexion": (-12, 14), "ankle_inversion": (-12, 14),
 }  # fmt: skip
-Maker = Callable[[np.random.Generator, SimulatedSubject, Tensor, float], Script]
+SHORT = 0.7
+"""Effort below which walks take short steps."""
+Maker = Callable[[np.random.Generator, SimulatedSubject, Tensor, float, float], Script]
 
 
 def make_script(
-    name: str, rng: np.random.Generator, subject: SimulatedSubject, time: Float[Tensor, " frames"], duration: float
+    name: str,
+    rng: np.random.Generator,
+    subject: SimulatedSubject,
+    time: Float[Tensor, " frames"],
+    duration: float,
+    effort: float = 1.0,
 ) -> Script:
     """Script of the motion ``name`` from time 0 to ``duration`` (``time`` may begin earlier and end later).
+
+    ``effort`` below one makes squats shallower, folds a lifted leg more and (below ``SHORT``) shortens the steps of the
+    walk so that they stay on the first plates, for bodies that cannot do the full motion.
 
     Raises:
         ConfigError: no such motion.
@@ -67,27 +78,28 @@ def make_script(
             "simulate.motion", "no such motion", place="simulate.motions", found=name,
             remedy=f"motions: {', '.join(MOTIONS)}",
         )  # fmt: skip
-    return MOTIONS[name](rng, subject, time, duration)
+    return MOTIONS[name](rng, subject, time, duration, effort)
 
 
-def static(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float) -> Script:
-    """Quiet stance with sway."""
-    del duration
+def static(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float, effort: float) -> Script:
+    """Quiet stance with sway, knees as straight as people stand."""
+    del duration, effort
     small = {name: (0.5 * (a + b) - 0.2, 0.5 * (a + b) + 0.2) for name, (a, b) in QUIET.items()}
-    return _script(rng, subject, time, small, drop=wander(rng, time, 0.002, 0.004), tilt=0.004, shift=0.02)
+    script = _script(rng, subject, time, small, drop=wander(rng, time, 0.0, 0.001), tilt=0.004, shift=0.02)
+    return replace(script, reach=float(rng.uniform(0.997, 0.9995)))
 
 
-def squats(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float) -> Script:
+def squats(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float, effort: float) -> Script:
     """Squats of random depth and pace, arms rising in front as counterweight."""
     leg = _leg_length(subject)
     keys, t = [(-1e3, 0.03 * leg)], float(rng.uniform(0.0, 0.4))
     while t < duration:
         down, hold, up = rng.uniform(0.7, 1.3), rng.uniform(0.0, 0.3), rng.uniform(0.6, 1.1)
-        depth, rest = float(rng.uniform(0.16, 0.34)) * leg, float(rng.uniform(0.02, 0.05)) * leg
+        depth, rest = float(rng.uniform(0.13, 0.28)) * effort * leg, float(rng.uniform(0.02, 0.05)) * leg
         keys += [(t, keys[-1][1]), (t + down, depth), (t + down + hold, depth), (t + down + hold + up, rest)]
         t += float(down + hold + up + rng.uniform(0.05, 0.5))
     drop = passages(time, keys)
-    deep = drop / (0.34 * leg)
+    deep = drop / (0.28 * leg)
     script = _script(
         rng, subject, time, _join(QUIET, {"upper_spine_flexion": (-4, 12)}), drop, tilt=0.05, lean=0.55 * deep
     )
@@ -95,22 +107,24 @@ def squats(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, du
     return script
 
 
-def arms(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float) -> Script:
+def arms(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float, effort: float) -> Script:
     """Swings of shoulders, elbows and wrists while standing, each arm its own way."""
-    del duration
+    del duration, effort
     ranges = _join(QUIET, ARMS, {"upper_spine_rotation": (-12, 12), "upper_spine_bending": (-8, 8)})
     return _script(rng, subject, time, ranges, drop=wander(rng, time, 0.004, 0.03), tilt=0.04, band=(0.2, 1.1))
 
 
-def trunk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float) -> Script:
+def trunk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float, effort: float) -> Script:
     """Bending, twisting and circling of pelvis and spine."""
-    del duration
+    del duration, effort
     lean = wander(rng, time, -0.1, 0.5, (0.1, 0.4))
     drop = wander(rng, time, 0.01, 0.06)
     return _script(rng, subject, time, _join(QUIET, TRUNK), drop, tilt=0.12, band=(0.15, 0.7), lean=lean)
 
 
-def hip_rom(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float) -> Script:
+def hip_rom(
+    rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float, effort: float
+) -> Script:
     """Standing on one leg, the other one in stars and circles; then the other side."""
     stance = random_stance(rng, subject)
     first = int(rng.integers(2))
@@ -119,12 +133,16 @@ def hip_rom(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, d
         for k, side in enumerate((first, 1 - first))
     ]
     ranges = _join(QUIET, {"shoulder_adduction": (-65, -20), "lower_spine_bending": (-8, 8)}, FREE_LEG)
+    ranges["knee_flexion"] = (42 + 50 * (1.0 - effort), 95)
     drop = wander(rng, time, 0.002, 0.015)
     return _script(rng, subject, time, ranges, drop, tilt=0.04, band=(0.15, 0.8), steps=steps, stance=stance)
 
 
-def sway_steps(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float) -> Script:
+def sway_steps(
+    rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float, effort: float
+) -> Script:
     """Steps on the spot with pauses in which weight is shifted, arms swinging."""
+    del effort
     stance, steps = random_stance(rng, subject), []
     t, side = float(rng.uniform(0.5, 0.9)), int(rng.integers(2))
     while t < duration - 0.9:
@@ -138,9 +156,11 @@ def sway_steps(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor
     return _script(rng, subject, time, _join(QUIET, SWING), drop, tilt=0.06, steps=steps, stance=stance, shift=0.3)
 
 
-def walk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float) -> Script:
+def walk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float, effort: float) -> Script:
     """To and fro over the plates: forward over the heel, backward over the ball; the front foot once beside them."""
-    places = {LEFT: (-0.02, 0.42, 1.00), RIGHT: (-0.15, 0.12, 0.68)}
+    long_steps = {LEFT: (-0.02, 0.42, 1.00), RIGHT: (-0.15, 0.12, 0.68)}
+    short_steps = {LEFT: (-0.08, 0.04, 0.13), RIGHT: (-0.13, -0.02, 0.09)}
+    places = long_steps if effort > SHORT else short_steps
     half = float(rng.uniform(0.085, 0.115))
     stance = Stance((places[LEFT][0], half), (places[RIGHT][0], -half), float(rng.uniform(0.03, 0.15)))
     cycle = [(RIGHT, 1), (LEFT, 1), (RIGHT, 2), (LEFT, 2), (LEFT, 1), (RIGHT, 1), (LEFT, 0), (RIGHT, 0)]
@@ -197,7 +217,7 @@ def _script(
         stem = name.replace("_l_", "_").replace("_r_", "_")
         if stem in ranges:
             low, high = ranges[stem]
-            angles[:, row] = torch.deg2rad(wander(rng, time, low, high, band))
+            angles[:, row] = torch.deg2rad(wander(rng, time, float(low), float(high), band))
     turn = torch.stack([wander(rng, time, -tilt, tilt, band) for _ in range(3)], 1)
     if lean is not None:
         turn[:, 1] = turn[:, 1] + lean

@@ -83,6 +83,8 @@ class Script:
     """Part of the force that the left foot carries."""
     squeeze: Float[Tensor, " frames"]
     """Feet pressing apart along the line between them while both stand, part of the weight."""
+    reach: float = 0.990
+    """How far the longer-stretched leg may be straightened, part of its length."""
 
 
 @dataclass(frozen=True)

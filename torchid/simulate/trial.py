@@ -14,6 +14,7 @@ from torchid.errors import ConfigError
 from torchid.filters import Smoother
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
+from torchid.model.skeleton import SIDES
 from torchid.motion.motion import Motion
 from torchid.recording import Forces, Markers, Trial
 from torchid.simulate.balance import Moving, balance
@@ -29,7 +30,11 @@ MARGIN_S = 0.8
 STATIC_S = 3.0
 MISS = 0.01
 """Largest miss of the centre of pressure that a trial may have [m]."""
-ATTEMPTS = 8
+ATTEMPTS = 12
+SINK = 0.0005
+"""Deepest that a sole may be below the floor [m]."""
+BEARS = 0.01
+"""Vertical force of a foot that counts as contact [N]."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +112,8 @@ def _clean_trial(
     fine = _upsample(time, plate_wrenches(load, len(plates)), rate, frames)
     kept = _cut_motion(moving.motion, cut)
     load = FootLoad(load.wrench[cut], load.plate[cut], load.pressure[cut])
-    position, low = _markers(subject, kept, options)
-    bears = load.wrench[:, :, 2] > 1.0
+    position, low = _markers(subject, kept, options), lowest_sole(subject, kept)
+    bears = load.wrench[:, :, 2] > BEARS
     truth = TrialTruth(kept, position, moving.wrench[cut], load, ~(bears & (load.plate < 0)).any(1), low, moving.miss)
     clock = torch.arange(frames * ANALOG_RATIO, dtype=torch.float64) / (rate * ANALOG_RATIO)
     trial = Trial(
@@ -125,19 +130,22 @@ def _clean_trial(
 def _possible(
     subject: SimulatedSubject, motion: str, time: Tensor, duration: float, key: tuple[int, int], name: str
 ) -> tuple[Script, Moving]:
-    """Draw motions until one is in balance and within the joints' limits."""
+    """Draw motions, each somewhat easier, until one is in balance, within the joints' limits and above the floor."""
     dofs = subject.model.tree.dofs
     low, high = (time.new_tensor([getattr(dof, side) for dof in dofs]) for side in ("lower", "upper"))
     rate = float(1.0 / (time[1] - time[0]))
     found = ""
     for attempt in range(ATTEMPTS):
-        script = make_script(motion, np.random.default_rng((*key, 1, attempt)), subject, time, duration)
+        effort, rng = 1.0 - 0.07 * attempt, np.random.default_rng((*key, 1, attempt))
+        script = make_script(motion, rng, subject, time, duration, effort)
         moving = balance(subject, script, rate)
         beyond = ((moving.motion.q < low) | (moving.motion.q > high)).any(0)
-        if moving.miss <= MISS and not bool(beyond.any()):
+        low_sole = float(lowest_sole(subject, moving.motion).min())
+        if moving.miss <= MISS and not bool(beyond.any()) and low_sole > -SINK:
             return script, moving
         limits = [dof.name for dof, out in zip(dofs, beyond.tolist(), strict=True) if out]
-        found = f"centre of pressure {1e3 * moving.miss:.0f} mm off, beyond limits: {', '.join(limits) or 'none'}"
+        found = f"centre of pressure {1e3 * moving.miss:.0f} mm off, soles at {1e3 * low_sole:.1f} mm, "
+        found += f"beyond limits: {', '.join(limits) or 'none'}"
     raise ConfigError(
         "simulate.balance", "the subject cannot do this motion in balance", place=name, found=found,
         remedy="Take another seed",
@@ -156,10 +164,17 @@ def _cut_motion(motion: Motion, cut: slice) -> Motion:
     return Motion(motion.time[cut], motion.q[cut], motion.v[cut], motion.a[cut], Smoother(rate, rate))
 
 
-def _markers(
-    subject: SimulatedSubject, motion: Motion, options: SimulateOptions
-) -> tuple[Float[Tensor, "frames markers 3"], Float[Tensor, " frames"]]:
-    """Marker positions with skin motion, and the feet's clearance."""
+def lowest_sole(subject: SimulatedSubject, motion: Motion) -> Float[Tensor, " frames"]:
+    """Height of the lowest corner of both soles over the floor [m]."""
+    tree, plan = subject.model.tree, plan_tree(subject.model.tree)
+    at = poses(plan, motion.q.T.contiguous(), subject.geometry)
+    feet = [plan.position[tree.index(f"foot_{side}")] for side in SIDES]
+    R = [torch.stack([column[k].T for column in at.R], 2) for k in feet]
+    return clearance(subject, R, [at.p[k].T for k in feet])
+
+
+def _markers(subject: SimulatedSubject, motion: Motion, options: SimulateOptions) -> Float[Tensor, "frames markers 3"]:
+    """Marker positions with skin motion."""
     tree = subject.model.tree
     plan = plan_tree(tree)
     at = poses(plan, motion.q.T.contiguous(), subject.geometry)
@@ -168,9 +183,7 @@ def _markers(
     if options.skin_motion_mm > 0.0:
         shift = skin_shift(subject, motion, 1e-3 * options.skin_motion_mm)
         p = p + sum(at.R[a][body].permute(2, 0, 1) * shift[:, :, a : a + 1] for a in range(3))
-    feet = [plan.position[tree.index(f"foot_{side}")] for side in ("l", "r")]
-    R = [torch.stack([column[k].T for column in at.R], 2) for k in feet]
-    return p.contiguous(), clearance(subject, R, [at.p[k].T for k in feet])
+    return p.contiguous()
 
 
 def _measure(

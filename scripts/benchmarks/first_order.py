@@ -1,0 +1,150 @@
+"""What the arrow is compared with: Adam with analytic gradients, and scipy with the sparse analytic Jacobian."""
+
+import time
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from scipy.optimize import least_squares
+from torch import Tensor
+
+from torchid.geometry.blocks import make_gradient
+from torchid.geometry.layout import make_layout
+from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.twists import column_twists, moments
+
+CHUNK = 1024
+Trace = list[tuple[float, float]]
+"""(CPU seconds, cost)"""
+
+
+class OutOfTimeError(Exception):
+    """The budget is spent."""
+
+
+def adam(problem: MarkerProblem, q: Tensor, xi: Tensor, iterations: int, budget: float) -> Trace:
+    """Adam on a cosine schedule; learning rates are the best of a grid on such sessions."""
+    layout, trace = make_layout(problem), []
+    q, xi = torch.nn.Parameter(q.clone()), torch.nn.Parameter(xi.clone())
+    groups = [{"params": [q], "lr": 0.02}, {"params": [xi], "lr": 0.005}]
+    optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), foreach=False)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations)
+    start = time.process_time()
+    for _ in range(iterations):
+        with torch.no_grad():
+            q.grad, total = torch.empty_like(q), problem.xi_cost(xi)
+            xi.grad = problem.xi_precision * (xi - problem.xi_mean)
+            for first in range(0, q.shape[1], CHUNK):
+                part = slice(first, first + CHUNK)
+                cost, g_q, g_x = make_gradient(problem.frames(part), layout, q[:, part], xi, shared=True)
+                q.grad[layout.dof_rows, part] = g_q
+                xi.grad.index_add_(0, layout.entry_xi, g_x.sum(1))
+                total += float(cost.sum())
+        trace.append((time.process_time() - start, total))
+        if trace[-1][0] > budget:
+            break
+        optimiser.step()
+        schedule.step()
+    return trace
+
+
+def scipy_sparse(problem: MarkerProblem, q: Tensor, xi: Tensor, budget: float) -> Trace:
+    """scipy.optimize.least_squares (trf, lsmr) on all residuals with a sparse Jacobian.
+
+    The base's rotation vector is turned about the start by increments, as the other solvers do.
+    """
+    pattern, trace, start = _Pattern(problem), [], time.process_time()
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        out = pattern.residuals(*pattern.split(x))
+        trace.append((time.process_time() - start, 0.5 * float(out @ out)))
+        if trace[-1][0] > budget:
+            raise OutOfTimeError
+        return out
+
+    x = torch.cat([q.reshape(-1), xi]).numpy()
+    try:
+        least_squares(
+            residuals, x, lambda x: pattern.jacobian(*pattern.split(x)), method="trf", x_scale="jac", tr_solver="lsmr",
+            ftol=1e-10, xtol=1e-12, gtol=1e-12, max_nfev=200,
+        )  # fmt: skip
+    except OutOfTimeError:
+        pass
+    return trace
+
+
+class _Pattern:
+    """Rows and columns of the non-zero entries, made once."""
+
+    def __init__(self, problem: MarkerProblem) -> None:
+        self.problem, self.layout = problem, make_layout(problem)
+        layout = self.layout
+        self.shape = (len(problem.posture.lower), problem.target.shape[2])
+        below = layout.subtree > 0
+        body = torch.cat([layout.motion_body, layout.entry_body[: layout.geometric]])
+        self.pair_column, self.pair_marker = below[body].nonzero().T
+        self.columns = torch.cat([layout.motion, layout.entries[: layout.geometric]])
+        n, frames = self.shape
+        t, axis = torch.arange(frames), torch.arange(3)
+        unknown = torch.cat([layout.dof_rows * frames, n * frames + layout.entry_xi[: layout.geometric]])
+        moves = (torch.arange(len(self.columns)) < n).long()
+        row = ((self.pair_marker[:, None, None] * 3 + axis[:, None]) * frames + t).reshape(-1)
+        column = (unknown[self.pair_column][:, None, None] + moves[self.pair_column][:, None, None] * t).expand(
+            -1, 3, -1
+        )
+        free = problem.free
+        place_row = ((free[:, None, None, None] * 3 + axis[:, None]) * frames + t).expand(-1, 3, -1, -1).reshape(-1)
+        place = n * frames + problem.n_named + torch.arange(3 * len(free))
+        place_column = place.view(-1, 3, 1, 1).expand(-1, -1, 3, frames).reshape(-1)
+        base = problem.target.numel()
+        size = n * frames + len(problem.xi_mean)
+        prior_row = base + torch.arange(size + n * frames)
+        prior_column = torch.cat([torch.arange(size), torch.arange(n * frames)])
+        self.rows = torch.cat([row, place_row, prior_row]).numpy()
+        self.cols = torch.cat([column.reshape(-1), place_column, prior_column]).numpy()
+        self.size = (base + size + n * frames, size)
+
+    def split(self, x: np.ndarray) -> tuple[Tensor, Tensor]:
+        both = torch.tensor(x)
+        n = self.shape[0] * self.shape[1]
+        return both[:n].view(self.shape), both[n:]
+
+    def residuals(self, q: Tensor, xi: Tensor) -> np.ndarray:
+        problem, posture = self.problem, self.problem.posture
+        beyond = (q - posture.upper).clamp(min=0.0) - (posture.lower - q).clamp(min=0.0)
+        parts = (
+            problem.weight.sqrt()[:, None] * problem.residual(q, xi)[2],
+            posture.precision.sqrt() * (q - posture.mean),
+            problem.xi_precision.sqrt() * (xi - problem.xi_mean),
+            posture.limit_precision**0.5 * beyond,
+        )
+        return torch.cat([part.reshape(-1) for part in parts]).numpy()
+
+    def jacobian(self, q: Tensor, xi: Tensor) -> sp.csr_matrix:
+        problem, posture = self.problem, self.problem.posture
+        at, p, _ = problem.residual(q, xi)
+        p = p - at.p[:1]
+        sums = moments(self.layout, problem.weight, p, torch.zeros_like(p))
+        S = column_twists(self.layout, at, sums, shared=True).S.permute(1, 2, 0)[self.columns]
+        S[3:6, 3:] = _rotation_vector_rates(q)
+        v, z = S[self.pair_column, :3], S[self.pair_column, 3:]
+        root = problem.weight.sqrt()
+        J = (v + torch.linalg.cross(z, p[self.pair_marker], dim=1)) * root[self.pair_marker][:, None]
+        R = torch.stack(at.R, dim=1)[problem.body[problem.free]] * root[problem.free][:, None, None]
+        outside = (q > posture.upper) | (q < posture.lower)
+        values = (
+            J, R, posture.precision.sqrt().expand_as(q), problem.xi_precision.sqrt(),
+            posture.limit_precision**0.5 * outside,
+        )  # fmt: skip
+        data = torch.cat([value.reshape(-1) for value in values]).numpy()
+        return sp.csr_matrix((data, (self.rows, self.cols)), shape=self.size)
+
+
+def _rotation_vector_rates(q: Tensor) -> Tensor:
+    """Axes (3, 3, frames) about which the base turns per unit rate of each entry of its rotation vector."""
+    r = q[3:6].T
+    angle = r.norm(dim=1)[:, None, None].clamp(min=1e-9)
+    K = torch.linalg.cross(r[:, None].expand(-1, 3, -1), torch.eye(3, dtype=q.dtype).expand(len(r), -1, -1)).mT
+    eye = torch.eye(3, dtype=q.dtype)
+    left = eye - (1 - angle.cos()) / angle**2 * K.mT + (angle - angle.sin()) / angle**3 * (K @ K)
+    return left.permute(2, 1, 0)

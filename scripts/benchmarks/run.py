@@ -1,0 +1,98 @@
+"""All comparisons in one run: prints a table and writes bench.json."""
+
+import argparse
+import datetime
+import json
+import platform
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.fit import bench_fit
+from benchmarks.kinematics import bench_ik
+from benchmarks.regressor import bench_regressor
+
+PACKAGES = ("torch", "numpy", "scipy", "pin", "opensim")
+Row = tuple[str, float | None, str, str]
+"""What, value, unit, what is asked for."""
+
+
+def main() -> None:
+    """Run everything, or a tiny size with --quick."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="few frames, no slow peers, no compiler: a smoke test")
+    parser.add_argument("--out", default="bench.json")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    quick = args.quick
+    fit = bench_fit(200 if quick else 1000, 1 if quick else 5, peers=not quick)
+    ik = bench_ik(300 if quick else 2000, 20 if quick else 200, 1 if quick else 3)
+    regressor = bench_regressor(2 if quick else 9, compiled=not quick)
+    memory = _memory(1 if quick else 60)
+    rows = _rows(fit, ik, regressor, memory)
+    about = {
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "cpu": _cpu(),
+        "versions": {name: metadata.version(name) for name in PACKAGES},
+    }
+    results = {"about": about, "fit": fit, "ik": ik, "regressor": regressor, "hour_memory_MiB": memory}
+    Path(args.out).write_text(json.dumps(results, indent=1))
+    _print(rows)
+
+
+def _ratio(a: object, b: object) -> float | None:
+    return float(a) / float(b) if isinstance(a, float) and isinstance(b, float) else None
+
+
+def _rows(fit: dict, ik: dict, regressor: dict, memory: float) -> list[Row]:
+    speed, gap = ik["frames_per_s"], ik["gap"]
+    return [
+        ("fit to 0.01 %, 62 unknowns", fit["few_s"], "s", "<= 0.35"),
+        ("fit, all marker places free / few", _ratio(fit["all_s"], fit["few_s"]), "x", "<= 4"),
+        ("fit, 20 times the frames / once", _ratio(fit["long_s"], fit["few_s"]), "x", "about 20"),
+        ("Adam (analytic gradient) / arrow", _ratio(fit.get("adam_s"), fit["few_s"]), "x", ">= 25"),
+        ("scipy (sparse Jacobian) / arrow", _ratio(fit.get("scipy_s"), fit["few_s"]), "x", ">= 15"),
+        ("inverse kinematics", speed["torchid"], "frames/s", ">= 9000"),
+        ("  gap to the optimum", gap["torchid"], "", f"< OpenSim's {gap['opensim']:.1e}"),
+        ("  torchid / OpenSim's tool", speed["torchid"] / speed["opensim"], "x", ">= 60"),
+        ("  torchid / nimblephysics", speed["torchid"] / speed["nimblephysics"], "x", ">= 20"),
+        ("Pinocchio / regressor, eager", _ratio(regressor["pinocchio_us"], regressor["eager_us"]), "x", ">= 1.5"),
+        (
+            "Pinocchio / regressor, compiled",
+            _ratio(regressor["pinocchio_us"], regressor.get("compiled_us")),
+            "x",
+            ">= 7",
+        ),
+        ("  largest difference", regressor["difference"], "", "<= 1e-12"),
+        ("100 000 frames to normal equations", regressor["normal_equations_100k_s"], "s", "<= 0.9"),
+        ("memory of an hour beyond the input", memory, "MiB", "<= 150"),
+    ]
+
+
+def _memory(minutes: int) -> float:
+    line = [sys.executable, "-m", "benchmarks.memory", str(minutes)]
+    return float(subprocess.run(line, capture_output=True, text=True, check=True).stdout.split()[-1])  # noqa: S603
+
+
+def _cpu() -> str:
+    info = Path("/proc/cpuinfo")
+    names = (
+        [x.split(":")[1].strip() for x in info.read_text().splitlines() if "model name" in x] if info.exists() else []
+    )
+    return names[0] if names else platform.processor()
+
+
+def _print(rows: list[Row]) -> None:
+    table = Table("measurement (CPU time, one thread)", "value", "unit", "asked for")
+    for what, value, unit, wanted in rows:
+        table.add_row(what, "not reached" if value is None else f"{value:.3g}", unit, wanted)
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

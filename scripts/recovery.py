@@ -1,0 +1,136 @@
+"""Recovery of simulated subjects: simulate, write files, identify from the files alone, and only then open the truth.
+
+    python scripts/recovery.py --seeds 10 --first 100 --out out/recovery
+
+Prints a row per seed and the figures over all of them; writes recovery.json.
+"""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from torchid.config import load_config
+from torchid.experiment import run_experiment
+from torchid.experiment.outcome import Outcome
+from torchid.experiment.stages import follow, residual_rms
+from torchid.geometry.fit import GeometryFit, track
+from torchid.inertia.transform import move_frame
+from torchid.kinematics.chain import chain_poses
+from torchid.simulate.options import SimulateOptions
+from torchid.simulate.session import Session, simulate_session
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--duration", type=float, default=10.0)
+    parser.add_argument("--skin", type=float, default=0.0, help="skin motion [mm]")
+    parser.add_argument("--out", type=Path, default=Path("out/recovery"))
+    arguments = parser.parse_args()
+    options = SimulateOptions(duration_s=arguments.duration, skin_motion_mm=arguments.skin)
+    rows = []
+    for seed in range(arguments.first, arguments.first + arguments.seeds):
+        out = arguments.out / f"seed_{seed}"
+        session = simulate_session(options, seed, out / "recordings")
+        outcome = run_experiment(load_config(session.config, [f"out={out.resolve() / 'result'}"]))
+        rows.append({"seed": seed, **score(outcome, session)})
+        print("  ".join(f"{key} {value:.3g}" for key, value in rows[-1].items() if isinstance(value, int | float)), flush=True)
+    print(summary := {key: _mean(rows, key) for key in rows[0] if key != "seed"})
+    (arguments.out / "recovery.json").write_text(json.dumps({"rows": rows, "mean": summary}, indent=1))
+
+
+def _mean(rows: list[dict], key: str) -> float:
+    return sum(row[key] for row in rows) / len(rows)
+
+
+def score(outcome: Outcome, session: Session) -> dict[str, float]:
+    """Everything that is compared with the truth of one subject."""
+    assert outcome.identified is not None
+    subject, fit = session.subject, outcome.identified.fit
+    truth = true_phi(outcome, session)
+    assert fit.base is not None
+    held = [f.wrench for n, f in outcome.followed.items() if session.trial(n).trial.role == "heldout" and f.wrench]
+    force, _ = residual_rms(held, fit.phi)
+    floor, _ = residual_rms(perfect(outcome, session), subject.phi)
+    base_error = (fit.base.project(fit.phi) - fit.base.project(truth)).abs()
+    xi_error = (outcome.fit.xi[: len(outcome.fit.prior.mean)] - subject.xi).abs()
+    trunk = [outcome.fit.model.tree.index(name) for name in ("pelvis", "abdomen", "thorax")]
+    total = torch.zeros_like(fit.phi)
+    total[trunk, 0] = 1.0
+    return {
+        "marker_mm": 1e3 * max(f.tracked.rmse for f in outcome.followed.values()),
+        "joint_mm": joint_error(outcome, session, scaled=False),
+        "joint_scaled_mm": joint_error(outcome, session, scaled=True),
+        "force_N": force,
+        "floor_N": floor,
+        "force_ratio": force / floor,
+        "base_error": fit.base.distance(fit.phi, truth, outcome.prior.covariance),
+        "base_error_prior": fit.base.distance(outcome.prior.mean, truth, outcome.prior.covariance),
+        "xi_covered": float((xi_error <= 1.96 * outcome.fit.uncertainty.sd[: len(xi_error)]).double().mean()),
+        "base_covered": float((base_error <= 1.96 * fit.base.sd).double().mean()),
+        "progress_thigh": float(fit.progress.phi[[outcome.fit.model.tree.index(f"thigh_{s}") for s in "lr"], 0].min()),
+        "progress_trunk": group_progress(outcome, total.reshape(-1)),
+        "omega_1": fit.omega_1,
+        "omega_2": fit.omega_2,
+    }
+
+
+def group_progress(outcome: Outcome, row: torch.Tensor) -> float:
+    """Share of the prior variance of a combination of parameters that the motion removed."""
+    fit = outcome.identified.fit
+    return 1.0 - float((row @ fit.covariance @ row) / (row @ outcome.prior.covariance @ row / fit.omega_2))
+
+
+def joint_error(outcome: Outcome, session: Session, scaled: bool) -> float:
+    """RMS distance of joint centres from the true ones over held-out frames [mm]."""
+    source, fit = (outcome.followed_scaled, outcome.scaled) if scaled else (outcome.followed, outcome.fit)
+    parts = []
+    for item in session.trials:
+        if item.trial.role != "heldout":
+            continue
+        tree, subject = session.subject.model.tree, session.subject
+        true = chain_poses(tree, item.truth.motion.q, subject.geometry)[..., :3, 3]
+        mine = chain_poses(fit.model.tree, source[item.trial.name].tracked.q, fit.geometry)[..., :3, 3]
+        parts.append((mine - true).square().sum(-1).reshape(-1))
+    return 1e3 * float(torch.cat(parts).mean().sqrt())
+
+
+def true_phi(outcome: Outcome, session: Session) -> torch.Tensor:
+    """The true inertia about the identified origins, in the identified axes (mean relative pose over the fit trials)."""
+    relative = []
+    for item in session.trials:
+        if item.trial.role == "fit":
+            tree, fit = session.subject.model.tree, outcome.fit
+            X_true = chain_poses(tree, item.truth.motion.q[::10], session.subject.geometry)
+            X_mine = chain_poses(fit.model.tree, outcome.followed[item.trial.name].tracked.q[::10], fit.geometry)
+            relative.append(torch.linalg.inv(X_mine) @ X_true)
+    X = torch.cat(relative).mean(0)
+    U, _, Vh = torch.linalg.svd(X[:, :3, :3])
+    return move_frame(session.subject.phi, U @ Vh, X[:, :3, 3])
+
+
+def perfect(outcome: Outcome, session: Session) -> list:
+    """Held-out wrench trials followed with the true geometry and marker places: what noise alone leaves."""
+    subject = session.subject
+    order = [subject.labels.index(label) for label in outcome.fit.attachment.labels]
+    prior = replace(outcome.fit.prior, mean=subject.xi)
+    known: GeometryFit = replace(
+        outcome.fit, prior=prior, xi=torch.cat([subject.xi, subject.p_BM_B[order].reshape(-1)]), model=subject.model
+    )
+    found = []
+    for item in session.trials:
+        if item.trial.role == "heldout":
+            trial = outcome.session.trials[item.trial.name]
+            followed = follow(known, trial, track(known, trial.markers), outcome.cutoff_hz, outcome.config)
+            if followed.wrench is not None:
+                used = outcome.followed[item.trial.name].wrench.used
+                found.append(replace(followed.wrench, used=used))
+    return found
+
+
+if __name__ == "__main__":
+    main()

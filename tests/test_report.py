@@ -1,0 +1,293 @@
+"""The report page: whole, inert, without anything from outside, and with the numbers of the tables."""
+
+import json
+import re
+from dataclasses import dataclass, field, replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from torchid.config import load_config
+from torchid.errors import DataError
+from torchid.experiment import run_experiment
+from torchid.outcome import Outcome
+from torchid.report.blocks import Table
+from torchid.report.facts import wrenches
+from torchid.report.forces import Score, instructive
+from torchid.report.handling import grouped, handling_section
+from torchid.report.head import head_section
+from torchid.report.joints import joints_section
+from torchid.report.page import render_report
+from torchid.report.text import bind, change, clean, listing, merge, number, pattern, segment, spread
+from torchid.simulate import SimulateOptions, simulate_session
+from torchid.simulate.session import write_session
+
+SUBJECT = '<script>alert("subject")</script>'
+TRIAL = '"><img src=x onerror=alert(1)>'
+LABEL = "<i>$x^{"
+VOID = {"meta", "link", "br", "img", "input", "hr", "path", "use"}
+ALLOWED = set(
+    "html head meta title style body header p h1 strong nav a main section h2 figure figcaption div table thead tbody "
+    "tr th td ul li pre details summary svg g path defs use text clippath rect pattern tspan".split()
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A tiny simulated session with hostile names, identified into a folder."""
+
+    outcome: Outcome
+    out: Path
+
+    @property
+    def page(self) -> str:
+        """What the run wrote."""
+        return (self.out / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory) -> Run:
+    """Simulate three short trials, give them names that attack a page, and run them from the files."""
+    folder = tmp_path_factory.mktemp("report")
+    options = SimulateOptions(fit=("squats",), heldout=("sway_steps",), duration_s=2.0, rate_hz=50.0, gap_fraction=0.02)
+    session = simulate_session(options, seed=3)
+    trials = tuple(replace(t, trial=_renamed(t.trial)) for t in session.trials)
+    config = write_session(replace(session, trials=trials), options, folder).config
+    assert config is not None
+    text = config.read_text(encoding="utf-8").replace("name: S03", f"name: {json.dumps(SUBJECT)}")
+    text = text.replace("name: sway_steps", f"name: {json.dumps(TRIAL)}")
+    config.write_text(text, encoding="utf-8")
+    loaded = load_config(config, ["geometry.max_frames=60", "geometry.temporal=false", "motion.cutoff_hz=6.0"])
+    return Run(run_experiment(loaded), loaded.out)
+
+
+def _renamed(trial):
+    """The trial with one landmark's label replaced; the rest keeps the names of the marker set."""
+    labels = tuple(LABEL if label == "T10" else label for label in trial.markers.labels)
+    assert LABEL in labels
+    return replace(trial, markers=replace(trial.markers, labels=labels))
+
+
+@dataclass
+class Parsed(HTMLParser):
+    """Tags, attributes, ids and table rows of a page; unbalanced tags fail."""
+
+    tags: list[str] = field(default_factory=list)
+    attributes: list[tuple[str, str, str]] = field(default_factory=list)
+    rows: list[list[str]] = field(default_factory=list)
+    words: dict[str, str] = field(default_factory=dict)
+    """Text by the tag that holds it."""
+
+    def __post_init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            assert self.open and self.open.pop() == tag, f"</{tag}> closes another element"
+
+    def handle_data(self, data: str) -> None:
+        if self.open:
+            self.words[self.open[-1]] = self.words.get(self.open[-1], "") + data
+        if self.rows and self.open and self.open[-1] in ("td", "th"):
+            self.rows[-1][-1] += data.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def parse(page: str) -> Parsed:
+    """The page, read to its end."""
+    found = Parsed()
+    found.feed(page)
+    found.close()
+    assert found.open == []
+    return found
+
+
+def test_page_is_whole_small_and_reads_nothing_from_outside(run):
+    """Every element is closed, every reference points into the page, the policy forbids the rest, under 3 MB."""
+    page = run.page
+    found = parse(page)
+    assert len(page.encode()) < 3e6
+    ids = [value for _, name, value in found.attributes if name == "id"]
+    assert len(ids) == len(set(ids))
+    links = [value for _, name, value in found.attributes if name in ("href", "xlink:href", "src")]
+    links += [f"#{target}" for target in re.findall(r"url\(#([^)]*)\)", page)]
+    assert links and set(links) <= {f"#{name}" for name in ids}
+    assert "url(" not in page.replace("url(#", "") and "@import" not in page
+    assert not re.search(r"(?i)https?:|//[a-z]+\.[a-z]", re.sub(r">[^<]*<", "><", page))
+    policy = [value for tag, name, value in found.attributes if tag == "meta" and name == "content"]
+    assert any(value.startswith("default-src 'none'") and "script" not in value for value in policy)
+
+
+def test_hostile_names_are_text(run):
+    """Markup in the names of subject, trial and marker makes no element and no attribute, and is still readable."""
+    found = parse(run.page)
+    assert set(found.tags) <= ALLOWED
+    assert not [name for _, name, _ in found.attributes if name.startswith("on") or name == "src"]
+    assert SUBJECT in found.words["h1"]
+    assert any(TRIAL in cell for row in found.rows for cell in row)
+    assert LABEL in found.words["text"], "the marker's label is drawn as it is, not as a formula"
+
+
+def test_sections_stand_in_order_and_begin_with_a_finding_in_numbers(run):
+    """Head, skeleton, body, forces, moments, data, method; each opens with a sentence that holds a number."""
+    found = parse(run.page)
+    sections = [value for tag, name, value in found.attributes if (tag, name) == ("section", "id")]
+    assert sections == ["summary", "skeleton", "body", "forces", "moments", "data", "method"]
+    findings = re.findall(r'<p class="finding">(.*?)</p>', run.page, re.DOTALL)
+    assert len(findings) == len(sections)
+    assert all(re.search(r"\d", text) and text.rstrip().endswith(".") for text in findings)
+
+
+def test_numbers_equal_those_of_the_json_files(run):
+    """Masses, lengths, marker errors and residuals of the page are those of the tables, as far as it prints them."""
+    rows = {row[0]: row for row in parse(run.page).rows if len(row) == 8 and "±" in "".join(row[2:4])}
+    inertia = json.loads((run.out / "inertia.json").read_text(encoding="utf-8"))
+    geometry = json.loads((run.out / "geometry.json").read_text(encoding="utf-8"))
+    for name, own in inertia["segments"].items():
+        row = rows[segment(name)]
+        _same(row[2], [own["mass_kg"], own["sd"]["mass_kg"]], 0.005)
+        _same(row[3], [own["prior"]["mass_kg"], own["prior"]["sd_kg"]], 0.005)
+        _same(row[4], [1e3 * x for x in own["com_m"]], 0.5)
+        _same(row[6], [100 * own["progress_mass"]], 0.5)
+        length = geometry["segments"].get(name)
+        if length and length["sd"]:
+            _same(row[1], [1e3 * length["length_m"], 1e3 * length["sd"]], 0.05)
+    _same(rows["total"][2], [inertia["total_mass"]["value_kg"], inertia["total_mass"]["sd_kg"]], 0.005)
+    marker = [row for row in parse(run.page).rows if len(row) == 6]
+    force = {row[0]: row for row in parse(run.page).rows if len(row) == 9}
+    for name, own in geometry["marker_rmse_mm"].items():
+        row = next(row for row in marker if row[0] == clean(name))
+        _same(" ".join(row[3:5]), [own["identified"], own["scaled"]], 0.05)
+        own = inertia["trials"][name]
+        _same(
+            " ".join((force[clean(name)][4], force[clean(name)][6])), [own["force_rmse_N"], own["moment_rmse_Nm"]], 0.05
+        )
+
+
+def _same(text: str, values: list[float], half_digit: float) -> None:
+    shown = [float(x) for x in re.findall(r"-?\d+\.?\d*", text.replace("\N{MINUS SIGN}", "-"))]
+    np.testing.assert_allclose(shown, values, rtol=0.0, atol=half_digit * 1.0001)
+
+
+def test_a_failed_inertial_fit_is_said_at_the_top_and_the_rest_is_shown(run):
+    """Without identified inertia the page names the failure before anything else and keeps what is known."""
+    failure = DataError(
+        "inertia.unexplained", "no physical inertia explains <b>the</b> forces", remedy="Check the plates"
+    )
+    page = render_report(replace(run.outcome, identified=None, residuals=()), failure)
+    found = parse(page)
+    assert set(found.tags) <= ALLOWED
+    assert page.index("inertia.unexplained") < page.index('<section id="summary">')
+    sections = [value for tag, name, value in found.attributes if (tag, name) == ("section", "id")]
+    assert sections == ["summary", "skeleton", "body", "forces", "moments", "data", "method"]
+    assert "not possible" in page and "ertificate, recomputed" not in page
+
+
+def test_without_forces_static_and_held_out_trials_what_remains_is_shown(run):
+    """Trials without forces, none of them static or held out: no section on forces and no claim of a test."""
+    outcome = _bare(run.outcome)
+    page = render_report(outcome)
+    found = parse(page)
+    sections = [value for tag, name, value in found.attributes if (tag, name) == ("section", "id")]
+    assert sections == ["summary", "skeleton", "body", "data", "method"]
+    assert "held-out" not in page and "No trial was held out" in page
+    assert "nan" not in " ".join(cell for row in found.rows for cell in row).lower()
+
+
+def _bare(outcome: Outcome) -> Outcome:
+    names = [name for name, trial in outcome.session.trials.items() if trial.role != "static"]
+    trials = {name: replace(outcome.session.trials[name], role="fit", forces=None) for name in names}
+    files = {name: outcome.session.files[name] for name in names}
+    empty = {name: torch.full_like(outcome.torque[name], torch.nan) for name in names}
+    strip = lambda all_: {name: replace(all_[name], wrench=None, contact=None) for name in names}  # noqa: E731
+    return replace(
+        outcome,
+        session=replace(outcome.session, trials=trials, files=files),
+        followed=strip(outcome.followed),
+        followed_scaled=strip(outcome.followed_scaled),
+        torque=empty,
+        torque_scaled=empty,
+        identified=None,
+        residuals=(),
+    )
+
+
+def test_moments_that_are_not_known_stay_blank(run):
+    """Where a torque is NaN nothing is drawn or counted; where all are, the section is left out."""
+    names = run.outcome.fit.model.tree.dof_names
+    legs = [k for k, name in enumerate(names) if name.startswith(("hip", "knee", "ankle"))]
+    torque = {name: values.clone() for name, values in run.outcome.torque.items()}
+    torque[TRIAL][:10, legs] = torch.nan
+    section = joints_section(replace(run.outcome, torque=torque))
+    assert section is not None
+    table = next(block for block in section.blocks if isinstance(block, Table))
+    known = torch.isfinite(torque[TRIAL][:, names.index("knee_l_flexion")]).double().mean()
+    row = next(row for row in table.rows if row[0] == "left knee, flexion")
+    assert row[-1] == f"{number(known, 0, 100.0)} %"
+    torque[TRIAL][:] = torch.nan
+    assert joints_section(replace(run.outcome, torque=torque)) is None
+
+
+def test_a_worse_held_out_residual_is_called_worse(run):
+    """The words follow the numbers: inertia that predicts held-out forces badly is said to."""
+    bad = replace(run.outcome.identified, fit=replace(run.outcome.identified.fit, phi=1.5 * run.outcome.prior.mean))
+    outcome = replace(run.outcome, identified=bad)
+    section = head_section(outcome, wrenches(outcome), None)
+    assert "higher than" in section.finding
+    assert any(
+        "worse than tabulated inertia" in item for block in section.blocks for item in getattr(block, "items", ())
+    )
+
+
+def test_notes_that_say_the_same_are_one_line(run):
+    """Notes of one wording are one line with the range of their numbers and all their trials; nothing gets lost."""
+    lines = grouped(run.outcome)
+    codes = {note.code for note in run.outcome.notes}
+    assert {line.code for line in lines} == codes and len(lines) <= len(run.outcome.notes)
+    table = next(block for block in handling_section(run.outcome).blocks if isinstance(block, Table))
+    assert {row[0] for row in table.rows} == codes
+    messages = ["6 of 131 frames left out", "10 of 139 frames left out", "9 of 139 frames left out"]
+    assert len({pattern(message) for message in messages}) == 1
+    assert merge(messages) == "6 to 10 of 131 to 139 frames left out"
+    assert pattern("marker L1 held") != pattern("marker L2 held"), "digits of a name are no number"
+
+
+def test_the_drawn_trials_are_the_telling_ones():
+    """At most four trials, each once: the worst and the best residual and the largest gain and loss."""
+    scores = [Score(f"t{k}", 10.0 + k, 1.0, 10.0 + (7 * k) % 11, 1.0) for k in range(9)]
+    chosen = [entry for entry, _ in instructive(scores)]
+    assert len(chosen) == len({entry.name for entry in chosen}) == 4
+    gains = [entry.prior_force - entry.force for entry in scores]
+    for wanted in (scores[0], scores[-1], scores[int(np.argmax(gains))], scores[int(np.argmin(gains))]):
+        assert wanted in chosen
+    assert len(instructive(scores[:1])) == 1
+
+
+def test_texts_have_sensible_digits_and_no_control_characters():
+    """Numbers carry a true minus sign and never a negative zero; names lose what could disturb the page."""
+    assert number(-0.04) == "0.0" and number(-1.26) == "\N{MINUS SIGN}1.3" and number(float("nan")) == "–"
+    assert spread(0.40313, 0.00106, 1, 1e3) == "403.1 ± 1.1" and spread(None, 1.0) == "–"
+    assert change(20.0, 15.0) == "\N{MINUS SIGN}25 %" and change(20.0, 25.0) == "+25 %" and change(0.0, 1.0) == "–"
+    assert clean("a\x00\u202eb") == "a\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}b"
+    assert len(clean("x" * 500)) <= 120
+    assert listing(["a", "b", "c"]) == "a, b and c" and listing([]) == "none" and listing(["a"]) == "a"
+    assert listing(list("abcdefghij"), 4) == "a, b, c and 7 more"
+    assert segment("thigh_l") == "left thigh" and segment("pelvis") == "pelvis"
+    assert bind("12.5 N m at 3 s") == "12.5\N{NO-BREAK SPACE}N\N{NO-BREAK SPACE}m at 3\N{NO-BREAK SPACE}s"

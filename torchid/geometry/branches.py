@@ -1,0 +1,140 @@
+"""How the coordinates of a frame fall into branches that touch each other only through a core.
+
+Limbs share no marker: their blocks of the normal matrix are coupled by the root and the trunk alone. Eliminating each
+branch by itself leaves out the zeros between them (sparsity of a tree's mass matrix; Featherstone 2008, section 6.5).
+"""
+
+from dataclasses import dataclass
+from itertools import chain
+
+import torch
+from torch import Tensor
+
+from torchid.geometry.layout import Layout
+from torchid.kinematics.plan import Plan
+from torchid.model.tree import BASE_DOFS
+
+
+@dataclass(frozen=True)
+class Group:
+    """Coordinates of motion that are eliminated together, and the columns of xi that meet them."""
+
+    motion: Tensor
+    """Which coordinates of motion (rows of ``layout.motion``)."""
+    columns: Tensor
+    """Their columns in ``Twists``."""
+    wide: Tensor
+    """Columns in ``Twists`` of what the rows meet: themselves, the core's motion (branches only), the entries."""
+    entries: Tensor
+    """Columns in ``Twists`` that make the columns of xi: the first of each, then those to be added."""
+    extra: tuple[tuple[int, int], ...]
+    """(column of xi, entry) of those to be added."""
+    inside: Tensor
+    """(motion, wide) 1 where the row's support lies within the column's; lower triangle of the motion's own block."""
+    around: Tensor
+    """(motion, entries) strictly the reverse."""
+    own: slice
+    """Columns of xi, in the order of the elimination, that belong to the branch alone."""
+    xi: Tensor
+    """Columns of xi that meet the group, in the order of the elimination."""
+
+
+@dataclass(frozen=True)
+class Partition:
+    """All branches and the core."""
+
+    branches: tuple[Group, ...]
+    core: Group
+    dof_rows: Tensor
+    """Rows of q in the order of the elimination: branches one by one, then the core."""
+    motion: Tensor
+    """The same as coordinates of motion."""
+    xi: Tensor
+    """xi in the order of the elimination: own columns of each branch, parameters of the core, markers of the core."""
+    common: slice
+    """Parameters of the core, which all branches may meet, in that order."""
+
+
+def branch_bodies(plan: Plan) -> list[list[int]]:
+    """Plan positions of the bodies of each branch; what is in none of them is the core."""
+    tree, position = plan.tree, plan.position
+    moving = {column.body for column in plan.motion}
+    alive = [bool(moving & set(tree.subtree(k))) for k in range(len(tree.bodies))]
+    living = [body.parent for k, body in enumerate(tree.bodies) if alive[k]]
+    forks = {0} | {k for k in range(len(tree.bodies)) if living.count(k) > 1}
+    core = {k for k in range(len(tree.bodies)) if forks & set(tree.subtree(k))}
+    tops = [k for k, body in enumerate(tree.bodies) if k not in core and body.parent in core and alive[k]]
+    return [[position[k] for k in tree.subtree(top)] for top in tops]
+
+
+def make_partition(plan: Plan, layout: Layout, n_xi: int) -> Partition:
+    """Branches and core; ``n_xi = 0`` leaves xi out."""
+    branches = branch_bodies(plan)
+    owner = {body: k for k, bodies in enumerate(branches) for body in bodies}
+    core = len(branches)
+    motion: list[list[int]] = [[] for _ in range(core + 1)]
+    for k, body in enumerate(layout.motion_body.tolist()):
+        motion[owner.get(body, core) if k >= BASE_DOFS else core].append(k)
+    own, markers = _owners(layout, owner, core, n_xi)
+    own[core] += markers
+    order, groups, start = list(chain(*own)), [], 0
+    common = slice(len(order) - len(own[core]), len(order) - len(markers))
+    for k in range(core):
+        mine = slice(start, start + len(own[k]))
+        where = [*range(mine.start, mine.stop), *range(common.start, common.stop)]
+        groups.append(_group(layout, motion[k], motion[core], order, where, mine))
+        start = mine.stop
+    rows = torch.tensor(list(chain(*motion)), device=layout.motion.device)
+    everything = _group(layout, motion[core], [], order, list(range(len(order))), common)
+    xi = torch.tensor(order, device=rows.device, dtype=torch.long)
+    return Partition(tuple(groups), everything, layout.dof_rows[rows], rows, xi, common)
+
+
+def _owners(layout: Layout, owner: dict[int, int], core: int, n_xi: int) -> tuple[list[list[int]], list[int]]:
+    """Columns of xi of each branch and of the core's parameters; apart from them, those of the core's markers."""
+    homes: list[set[int]] = [set() for _ in range(n_xi)]
+    first_marker = layout.entry_xi[layout.geometric] if layout.geometric < len(layout.entry_xi) else n_xi
+    if n_xi:
+        for k, body in zip(layout.entry_xi.tolist(), layout.entry_body.tolist(), strict=True):
+            homes[k].add(owner.get(body, core))
+    own: list[list[int]] = [[] for _ in range(core + 1)]
+    markers: list[int] = []
+    for k, home in enumerate(homes):
+        at = home.pop() if len(home) == 1 else core
+        (markers if at == core and k >= int(first_marker) else own[at]).append(k)
+    return own, markers
+
+
+def _group(layout: Layout, motion: list[int], core: list[int], order: list[int], where: list[int], own: slice) -> Group:
+    like = layout.motion
+    rows, carriers = (torch.tensor(x, device=like.device, dtype=torch.long) for x in (motion, core))
+    body = layout.motion_body[rows]
+    inside, around = layout.nesting(body)
+    first, extra = _gathered(layout, ((inside + around) > 0).any(0).tolist(), [order[w] for w in where])
+    pick = torch.tensor(first + [entry for _, entry in extra], device=like.device, dtype=torch.long)
+    column = layout.motion if order else layout.motion_alone
+    lower = torch.tril(layout.within(body, body))
+    return Group(
+        motion=rows,
+        columns=column[rows],
+        wide=torch.cat([column[rows], column[carriers], layout.entries[pick]]),
+        entries=layout.entries[pick],
+        extra=tuple((column, len(first) + k) for k, (column, _) in enumerate(extra)),
+        inside=torch.cat([lower, layout.within(body, layout.motion_body[carriers]), inside[:, pick]], dim=1),
+        around=around[:, pick],
+        own=own,
+        xi=torch.tensor(where, device=like.device, dtype=torch.long),
+    )
+
+
+def _gathered(layout: Layout, relevant: list[bool], columns: list[int]) -> tuple[list[int], list[tuple[int, int]]]:
+    """For each column of xi one of its entries, and (position, entry) of the others that matter."""
+    of: dict[int, list[int]] = {}
+    for entry, k in enumerate(layout.entry_xi.tolist()):
+        of.setdefault(k, []).append(entry)
+    first, extra = [], []
+    for position, k in enumerate(columns):
+        found = [e for e in of[k] if relevant[e]] or of[k][:1]
+        first.append(found[0])
+        extra += [(position, entry) for entry in found[1:]]
+    return first, extra

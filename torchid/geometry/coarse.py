@@ -1,0 +1,86 @@
+"""Coarse to fine in time: a few frames solved first give the others their start.
+
+A start costs one look at the cost; a cold one costs eight iterations. Frames keep the start that fits them better, so
+the order of the frames may break (trials side by side) without harm.
+"""
+
+from dataclasses import replace
+
+import roma
+import torch
+from torch import Tensor
+
+from torchid.geometry.inverse import solve_poses
+from torchid.geometry.problem import MarkerProblem, retract
+from torchid.model.tree import BASE_DOFS
+
+STRIDE = 10
+"""Every tenth frame goes first."""
+LEAST = 20
+"""Fewer coarse frames than this are not worth the detour."""
+FAR = 1.0
+"""Neighbours further apart than this [rad or m] lie on different branches of the angles: no mean of them."""
+
+
+def solve_course(
+    problem: MarkerProblem, q: Tensor, xi: Tensor, iterations: int = 40, tolerance: float = 1e-5
+) -> tuple[Tensor, Tensor]:
+    """``solve_poses`` for frames that follow each other: every tenth from ``q``, the others from between them."""
+    if q.shape[1] < LEAST * STRIDE:
+        return solve_poses(problem, q, xi, iterations, tolerance)
+    few = coarse_frames(q)
+    solved, _ = solve_poses(problem.frames(few), q[:, few], xi, iterations, tolerance)
+    start, _ = better_start(problem, q, between(solved, few, q.shape[1]), xi)
+    return solve_poses(problem, start, xi, iterations, tolerance)
+
+
+def coarse_frames(q: Tensor) -> Tensor:
+    """Indices of the frames that go first."""
+    return torch.arange(STRIDE // 2, q.shape[1], STRIDE, device=q.device)
+
+
+def coarse_problem(problem: MarkerProblem, few: Tensor) -> MarkerProblem:
+    """The problem on few frames, the prior of what is shared as weak against them as against all."""
+    loose = (problem.target.shape[2] / len(few)) ** 0.5
+    geometry = replace(problem.geometry, sd=problem.geometry.sd * loose)
+    return replace(problem.frames(few), geometry=geometry, place_sd=problem.place_sd * loose)
+
+
+def between(solved: Tensor, few: Tensor, frames: int) -> Tensor:
+    """Coordinates (dofs, frames) from those of the frames ``few``: cubic in between (Catmull & Rom 1974).
+
+    On a straight line between frames 0.1 s apart the markers of a moving person stray ten times their noise.
+    """
+    last = len(few) - 1
+    every = torch.arange(frames, device=solved.device)
+    right = torch.searchsorted(few, every).clamp(min=1, max=last)
+    s = ((every - few[right - 1]) / (few[right] - few[right - 1])).to(solved).clamp(0.0, 1.0)
+    before = solved[:, right - 1]
+    changes = [_change(before, solved[:, k]) for k in ((right - 2).clamp(min=0), right, (right + 1).clamp(max=last))]
+    far = torch.stack(changes).abs().amax((0, 1)) > FAR
+    weights = (0.5 * (2 * s**2 - s**3 - s), 0.5 * (s + 4 * s**2 - 3 * s**3), 0.5 * (s**3 - s**2))
+    nearest = (torch.zeros_like(s), s.round(), torch.zeros_like(s))
+    step = sum(torch.where(far, n, w) * c for n, w, c in zip(nearest, weights, changes, strict=True))
+    return retract(before, step)
+
+
+def _change(before: Tensor, after: Tensor) -> Tensor:
+    """What ``retract`` undoes."""
+    change = after - before
+    R = roma.rotvec_to_rotmat(after[3:BASE_DOFS].T) @ roma.rotvec_to_rotmat(before[3:BASE_DOFS].T).mT
+    change[3:BASE_DOFS] = roma.rotmat_to_rotvec(R).T
+    return change
+
+
+def better_start(
+    problem: MarkerProblem, q: Tensor, other: Tensor, xi: Tensor, chunk: int = 1024
+) -> tuple[Tensor, Tensor]:
+    """Of two starts the one with the smaller cost, frame by frame, and that cost."""
+    picked, cost = torch.empty_like(q), q.new_empty(q.shape[1])
+    for start in range(0, q.shape[1], chunk):
+        part = slice(start, start + chunk)
+        piece = problem.frames(part)
+        first, second = piece.frame_cost(q[:, part], xi), piece.frame_cost(other[:, part], xi)
+        picked[:, part] = torch.where(second < first, other[:, part], q[:, part])
+        cost[part] = torch.minimum(first, second)
+    return picked, cost

@@ -1,0 +1,75 @@
+"""Everything a finished (or stopped) experiment knows: what is written to files and what the report draws."""
+
+from dataclasses import dataclass, field
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.config import Config
+from torchid.contact import Contact
+from torchid.errors import Note
+from torchid.geometry.fit import GeometryFit, Tracked
+from torchid.inertia.identify import Identified
+from torchid.model.model import InertialPrior
+from torchid.motion import Motion
+from torchid.outcome.session import Session
+from torchid.regressor.rows import WrenchTrial
+
+
+@dataclass(frozen=True)
+class Followed:
+    """One trial followed by one model: motion, contact and wrench through the same filter."""
+
+    name: str
+    tracked: Tracked
+    motion: Motion
+    contact: Contact | None = None
+    wrench: WrenchTrial | None = None
+    """None where the trial has no forces."""
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Force and moment residual of one group of trials under one choice of filter, geometry and inertia."""
+
+    label: str
+    role: str
+    """fit or heldout."""
+    cutoff_hz: float
+    geometry: str
+    """scaled or identified."""
+    inertia: str
+    """prior or identified."""
+    force_rmse_N: float
+    moment_rmse_Nm: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Results of one subject."""
+
+    config: Config
+    session: Session
+    fit: GeometryFit
+    scaled: GeometryFit
+    cutoff_hz: float
+    followed: dict[str, Followed]
+    """By trial, with the identified geometry."""
+    followed_scaled: dict[str, Followed]
+    prior: InertialPrior
+    """At the identified segment lengths."""
+    prior_scaled: InertialPrior
+    identified: Identified | None = None
+    torque: dict[str, Float[Tensor, "frames dofs"]] = field(default_factory=dict)
+    torque_scaled: dict[str, Float[Tensor, "frames dofs"]] = field(default_factory=dict)
+    residuals: tuple[Residual, ...] = ()
+    notes: tuple[Note, ...] = ()
+
+    @property
+    def phi(self) -> Float[Tensor, "bodies 10"]:
+        """Identified inertia, or the prior where no forces were measured."""
+        return self.prior.mean if self.identified is None else self.identified.fit.phi
+
+    def tracked(self, name: str) -> Tracked:
+        """Trial followed by the identified geometry."""
+        return self.followed[name].tracked

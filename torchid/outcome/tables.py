@@ -1,0 +1,143 @@
+"""Content of ``geometry.json`` and ``inertia.json``: the figures that files and report share."""
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchid.conventions import INERTIAL_NAMES
+from torchid.geometry.fit import GeometryFit
+from torchid.outcome.outcome import Outcome
+from torchid.regressor.rows import residual_rms
+
+
+def geometry_table(outcome: Outcome) -> dict[str, Any]:
+    """Content of ``geometry.json``."""
+    fit, named = outcome.fit, len(outcome.fit.prior.mean)
+    sd = torch.zeros_like(fit.xi) if fit.uncertainty is None else fit.uncertainty.sd
+    directions = () if fit.uncertainty is None else fit.uncertainty.undetermined
+    return {
+        "xi": {
+            name: {
+                "value": fit.xi[k],
+                "sd": sd[k],
+                "unit": unit,
+                "prior": fit.prior.mean[k],
+                "prior_sd": fit.prior.sd[k],
+            }
+            for k, (name, unit) in enumerate(zip(fit.prior.names, fit.prior.units, strict=True))
+        },
+        "segments": segment_lengths(fit),
+        "markers": {
+            label: {
+                "segment": fit.model.tree.names[int(fit.attachment.body[k])],
+                "landmark": fit.attachment.landmark[k],
+                "p_BM_B": fit.place[k],
+                "sd": sd[named + 3 * k : named + 3 * k + 3],
+                "sigma_mm": 1e3 * fit.sigma[k],
+            }
+            for k, label in enumerate(fit.attachment.labels)
+        },
+        "undetermined": directions,
+        "marker_rmse_mm": {name: marker_errors(outcome, name) for name in outcome.session.trials},
+        "solver": fit.options.solver,
+        "converged": None if fit.solution is None else fit.solution.converged,
+        "iterations": None if fit.solution is None else fit.solution.iterations,
+        "warnings": [{"code": n.code, "message": n.message, "source": n.source} for n in outcome.notes],
+    }
+
+
+def segment_lengths(fit: GeometryFit) -> dict[str, dict[str, float]]:
+    """Distance from each body's origin to the joint of its (first) child, with its standard deviation [m]."""
+    tree, found = fit.model.tree, {}
+    named = len(fit.prior.mean)
+    for k, body in enumerate(tree.bodies):
+        children = [j for j, b in enumerate(tree.bodies) if b.parent == k]
+        if not children or k == 0:
+            continue
+        p = fit.geometry.offset[children[0]]
+        length = p.norm()
+        row = (p / length) @ fit.prior.map[3 * children[0] : 3 * children[0] + 3]
+        covariance = torch.zeros(named, named, dtype=p.dtype)
+        if fit.uncertainty is not None:
+            covariance = fit.uncertainty.covariance[:named, :named]
+        found[body.name] = {"length_m": float(length), "sd": math.sqrt(max(0.0, float(row @ covariance @ row)))}
+    return found
+
+
+def marker_errors(outcome: Outcome, name: str) -> dict[str, Any]:
+    """RMS distances of a trial's physical markers before filtering [mm]."""
+    error, scaled = outcome.followed[name].tracked.error, outcome.followed_scaled[name].tracked.error
+    mean_square = torch.nanmean(error.square(), dim=0)
+    return {
+        "role": outcome.session.trials[name].role,
+        "identified": 1e3 * _rms(error),
+        "scaled": 1e3 * _rms(scaled),
+        "max": 1e3 * float(torch.nan_to_num(error).max()),
+        "markers": dict(zip(outcome.fit.attachment.labels, (1e3 * mean_square.sqrt()).tolist(), strict=True)),
+    }
+
+
+def _rms(error: Tensor) -> float:
+    known = error[torch.isfinite(error)]
+    return float(known.square().mean().sqrt()) if len(known) else math.nan
+
+
+def inertia_table(outcome: Outcome) -> dict[str, Any]:
+    """Content of ``inertia.json``."""
+    assert outcome.identified is not None
+    identified = outcome.identified
+    fit, prior = identified.fit, outcome.prior
+    phi_sd = fit.sd.phi
+    total = torch.zeros(10 * len(fit.names), dtype=fit.phi.dtype)
+    total[::10] = 1.0
+    return {
+        "segments": {
+            name: {
+                "mass_kg": fit.mass[k],
+                "com_m": fit.com[k],
+                "inertia_kgm2": fit.inertia_com[k],
+                "sd": {"mass_kg": phi_sd[k, 0], "com_m": fit.sd.com[k], "inertia_kgm2": fit.sd.inertia_com[k]},
+                "progress": fit.progress.segment[k],
+                "progress_mass": fit.progress.phi[k, 0],
+                "progress_parameters": dict(zip(INERTIAL_NAMES, fit.progress.phi[k].tolist(), strict=True)),
+                "prior": {"mass_kg": prior.mean[k, 0], "sd_kg": prior.covariance[10 * k, 10 * k].sqrt()},
+            }
+            for k, name in enumerate(fit.names)
+        },
+        "total_mass": {
+            "value_kg": fit.mass.sum(),
+            "sd_kg": (total @ fit.covariance @ total).sqrt(),
+            "progress": fit.progress.total_mass,
+            "recorded_kg": outcome.config.subject.mass_kg,
+        },
+        "rank": fit.rank,
+        "base_parameters": None
+        if fit.base is None
+        else [
+            {"name": name, "value": value, "sd": sd}
+            for name, value, sd in zip(fit.base.names, fit.base.value.tolist(), fit.base.sd.tolist(), strict=True)
+        ],
+        "weights": {"omega_1": fit.omega_1, "omega_2": fit.omega_2, "rows": identified.rows},
+        "cutoff_hz": outcome.cutoff_hz,
+        "status": fit.status.value,
+        "certificate": fit.certificate,
+        "residuals": outcome.residuals,
+        "trials": {name: _trial_residual(outcome, name) for name in outcome.session.trials},
+    }
+
+
+def _trial_residual(outcome: Outcome, name: str) -> dict[str, Any] | None:
+    item = outcome.followed[name]
+    if item.wrench is None or item.contact is None:
+        return None
+    force, moment = residual_rms([item.wrench], outcome.phi)
+    return {
+        "role": outcome.session.trials[name].role,
+        "force_rmse_N": force,
+        "moment_rmse_Nm": moment,
+        "used": int(item.contact.used.sum()),
+        "frames": len(item.contact.used),
+        "beside_plates": item.contact.excluded,
+    }

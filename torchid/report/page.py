@@ -1,0 +1,76 @@
+"""Sections into one HTML file without scripts and without anything from outside."""
+
+from importlib.resources import files
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from torchid.errors import DataError
+from torchid.files import write_text
+from torchid.outcome import Outcome
+from torchid.provenance import versions
+from torchid.report.blocks import Section
+from torchid.report.body import body_section
+from torchid.report.facts import wrenches
+from torchid.report.forces import forces_section
+from torchid.report.handling import handling_section
+from torchid.report.head import head_section
+from torchid.report.joints import joints_section
+from torchid.report.method import method_section
+from torchid.report.skeleton import skeleton_section
+from torchid.report.text import bind, clean
+
+
+def sections(outcome: Outcome, failure: DataError | None = None) -> list[Section]:
+    """All sections that the outcome has data for, in the order in which they are read."""
+    forces = wrenches(outcome)
+    found = [
+        head_section(outcome, forces, failure),
+        skeleton_section(outcome),
+        body_section(outcome),
+        forces_section(outcome, forces),
+        joints_section(outcome),
+        handling_section(outcome),
+        method_section(outcome),
+    ]
+    return [section for section in found if section is not None]
+
+
+def _maker() -> str:
+    version = versions()["torchid"]
+    return f"torchid {version}" if version[0].isdigit() else "torchid, run from its source tree"
+
+
+def render_report(outcome: Outcome, failure: DataError | None = None) -> str:
+    """The page as text; every name from the data is escaped by the template."""
+    environment = Environment(
+        loader=PackageLoader("torchid.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["bind"] = bind
+    css = files("torchid.report").joinpath("page.css").read_text(encoding="utf-8")
+    return environment.get_template("page.html.j2").render(
+        subject=clean(outcome.config.subject.name),
+        css=Markup(css),  # noqa: S704 - the package's own file
+        sections=sections(outcome, failure),
+        failure=None if failure is None else clean(str(failure), 1000),
+        maker=_maker(),
+    )
+
+
+def write_report(outcome: Outcome, path: Path, failure: DataError | None = None) -> None:
+    """Write ``report.html``: one self-contained page about a run.
+
+    Args:
+        outcome: what the run found.
+        path: the file.
+        failure: why the rest was not found; said at the top.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_text(path, render_report(outcome, failure))
