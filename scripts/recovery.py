@@ -19,6 +19,7 @@ from torchid.experiment.stages import follow, residual_rms
 from torchid.geometry.fit import GeometryFit, track
 from torchid.inertia.transform import move_frame
 from torchid.kinematics.chain import chain_poses
+from torchid.regressor.rows import predict
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, simulate_session
 
@@ -38,7 +39,10 @@ def main() -> None:
         session = simulate_session(options, seed, out / "recordings")
         outcome = run_experiment(load_config(session.config, [f"out={out.resolve() / 'result'}"]))
         rows.append({"seed": seed, **score(outcome, session)})
-        print("  ".join(f"{key} {value:.3g}" for key, value in rows[-1].items() if isinstance(value, int | float)), flush=True)
+        print(
+            "  ".join(f"{key} {value:.3g}" for key, value in rows[-1].items() if isinstance(value, int | float)),
+            flush=True,
+        )
     print(summary := {key: _mean(rows, key) for key in rows[0] if key != "seed"})
     (arguments.out / "recovery.json").write_text(json.dumps({"rows": rows, "mean": summary}, indent=1))
 
@@ -56,7 +60,8 @@ def score(outcome: Outcome, session: Session) -> dict[str, float]:
     held = [f.wrench for n, f in outcome.followed.items() if session.trial(n).trial.role == "heldout" and f.wrench]
     force, _ = residual_rms(held, fit.phi)
     floor, _ = residual_rms(perfect(outcome, session), subject.phi)
-    base_error = (fit.base.project(fit.phi) - fit.base.project(truth)).abs()
+    base, base_prior = (fit.base.project(phi) - fit.base.project(truth) for phi in (fit.phi, outcome.prior.mean))
+    base_error = base.abs()
     xi_error = (outcome.fit.xi[: len(outcome.fit.prior.mean)] - subject.xi).abs()
     trunk = [outcome.fit.model.tree.index(name) for name in ("pelvis", "abdomen", "thorax")]
     total = torch.zeros_like(fit.phi)
@@ -68,8 +73,10 @@ def score(outcome: Outcome, session: Session) -> dict[str, float]:
         "force_N": force,
         "floor_N": floor,
         "force_ratio": force / floor,
-        "base_error": fit.base.distance(fit.phi, truth, outcome.prior.covariance),
-        "base_error_prior": fit.base.distance(outcome.prior.mean, truth, outcome.prior.covariance),
+        "base_ratio": float(base.norm() / base_prior.norm()),
+        "base_wrench_ratio": wrench_ratio(outcome, truth),
+        "base_mahalanobis": fit.base.distance(fit.phi, truth, outcome.prior.covariance),
+        "base_mahalanobis_prior": fit.base.distance(outcome.prior.mean, truth, outcome.prior.covariance),
         "xi_covered": float((xi_error <= 1.96 * outcome.fit.uncertainty.sd[: len(xi_error)]).double().mean()),
         "base_covered": float((base_error <= 1.96 * fit.base.sd).double().mean()),
         "progress_thigh": float(fit.progress.phi[[outcome.fit.model.tree.index(f"thigh_{s}") for s in "lr"], 0].min()),
@@ -77,6 +84,13 @@ def score(outcome: Outcome, session: Session) -> dict[str, float]:
         "omega_1": fit.omega_1,
         "omega_2": fit.omega_2,
     }
+
+
+def wrench_ratio(outcome: Outcome, truth: torch.Tensor) -> float:
+    """Wrench that the error of phi makes in the fit trials over the wrench that the prior's error makes."""
+    trials = [f.wrench for n, f in outcome.followed.items() if f.wrench and n in outcome.session.fit("inertia")]
+    wrong = [torch.cat([predict(t, phi - truth)[t.used] for t in trials]) for phi in (outcome.phi, outcome.prior.mean)]
+    return float(wrong[0].norm() / wrong[1].norm())
 
 
 def group_progress(outcome: Outcome, row: torch.Tensor) -> float:

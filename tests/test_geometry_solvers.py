@@ -71,21 +71,21 @@ def started(problem: MarkerProblem, q: torch.Tensor) -> tuple[torch.Tensor, torc
 
 
 def test_arrow_and_lbfgs_meet_at_one_optimum(problem):
-    """LBFGS comes within a thousandth of the arrow's cost, and from the arrow's end it finds nothing better."""
+    """LBFGS comes within a hundredth of the arrow's cost, and from the arrow's end it finds nothing better."""
     given, q, _ = problem
     q, xi = started(given, q)
-    arrow, lbfgs = solve_arrow(given, q, xi), solve_lbfgs(given, q, xi, 500)
-    assert_close(lbfgs.cost, arrow.cost, rtol=1e-3, atol=0)
+    arrow, lbfgs = solve_arrow(given, q, xi), solve_lbfgs(given, q, xi, 300)
+    assert_close(lbfgs.cost, arrow.cost, rtol=1e-2, atol=0)
     assert solve_lbfgs(given, arrow.q, arrow.xi, 60).cost > arrow.cost * (1 - 1e-4)
 
 
 def test_adam_comes_close(problem):
-    """Adam brings the cost within a few percent of the optimum's, starting from several times as much."""
+    """Adam brings the cost near the optimum's, starting from many times as much."""
     given, q, _ = problem
     q, xi = started(given, q)
     arrow, adam = solve_arrow(given, q, xi), solve_adam(given, q, xi, 400)
-    assert arrow.trace[0] > 2.0 * arrow.cost
-    assert arrow.cost * (1 - 1e-6) <= adam.cost < 1.1 * arrow.cost
+    assert arrow.trace[0] > 4.0 * arrow.cost
+    assert arrow.cost * (1 - 1e-6) <= adam.cost < 1.3 * arrow.cost
 
 
 def test_gradient_of_the_chain_vanishes_where_the_arrow_stops(problem):
@@ -98,7 +98,7 @@ def test_gradient_of_the_chain_vanishes_where_the_arrow_stops(problem):
         leaves = at_q.clone().requires_grad_(), at_xi.clone().requires_grad_()
         accumulate_gradients(given, *leaves)
         slopes.append(torch.cat([leaf.grad.flatten() for leaf in leaves]).norm())
-    assert slopes[1] < 1e-4 * slopes[0]
+    assert slopes[1] < 1e-5 * slopes[0]
     assert found.converged and all(b <= a for a, b in zip(found.trace, found.trace[1:], strict=False))
 
 

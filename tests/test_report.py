@@ -250,10 +250,10 @@ def test_a_worse_held_out_residual_is_called_worse(run):
     bad = replace(run.outcome.identified, fit=replace(run.outcome.identified.fit, phi=1.5 * run.outcome.prior.mean))
     outcome = replace(run.outcome, identified=bad)
     section = head_section(outcome, wrenches(outcome), None)
+    said = [item for block in section.blocks for item in getattr(block, "items", ())]
     assert "higher than" in section.finding
-    assert any(
-        "worse than tabulated inertia" in item for block in section.blocks for item in getattr(block, "items", ())
-    )
+    assert any("worse than tabulated inertia" in item for item in said)
+    assert any("left thigh" in item and "prior standard deviations" in item for item in said)
 
 
 def test_notes_that_say_the_same_are_one_line(run):

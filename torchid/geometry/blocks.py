@@ -137,4 +137,4 @@ def shared_curve(layout: Layout, pieces: Pieces, dx: Tensor) -> Tensor:
 
 def _rows(x: Tensor, columns: Tensor) -> Tensor:
     """Some columns of (frames, n, 6) as (columns, 6 frames)."""
-    return x.transpose(0, 1).index_select(0, columns).reshape(len(columns), -1)
+    return x.transpose(0, 1).index_select(0, columns).reshape(len(columns), x.shape[0] * x.shape[2])

@@ -1,4 +1,4 @@
-"""A cut-off frequency from the data: where the signal sinks into its own noise floor."""
+"""A cut-off frequency from the data: where the motion itself ends."""
 
 import numpy as np
 import scipy.signal
@@ -7,14 +7,24 @@ from torch import Tensor
 
 LOWEST, HIGHEST = 4.0, 20.0
 """Bounds [Hz]: below, steps of walking are lost; above, skin and soft tissue ring (Winter 2009, section 3.4)."""
+UNKNOWN = 6.0
+"""For a recording too short or too full of gaps to tell [Hz]."""
+SHARE = 0.99
+"""Of the power of velocity that the cut-off must leave below it, before the margin."""
+MARGIN = 1.5
+"""From there to -3 dB."""
+WINDOW = 1.28
+"""Length of the periodograms [s]."""
 
 
 def choose_cutoff(position: Float[Tensor, "frames markers 3"], rate_hz: float) -> float:
-    """Cut-off [Hz] above which the typical marker holds noise only.
+    """Cut-off [Hz] that keeps a motion whole: 1.5 times the frequency below which 99 % of the velocity's power lies.
 
-    The Welch spectrum of each coordinate is compared with its floor, the median of the uppermost third of the band;
-    the cut-off is where the power falls to three times the floor, in the median over coordinates. A signal without a
-    floor (filtered before) keeps the upper bound.
+    Powers of all coordinates are summed, each less three times its noise floor (the median above 20 Hz, or above 0.3
+    of the rate). It gives 5 to 10 Hz in walking, 8 to 11 in running, 4 to 6 in squats. Where the spectrum meets its
+    floor, the textbook's sign, it does not say: most laboratories filter before they export, no floor is left, and on
+    ten of eleven public data sets the answer was the upper bound. The power of acceleration instead of velocity
+    follows narrow lines (cameras, 28 Hz) as soon as the motion is slow.
 
     Args:
         position: marker trajectories [m]; coordinates with gaps are left out.
@@ -23,9 +33,13 @@ def choose_cutoff(position: Float[Tensor, "frames markers 3"], rate_hz: float) -
     x = position.detach().cpu().numpy().reshape(len(position), -1)
     x = x[:, np.isfinite(x).all(axis=0)]
     if len(x) < 32 or x.shape[1] == 0:
-        return min(6.0, HIGHEST)
-    frequency, power = scipy.signal.welch(x, rate_hz, nperseg=min(len(x), 256), axis=0, detrend="linear")
-    floor = np.median(power[2 * len(power) // 3 :], axis=0)
-    above = power > 3.0 * floor
-    last = len(power) - 1 - np.argmax(above[::-1], axis=0)
-    return float(np.clip(np.median(frequency[last]), LOWEST, HIGHEST))
+        return UNKNOWN
+    frequency, power = scipy.signal.welch(
+        x, rate_hz, nperseg=min(len(x), round(WINDOW * rate_hz)), axis=0, detrend="linear"
+    )
+    floor = np.median(power[frequency > min(HIGHEST, 0.3 * rate_hz)], axis=0)
+    moving = np.clip(power - 3.0 * floor, 0.0, None).sum(axis=1) * frequency**2
+    below = np.cumsum(np.where(frequency <= HIGHEST, moving, 0.0))
+    if below[-1] <= 0.0:
+        return UNKNOWN
+    return float(np.clip(MARGIN * np.interp(SHARE, below / below[-1], frequency), LOWEST, HIGHEST))

@@ -1,0 +1,103 @@
+"""Labels find their segments, bodies without markers are locked, and every choice is said."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from small_session import SEED, session, template
+from torchid.errors import DataError
+from torchid.geometry.assign import Assignment, assign_markers, only
+from torchid.model.marker_set import load_marker_set
+from torchid.recording import Trial
+
+
+def marker_set(*left_out: str):
+    model = template()
+    given = load_marker_set("simulated", model.tree.names, tuple(model.landmarks))
+    return replace(given, specs={label: spec for label, spec in given.specs.items() if label not in left_out})
+
+
+def trials() -> tuple[Trial, ...]:
+    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
+    return tuple(item.trial for item in session().trials)
+
+
+def cut(trial: Trial, labels: tuple[str, ...]) -> Trial:
+    return replace(trial, markers=trial.markers.select(labels))
+
+
+def segment(found: Assignment, label: str) -> str:
+    return found.model.tree.names[int(found.attachment.body[found.attachment.labels.index(label)])]
+
+
+def test_every_listed_label_is_attached():
+    """All markers of the set are on their segments and nothing is said."""
+    subject = session().subject
+    found = assign_markers(template(), marker_set(), trials())
+    assert {label: segment(found, label) for label in found.attachment.labels} == dict(
+        zip(subject.labels, subject.segments, strict=True)
+    )
+    assert not found.notes
+
+
+@pytest.mark.parametrize(("segment_name", "letters"), [("thigh_l", "THI"), ("forearm_r", "FRA"), ("shank_l", "TIB")])
+def test_unlisted_label_joins_the_segment_it_moves_with(segment_name, letters):
+    """A label in no marker set goes to its segment by rigidity alone, and the result says so."""
+    subject = session().subject
+    label = next(x for x, s in zip(subject.labels, subject.segments, strict=True) if s == segment_name and letters in x)
+    found = assign_markers(template(), marker_set(label), trials())
+    assert segment(found, label) == segment_name
+    assert [note.code for note in found.notes] == ["markers.assigned"] and label in found.notes[0].message
+
+
+def test_label_that_moves_with_nothing_is_left_out():
+    """A marker on something else is left out by name."""
+    given = []
+    for trial in trials():
+        time = trial.markers.time
+        stray = torch.stack([torch.sin(3 * time), torch.cos(2 * time), 1 + 0 * time], dim=1)[:, None]
+        position = torch.cat([trial.markers.position, stray], dim=1)
+        markers = replace(trial.markers, labels=(*trial.markers.labels, "wand"), position=position)
+        given.append(replace(trial, markers=markers))
+    found = assign_markers(template(), marker_set(), tuple(given))
+    assert "wand" not in found.attachment.labels
+    assert [note.code for note in found.notes] == ["markers.unknown"] and "wand" in found.notes[0].message
+
+
+def test_bodies_without_markers_are_locked():
+    """Without head markers the head stays, keeps its inertia, and its three coordinates leave the model."""
+    subject = session().subject
+    kept = tuple(x for x, s in zip(subject.labels, subject.segments, strict=True) if s != "head")
+    found = assign_markers(template(), marker_set(), tuple(cut(trial, kept) for trial in trials()))
+    assert found.model.tree.names == template().tree.names
+    assert len(found.model.tree.dofs) == len(template().tree.dofs) - 3
+    assert [note.code for note in found.notes] == ["model.locked"] and "head" in found.notes[0].message
+
+
+def test_a_pelvis_without_markers_is_refused():
+    """Without the root's markers there is an error that names what was found and what to do."""
+    subject = session().subject
+    kept = tuple(x for x, s in zip(subject.labels, subject.segments, strict=True) if s != "pelvis")
+    with pytest.raises(DataError, match="markers.root") as caught:
+        assign_markers(template(), marker_set(), tuple(cut(trial, kept) for trial in trials()))
+    assert kept[0] in caught.value.found and "marker set" in caught.value.remedy
+
+
+def test_rarely_seen_marker_takes_no_part():
+    """A marker visible in a tenth of the frames is not attached."""
+    label, given = session().subject.labels[-1], []
+    for trial in trials():
+        position = trial.markers.position.clone()
+        position[len(position) // 10 :, trial.markers.labels.index(label)] = torch.nan
+        given.append(replace(trial, markers=replace(trial.markers, position=position)))
+    assert label not in assign_markers(template(), marker_set(), tuple(given)).attachment.labels
+
+
+def test_a_mask_keeps_rows_together():
+    """``only`` selects labels, bodies and priors alike."""
+    found = assign_markers(template(), marker_set(), trials()).attachment
+    keep = torch.arange(len(found.labels)) % 3 == 0
+    part = only(found, keep)
+    torch.testing.assert_close(part.mean, found.mean[keep])
+    assert part.labels == found.labels[::3] and part.landmark == found.landmark[::3]

@@ -1,0 +1,154 @@
+"""The geometric fit of a whole person: better than a scaled template, tied and grouped as asked, blind to the room."""
+
+from dataclasses import replace
+
+import pytest
+import roma
+import torch
+from torch.testing import assert_close
+
+import small_session as small
+from torchid.errors import DataError
+from torchid.geometry.fit import fit_geometry, parameters, start_fit, track
+from torchid.geometry.options import GeometryOptions
+from torchid.kinematics.chain import chain_poses
+from torchid.recording import Markers
+
+
+@pytest.fixture(autouse=True)
+def _seed_is_shown():
+    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
+
+
+def joint_errors(free: bool) -> torch.Tensor:
+    """RMS distance of every joint centre from the true one over the held-out trial [m]."""
+    fit, item = small.fit(free), small.session().trial("sway_steps")
+    mine = chain_poses(fit.model.tree, track(fit, item.trial.markers).q, fit.geometry)[..., :3, 3]
+    true = chain_poses(fit.model.tree, item.truth.motion.q, small.session().subject.geometry)[..., :3, 3]
+    return (mine - true).square().sum(2).mean(0).sqrt()
+
+
+def test_identified_geometry_follows_unseen_motion_better_than_the_scaled_template():
+    """On the held-out trial both the markers' residual and the joint centres' errors fall."""
+    held = small.markers("heldout")["sway_steps"]
+    identified, scaled = (track(small.fit(free), held).rmse for free in (True, False))
+    assert identified < 0.7 * scaled
+    assert float(joint_errors(True).square().mean()) < float(joint_errors(False).square().mean())
+
+
+def test_residual_is_the_markers_noise():
+    """One millimetre of noise a coordinate leaves at most its three-dimensional length."""
+    assert track(small.fit(), small.markers("heldout")["sway_steps"]).rmse < 1.2e-3 * 3**0.5
+
+
+def test_true_lengths_lie_within_the_stated_scatter():
+    """Standard deviations of xi are no larger than the prior's, and errors are of their size."""
+    fit, truth = small.fit(), small.session().subject.xi
+    assert fit.uncertainty is not None
+    named = len(fit.prior.mean)
+    sd = fit.uncertainty.sd[:named]
+    assert bool((sd <= fit.prior.sd * (1 + 1e-6)).all()) and float(sd.min()) > 0.0
+    z = (fit.xi[:named] - truth) / sd
+    assert float((z.abs() < 3.0).double().mean()) > 0.8
+    assert all(0.0 <= direction.share < 0.5 for direction in fit.uncertainty.undetermined)
+
+
+def test_scaled_template_keeps_its_joints():
+    """Without freedom only the markers are placed."""
+    fit = small.fit(False)
+    mean = small.template().geometry.geometry(small.template().geometry.mean)
+    assert_close(fit.geometry.offset, mean.offset)
+    assert_close(fit.geometry.hinge, mean.hinge)
+    assert float((fit.place - fit.attachment.mean).norm(dim=1).max()) > 1e-3
+
+
+def test_ties_make_the_sides_mirror_each_other():
+    """Tied geometry has one length for both shanks, whatever xi is."""
+    model = small.template()
+    prior = parameters(model, GeometryOptions(symmetry="tied"))
+    assert len(prior.names) < len(model.geometry.names)
+    geometry = prior.geometry(prior.mean + prior.sd * torch.randn(len(prior.mean), dtype=torch.float64))
+    mirror = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
+    for name in ("thigh", "shank", "foot", "forearm", "hand"):
+        left, right = (geometry.offset[model.tree.index(f"{name}_{side}")] for side in "lr")
+        assert_close(left, mirror * right)
+
+
+def test_groups_become_one_parameter_in_proportion():
+    """Grouped bones change by the same factor and at the mean nothing changes."""
+    model = small.template()
+    members = tuple(name for name in model.geometry.names if name.endswith("_length") and "_l_" in name)[:2]
+    prior = parameters(model, GeometryOptions(groups={"left": members}))
+    assert "left" in prior.names and not set(members) & set(prior.names)
+    assert_close(prior.geometry(prior.mean).offset, model.geometry.geometry(model.geometry.mean).offset)
+    xi = prior.mean.clone()
+    xi[prior.names.index("left")] *= 1.1
+    change = prior.geometry(xi).offset.norm(dim=1) / prior.geometry(prior.mean).offset.norm(dim=1)
+    assert int((change > 1.05).sum()) == 2
+
+
+def test_fit_does_not_depend_on_where_the_room_is():
+    """Turned about the vertical and moved by metres, the recording gives the same geometry and marker places."""
+    turn = roma.rotvec_to_rotmat(torch.tensor([0.0, 0.0, 2.0], dtype=torch.float64))
+    shift = torch.tensor([4.0, -3.0, 0.1], dtype=torch.float64)
+
+    def moved(markers: Markers) -> Markers:
+        return replace(markers, position=markers.position @ turn.T + shift)
+
+    given, static = small.assignment(), small.markers("static")["static"]
+    trials = {name: small.markers("fit")[name] for name in ("squats", "arms")}
+    options = GeometryOptions(max_frames=24, tolerance=1e-9)
+    here = fit_geometry(given.model, given.attachment, trials, static, options)
+    there = {name: moved(markers) for name, markers in trials.items()}
+    away = fit_geometry(given.model, given.attachment, there, moved(static), options)
+    assert_close(away.xi, here.xi, rtol=0, atol=2e-4)
+
+
+def test_gaps_are_bridged_better_with_the_temporal_prior():
+    """Where an arm's markers are lost for a fifth of a second, its course is nearer to the unbroken one."""
+    fit, held = small.fit(), small.markers("fit")["arms"]
+    gap = slice(150, 170)
+    lost = tuple(
+        label
+        for label, body in zip(fit.attachment.labels, fit.attachment.body.tolist(), strict=True)
+        if fit.model.tree.names[body] in ("forearm_l", "hand_l")
+    )
+    whole = track(fit, held).q
+    spoilt = small.without(held, lost, gap)
+    rows = [k for k, name in enumerate(fit.model.tree.dof_names) if name.startswith("elbow_l")]
+    bridged, plain = (track(fit, spoilt, bridge=b) for b in (True, False))
+    errors = [(found.q - whole)[gap][:, rows].square().mean() for found in (bridged, plain)]
+    assert errors[0] < errors[1]
+    assert not bool(plain.observable[gap].any()) and bool(plain.observable[:100].all())
+    assert bool(torch.isnan(bridged.error[gap][:, [fit.attachment.labels.index(x) for x in lost]]).all())
+
+
+def test_tracking_a_part_is_tracking_the_whole():
+    """Frames tracked alone get the coordinates that they get among others."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    part = Markers(held.labels, held.time[100:160], held.position[100:160])
+    assert_close(track(fit, part).q, track(fit, held).q[100:160], rtol=0, atol=2e-4)
+
+
+def test_first_order_solvers_run_through_the_same_fit():
+    """Adam and LBFGS lower the joint cost of the whole body from where the arrow starts too."""
+    given, static = small.assignment(), small.markers("static")["static"]
+    trials = {"squats": small.markers("fit")["squats"]}
+    for solver in ("adam", "lbfgs"):
+        options = GeometryOptions(solver=solver, max_frames=10, gradient_iterations=6, static_frames=3)
+        found = fit_geometry(given.model, given.attachment, trials, static, options).solution
+        assert found is not None and found.cost <= found.trace[0]
+
+
+def test_a_missing_static_trial_is_said():
+    """Without a static trial the markers are placed from the motion, with a note."""
+    given = small.assignment()
+    found = start_fit(given.model, given.attachment, small.markers("fit"), None, small.GEOMETRY)
+    assert [note.code for note in found.notes] == ["geometry.no_static"]
+
+
+def test_an_empty_static_trial_is_refused():
+    """A static trial without any of the subject's markers is an error of the data."""
+    given, static = small.assignment(), small.markers("static")["static"]
+    with pytest.raises(DataError, match="geometry.static"):
+        start_fit(given.model, given.attachment, {}, small.without(static, static.labels), small.GEOMETRY)

@@ -1,0 +1,103 @@
+"""Inertia from trials: nearer to the truth than the prior, honest about it, and consistent under scaling."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import small_session as small
+from torchid.errors import DataError
+from torchid.inertia import InertiaOptions
+from torchid.inertia.identify import Identified, determined, identify_inertia
+from torchid.model.model import InertialPrior
+from torchid.regressor.rows import WrenchTrial, residual_rms
+
+KNOWN = InertiaOptions(prior_weight=1.0, noise="known", base_parameters=False)
+
+
+@pytest.fixture(autouse=True)
+def _seed_is_shown():
+    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
+
+
+@pytest.fixture(scope="module")
+def prior() -> InertialPrior:
+    """What tables say of the true joint centres."""
+    return small.session().subject.model.inertia
+
+
+@pytest.fixture(scope="module")
+def identified(prior) -> Identified:
+    return identify_inertia(small.true_rows(), prior)
+
+
+def test_identified_inertia_is_three_times_nearer_than_the_prior(identified, prior):
+    """Base parameters of the identified body lie within a third of the prior's distance from the true ones."""
+    fit, truth = identified.fit, small.session().subject.phi
+    assert fit.base is not None
+    mine, before = (fit.base.distance(phi, truth, prior.covariance) for phi in (fit.phi, prior.mean))
+    assert mine <= before / 3.0
+
+
+def test_held_out_forces_are_predicted_better(identified, prior):
+    """On a trial that the fit did not see, force and moment residuals are below the prior's."""
+    held = list(small.true_rows("heldout"))
+    for mine, before in zip(residual_rms(held, identified.fit.phi), residual_rms(held, prior.mean), strict=True):
+        assert mine < before
+
+
+def test_intervals_are_honest(identified):
+    """Errors of base parameters are of the size that their standard deviations say."""
+    fit = identified.fit
+    assert fit.base is not None
+    z = (fit.base.project(fit.phi) - fit.base.project(small.session().subject.phi)) / fit.base.sd
+    assert 0.3 < float(z.square().mean().sqrt()) < 2.0
+    assert float((z.abs() < 1.96).double().mean()) > 0.75
+
+
+def test_progress_is_a_share(identified):
+    """Progress lies between none and all, the total mass is nearly all the data's, and some directions are determined."""
+    fit = identified.fit
+    assert bool(((fit.progress.phi > -1e-6) & (fit.progress.phi < 1.0)).all())
+    assert fit.progress.total_mass > 0.5
+    assert 1.0 < determined(fit) <= fit.rank
+
+
+def test_twice_the_trials_halve_the_variance(prior):
+    """Combinations that the data determine have half the variance when every trial counts twice."""
+    rows = list(small.true_rows())
+    once, twice = (identify_inertia(trials, prior, KNOWN).fit.covariance for trials in (rows, rows + rows))
+    L = torch.linalg.cholesky(prior.covariance)
+    share, vectors = torch.linalg.eigh(torch.linalg.solve_triangular(
+        L, torch.linalg.solve_triangular(L, once, upper=False).mT, upper=False))  # fmt: skip
+    strong = torch.linalg.solve_triangular(L.mT, vectors[:, share < 0.02], upper=True)
+    assert strong.shape[1] >= 5
+    ratio = ((strong.mT @ twice) * strong.mT).sum(1) / ((strong.mT @ once) * strong.mT).sum(1)
+    assert_close(ratio, torch.full_like(ratio, 0.5), rtol=0, atol=0.08)
+
+
+def test_a_body_twice_as_heavy_is_identified_as_such(prior):
+    """Forces and prior twice as large give twice the parameters, to a fraction of their standard deviation."""
+    heavy = [replace(trial, wrench=2.0 * trial.wrench) for trial in small.true_rows()]
+    double = InertialPrior(2.0 * prior.mean, 4.0 * prior.covariance)
+    options = InertiaOptions(prior_weight=1.0, base_parameters=False)
+    one, two = identify_inertia(small.true_rows(), prior, options).fit, identify_inertia(heavy, double, options).fit
+    off = (0.5 * two.phi - one.phi).flatten() / torch.diagonal(one.covariance).sqrt()
+    assert float(off.abs().max()) < 0.3
+
+
+def test_every_body_is_physical(identified):
+    """Masses are positive and the principal moments obey the triangle inequality."""
+    fit = identified.fit
+    moments = torch.linalg.eigvalsh(fit.inertia_com)
+    assert bool((fit.mass > 0).all()) and bool((moments > 0).all())
+    assert bool((moments[:, 0] + moments[:, 1] >= moments[:, 2] * (1 - 1e-9)).all())
+
+
+def test_no_used_frames_are_an_error_that_counts_them(prior):
+    """Trials without a run of used frames are refused with the numbers."""
+    rows: list[WrenchTrial] = [replace(trial, used=torch.zeros_like(trial.used)) for trial in small.true_rows()]
+    with pytest.raises(DataError, match="inertia.no_frames") as caught:
+        identify_inertia(rows, prior)
+    assert f"0 of {len(rows[0].used)}" in caught.value.found
