@@ -5,11 +5,15 @@ The seed is new in every test run, or ``$TORCHID_SEED``; tests print it, so that
 
 import functools
 import os
+import tempfile
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 
+from torchid.config import load_config
+from torchid.experiment import run_experiment
 from torchid.filters import Smoother
 from torchid.geometry.assign import Assignment, assign_markers
 from torchid.geometry.fit import GeometryFit, fit_geometry
@@ -19,14 +23,15 @@ from torchid.model.marker_set import load_marker_set
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
 from torchid.motion import smooth_motion
+from torchid.outcome import Outcome
 from torchid.recording import Markers
 from torchid.regressor.rows import WrenchTrial
 from torchid.simulate import Session, SimulateOptions, simulate_session
+from torchid.simulate.session import write_session
 
 SEED = int(os.environ.get("TORCHID_SEED", time.time_ns() % 2**32))
 OPTIONS = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=("sway_steps",), duration_s=4.0)
 GEOMETRY = GeometryOptions(max_frames=80)
-CUTOFF = 10.0
 
 
 @functools.cache
@@ -63,7 +68,7 @@ def fit(free: bool = True) -> GeometryFit:
 
 
 @functools.cache
-def true_rows(role: str = "fit") -> tuple[WrenchTrial, ...]:
+def true_rows(role: str = "fit", cutoff_hz: float = 10.0) -> tuple[WrenchTrial, ...]:
     """Noisy plates with the true motion and geometry: the inertial problem without the errors of the geometric one."""
     subject, found = session().subject, []
     for item in session().trials:
@@ -71,13 +76,38 @@ def true_rows(role: str = "fit") -> tuple[WrenchTrial, ...]:
             continue
         trial = synchronise(item.trial)
         assert trial.forces is not None
-        smoother = Smoother(CUTOFF, trial.markers.rate)
+        smoother = Smoother(cutoff_hz, trial.markers.rate)
         motion = smooth_motion(subject.model.tree, trial.markers.time, item.truth.motion.q, smoother)
         finite = torch.isfinite(trial.forces.total).all(dim=1)
         wrench = smoother(torch.nan_to_num(trial.forces.total), finite.to(torch.float64))
         used = finite & item.truth.complete
         found.append(WrenchTrial(trial.name, subject.model.tree, subject.geometry, motion, wrench, used))
     return tuple(found)
+
+
+@functools.cache
+def folder() -> tempfile.TemporaryDirectory:
+    """Where the session and its results are written; gone when the tests end."""
+    made = tempfile.TemporaryDirectory(prefix="torchid-")
+    write_session(session(), OPTIONS, Path(made.name) / "recordings")
+    return made
+
+
+def config() -> Path:
+    """Config of the written session."""
+    return Path(folder().name) / "recordings" / "config.yaml"
+
+
+def run_again() -> Outcome:
+    """The whole experiment on the written session, into ``out`` beside it."""
+    overrides = [f"out={Path(folder().name) / 'out'}", f"geometry.max_frames={GEOMETRY.max_frames}"]
+    return run_experiment(load_config(config(), overrides))
+
+
+@functools.cache
+def outcome() -> Outcome:
+    """The first run."""
+    return run_again()
 
 
 def without(given: Markers, labels: tuple[str, ...], frames: slice = slice(None)) -> Markers:

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-
 from small_session import SEED, session, template
+
 from torchid.errors import DataError
 from torchid.geometry.assign import Assignment, assign_markers, only
 from torchid.model.marker_set import load_marker_set

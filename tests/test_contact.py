@@ -81,9 +81,11 @@ def test_flight_is_measured():
     assert not bool(found.touching[45:55].any()) and bool(found.used.all())
 
 
-@pytest.mark.parametrize(("silent", "out"), [(slice(50, 54), 0), (slice(50, 75), 25), (slice(0, 4), 4), (slice(96, 100), 4)])
+@pytest.mark.parametrize(
+    ("silent", "out"), [(slice(50, 54), 0), (slice(50, 75), 25), (slice(0, 4), 4), (slice(96, 100), 4)]
+)
 def test_short_silences_are_the_plates_threshold(silent, out):
-    """A plate without corners that reads nothing for 40 ms was below its threshold; longer, or cut by an end, it was not."""
+    """Silent for 40 ms, a plate without corners was below its threshold; longer, or cut by an end, it was not."""
     wrench = LOADED.clone()
     wrench[silent, 1] = 0.0
     found = judge(BOTH, wrench, two_plates(corners=False))

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 import roma
+import small_session as small
 import torch
 from torch.testing import assert_close
 
-import small_session as small
 from torchid.errors import DataError
 from torchid.geometry.fit import fit_geometry, parameters, start_fit, track
 from torchid.geometry.options import GeometryOptions
@@ -88,7 +88,7 @@ def test_groups_become_one_parameter_in_proportion():
 
 
 def test_fit_does_not_depend_on_where_the_room_is():
-    """Turned about the vertical and moved by metres, the recording gives the same geometry and marker places."""
+    """Turned about the vertical and moved by metres, the recording gives the same xi, well within its sd."""
     turn = roma.rotvec_to_rotmat(torch.tensor([0.0, 0.0, 2.0], dtype=torch.float64))
     shift = torch.tensor([4.0, -3.0, 0.1], dtype=torch.float64)
 
@@ -101,7 +101,8 @@ def test_fit_does_not_depend_on_where_the_room_is():
     here = fit_geometry(given.model, given.attachment, trials, static, options)
     there = {name: moved(markers) for name, markers in trials.items()}
     away = fit_geometry(given.model, given.attachment, there, moved(static), options)
-    assert_close(away.xi, here.xi, rtol=0, atol=2e-4)
+    assert here.uncertainty is not None
+    assert float(((away.xi - here.xi) / here.uncertainty.sd).abs().max()) < 0.25
 
 
 def test_gaps_are_bridged_better_with_the_temporal_prior():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from torch.testing import assert_close
+from trees import BASE
 
 from torchid.geometry import gradient
 from torchid.geometry.arrow import solve_arrow
@@ -14,7 +15,6 @@ from torchid.geometry.problem import MarkerProblem, PosturePrior
 from torchid.kinematics.plan import plan_tree
 from torchid.model.model import GeometryPrior
 from torchid.model.tree import Body, Dof, Tree, Turn
-from trees import BASE
 
 FRAMES = 10
 SIGMA, LOOSE = 0.002, 0.003

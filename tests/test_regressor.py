@@ -5,6 +5,7 @@ import pytest
 import roma
 import torch
 from torch.testing import assert_close
+from trees import random_inertia, random_motion, random_tree
 
 from torchid.dynamics import inverse_dynamics, wrench_about
 from torchid.filters import Smoother
@@ -22,7 +23,6 @@ from torchid.regressor.whitening import (
     initial_whitening,
     spectra,
 )
-from trees import random_inertia, random_motion, random_tree
 
 
 def moving(seed: int, frames: int = 40, bodies: int = 4) -> tuple[WrenchTrial, torch.Tensor]:
@@ -69,7 +69,9 @@ def test_rows_do_not_know_where_the_laboratory_is(seed):
     q[:, 3:6] = roma.rotmat_to_rotvec(turn @ roma.rotvec_to_rotmat(q[:, 3:6]))
     for x in (v, a):
         x[:, :3], x[:, 3:6] = x[:, :3] @ turn.T, x[:, 3:6] @ turn.T
-    elsewhere = WrenchTrial("moved", trial.tree, trial.geometry, Motion(m.time, q, v, a, m.smoother), trial.wrench, trial.used)
+    elsewhere = WrenchTrial(
+        "moved", trial.tree, trial.geometry, Motion(m.time, q, v, a, m.smoother), trial.wrench, trial.used
+    )
     part = slice(0, len(q))
     both = torch.block_diag(turn, turn)
     assert_close(elsewhere.rows(part)[0], torch.einsum("ij,jpt->ipt", both, trial.rows(part)[0]), rtol=1e-8, atol=1e-8)

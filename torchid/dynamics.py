@@ -59,7 +59,8 @@ def body_rows(state: DynamicState) -> BodyRows:
     """A of every body at every frame."""
     lift = state.motion.a.new_tensor([0.0, 0.0, GRAVITY])[:, None]
     at, motion = state.at, state.motion
-    return inertial_columns(*at.R, at.p - at.p[:1], motion.w, motion.alpha, motion.a + lift)
+    X, Y, Z = at.R
+    return inertial_columns(X, Y, Z, at.p - at.p[:1], motion.w, motion.alpha, motion.a + lift)
 
 
 def inertial_columns(X: Tensor, Y: Tensor, Z: Tensor, p: Tensor, w: Tensor, alpha: Tensor, a: Tensor) -> BodyRows:

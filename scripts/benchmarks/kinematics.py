@@ -3,6 +3,7 @@
 import subprocess
 import tempfile
 import time
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from benchmarks.subject import RATE, Session, by_turns, make_session
-from torchid.geometry.coarse import solve_course
 from torchid.geometry.inverse import solve_poses
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 
@@ -24,17 +24,17 @@ def bench_ik(frames: int, peer_frames: int, rounds: int) -> dict[str, object]:
     session = make_session(frames, 3)
     problem, xi = session.problem, session.xi
     few = torch.arange(peer_frames)
-    best = solve_poses(problem, solve_course(problem, session.start, xi)[0], xi, iterations=200, tolerance=1e-13)[1]
+    best = solve_poses(problem, solve_poses(problem, session.start, xi)[0], xi, iterations=200, tolerance=1e-13)[1]
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         write_inputs(session, peer_frames, folder)
         runs = {
-            "torchid": lambda: solve_course(problem, session.start, xi),
+            "torchid": lambda: solve_poses(problem, session.start, xi),
             "opensim": lambda: _opensim(folder),
             "nimblephysics": lambda: _nimble(folder, peer_frames),
         }
         times = by_turns(runs, rounds, warm=False)
-        cost = {"torchid": solve_course(problem, session.start, xi)[1].sum() / best.sum()}
+        cost = {"torchid": solve_poses(problem, session.start, xi)[1].sum() / best.sum()}
         found = _read_motion(folder / "ik.mot", session)
         count = found.shape[1]
         cost["opensim"] = problem.frames(few[:count]).frame_cost(found, xi).sum() / best[:count].sum()
@@ -50,8 +50,10 @@ def write_inputs(session: Session, frames: int, folder: Path) -> None:
     order = [tree.names[problem.plan.order[k]] for k in problem.body.tolist()]
     markers = {label: (segment, p.numpy()) for label, segment, p in zip(labels, order, place, strict=True)}
     write_osim(tree, geometry, session.model.inertia.mean, folder / "model.osim", markers)
+    _free_root(folder / "model.osim", folder / "nimble.osim", tree.names[0])
     p = np.einsum("ij,mjt->tmi", Y_UP, problem.target[:, :, :frames].numpy())
     start = osim_coordinates(session.start.T).numpy()
+    start[:, 1] *= -1.0  # as in nimble.osim
     np.savez(folder / "trial.npz", p=p, start=start[0], names=np.array(osim_names(tree)), labels=np.array(labels))
     head = [
         "PathFileType\t4\t(X/Y/Z)\tmarkers.trc",
@@ -63,6 +65,20 @@ def write_inputs(session: Session, frames: int, folder: Path) -> None:
     ]
     rows = [f"{t + 1}\t{t / RATE:.6f}\t" + "\t".join(f"{x:.9f}" for x in p[t].ravel()) for t in range(frames)]
     (folder / "markers.trc").write_text("\n".join(head + rows) + "\n")
+
+
+def _free_root(source: Path, target: Path, root: str) -> None:
+    """The same model for nimblephysics, whose free joints slide along X, Y, Z of the file (our x, z, -y)."""
+    document = ElementTree.parse(source)  # noqa: S314 (our own file)
+    joint = next(x for x in document.iter("CustomJoint") if x.get("name") == f"ground_{root}")
+    wanted = zip(np.eye(3), (f"{root}_x", f"{root}_z", f"{root}_y"), strict=True)
+    slides = [x for x in joint.iter("TransformAxis") if (x.get("name") or "").startswith("translation")]
+    for slide, (axis, name) in zip(slides, wanted, strict=True):
+        for tag, text in (("axis", " ".join(map(str, axis))), ("coordinates", name)):
+            found = slide.find(tag)
+            assert found is not None
+            found.text = text
+    document.write(target)
 
 
 def _opensim(folder: Path) -> float:

@@ -7,7 +7,7 @@ import torch
 
 from benchmarks.subject import RATE, make_session
 from torchid.dynamics import base_gram, body_rows, dynamic_state
-from torchid.geometry.coarse import solve_course
+from torchid.geometry.inverse import solve_poses
 
 MINUTE = int(60 * RATE)
 
@@ -20,7 +20,7 @@ def main(minutes: int) -> None:
     tree, plan = session.model.tree, session.problem.plan
     before, total = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, None
     for _ in range(minutes):
-        q, _ = solve_course(session.problem, session.start, session.xi)
+        q, _ = solve_poses(session.problem, session.start, session.xi)
         for part in q.split(1024, dim=1):
             rows = body_rows(dynamic_state(tree, geometry, part, part, part))
             gram, _ = base_gram(plan, rows, part[:6])

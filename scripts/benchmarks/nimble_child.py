@@ -9,7 +9,7 @@ import numpy as np
 
 folder, frames = Path(sys.argv[1]), int(sys.argv[2])
 trial = np.load(folder / "trial.npz")
-parsed = nimblephysics.biomechanics.OpenSimParser.parseOsim(str(folder / "model.osim"))
+parsed = nimblephysics.biomechanics.OpenSimParser.parseOsim(str(folder / "nimble.osim"))
 skeleton = parsed.skeleton
 markers = [parsed.markersMap[label] for label in trial["labels"].tolist()]
 rows = {skeleton.getDofByIndex(i).getName(): i for i in range(skeleton.getNumDofs())}

@@ -30,6 +30,11 @@ class ContactOptions:
     """Shorter absences of a plate's reading are the plate's threshold, not a missing plate."""
 
 
+REST = 0.05, 0.2
+"""A foot above the ground rests on something, such as a box, when it is flat and slower than this [m/s] for that long
+[s]. A foot held in the air is neither: in 12 s of leg circles none is found."""
+
+
 @dataclass(frozen=True)
 class Contact:
     """Support of one trial, on the clock of the markers."""
@@ -79,8 +84,9 @@ def find_contact(
     near = _near(list(soles.values()), forces, options)
     belt = torch.stack([_belt(p, near[..., k].any(dim=1), rate_hz, options) for k, p in enumerate(soles.values())])
     pairs = zip(soles.values(), belt, strict=True)
-    touching = torch.stack([_touching(points, v, rate_hz, options) for points, v in pairs], dim=1)
-    supported = _supported(touching, near, list(soles.values()), forces, options)
+    down = [_touching(points, v, rate_hz, options) for points, v in pairs]
+    touching = torch.stack([points.any(dim=1) for points in down], dim=1)
+    supported = _supported(touching, near, list(soles.values()), down, forces, options)
     supported = ~_lasting(~supported, round(options.shortest_s * rate_hz))
     whole = measured & supported.all(dim=1)
     clean = ~_dilate(~whole, round(spread_s * rate_hz))
@@ -114,12 +120,28 @@ def _belt(points: Tensor, loaded: Tensor, rate_hz: float, options: ContactOption
 
 
 def _touching(points: Tensor, belt: Tensor, rate_hz: float, options: ContactOptions) -> Tensor:
-    """A point of the sole is low, and slow as seen from the ground."""
+    """(frames, points): low or at the height of something the foot rested on, and slow as seen from the ground."""
     speed = torch.zeros_like(points[..., 0])
     step = (torch.diff(points, dim=0) * rate_hz - torch.nn.functional.pad(belt, (0, 1))).norm(dim=2)
     speed[1:-1] = 0.5 * (step[1:] + step[:-1])
     speed[0], speed[-1] = step[0], step[-1]
-    return (_low(points, options) & (speed < options.speed_m_s)).any(dim=1)
+    down = _low(points, options)
+    for level in _levels(points, speed, rate_hz, options):
+        down = down | ((points[..., 2] - level).abs() < options.height_m)
+    return down & (speed < options.speed_m_s)
+
+
+def _levels(points: Tensor, speed: Tensor, rate_hz: float, options: ContactOptions) -> list[Tensor]:
+    """Heights of the sole's points (points) wherever the foot rested flat above the ground."""
+    over = points[..., 2] - points[..., 2].quantile(0.02, dim=0)
+    flat = over.amax(dim=1) - over.amin(dim=1) < options.height_m
+    rests = (speed < REST[0]).all(dim=1) & flat & (over.amin(dim=1) > options.height_m)
+    rests = _lasting(rests[:, None], round(REST[1] * rate_hz))[:, 0]
+    found: list[Tensor] = []
+    for height in points[rests, :, 2]:
+        if all(float((height - level).abs().max()) > options.height_m for level in found):
+            found.append(height)
+    return found
 
 
 def _near(soles: list[Tensor], forces: Forces, options: ContactOptions) -> Tensor:
@@ -137,20 +159,37 @@ def _to_axis(centre: Tensor, points: Tensor) -> Tensor:
     return (centre[..., :2] - heel - share[..., None] * along).norm(dim=-1)
 
 
-def _supported(touching: Tensor, near: Tensor, soles: list[Tensor], forces: Forces, options: ContactOptions) -> Tensor:
-    """Every touching foot stands inside a plate with known corners, or has a centre of pressure, its own or shared."""
+def _supported(
+    touching: Tensor, near: Tensor, soles: list[Tensor], down: list[Tensor], forces: Forces, options: ContactOptions
+) -> Tensor:
+    """Every touching foot stands inside a plate with known corners, or has a centre of pressure, its own or shared.
+
+    Without corners a foot also counts where it had one before or later: at the same place a plate is still under it.
+    """
     corners = [plate.corners for plate in forces.plates]
     if all(c is not None for c in corners) and corners:
-        inside = [_inside(points, [c for c in corners if c is not None], options.margin_m) for points in soles]
+        known = [c for c in corners if c is not None]
+        inside = [_inside(p, d, known, options.margin_m) for p, d in zip(soles, down, strict=True)]
         return ~touching | torch.stack(inside, dim=1)
     loaded = torch.isfinite(forces.centre_of_pressure(options.loaded_n)[..., 0])
     # A centre of pressure under no foot's sole alone lies between two feet that share the plate.
     shared = (loaded & ~near.any(dim=2)).any(dim=1)
-    return ~touching | near.any(dim=1) | shared[:, None]
+    above = near.any(dim=1) & touching
+    again = [_revisited(points, above[:, k], options.margin_m) for k, points in enumerate(soles)]
+    return ~touching | near.any(dim=1) | shared[:, None] | torch.stack(again, dim=1)
 
 
-def _inside(points: Tensor, plates: list[Tensor], margin: float) -> Tensor:
-    """All points of the sole that are near the ground lie over some plate (union of rectangles, widened)."""
+def _revisited(points: Tensor, above: Tensor, margin: float) -> Tensor:
+    """Frames in which the whole sole lies within ``margin`` of where it lay while a plate was loaded under it."""
+    place = points[:, [0, -1]].flatten(1)
+    known = torch.unique((place[above] / margin).round(), dim=0) * margin
+    if not len(known):
+        return torch.zeros_like(above)
+    return torch.cdist(place, known, p=torch.inf).amin(dim=1) < margin
+
+
+def _inside(points: Tensor, down: Tensor, plates: list[Tensor], margin: float) -> Tensor:
+    """All points of the sole that are near the ground, or down, lie over some plate (union of widened rectangles)."""
     inside = torch.zeros(points.shape[:2], dtype=torch.bool, device=points.device)
     for corners in plates:
         origin = corners[0]
@@ -161,7 +200,7 @@ def _inside(points: Tensor, plates: list[Tensor], margin: float) -> Tensor:
             for_all &= (along > -margin) & (along < length + margin)
         inside |= for_all
     low = points[..., 2] - points[..., 2].quantile(0.02, dim=0) < 0.05
-    return (inside | ~low).all(dim=1)
+    return (inside | ~(low | down)).all(dim=1)
 
 
 def _assign(near: Tensor, touching: Tensor, loaded: Tensor) -> Tensor:

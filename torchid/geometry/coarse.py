@@ -1,7 +1,8 @@
 """Coarse to fine in time: a few frames solved first give the others their start.
 
-A start costs one look at the cost; a cold one costs eight iterations. Frames keep the start that fits them better, so
-the order of the frames may break (trials side by side) without harm.
+Frames keep the start that fits them better, so the order of the frames may break (trials side by side) without harm.
+For inverse kinematics alone this gained nothing: poses of neighbours differ by as much as their noise, and three
+iterations from there, with the detour, took as long as the cold start's eight, of which most frames need five.
 """
 
 from dataclasses import replace
@@ -10,7 +11,6 @@ import roma
 import torch
 from torch import Tensor
 
-from torchid.geometry.inverse import solve_poses
 from torchid.geometry.problem import MarkerProblem, retract
 from torchid.model.tree import BASE_DOFS
 
@@ -20,18 +20,6 @@ LEAST = 20
 """Fewer coarse frames than this are not worth the detour."""
 FAR = 1.0
 """Neighbours further apart than this [rad or m] lie on different branches of the angles: no mean of them."""
-
-
-def solve_course(
-    problem: MarkerProblem, q: Tensor, xi: Tensor, iterations: int = 40, tolerance: float = 1e-5
-) -> tuple[Tensor, Tensor]:
-    """``solve_poses`` for frames that follow each other: every tenth from ``q``, the others from between them."""
-    if q.shape[1] < LEAST * STRIDE:
-        return solve_poses(problem, q, xi, iterations, tolerance)
-    few = coarse_frames(q)
-    solved, _ = solve_poses(problem.frames(few), q[:, few], xi, iterations, tolerance)
-    start, _ = better_start(problem, q, between(solved, few, q.shape[1]), xi)
-    return solve_poses(problem, start, xi, iterations, tolerance)
 
 
 def coarse_frames(q: Tensor) -> Tensor:
@@ -60,8 +48,8 @@ def between(solved: Tensor, few: Tensor, frames: int) -> Tensor:
     far = torch.stack(changes).abs().amax((0, 1)) > FAR
     weights = (0.5 * (2 * s**2 - s**3 - s), 0.5 * (s + 4 * s**2 - 3 * s**3), 0.5 * (s**3 - s**2))
     nearest = (torch.zeros_like(s), s.round(), torch.zeros_like(s))
-    step = sum(torch.where(far, n, w) * c for n, w, c in zip(nearest, weights, changes, strict=True))
-    return retract(before, step)
+    steps = [torch.where(far, n, w) * c for n, w, c in zip(nearest, weights, changes, strict=True)]
+    return retract(before, torch.stack(steps).sum(0))
 
 
 def _change(before: Tensor, after: Tensor) -> Tensor:

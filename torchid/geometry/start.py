@@ -11,8 +11,8 @@ from torchid.geometry.inverse import solve_poses
 from torchid.geometry.problem import MarkerProblem
 from torchid.kinematics.recursion import poses
 
-ASTRAY = 2.5
-"""A frame whose cost is this many times the median of all restarts from a neighbour."""
+ASTRAY = 3.0
+"""A frame whose cost is this many times that of the best fifth of all restarts from a neighbour."""
 
 
 def initial_posture(problem: MarkerProblem, xi: Float[Tensor, " xi"], rest: Float[Tensor, " dofs"]) -> Tensor:
@@ -68,7 +68,7 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
     q, cost = solve_poses(plain, q, xi)
     for _ in range(rounds):
         rating = cost / (problem.weight > 0).sum(0).clamp(min=1)
-        astray = rating > ASTRAY * rating.median()
+        astray = rating > ASTRAY * rating.quantile(0.2)
         if not bool(astray.any()) or bool(astray.all()):
             break
         index = astray.nonzero()[:, 0]

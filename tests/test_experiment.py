@@ -1,0 +1,169 @@
+"""A run writes what is promised, takes up finished stages, and says why when something is missing."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_session as small
+import torch
+import xarray
+import yaml
+from torch.testing import assert_close
+from typer.testing import CliRunner
+
+from torchid.cli import app
+from torchid.experiment.stages import legs
+from torchid.io.c3d_write import write_c3d
+from torchid.recording import Trial
+
+
+@pytest.fixture(autouse=True)
+def _seed_is_shown():
+    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
+
+
+def out() -> Path:
+    small.outcome()
+    return Path(small.folder().name) / "out"
+
+
+def table(name: str, folder: Path | None = None) -> dict:
+    return json.loads(((folder or out()) / name).read_text())
+
+
+def test_every_promised_file_is_there():
+    """One file of each kind, and per trial motion, forces, and OpenSim's two."""
+    names = {item.trial.name for item in small.session().trials}
+    expected = {
+        "config.yaml",
+        "provenance.json",
+        "geometry.json",
+        "inertia.json",
+        "model.urdf",
+        "model.osim",
+        "report.html",
+    }
+    expected |= {f"{kind}_{name}.nc" for kind in ("motion", "forces") for name in names}
+    expected |= {f"{name}_{kind}" for kind in ("ik.mot", "id.sto") for name in names}
+    assert expected <= {path.name for path in out().iterdir()}
+
+
+def test_geometry_table_holds_the_fit():
+    """Keys as promised; lengths and rms errors are those of the outcome."""
+    found, content = small.outcome(), table("geometry.json")
+    assert {"xi", "segments", "markers", "undetermined", "marker_rmse_mm"} <= set(content)
+    assert set(content["xi"]) == set(found.fit.prior.names)
+    entry = content["xi"][found.fit.prior.names[0]]
+    assert entry["value"] == pytest.approx(float(found.fit.xi[0])) and entry["sd"] > 0 and entry["unit"] == "m"
+    shank = found.fit.geometry.offset[found.fit.model.tree.index("foot_l")].norm()
+    assert content["segments"]["shank_l"]["length_m"] == pytest.approx(float(shank))
+    assert set(content["markers"]) == set(found.fit.attachment.labels)
+    held = content["marker_rmse_mm"]["sway_steps"]
+    assert held["identified"] == pytest.approx(1e3 * found.tracked("sway_steps").rmse)
+    assert held["identified"] < held["scaled"] and set(held["markers"]) == set(found.fit.attachment.labels)
+
+
+def test_inertia_table_holds_every_segment():
+    """Mass, centre of mass, inertia about it, their scatter and the progress, for all bodies; masses add up."""
+    content = table("inertia.json")
+    assert set(content["segments"]) == set(small.template().tree.names)
+    for entry in content["segments"].values():
+        assert np.shape(entry["com_m"]) == (3,) and np.shape(entry["inertia_kgm2"]) == (3, 3)
+        assert set(entry["sd"]) == {"mass_kg", "com_m", "inertia_kgm2"} and 0.0 <= entry["progress"] <= 1.0
+    total = sum(entry["mass_kg"] for entry in content["segments"].values())
+    assert content["total_mass"]["value_kg"] == pytest.approx(total)
+    assert content["rank"] == len(content["base_parameters"]) and content["status"] == "accepted"
+    assert {"certificate", "weights", "trials", "cutoff_hz"} <= set(content)
+
+
+def test_motion_file_keeps_every_frame():
+    """Coordinates, poses and markers of every marker frame, in the file's time and by name."""
+    with xarray.open_dataset(out() / "motion_sway_steps.nc", engine="h5netcdf") as data:
+        markers = small.session().trial("sway_steps").trial.markers
+        np.testing.assert_allclose(data["time"], markers.time.numpy(), rtol=0, atol=1e-6)
+        assert {"q", "v", "a", "torque", "X_WB", "markers_measured", "markers_modelled"} <= set(data.variables)
+        assert list(data["body"].values) == list(small.template().tree.names)
+        R = data["X_WB"].values[..., :3, :3]
+        np.testing.assert_allclose(R @ R.swapaxes(-1, -2), np.broadcast_to(np.eye(3), R.shape), rtol=0, atol=1e-9)
+        assert data["X_WB"].dims[:2] == ("time", "body")
+
+
+def test_forces_file_holds_measured_and_predicted():
+    """Plates add up to the total, and the prediction is near it where frames are used."""
+    with xarray.open_dataset(out() / "forces_sway_steps.nc", engine="h5netcdf") as data:
+        used = data["used"].values
+        assert used.mean() > 0.5
+        np.testing.assert_allclose(data["plate_wrench"].sum("plate")[used], data["measured"][used], rtol=0, atol=1e-6)
+        off = (data["predicted"] - data["measured"]).values[used][:, :3]
+        row = next(r for r in reversed(small.outcome().residuals) if r.role == "heldout")
+        assert np.sqrt((off**2).sum(1).mean()) == pytest.approx(row.force_rmse_N, rel=1e-6)
+
+
+def test_torques_are_blank_where_a_foot_is_not_measured():
+    """A leg's torques are NaN exactly where its foot's wrench is unknown."""
+    found = small.outcome()
+    tree, item = found.fit.model.tree, found.followed["sway_steps"]
+    assert item.contact is not None
+    unknown = (item.contact.plate == -2).any(1)[:, None] & item.contact.touching | ~item.contact.supported
+    for k, foot in enumerate(item.contact.feet):
+        blank = torch.isnan(found.torque["sway_steps"][:, legs(tree)[foot]])
+        assert_close(blank, unknown[:, k : k + 1].expand_as(blank))
+
+
+def test_provenance_names_inputs_and_versions():
+    """Hashes of the recordings, the seed, versions and the cost of every stage."""
+    content = table("provenance.json")
+    assert len(content["inputs"]) == len(small.session().trials) and content["seed"] == small.SEED
+    assert {"geometry", "scaled", "inertia", "motion_sway_steps"} <= set(content["stages"])
+    assert content["versions"]["torch"].startswith(torch.__version__.split("+")[0])
+
+
+def test_a_second_run_takes_up_the_stages():
+    """Nothing is computed twice, and the results are the same to the last bit."""
+    before = small.outcome()
+    again = small.run_again()
+    assert all(stage["reused"] for stage in table("provenance.json")["stages"].values())
+    assert_close(again.fit.xi, before.fit.xi, rtol=0, atol=0)
+    assert_close(again.phi, before.phi, rtol=0, atol=0)
+
+
+def short_session(folder: Path, forces: bool = True, **changes) -> Path:
+    """A config of two short trials, with or without plates."""
+    listed = []
+    for name, role in (("static", "static"), ("squats", "fit")):
+        trial = small.session().trial(name).trial
+        if not forces:
+            trial = Trial(name, trial.markers, None, role, parameters=trial.parameters)
+        write_c3d(folder / f"{name}.c3d", trial)
+        listed.append({"name": name, "role": role, "file": f"{name}.c3d"})
+    config = yaml.safe_load(small.config().read_text())
+    config |= {"trials": listed, "geometry": {"max_frames": 20, "iterations": 8, "static_frames": 5}, **changes}
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    return folder / "config.yaml"
+
+
+def test_without_plates_everything_up_to_the_motion_is_written(tmp_path):
+    """No forces: exit 3 with one line of reason; geometry and motion are there, an inertia table is not."""
+    result = CliRunner().invoke(app, ["run", str(short_session(tmp_path, forces=False))])
+    assert result.exit_code == 3 and "inertia.no_frames" in result.output
+    found = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"geometry.json", "motion_squats.nc", "report.html", "squats_ik.mot"} <= found
+    assert not {"inertia.json", "forces_squats.nc"} & found
+
+
+def test_inertia_can_be_left_out(tmp_path):
+    """Disabled, the inertial fit is not missed: exit 0, forces predicted with the prior."""
+    result = CliRunner().invoke(app, ["run", str(short_session(tmp_path, inertia={"enabled": False}))])
+    assert result.exit_code == 0, result.output
+    found = {path.name for path in (tmp_path / "out").iterdir()}
+    assert "forces_squats.nc" in found and "inertia.json" not in found
+
+
+def test_the_wrong_marker_set_is_said(tmp_path):
+    """A marker set that fits no label ends with the labels and the remedy, before any fit."""
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("nothing: pelvis\n")
+    result = CliRunner().invoke(app, ["run", str(short_session(tmp_path, markers=str(wrong)))])
+    assert result.exit_code in (2, 3) and "markers" in result.output
+    assert not (tmp_path / "out" / "geometry.json").exists()
