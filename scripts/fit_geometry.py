@@ -4,7 +4,8 @@
     python scripts/fit_geometry.py --config configs/demo.yaml --solver adam --iterations 2000 --out out/train
 
 Adam and LBFGS differentiate through the pytorch-kinematics chain; the arrow takes Gauss-Newton steps. Writes
-metrics.jsonl, checkpoint.snapshot (the next call goes on from it) and, at the end, geometry.snapshot.
+metrics.jsonl, checkpoint.snapshot (the next call goes on from its q and xi; the optimiser's memory starts afresh) and,
+at the end, geometry.snapshot.
 """
 
 import argparse

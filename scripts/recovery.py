@@ -14,11 +14,11 @@ import torch
 
 from torchid.config import load_config
 from torchid.experiment import run_experiment
-from torchid.experiment.outcome import Outcome
 from torchid.experiment.stages import follow, residual_rms
 from torchid.geometry.fit import GeometryFit, track
 from torchid.inertia.transform import move_frame
 from torchid.kinematics.chain import chain_poses
+from torchid.outcome import Outcome
 from torchid.regressor.rows import predict
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, simulate_session
@@ -114,7 +114,7 @@ def joint_error(outcome: Outcome, session: Session, scaled: bool) -> float:
 
 
 def true_phi(outcome: Outcome, session: Session) -> torch.Tensor:
-    """The true inertia about the identified origins, in the identified axes (mean relative pose over the fit trials)."""
+    """The true inertia about the identified origins, in identified axes (mean relative pose over the fit trials)."""
     relative = []
     for item in session.trials:
         if item.trial.role == "fit":

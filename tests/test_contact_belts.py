@@ -83,3 +83,29 @@ def test_model_without_soles_uses_what_is_measured() -> None:
     contact = find_contact({}, forces, torch.ones(len(stance), dtype=torch.bool), RATE, 0.02)
     assert int((~contact.used).sum()) == 10 + 2 * 2
     assert contact.excluded == 0
+
+
+def test_foot_that_rests_on_a_box_takes_its_frames_out() -> None:
+    """Standing still and flat 0.3 m above the ground is contact that no plate measures; the jump after it is flight."""
+    height = torch.cat([torch.full((80,), 0.3), torch.linspace(0.3, 0.0, 25) ** 2 / 0.3, torch.zeros(95)]).double()
+    place = torch.nn.functional.pad(height[:, None], (2, 0))[:, None]
+    soles = {"foot_l": place + HEEL_TO_TOE, "foot_r": place + HEEL_TO_TOE}
+    wrench = plate_under(place + HEEL_TO_TOE, height == 0.0)[:, None]
+    forces = Forces(torch.arange(200).double() / RATE, wrench, (Plate("one"),))
+    contact = find_contact(soles, forces, torch.ones(200, dtype=torch.bool), RATE, 0.0)
+    assert not bool(contact.used[:80].any())
+    assert bool(contact.used[90:].all())
+
+
+def test_foot_that_swings_in_the_air_rests_on_nothing(seed: int) -> None:
+    """A leg held up and circled slowly stays in the air, so that one-legged trials keep their frames."""
+    turn = torch.linspace(0.0, 4.0 * torch.pi, 400, dtype=torch.float64) + float(torch.rand(1))
+    place = torch.stack([0.1 * torch.cos(turn), 0.1 * torch.sin(turn), 0.3 + 0.05 * torch.cos(turn)], dim=1)[:, None]
+    place[:40, :, 2] = 0.0
+    still = torch.zeros(400, 1, 3).double() + torch.tensor([0.0, 0.3, 0.0])
+    soles = {"foot_l": still + HEEL_TO_TOE, "foot_r": place + HEEL_TO_TOE}
+    forces = Forces(
+        torch.arange(400).double() / RATE, plate_under(still + HEEL_TO_TOE, torch.ones(400))[:, None], (Plate("one"),)
+    )
+    contact = find_contact(soles, forces, torch.ones(400, dtype=torch.bool), RATE, 0.0)
+    assert bool(contact.used[50:].all())

@@ -120,27 +120,29 @@ def _belt(points: Tensor, loaded: Tensor, rate_hz: float, options: ContactOption
 
 
 def _touching(points: Tensor, belt: Tensor, rate_hz: float, options: ContactOptions) -> Tensor:
-    """(frames, points): low or at the height of something the foot rested on, and slow as seen from the ground."""
+    """(frames, points): low, and slow as seen from the ground; or still at the height at which the foot rested."""
     speed = torch.zeros_like(points[..., 0])
     step = (torch.diff(points, dim=0) * rate_hz - torch.nn.functional.pad(belt, (0, 1))).norm(dim=2)
     speed[1:-1] = 0.5 * (step[1:] + step[:-1])
     speed[0], speed[-1] = step[0], step[-1]
-    down = _low(points, options)
-    for level in _levels(points, speed, rate_hz, options):
-        down = down | ((points[..., 2] - level).abs() < options.height_m)
-    return down & (speed < options.speed_m_s)
+    return (_low(points, options) & (speed < options.speed_m_s)) | _raised(points, speed, rate_hz, options)
 
 
-def _levels(points: Tensor, speed: Tensor, rate_hz: float, options: ContactOptions) -> list[Tensor]:
-    """Heights of the sole's points (points) wherever the foot rested flat above the ground."""
+def _raised(points: Tensor, speed: Tensor, rate_hz: float, options: ContactOptions) -> Tensor:
+    """(frames, points): on something above the ground, from before a rest until the sole leaves that height.
+
+    A foot rolls off a box as fast as it likes, so that no speed ends the contact.
+    """
     over = points[..., 2] - points[..., 2].quantile(0.02, dim=0)
     flat = over.amax(dim=1) - over.amin(dim=1) < options.height_m
     rests = (speed < REST[0]).all(dim=1) & flat & (over.amin(dim=1) > options.height_m)
-    rests = _lasting(rests[:, None], round(REST[1] * rate_hz))[:, 0]
-    found: list[Tensor] = []
-    for height in points[rests, :, 2]:
-        if all(float((height - level).abs().max()) > options.height_m for level in found):
-            found.append(height)
+    found = torch.zeros_like(over, dtype=torch.bool)
+    for start, stop in _runs(_lasting(rests[:, None], round(REST[1] * rate_hz))[:, 0]):
+        level = points[start:stop, :, 2].median(dim=0).values
+        on = (points[..., 2] - level).abs() < options.height_m
+        for first, last in _runs(on.any(dim=1)):
+            if first < stop and start < last:
+                found[first:last] |= on[first:last]
     return found
 
 
@@ -162,10 +164,7 @@ def _to_axis(centre: Tensor, points: Tensor) -> Tensor:
 def _supported(
     touching: Tensor, near: Tensor, soles: list[Tensor], down: list[Tensor], forces: Forces, options: ContactOptions
 ) -> Tensor:
-    """Every touching foot stands inside a plate with known corners, or has a centre of pressure, its own or shared.
-
-    Without corners a foot also counts where it had one before or later: at the same place a plate is still under it.
-    """
+    """Every touching foot stands inside a plate with known corners, or has a centre of pressure, its own or shared."""
     corners = [plate.corners for plate in forces.plates]
     if all(c is not None for c in corners) and corners:
         known = [c for c in corners if c is not None]
@@ -174,18 +173,7 @@ def _supported(
     loaded = torch.isfinite(forces.centre_of_pressure(options.loaded_n)[..., 0])
     # A centre of pressure under no foot's sole alone lies between two feet that share the plate.
     shared = (loaded & ~near.any(dim=2)).any(dim=1)
-    above = near.any(dim=1) & touching
-    again = [_revisited(points, above[:, k], options.margin_m) for k, points in enumerate(soles)]
-    return ~touching | near.any(dim=1) | shared[:, None] | torch.stack(again, dim=1)
-
-
-def _revisited(points: Tensor, above: Tensor, margin: float) -> Tensor:
-    """Frames in which the whole sole lies within ``margin`` of where it lay while a plate was loaded under it."""
-    place = points[:, [0, -1]].flatten(1)
-    known = torch.unique((place[above] / margin).round(), dim=0) * margin
-    if not len(known):
-        return torch.zeros_like(above)
-    return torch.cdist(place, known, p=torch.inf).amin(dim=1) < margin
+    return ~touching | near.any(dim=1) | shared[:, None]
 
 
 def _inside(points: Tensor, down: Tensor, plates: list[Tensor], margin: float) -> Tensor:
@@ -217,12 +205,16 @@ def _lasting(flag: Tensor, frames: int) -> Tensor:
         return flag
     kept = flag.clone()
     for column in range(flag.shape[1]):
-        edges = torch.diff(torch.nn.functional.pad(flag[:, column].long(), (1, 1)))
-        starts, stops = (edges == 1).nonzero()[:, 0], (edges == -1).nonzero()[:, 0]
-        for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
+        for start, stop in _runs(flag[:, column]):
             if stop - start <= frames and 0 < start and stop < len(flag):
                 kept[start:stop, column] = False
     return kept
+
+
+def _runs(flag: Tensor) -> list[tuple[int, int]]:
+    """Start and end (exclusive) of every run of True."""
+    edges = torch.diff(torch.nn.functional.pad(flag.long(), (1, 1)))
+    return list(zip(*((edges == sign).nonzero()[:, 0].tolist() for sign in (1, -1)), strict=True))
 
 
 def _dilate(flag: Tensor, frames: int) -> Tensor:

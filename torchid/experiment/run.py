@@ -188,7 +188,7 @@ def _with_torques(outcome: Outcome) -> Outcome:
 
 
 def contributions(outcome: Outcome) -> tuple[Residual, ...]:
-    """Residuals of fit and held-out trials, step by step from the unfiltered scaled template to the identified model."""
+    """Residuals of fit and held-out trials, step by step from the unfiltered template to the identified model."""
     config, session, rows = outcome.config, outcome.session, []
     steps = (
         ("scaled template, hardly filtered", UNFILTERED_HZ, "scaled", "prior"),

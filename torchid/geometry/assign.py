@@ -13,6 +13,8 @@ from torchid.recording import Markers, Trial
 
 RIGID = 0.02
 """An unlisted label joins a segment when its distances to the segment's markers scatter less than this [m]."""
+FIRM = 0.1
+"""Scatter of the joint angles of a body without markers between marked ones [rad]."""
 SEEN = 0.2
 """A marker takes part when it is visible in at least this share of the frames of some trial."""
 
@@ -51,9 +53,27 @@ def assign_markers(model: Model, marker_set: MarkerSet, trials: tuple[Trial, ...
             "markers.root", f"fewer than three markers on the {root}", found=", ".join(specs) or "no known labels",
             remedy="name a marker set that fits these labels (markers: in the config), or list them in a YAML file",
         )  # fmt: skip
-    bare = tuple(body for body in model.tree.names[1:] if all(spec.segment != body for spec in specs.values()))
-    model, said = lock_bodies(model, bare) if bare else (model, ())
+    model, said = _settle_bare(model, {spec.segment for spec in specs.values()})
     return Assignment(model, _attach(model, specs), (*notes, *said))
+
+
+def _settle_bare(model: Model, marked: set[str]) -> tuple[Model, tuple[Note, ...]]:
+    """Bodies without markers: at the ends locked to their parents, between marked ones held by a firm prior.
+
+    An abdomen without markers that is locked to the pelvis bends the trunk at one joint only; on walks with a swaying
+    trunk that cost 26 N of residual force against 23 N with both spinal joints.
+    """
+    tree = model.tree
+    bare = [k for k, name in enumerate(tree.names) if k and name not in marked]
+    between = [k for k in bare if any(tree.names[below] in marked for below in tree.subtree(k))]
+    model, said = lock_bodies(model, tuple(tree.names[k] for k in bare if k not in between))
+    if not between:
+        return model, said
+    names = [tree.names[k] for k in between]
+    rows = {turn.row for body in model.tree.bodies if body.name in names for turn in body.turns if turn.moving}
+    dofs = tuple(replace(dof, sd=FIRM) if row in rows else dof for row, dof in enumerate(model.tree.dofs))
+    message = f"{', '.join(names)} without markers of its own: its joint is held within about {FIRM} rad of rest"
+    return replace(model, tree=replace(model.tree, dofs=dofs)), (*said, Note("model.between", message))
 
 
 def _labels(trials: tuple[Trial, ...]) -> tuple[str, ...]:

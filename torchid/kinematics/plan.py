@@ -111,7 +111,9 @@ def _level(
     tree: Tree, order: list[int], members: list[int], turns: list[Column], hinges: list[Column], slides: list[Column]
 ) -> Level:
     bodies = [tree.bodies[k] for k in members]
-    above = [k for k in order if bodies[0].parent >= 0 and len(tree.ancestors[k]) == len(tree.ancestors[members[0]]) - 1]
+    above = [
+        k for k in order if bodies[0].parent >= 0 and len(tree.ancestors[k]) == len(tree.ancestors[members[0]]) - 1
+    ]
     return Level(
         start=order.index(members[0]),
         stop=order.index(members[-1]) + 1,

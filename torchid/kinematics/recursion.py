@@ -91,9 +91,7 @@ def poses(plan: Plan, q: Float[Tensor, "dofs frames"], geometry: Geometry) -> Po
             slide_axis.append(R[step.axis][step.start : step.stop].clone())
             p[step.start : step.stop] += slide_axis[-1] * slides[step.first]
         for step in level.turns:
-            axes, columns, angles = (
-                (turn_axis, plan.turns, turns) if step.moving else (hinge_axis, plan.hinges, hinges)
-            )
+            axes, columns, angles = (turn_axis, plan.turns, turns) if step.moving else (hinge_axis, plan.hinges, hinges)
             axes.append(_axis(R, step, columns))
             _turn(R, step, angles)
         R = _rotate(R, level.after)
@@ -108,9 +106,7 @@ def poses(plan: Plan, q: Float[Tensor, "dofs frames"], geometry: Geometry) -> Po
     )
 
 
-def body_motion(
-    plan: Plan, at: Poses, v: Float[Tensor, "dofs frames"], a: Float[Tensor, "dofs frames"]
-) -> BodyMotion:
+def body_motion(plan: Plan, at: Poses, v: Float[Tensor, "dofs frames"], a: Float[Tensor, "dofs frames"]) -> BodyMotion:
     """Velocities and accelerations of all bodies at poses ``at``.
 
     Args:
@@ -146,9 +142,7 @@ def body_motion(
     return BodyMotion(*(torch.cat(x) for x in walked))
 
 
-def points(
-    at: Poses, body: Tensor, p_BM_B: Float[Tensor, "markers 3"]
-) -> Float[Tensor, "markers 3 frames"]:
+def points(at: Poses, body: Tensor, p_BM_B: Float[Tensor, "markers 3"]) -> Float[Tensor, "markers 3 frames"]:
     """p_WM_W of points fixed to the bodies at plan positions ``body``."""
     p = at.p.index_select(0, body)
     for a in range(3):
