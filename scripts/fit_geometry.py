@@ -68,7 +68,9 @@ def main(argv: list[str] | None = None) -> None:
     y, z = (state["q"] / units[0]).requires_grad_(), (state["xi"] / units[1]).requires_grad_()
     optimiser = {
         "adam": lambda: torch.optim.Adam([{"params": [y], "lr": Q_STEP}, {"params": [z], "lr": XI_STEP}]),
-        "lbfgs": lambda: torch.optim.LBFGS([y, z], max_iter=1, history_size=30, line_search_fn="strong_wolfe"),
+        "lbfgs": lambda: torch.optim.LBFGS(
+            [y, z], max_iter=4, history_size=30, line_search_fn="strong_wolfe", tolerance_change=1e-12
+        ),
         "arrow": lambda: None,
     }[args.solver]()
 

@@ -150,7 +150,7 @@ class Inertia(Section):
     lmi: bool = True
     prior: Literal["quadratic", "entropic"] = "quadratic"
     prior_weight: Literal["evidence", "cross_validation"] | Positive = "evidence"
-    prior_weight_range: tuple[Positive, Positive] = (0.5, 1e3)
+    prior_weight_range: tuple[Positive, Positive] = (1.0, 1e3)
     refuse: bool = True
     known_mass: bool = False
     """Hold the total mass at ``subject.mass_kg`` (within ``mass_sd_kg``, or 0.1 %)."""

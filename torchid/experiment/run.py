@@ -204,7 +204,7 @@ def contributions(outcome: Outcome) -> tuple[Residual, ...]:
         )
         phi = outcome.phi if inertia == "identified" else prior.mean
         for role in ("fit", "heldout"):
-            names = session.fit("inertia") if role == "fit" else session.role("heldout")
+            names = session.part(role, "inertia")
             trials = []
             for name in names:
                 item = source[name]

@@ -20,9 +20,10 @@ class InertiaOptions:
     """omega_1: estimated from the residual, or 1 because the rows are truly whitened."""
     floor: float = 1e-6
     """Smallest eigenvalue of a pseudo-inertia relative to that of the prior mean (see ``relative_map``)."""
-    prior_weight_range: tuple[float, float] = (0.5, 1e3)
-    """Where omega_2 is looked for. The scatter of the tables is known within a factor of 1.4; below, systematic errors
-    of one kind of motion (skin that slides alike in every step) buy masses that no person has."""
+    prior_weight_range: tuple[float, float] = (1.0, 1e3)
+    """Where omega_2 is looked for: a body is at least as close to the tables as their scatter says. Below one, errors
+    that one kind of motion repeats (skin that slides alike in every step) buy masses that no person has: on real walks
+    with 0.5, the pelvis gained 0.7 kg for 0.6 N of held-out residual, and with 0.02 it took 20 of 63 kg."""
     base_parameters: bool = True
     """Whether to work out the identifiable combinations."""
     rank_tolerance: float = 1e-6

@@ -24,7 +24,11 @@ class Session:
 
     def fit(self, stage: str) -> dict[str, Trial]:
         """Fit trials that take part in ``stage`` (geometry or inertia)."""
-        return {n: t for n, t in self.trials.items() if t.role == "fit" and getattr(self.files[n], stage)}
+        return self.part("fit", stage)
+
+    def part(self, role: str, stage: str) -> dict[str, Trial]:
+        """Trials of a role that take part in ``stage`` (held-out ones: that are judged by it)."""
+        return {n: t for n, t in self.role(role).items() if getattr(self.files[n], stage)}
 
     def role(self, role: str) -> dict[str, Trial]:
         """Trials of a role."""

@@ -103,9 +103,10 @@ def estimate_whitening(blocks: Sequence[Spectrum], phi: Float[Tensor, " params"]
     count = len(EDGES) + 1
     scatter, n = phi.new_zeros(count, 6, 6), phi.new_zeros(count)
     for block in blocks:
-        residual = block.F - torch.einsum("ipk,p->ik", block.Y, phi)
-        scatter.index_add_(0, block.band, torch.einsum("ik,jk->kij", residual, residual))
-        n.index_add_(0, block.band, torch.ones_like(block.band, dtype=phi.dtype))
+        # The mean of a block (k = 0) is left out: estimated from its own misfit it would excuse a wrong total mass.
+        band, residual = block.band[1:], (block.F - torch.einsum("ipk,p->ik", block.Y, phi))[:, 1:]
+        scatter.index_add_(0, band, torch.einsum("ik,jk->kij", residual, residual))
+        n.index_add_(0, band, torch.ones_like(band, dtype=phi.dtype))
     free = (n * (1.0 - lost / (6.0 * n.sum()).clamp(min=1.0))).clamp(min=1e-9)
     return Whitening(_shrunk(scatter, free) + torch.diag(phi.new_tensor([FLOOR[0]] * 3 + [FLOOR[1]] * 3).square()))
 

@@ -23,10 +23,10 @@ class Judges:
     heldout: bool
 
 
-def judges(outcome: Outcome) -> Judges:
-    """Held-out trials; where there are none, the fit trials, and without these all."""
+def judges(outcome: Outcome, stage: str = "geometry") -> Judges:
+    """Held-out trials that ``stage`` is judged on; where there are none, the fit trials, and without these all."""
     for role, words in (("heldout", "held-out trials"), ("fit", "fit trials")):
-        names = tuple(outcome.session.role(role))
+        names = tuple(outcome.session.part(role, stage))
         if names:
             return Judges(names, words, role == "heldout")
     return Judges(tuple(outcome.session.trials), "all trials", False)

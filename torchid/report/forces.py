@@ -40,7 +40,7 @@ def forces_section(outcome: Outcome, forces: dict[str, Wrenches]) -> Section | N
     """The section on forces; None where no trial has any."""
     if not forces:
         return None
-    judge = judges(outcome)
+    judge = judges(outcome, "inertia")
     tested = some(forces, judge.names)
     if not tested:
         judge, tested = Judges(tuple(forces), "trials with forces, none of them held out", False), forces

@@ -31,7 +31,7 @@ LARGE_MM = 80.0
 
 def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataError | None) -> Section:
     """The head of the page."""
-    tested = some(forces, judges(outcome).names)
+    tested = some(forces, judges(outcome, "inertia").names)
     blocks: list[Block] = [_subject(outcome), Table(
         "How well the model predicts what it has not seen" if judges(outcome).heldout
         else "How well the model fits (no trial was held out: these figures are no test)",
