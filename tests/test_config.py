@@ -188,7 +188,7 @@ def test_contradictions_are_refused(write):
     assert problems(path, "inertia.known_mass=true", "subject.mass_kg=")[""].code == "config.no_mass"
     twice = "trials=[{name: a, file: squat.c3d}, {name: a, file: squat.c3d}]"
     assert problems(path, twice)["trials"].code == "config.duplicate_trial"
-    assert load_config(path, ["trials=[]", "simulate={motions: [squat]}"]).simulate is not None
+    assert load_config(path, ["trials=[]", "simulate={fit: [squats]}"]).simulate is not None
 
 
 def test_resolved_config_reads_back_equal(write, tmp_path):
@@ -198,7 +198,7 @@ def test_resolved_config_reads_back_equal(write, tmp_path):
         [
             "subject.name='1e3'",
             "geometry={sigma_mm: {no: 3.5, '12:30': 1e-7}, groups: {legs: [thigh_l_length, thigh_r_length]}}",
-            "simulate={effects: [{effect: payload, where: [hand_r], parameters: {mass_kg: 2, point_seg_m: [0, 1]}}]}",
+            "simulate={fit: [squats, arms], skin_motion_mm: 2, sex: female}",
         ],
     )
     folder = tmp_path / "elsewhere"

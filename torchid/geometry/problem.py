@@ -123,7 +123,8 @@ class MarkerProblem:
 
     def frame_cost(self, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]) -> Float[Tensor, " frames"]:
         """Cost of each frame (markers and posture), without the prior on xi."""
-        _, _, residual = self.residual(q, xi)
+        geometry, place = self.split(xi)
+        residual = points(poses(self.plan, q, geometry, axes=False), self.body, place) - self.target
         return self.robust_cost(residual)[0] + self.posture.pull(q)[0]
 
     def xi_cost(self, xi: Float[Tensor, " xi"]) -> float:

@@ -7,6 +7,7 @@ Reference: Featherstone, Rigid Body Dynamics Algorithms (2008), sections 4.1 and
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import roma
 import torch
@@ -63,18 +64,33 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
 
 def rows(columns: tuple[Column, ...], values: Float[Tensor, "rows frames"], signed: bool) -> Tensor:
     """Rows of q (or v, a, hinge angles) that drive ``columns``, in plan order."""
-    index = torch.tensor([column.row for column in columns], device=values.device, dtype=torch.long)
-    picked = values.index_select(0, index)
-    return picked * values.new_tensor([column.sign for column in columns])[:, None] if signed else picked
+    picked = values.index_select(0, indices(tuple(column.row for column in columns), values.device))
+    return picked * numbers(tuple(column.sign for column in columns), values)[:, None] if signed else picked
 
 
-def poses(plan: Plan, q: Float[Tensor, "dofs frames"], geometry: Geometry) -> Poses:
+def indices(values: tuple[int, ...], device: torch.device) -> Tensor:
+    """An index tensor; made once, since making it costs as much as using it."""
+    return _kept(values, torch.long, device)
+
+
+def numbers(values: tuple[float, ...], like: Tensor) -> Tensor:
+    """A tensor of constants with dtype and device of ``like``; made once."""
+    return _kept(values, like.dtype, like.device)
+
+
+@lru_cache(maxsize=1024)
+def _kept(values: tuple[float, ...] | tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    return torch.tensor(values, dtype=dtype, device=device)
+
+
+def poses(plan: Plan, q: Float[Tensor, "dofs frames"], geometry: Geometry, axes: bool = True) -> Poses:
     """Walk the tree: poses of all bodies and the axes of all their joints.
 
     Args:
         plan: walking order of the tree.
         q: coordinates, frames last [m, rad].
         geometry: offsets and hinge angles.
+        axes: False leaves the joints' axes out, where only places are asked for.
     """
     turns = _sin_cos(rows(plan.turns, q, signed=True))
     hinges = _sin_cos(rows(plan.hinges, geometry.hinge[:, None], signed=True))
@@ -91,8 +107,11 @@ def poses(plan: Plan, q: Float[Tensor, "dofs frames"], geometry: Geometry) -> Po
             slide_axis.append(R[step.axis][step.start : step.stop].clone())
             p[step.start : step.stop] += slide_axis[-1] * slides[step.first]
         for step in level.turns:
-            axes, columns, angles = (turn_axis, plan.turns, turns) if step.moving else (hinge_axis, plan.hinges, hinges)
-            axes.append(_axis(R, step, columns))
+            found, columns, angles = (
+                (turn_axis, plan.turns, turns) if step.moving else (hinge_axis, plan.hinges, hinges)
+            )
+            if axes:
+                found.append(_axis(R, step, columns))
             _turn(R, step, angles)
         R = _rotate(R, level.after)
         walked_R.append(R)
@@ -120,7 +139,7 @@ def body_motion(plan: Plan, at: Poses, v: Float[Tensor, "dofs frames"], a: Float
     w, alpha, vel, acc = v[None, 3:BASE_DOFS], a[None, 3:BASE_DOFS], v[None, :3], a[None, :3]
     walked = [[w], [alpha], [vel], [acc]]
     for above, level in zip(plan.levels, plan.levels[1:], strict=False):
-        parents = torch.tensor(level.parents, device=v.device)
+        parents = indices(level.parents, v.device)
         w, alpha, vel, acc = (x.index_select(0, parents) for x in (w, alpha, vel, acc))
         r = at.p[level.start : level.stop] - at.p[above.start : above.stop].index_select(0, parents)
         wr = cross(w, r)
@@ -161,7 +180,7 @@ def _base(q: Tensor) -> tuple[Columns, Tensor]:
 
 def _carry(level: Level, R: Columns, p: Tensor, offset: Tensor) -> tuple[Columns, Tensor]:
     """Parent's axes at every child's joint centre."""
-    parents = torch.tensor(level.parents, device=p.device)
+    parents = indices(level.parents, p.device)
     R = [column.index_select(0, parents) for column in R]
     p = p.index_select(0, parents)
     for a in range(3):
@@ -179,9 +198,9 @@ def _rotate(R: Columns, constant: tuple[Rotation | None, ...]) -> Columns:
 
 
 def _axis(R: Columns, step: Step, columns: tuple[Column, ...]) -> Tensor:
-    sign = [columns[step.first + k].sign for k in range(step.stop - step.start)]
+    sign = tuple(column.sign for column in columns[step.first : step.first + step.stop - step.start])
     axis = R[step.axis][step.start : step.stop]
-    return axis.clone() if min(sign) > 0 else axis * axis.new_tensor(sign)[:, None, None]
+    return axis.clone() if min(sign) > 0 else axis * numbers(sign, axis)[:, None, None]
 
 
 def _turn(R: Columns, step: Step, angles: tuple[Tensor, Tensor]) -> None:
