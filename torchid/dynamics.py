@@ -137,14 +137,15 @@ def base_gram(
     Six of ten columns of the force rows are zero: their product is left out (a third of the work).
     """
     bodies = rows.force.shape[2]
-    force = rows.force.permute(2, 1, 0, 3).reshape(4 * bodies, -1)
-    moment = rows.moment.permute(2, 1, 0, 3).reshape(10 * bodies, -1)
-    gram = (moment @ moment.T).view(bodies, 10, bodies, 10)
-    rhs = (moment @ wrench[3:].reshape(-1)).view(bodies, 10)
-    gram[:, :4, :, :4] += (force @ force.T).view(bodies, 4, bodies, 4)
-    rhs[:, :4] += (force @ wrench[:3].reshape(-1)).view(bodies, 4)
+    gram, rhs = wrench.new_zeros(10, bodies, 10, bodies), wrench.new_zeros(10, bodies)
+    for axis in range(3):
+        for columns, side in ((rows.moment[axis], wrench[3 + axis]), (rows.force[axis], wrench[axis])):
+            own, flat = columns.shape[0], columns.reshape(columns.shape[0] * bodies, -1)
+            gram[:own, :, :own] += (flat @ flat.T).view(own, bodies, own, bodies)
+            rhs[:own] += (flat @ side).view(own, bodies)
     position = list(plan.position)
-    return gram[position][:, :, position].reshape(10 * bodies, -1), rhs[position].reshape(-1)
+    ordered = gram.permute(1, 0, 3, 2)[position][:, :, position]
+    return ordered.reshape(10 * bodies, -1), rhs.T[position].reshape(-1)
 
 
 def body_wrenches(plan: Plan, rows: BodyRows, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "bodies 6 frames"]:
