@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.fit import bench_fit
+from benchmarks.inertia import bench_inertia
 from benchmarks.kinematics import bench_ik
 from benchmarks.regressor import bench_regressor
 
@@ -33,14 +34,22 @@ def main() -> None:
     fit = bench_fit(200 if quick else 1000, 1 if quick else 5, peers=not quick)
     ik = bench_ik(300 if quick else 2000, 20 if quick else 200, 1 if quick else 3)
     regressor = bench_regressor(2 if quick else 9, compiled=not quick)
+    inertia = bench_inertia(3 if quick else 20)
     memory = _memory(1 if quick else 60)
-    rows = _rows(fit, ik, regressor, memory)
+    rows = _rows(fit, ik, regressor, inertia, memory)
     about = {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "cpu": _cpu(),
         "versions": {name: metadata.version(name) for name in PACKAGES},
     }
-    results = {"about": about, "fit": fit, "ik": ik, "regressor": regressor, "hour_memory_MiB": memory}
+    results = {
+        "about": about,
+        "fit": fit,
+        "ik": ik,
+        "regressor": regressor,
+        "inertia": inertia,
+        "hour_memory_MiB": memory,
+    }
     Path(args.out).write_text(json.dumps(results, indent=1))
     _print(rows)
 
@@ -49,7 +58,7 @@ def _ratio(a: object, b: object) -> float | None:
     return float(a) / float(b) if isinstance(a, float) and isinstance(b, float) else None
 
 
-def _rows(fit: dict, ik: dict, regressor: dict, memory: float) -> list[Row]:
+def _rows(fit: dict, ik: dict, regressor: dict, inertia: dict, memory: float) -> list[Row]:
     speed, gap = ik["frames_per_s"], ik["gap"]
     return [
         ("fit to 0.01 %, 62 unknowns", fit["few_s"], "s", "<= 0.35"),
@@ -70,6 +79,9 @@ def _rows(fit: dict, ik: dict, regressor: dict, memory: float) -> list[Row]:
         ),
         ("  largest difference", regressor["difference"], "", "<= 1e-12"),
         ("100 000 frames to normal equations", regressor["normal_equations_100k_s"], "s", "<= 0.9"),
+        ("inertial solve, 1 000 frames", inertia["few_ms"], "ms", "<= 40"),
+        ("inertial solve, 20 000 frames", inertia["many_ms"], "ms", "<= 40"),
+        ("  relative gap", inertia["gap"], "", "<= 1e-8"),
         ("memory of an hour beyond the input", memory, "MiB", "<= 150"),
     ]
 
