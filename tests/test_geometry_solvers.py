@@ -80,12 +80,13 @@ def test_arrow_and_lbfgs_meet_at_one_optimum(problem):
 
 
 def test_adam_comes_close(problem):
-    """Adam brings the cost near the optimum's, starting from many times as much."""
+    """Adam removes most of the excess cost in a few hundred steps, and never goes below the arrow's optimum."""
     given, q, _ = problem
     q, xi = started(given, q)
     arrow, adam = solve_arrow(given, q, xi), solve_adam(given, q, xi, 400)
     assert arrow.trace[0] > 4.0 * arrow.cost
-    assert arrow.cost * (1 - 1e-6) <= adam.cost < 1.3 * arrow.cost
+    assert arrow.cost * (1 - 1e-6) <= adam.cost
+    assert arrow.trace[0] - adam.cost > 0.6 * (arrow.trace[0] - arrow.cost)
 
 
 def test_gradient_of_the_chain_vanishes_where_the_arrow_stops(problem):

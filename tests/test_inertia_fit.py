@@ -41,12 +41,12 @@ def test_exact_data_return_the_base_parameters(seed: int) -> None:
     """Without noise every identifiable combination is the subject's, whatever the prior says."""
     Y, _, given, truth = problem(seed)
     truth = 0.5 * (truth + given.mean)
-    light = InertiaOptions(prior_weight_range=(1e-3, 1e3))
+    light = InertiaOptions(prior_weight=1e-4, noise="known")
     fit = fit_inertia(NormalEquations.from_rows(Y, Y @ truth.flatten()), given, names(4), light)
     assert fit.base is not None
     prior_distance = fit.base.distance(given.mean, truth, given.covariance)
     assert fit.base.distance(fit.phi, truth, given.covariance) < 0.05 * prior_distance
-    torch.testing.assert_close(Y @ fit.phi.flatten(), Y @ truth.flatten(), rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(Y @ fit.phi.flatten(), Y @ truth.flatten(), rtol=1e-3, atol=1e-2)
     assert fit.rank == len(fit.base.names) < 40
     assert fit.status is InertiaStatus.ACCEPTED
 
