@@ -71,11 +71,12 @@ def started(problem: MarkerProblem, q: torch.Tensor) -> tuple[torch.Tensor, torc
 
 
 def test_arrow_and_lbfgs_meet_at_one_optimum(problem):
-    """LBFGS comes within a hundredth of the arrow's cost, and from the arrow's end it finds nothing better."""
+    """LBFGS removes nearly all of the excess cost, and from the arrow's end it finds nothing better."""
     given, q, _ = problem
     q, xi = started(given, q)
     arrow, lbfgs = solve_arrow(given, q, xi), solve_lbfgs(given, q, xi, 300)
-    assert_close(lbfgs.cost, arrow.cost, rtol=1e-2, atol=0)
+    assert arrow.cost * (1 - 1e-6) <= lbfgs.cost
+    assert arrow.trace[0] - lbfgs.cost > 0.95 * (arrow.trace[0] - arrow.cost)
     assert solve_lbfgs(given, arrow.q, arrow.xi, 60).cost > arrow.cost * (1 - 1e-4)
 
 
