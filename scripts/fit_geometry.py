@@ -17,13 +17,17 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchid.allocator import keep_memory
 from torchid.config import load_config
-from torchid.experiment.read import geometry_options, read_session
+from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.geometry.arrow import Solution, solve_arrow
-from torchid.geometry.fit import GeometryFit, finish_fit, joint_problem, reweighted, start_fit
+from torchid.geometry.fit import finish_fit, joint_problem
+from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.gradient import Q_SCALE, Q_STEP, XI_STEP, accumulate_gradients
+from torchid.geometry.placing import start_fit
 from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.scatter import reweighted
 from torchid.snapshot import from_bytes, to_bytes
 
 SHOWN = 50
@@ -48,7 +52,7 @@ def prepare(path: str, overrides: list[str]) -> tuple[GeometryFit, MarkerProblem
     trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
     static = None if session.static is None else session.static.markers
     given = session.assignment
-    fit = start_fit(given.model, given.attachment, trials, static, geometry_options(config))
+    fit = start_fit(given.model, given.attachment, trials, static, config.geometry)
 
     # One problem: q of every frame (dofs, frames) and xi, which all frames share. Weights match the residuals of a
     # quick least-squares fit: a marker on loose skin says less, and skin that slides for a second is one observation.
@@ -58,6 +62,7 @@ def prepare(path: str, overrides: list[str]) -> tuple[GeometryFit, MarkerProblem
 
 
 def main(argv: list[str] | None = None) -> None:
+    keep_memory()
     args = arguments(argv)
     args.out.mkdir(parents=True, exist_ok=True)
     fit, problem, q = prepare(args.config, args.overrides)

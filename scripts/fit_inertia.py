@@ -15,11 +15,13 @@ from pathlib import Path
 import torch
 
 from torchid.config import load_config
-from torchid.experiment.read import Session, geometry_options, inertia_options, read_session
+from torchid.experiment.read import Session, read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, subject_prior
-from torchid.geometry.fit import GeometryFit, fit_geometry, track
-from torchid.inertia import fit_inertia
+from torchid.geometry.fit import fit_geometry
+from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.tracking import track
+from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import determined
 from torchid.regressor.rows import residual_rms
 from torchid.regressor.whitening import accumulate, estimate_whitening, initial_whitening, spectra
@@ -50,7 +52,7 @@ def main(argv: list[str] | None = None) -> None:
     # 2. Six rows a frame, base of the tree only: Y phi = F. In the frequency domain their noise is nearly independent.
     blocks = [block for trial in train for block in spectra(trial)]
     prior, names = subject_prior(config, fit), fit.model.tree.names
-    options = replace(inertia_options(config), refuse=False)
+    options = replace(config.inertia, refuse=False)
 
     # 3. The loop: weigh the rows by the noise, solve for phi with every pseudo-inertia positive definite (Clarabel),
     # estimate the noise again from what is left.
@@ -86,7 +88,7 @@ def geometry(session: Session, path: Path, config) -> GeometryFit:
     trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
     static = None if session.static is None else session.static.markers
     given = session.assignment
-    return fit_geometry(given.model, given.attachment, trials, static, geometry_options(config))
+    return fit_geometry(given.model, given.attachment, trials, static, config.geometry)
 
 
 if __name__ == "__main__":

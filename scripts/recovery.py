@@ -12,10 +12,12 @@ from pathlib import Path
 
 import torch
 
+from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.experiment import run_experiment
 from torchid.experiment.stages import follow, residual_rms
-from torchid.geometry.fit import GeometryFit, track
+from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.tracking import track
 from torchid.inertia.transform import move_frame
 from torchid.kinematics.chain import chain_poses
 from torchid.outcome import Outcome
@@ -31,6 +33,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=10.0)
     parser.add_argument("--skin", type=float, default=0.0, help="skin motion [mm]")
     parser.add_argument("--out", type=Path, default=Path("out/recovery"))
+    keep_memory()
     arguments = parser.parse_args()
     options = SimulateOptions(duration_s=arguments.duration, skin_motion_mm=arguments.skin)
     rows = []

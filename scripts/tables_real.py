@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.config.sections import PROJECT_DATA
 from torchid.errors import DataError
@@ -201,6 +202,7 @@ def _cell(value: Any) -> str:
 
 def main(names: Sequence[str]) -> None:
     """Run, print, write ``out/tables.json``."""
+    keep_memory()
     found: dict[str, Table] = {}
     for name in names or TABLES:
         try:

@@ -16,7 +16,8 @@ from torchid.config import load_config
 from torchid.experiment import run_experiment
 from torchid.filters import Smoother
 from torchid.geometry.assign import Assignment, assign_markers
-from torchid.geometry.fit import GeometryFit, fit_geometry
+from torchid.geometry.fit import fit_geometry
+from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.options import GeometryOptions
 from torchid.io.resample import synchronise
 from torchid.model.marker_set import load_marker_set
@@ -26,8 +27,8 @@ from torchid.motion import smooth_motion
 from torchid.outcome import Outcome
 from torchid.recording import Markers
 from torchid.regressor.rows import WrenchTrial
-from torchid.simulate import Session, SimulateOptions, simulate_session
-from torchid.simulate.session import write_session
+from torchid.simulate.options import SimulateOptions
+from torchid.simulate.session import Session, simulate_session, write_session
 
 SEED = int(os.environ.get("TORCHID_SEED", time.time_ns() % 2**32))
 OPTIONS = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=("sway_steps",), duration_s=4.0)

@@ -1,6 +1,7 @@
 """The config: strict reading, all errors at once, overrides, paths, round trip."""
 
 import json
+from dataclasses import FrozenInstanceError, fields
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchid.config import Config, InvalidConfig, dump_config, load_config
+from torchid.contact.options import ContactOptions
 from torchid.documents import MAX_BYTES, dump_document, parse_document
 from torchid.errors import ConfigError
+from torchid.geometry.options import GeometryOptions
+from torchid.inertia.options import InertiaOptions
+from torchid.simulate.options import SimulateOptions
 
 MINIMAL = """
 subject: {name: S01, mass_kg: 70}
@@ -207,11 +212,53 @@ def test_resolved_config_reads_back_equal(write, tmp_path):
     assert load_config(folder / "config.yaml") == config
 
 
+def test_a_sections_faults_name_its_keys(write):
+    """Bounds, types and contradictions of the stages' options, as config errors at their keys, all at once."""
+    found = problems(
+        write(MINIMAL),
+        "geometry.groups={'': [a]}",
+        "geometry.iterations=1e9",
+        "contact.reach_m=0",
+        "inertia.prior_weight_range=[3, 1]",
+        "inertia.noise=estimated",
+        "motion=fast",
+        "simulate={rate_hz: 7}",
+        "diagnosis={max_effect: 2}",
+    )
+    assert found["geometry.iterations"].message == "must be a whole number"
+    assert {"geometry.groups.", "contact.reach_m"} <= set(found)
+    assert found["inertia.noise"].code == "config.unknown_value"
+    assert found["motion"].message == "must be a mapping {key: value}"
+    assert (found["simulate.rate_hz"].code, found["simulate.rate_hz"].found) == ("simulate.rate_hz", "7.0")
+    assert "'max_effects'" in found["diagnosis.max_effect"].remedy
+    again = problems(write(MINIMAL), "inertia.prior_weight_range=[3, 1]", "contact=[1]", "simulate={gap_fractoin: 0}")
+    assert again["inertia.prior_weight_range"].code == "inertia.option"
+    assert again["contact"].message == "must be a mapping {key: value}"
+    assert "'gap_fraction'" in again["simulate.gap_fractoin"].remedy
+    assert all(problem.exit_code == 2 for problem in (found | again).values())
+
+
+def test_stages_take_their_sections_as_they_are(write):
+    """The options of a stage are what the config holds: an option without a key, or a key unread, cannot be."""
+    config = load_config(write(MINIMAL), ["simulate={}"])
+    for section, kind in (
+        (config.geometry, GeometryOptions),
+        (config.contact, ContactOptions),
+        (config.inertia, InertiaOptions),
+        (config.simulate, SimulateOptions),
+    ):
+        assert isinstance(section, kind)
+        assert {field.name for field in fields(kind)} <= {field.name for field in fields(section)}
+
+
 def test_config_cannot_change_after_loading(write):
     """A stage cannot alter what another stage sees."""
     config = load_config(write(MINIMAL))
     with pytest.raises(ValueError, match="frozen"):
-        config.geometry.solver = "adam"
+        config.seed = 1
+    for section in (config.geometry, config.inertia, config.contact):
+        with pytest.raises(FrozenInstanceError):
+            section.enabled = False
 
 
 TEXT = st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=20) | st.sampled_from(["no", "1e3", "0o7", "="])

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from torchid.contact import ContactOptions, find_contact
+from torchid.contact.contact import find_contact
+from torchid.contact.options import ContactOptions
 from torchid.recording import Forces, Plate
 
 FRAMES, RATE = 100, 100.0

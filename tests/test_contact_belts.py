@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from torchid.contact import find_contact
+from torchid.contact.contact import find_contact
 from torchid.recording import Forces, Plate
 
 RATE = 100.0

@@ -1,6 +1,8 @@
 """A run writes what is promised, takes up finished stages, and says why when something is missing."""
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,8 @@ from torch.testing import assert_close
 from typer.testing import CliRunner
 
 from torchid.cli import app
+from torchid.config import load_config
+from torchid.experiment import run_experiment
 from torchid.experiment.stages import legs
 from torchid.io.c3d_write import write_c3d
 from torchid.recording import Trial
@@ -115,7 +119,12 @@ def test_provenance_names_inputs_and_versions():
     """Hashes of the recordings, the seed, versions and the cost of every stage."""
     content = table("provenance.json")
     assert len(content["inputs"]) == len(small.session().trials) and content["seed"] == small.SEED
-    assert {"geometry", "scaled", "inertia", "motion_sway_steps"} <= set(content["stages"])
+    stages = content["stages"]
+    assert {"read", "geometry", "scaled", "inertia", "motion_sway_steps", "follow", "torques", "write"} <= set(stages)
+    assert all(stage["seconds"] >= 0.0 and stage["cpu_seconds"] >= 0.0 for stage in stages.values())
+    assert stages["geometry"]["cpu_seconds"] > 0.1
+    told = small.outcome().times
+    assert told["geometry"].seconds == stages["geometry"]["seconds"] and set(stages) - set(told) == {"write"}
     assert content["versions"]["torch"].startswith(torch.__version__.split("+")[0])
 
 
@@ -123,7 +132,7 @@ def test_a_second_run_takes_up_the_stages():
     """Nothing is computed twice, and the results are the same to the last bit."""
     before = small.outcome()
     again = small.run_again()
-    assert all(stage["reused"] for stage in table("provenance.json")["stages"].values())
+    assert all(stage["reused"] for stage in table("provenance.json")["stages"].values() if stage["key"])
     assert_close(again.fit.xi, before.fit.xi, rtol=0, atol=0)
     assert_close(again.phi, before.phi, rtol=0, atol=0)
 
@@ -141,6 +150,21 @@ def short_session(folder: Path, forces: bool = True, **changes) -> Path:
     config |= {"trials": listed, "geometry": {"max_frames": 20, "iterations": 8, "static_frames": 5}, **changes}
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     return folder / "config.yaml"
+
+
+def test_two_runs_write_the_same_bytes(tmp_path):
+    """Computed afresh, only the record of the run differs, and of the report only what the stages cost."""
+    config, written = load_config(short_session(tmp_path, inertia={"refuse": False})), []
+    for _ in range(2):
+        run_experiment(config)
+        written.append({path.name: path.read_bytes() for path in config.out.iterdir() if path.is_file()})
+        shutil.rmtree(config.out)
+    first, second = written
+    assert set(first) == set(second)
+    assert {name for name in first if first[name] != second[name]} <= {"provenance.json", "report.html"}
+    reports = [files["report.html"].decode() for files in written]
+    assert all("<summary>Time: " in report for report in reports)
+    assert len({re.sub(r"<details>\s*<summary>Time: .*?</details>", "", report, flags=re.S) for report in reports}) == 1
 
 
 def test_without_plates_everything_up_to_the_motion_is_written(tmp_path):

@@ -7,7 +7,7 @@ from marker_problems import random_problem, retracted
 from torch.testing import assert_close
 
 from torchid.geometry.blocks import assemble, make_gradient, make_pieces, shared_block, shared_curve
-from torchid.geometry.branches import branch_bodies, make_partition
+from torchid.geometry.branches import make_partition
 from torchid.geometry.elimination import back_substitute, eliminate, reduce_shared
 from torchid.geometry.layout import make_layout
 from torchid.geometry.problem import retract
@@ -79,7 +79,7 @@ def test_elimination_by_branches_equals_dense_algebra(case: int, seed: int) -> N
     layout, n = make_layout(problem), len(xi)
     partition = make_partition(problem.plan, layout, n)
     dense = assemble(problem, layout, q, xi, shared=True)
-    pieces = make_pieces(problem, layout, q, xi, shared=True)
+    pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared=True)
     damping = torch.tensor(rng.uniform(1e-4, 1e-1, size=q.shape[1]))
     eliminated = eliminate(partition, pieces, damping)
     lower = torch.tril(dense.H_qq)
@@ -112,7 +112,7 @@ def test_branches_of_the_whole_body_are_head_arms_and_legs() -> None:
     """The built-in model falls into head, arms and legs around root and trunk."""
     tree = whole_body(1.75, 70.0, "male").tree
     plan = plan_tree(tree)
-    found = {frozenset(tree.names[plan.order[k]] for k in bodies) for bodies in branch_bodies(plan)}
+    found = {frozenset(tree.names[plan.order[k]] for k in bodies) for bodies in plan.branches}
     limbs = {frozenset({"head"})}
     for side in "lr":
         limbs |= {frozenset(f"{part}_{side}" for part in parts)

@@ -9,8 +9,12 @@ import torch
 from torch.testing import assert_close
 
 from torchid.errors import DataError
-from torchid.geometry.fit import fit_geometry, parameters, start_fit, track
+from torchid.geometry import tracking
+from torchid.geometry.fit import fit_geometry
+from torchid.geometry.fitted import parameters
 from torchid.geometry.options import GeometryOptions
+from torchid.geometry.placing import start_fit
+from torchid.geometry.tracking import modelled, track
 from torchid.kinematics.chain import chain_poses
 from torchid.recording import Markers
 
@@ -129,6 +133,27 @@ def test_tracking_a_part_is_tracking_the_whole():
     fit, held = small.fit(), small.markers("heldout")["sway_steps"]
     part = Markers(held.labels, held.time[100:160], held.position[100:160])
     assert_close(track(fit, part).q, track(fit, held).q[100:160], rtol=0, atol=1e-3)
+
+
+def test_a_long_trial_is_followed_in_pieces_that_do_not_show(monkeypatch):
+    """Cut into pieces, one of them within a gap, a trial gets the coordinates and errors of the whole."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    held = small.without(held, fit.attachment.labels[:2], slice(130, 160))
+    whole = track(fit, held)
+    monkeypatch.setattr(tracking, "PIECE", 145)
+    monkeypatch.setattr(tracking, "BESIDE", 100)
+    cut = track(fit, held)
+    assert_close(cut.q, whole.q, rtol=0, atol=2e-2)
+    assert_close(cut.error, whole.error, rtol=0, atol=1e-3, equal_nan=True)
+    assert torch.equal(cut.observable, whole.observable)
+
+
+def test_modelled_markers_are_where_the_errors_say():
+    """Their distance from the measured markers is the error of the tracked frame."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    found = track(fit, held)
+    measured = held.select(fit.attachment.labels).position
+    assert_close((modelled(fit, found.q) - measured).norm(dim=2), found.error, equal_nan=True)
 
 
 def test_first_order_solvers_run_through_the_same_fit():

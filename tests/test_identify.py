@@ -8,8 +8,9 @@ import torch
 from torch.testing import assert_close
 
 from torchid.errors import DataError
-from torchid.inertia import InertiaOptions, fit_inertia
+from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import Identified, determined, identify_inertia
+from torchid.inertia.options import InertiaOptions
 from torchid.model.model import InertialPrior
 from torchid.regressor.rows import WrenchTrial, residual_rms
 from torchid.regressor.whitening import accumulate, spectra

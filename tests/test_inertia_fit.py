@@ -9,7 +9,10 @@ from inertia_cases import IDENTITY, bodies, chain_rows, draw, names, prior, rela
 from torch import Tensor
 
 from torchid.errors import ConfigError, DataError
-from torchid.inertia import InertiaFit, InertiaOptions, InertiaStatus, cone, fit_inertia
+from torchid.inertia import cone
+from torchid.inertia.certificate import InertiaStatus
+from torchid.inertia.fit import InertiaFit, fit_inertia
+from torchid.inertia.options import InertiaOptions
 from torchid.inertia.pseudo import relative_map, triangle, untriangle
 from torchid.model.model import InertialPrior
 from torchid.regressor.equations import NormalEquations

@@ -7,7 +7,8 @@ from inertia_cases import bodies, chain_rows, draw, names, prior
 from scipy.stats import multivariate_normal
 
 from torchid.errors import ConfigError
-from torchid.inertia import InertiaOptions, fit_inertia
+from torchid.inertia.fit import fit_inertia
+from torchid.inertia.options import InertiaOptions
 from torchid.inertia.spectrum import diagonalise
 from torchid.inertia.weights import log_evidence
 from torchid.regressor.equations import NormalEquations

@@ -6,9 +6,10 @@ import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
 from torchid.errors import InputError
+from torchid.io import missing
 from torchid.io.frame import length_unit, to_world, vertical_axis
 from torchid.io.labels import select_markers
-from torchid.io.missing import held_samples, mark_missing, mask_held
+from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
 from torchid.recording import Forces, Plate
 
@@ -71,27 +72,30 @@ def test_held_runs_are_found_while_others_move() -> None:
     position[40:50, 3] = position[40, 3]
     expected = np.zeros(position.shape[:2], bool)
     expected[21:36, 2] = True
-    assert_array_equal(held_samples(position, 100.0), expected)
-    masked, notes = mask_held(position, 100.0, tuple("ABCDEF"), "x")
-    assert_array_equal(np.isnan(masked).any(-1), expected)
+    held, notes = held_samples(position, 100.0, tuple("ABCDEF"), "x")
+    assert_array_equal(held, expected)
     assert "C (15)" in notes[0].message
 
 
 def test_everything_still_is_not_held() -> None:
     """Somebody who stands still is no fault of the recording."""
     position = np.repeat(moving(1), 50, axis=0)
-    assert not held_samples(position, 100.0).any()
+    assert not held_samples(position, 100.0, tuple("ABCDEF"), "x")[0].any()
 
 
-def test_input_arrays_are_not_changed() -> None:
-    """Marking gaps leaves the caller's array alone."""
+def test_pieces_of_a_long_recording_are_judged_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zeros, codes and held runs are found wherever the pieces are cut, and the array stays as it was."""
     position = moving()
-    position[3, 1] = 0.0
+    position[3, 1], position[30, 4], position[20:36, 2] = 0.0, 5000.0, position[20, 2]
     position.setflags(write=False)
-    marked, _ = mark_missing(position, "x")
-    mask_held(marked, 100.0, tuple("ABCDEF"), "x")
-    assert_array_equal(position[3, 1], 0.0)
-    assert np.isnan(marked[3, 1]).all()
+    found = missing_samples(position, "x"), held_samples(position, 100.0, tuple("ABCDEF"), "x")
+    assert found[0][0].sum() == 2 and found[1][0].sum() == 15
+    for piece in (1, 7, 59):
+        monkeypatch.setattr(missing, "PIECE", piece)
+        again = missing_samples(position, "x"), held_samples(position, 100.0, tuple("ABCDEF"), "x")
+        for (mask, notes), (other, same) in zip(found, again, strict=True):
+            assert_array_equal(mask, other)
+            assert notes == same
 
 
 def forces(axis: int, sign: float = 1.0) -> Forces:

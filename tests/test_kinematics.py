@@ -24,7 +24,7 @@ def test_recursion_equals_chain(case: int, seed: int) -> None:
     position = list(plan_tree(tree).position)
     X = chain_poses(tree, q, geometry, chunk=2)
     assert_close(at.p[position].permute(2, 0, 1), X[..., :3, 3], rtol=0, atol=1e-12)
-    assert_close(torch.stack(at.R, -1)[position].permute(2, 0, 1, 3), X[..., :3, :3], rtol=0, atol=1e-12)
+    assert_close(at.R[position].permute(3, 0, 2, 1), X[..., :3, :3], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("case", range(4))

@@ -22,8 +22,8 @@ from torchid.report.head import head_section
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
 from torchid.report.text import bind, change, clean, listing, merge, number, pattern, segment, spread
-from torchid.simulate import SimulateOptions, simulate_session
-from torchid.simulate.session import write_session
+from torchid.simulate.options import SimulateOptions
+from torchid.simulate.session import simulate_session, write_session
 
 SUBJECT = '<script>alert("subject")</script>'
 TRIAL = '"><img src=x onerror=alert(1)>'

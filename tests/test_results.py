@@ -23,7 +23,15 @@ from torchid.files import atomic_write, file_sha256, safe_name, write_json, writ
 from torchid.provenance import provenance, stage_key
 from torchid.recording import Event, Markers, Trial
 from torchid.results import OutputFolder
-from torchid.snapshot import SnapshotError, from_bytes, to_bytes
+from torchid.snapshot import (
+    SnapshotError,
+    from_bytes,
+    load_snapshot,
+    release,
+    swap_out,
+    to_bytes,
+    write_snapshot,
+)
 
 
 class Killed(BaseException):
@@ -118,7 +126,7 @@ def test_json_has_no_nan_and_keeps_order(tmp_path):
 
 
 def test_netcdf_reads_back_and_repeats_byte_for_byte(tmp_path, seed):
-    """A dataset with text coordinates and NaN comes back equal, and the same dataset gives the same bytes."""
+    """A dataset with text coordinates and NaN comes back equal, in pieces too, and equal datasets give equal bytes."""
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(7, 2))
     q[3, 1] = np.nan
@@ -127,12 +135,15 @@ def test_netcdf_reads_back_and_repeats_byte_for_byte(tmp_path, seed):
         coords={"time": np.arange(7) / 100, "dof": ["pelvis_x", "knee_é"]},
         attrs={"units": "rad"},
     )
-    write_netcdf(tmp_path / "a.nc", dataset)
-    write_netcdf(tmp_path / "b.nc", dataset)
+    write_netcdf(tmp_path / "a.nc", [dataset])
+    write_netcdf(tmp_path / "b.nc", [dataset])
     with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as read:
         xarray.testing.assert_identical(read.load(), dataset)
     assert file_sha256(tmp_path / "a.nc") == file_sha256(tmp_path / "b.nc")
     assert sorted(os.listdir(tmp_path)) == ["a.nc", "b.nc"]
+    write_netcdf(tmp_path / "c.nc", (dataset.isel(time=part) for part in (slice(0, 3), slice(3, 4), slice(4, 7))))
+    with xarray.open_dataset(tmp_path / "c.nc", engine="h5netcdf") as read:
+        xarray.testing.assert_identical(read.load(), dataset)
 
 
 def trial(rng: np.random.Generator) -> Trial:
@@ -170,18 +181,33 @@ class Foreign:
     x: int = 1
 
 
-def test_snapshots_hold_and_rebuild_nothing_foreign(tmp_path):
+def test_snapshots_hold_and_rebuild_nothing_foreign():
     """A foreign class is refused on writing, and a forged class name on reading, before any code of it runs."""
     with pytest.raises(TypeError):
         to_bytes(Foreign())
     with pytest.raises(TypeError):
         to_bytes(lambda: None)
     for name in ("os:system", "torchid.results:os.system", "torchid.files:write_json", "torchid.results:OutputFolder"):
-        document = json.dumps({"class": name, "fields": {}})
-        np.savez(tmp_path / "forged.npz", __document__=np.frombuffer(document.encode(), np.uint8))
-        content = (tmp_path / "forged.npz").read_bytes()
+        document = json.dumps({"class": name, "fields": {}}).encode()
+        content = len(document).to_bytes(8, "little") + document
         with pytest.raises(SnapshotError, match="unreadable"):
             from_bytes(hashlib.sha256(content).digest() + content)
+
+
+def test_mapped_snapshots_hold_what_was_written(tmp_path, seed):
+    """From a file, named or not, the same values come back, also after their memory was given back."""
+    rng = np.random.default_rng(seed)
+    wide = torch.from_numpy(rng.normal(size=(3, 70_000)))
+    value = {"trial": trial(rng), "turned": wide.T, "again": wide.T, "none": wide[:0], "one": torch.tensor(2.5)}
+    with (tmp_path / "a").open("wb") as file:
+        write_snapshot(file, value)
+    assert (tmp_path / "a").stat().st_size < 1.1 * wide.nbytes + 4096, "a tensor that stands twice is kept once"
+    for found in (load_snapshot(tmp_path / "a"), swap_out(value, tmp_path), from_bytes(to_bytes(value))):
+        for _ in range(2):
+            for name in ("turned", "again", "none", "one"):
+                torch.testing.assert_close(found[name], value[name], rtol=0, atol=0)
+            release()
+    assert os.listdir(tmp_path) == ["a"]
 
 
 def test_damaged_snapshots_are_recognised(seed):

@@ -9,7 +9,9 @@ from types import ModuleType
 
 import pytest
 import small_session as small
+import torch
 
+from torchid.io import read_trial
 from torchid.snapshot import from_bytes
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
@@ -41,7 +43,7 @@ def test_geometry_script_lowers_the_cost_and_resumes(solver, tmp_path, capsys):
     found = rows(tmp_path)
     assert [row["iteration"] for row in found] == [1, 2, 3, 4, 5]
     assert solver == "adam" or found[-1]["cost"] < found[0]["cost"]
-    assert all(0.0 < row["marker_rms_mm"] < 100.0 for row in found)
+    assert all(0.0 < row["marker_rms_mm"] < (300.0 if solver == "adam" else 100.0) for row in found)
     assert from_bytes((tmp_path / "geometry.snapshot").read_bytes()).uncertainty is not None
     assert "shank_l_length" in capsys.readouterr().out
 
@@ -61,7 +63,24 @@ def test_inertia_script_improves_and_resumes(tmp_path, capsys):
     assert "thigh_l" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["demo", "test", "environment"])
+def test_a_lengthened_recording_is_the_piece_to_and_fro(tmp_path):
+    """As long as asked; forwards it repeats the recording, backwards it passes the same frames in reverse."""
+    hour, short = script("benchmarks/hour"), small.config().with_name("squats.c3d")
+    frames = hour.lengthen(short, tmp_path / "long.c3d", 0.5)
+    piece, long = read_trial("a", short).markers, read_trial("b", tmp_path / "long.c3d").markers
+    assert len(long.time) == frames == round(30.0 * piece.rate)
+    first = int((piece.position - long.position[0]).nan_to_num(1.0).abs().sum((1, 2)).argmin())
+    forth = next(k for k in range(len(piece.time)) if not same(piece.position[first + k], long.position[k]))
+    assert forth > 0.3 * len(piece.time)
+    torch.testing.assert_close(long.position[forth : 2 * forth], long.position[:forth].flip(0), equal_nan=True)
+    torch.testing.assert_close(long.position[2 * forth : 3 * forth], long.position[:forth], equal_nan=True)
+
+
+def same(a: torch.Tensor, b: torch.Tensor) -> bool:
+    return bool(((a == b) | (a.isnan() & b.isnan())).all())
+
+
+@pytest.mark.parametrize("name", ["demo", "hour", "test", "environment"])
 def test_shell_scripts_parse(name):
     """bash reads them without executing; those that are called are executable."""
     subprocess.run(["bash", "-n", str(SCRIPTS / name)], check=True)

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from torchid.experiment import run_experiment as run_experiment
     from torchid.geometry.assign import assign_markers as assign_markers
     from torchid.geometry.fit import fit_geometry as fit_geometry
-    from torchid.geometry.fit import track as track
+    from torchid.geometry.tracking import track as track
     from torchid.inertia.identify import identify_inertia as identify_inertia
     from torchid.io import read_trial as read_trial
     from torchid.model.marker_set import load_marker_set as load_marker_set
     from torchid.model.whole_body import whole_body as whole_body
-    from torchid.simulate import simulate_session as simulate_session
+    from torchid.simulate.session import simulate_session as simulate_session
 
 _HOMES = {
     "load_config": "torchid.config",
@@ -25,12 +25,12 @@ _HOMES = {
     "run_experiment": "torchid.experiment",
     "assign_markers": "torchid.geometry.assign",
     "fit_geometry": "torchid.geometry.fit",
-    "track": "torchid.geometry.fit",
+    "track": "torchid.geometry.tracking",
     "identify_inertia": "torchid.inertia.identify",
     "read_trial": "torchid.io",
     "load_marker_set": "torchid.model.marker_set",
     "whole_body": "torchid.model.whole_body",
-    "simulate_session": "torchid.simulate",
+    "simulate_session": "torchid.simulate.session",
 }
 
 

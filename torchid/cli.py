@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from torchid.allocator import keep_memory
 from torchid.errors import InputError, TorchidError
 
 CONFIG_SUFFIXES = (".yaml", ".yml", ".json")
@@ -52,6 +53,7 @@ def run(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -
         loaded = load_config(config, overrides or ())
         from torchid.experiment import run_experiment
 
+        keep_memory()
         with _progress() as progress:
             run_experiment(loaded, progress)
         Console().print(f"Done: {loaded.out}", soft_wrap=True, highlight=False, markup=False)

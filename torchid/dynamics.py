@@ -18,6 +18,8 @@ from torch import Tensor
 from torchid.conventions import GRAVITY
 from torchid.kinematics.plan import Plan, plan_tree
 from torchid.kinematics.recursion import BodyMotion, Poses, body_motion, cross, poses
+from torchid.kinematics.rotation import compose
+from torchid.kinematics.tables import Joints, make_joints
 from torchid.model.model import Geometry
 from torchid.model.tree import Tree
 
@@ -28,9 +30,9 @@ CHUNK = 512
 class BodyRows(NamedTuple):
     """A of all bodies, in W axes about the root's origin; bodies in plan order, frames last."""
 
-    force: Float[Tensor, "3 4 bodies frames"]
+    force: Float[Tensor, "bodies 4 3 frames"]
     """Only m and mc enter the force [N per parameter]."""
-    moment: Float[Tensor, "3 10 bodies frames"]
+    moment: Float[Tensor, "bodies 10 3 frames"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,18 @@ def dynamic_state(
 ) -> DynamicState:
     """Walk the tree for poses, velocities and accelerations."""
     plan = plan_tree(tree)
-    at = poses(plan, q, geometry)
+    return walk(plan, make_joints(plan, geometry), q, v, a)
+
+
+def walk(
+    plan: Plan,
+    joints: Joints,
+    q: Float[Tensor, "dofs frames"],
+    v: Float[Tensor, "dofs frames"],
+    a: Float[Tensor, "dofs frames"],
+) -> DynamicState:
+    """The same with the joints made beforehand: what is left are tensor operations that ``torch.compile`` fuses."""
+    at = poses(plan, q, joints)
     return DynamicState(plan, at, body_motion(plan, at, v, a))
 
 
@@ -59,73 +72,62 @@ def body_rows(state: DynamicState) -> BodyRows:
     """A of every body at every frame."""
     lift = state.motion.a.new_tensor([0.0, 0.0, GRAVITY])[:, None]
     at, motion = state.at, state.motion
-    X, Y, Z = at.R
-    return inertial_columns(X, Y, Z, at.p - at.p[:1], motion.w, motion.alpha, motion.a + lift)
+    return inertial_columns(at.R, at.p - at.p[:1], motion.w, motion.alpha, motion.a + lift)
 
 
-def inertial_columns(X: Tensor, Y: Tensor, Z: Tensor, p: Tensor, w: Tensor, alpha: Tensor, a: Tensor) -> BodyRows:
-    """A from columns of R_WB, place, rates and acceleration minus gravity, each (bodies, 3, frames).
-
-    Functional and without branches, so that ``torch.compile`` fuses it into one pass over memory.
-    """
-    R = [[column[:, k] for k in range(3)] for column in (X, Y, Z)]
-    p_, w_, alpha_, a_ = ([x[:, k] for k in range(3)] for x in (p, w, alpha, a))
-    S = _spin_matrix(w_, alpha_)
-    force = [a_] + [[_dot(S[i], column) for i in range(3)] for column in R]
-    moment = [_cross(p_, a_)]
-    for column, pull in zip(R, force[1:], strict=True):
-        arm, own = _cross(p_, pull), _cross(column, a_)
-        moment.append([arm[i] + own[i] for i in range(3)])
-    moment += _inertia_columns(R, w_, alpha_)
-    return BodyRows(_stack(force), _stack(moment))
+def inertial_columns(
+    R: Float[Tensor, "bodies 3 3 frames"],
+    p: Float[Tensor, "bodies 3 frames"],
+    w: Float[Tensor, "bodies 3 frames"],
+    alpha: Float[Tensor, "bodies 3 frames"],
+    a: Float[Tensor, "bodies 3 frames"],
+) -> BodyRows:
+    """A from rotations (columns first), places, rates and accelerations minus gravity, in W axes."""
+    force = torch.cat([a[:, None], compose(_spin_matrix(w, alpha), R)], dim=1)
+    moment = cross(p[:, None], force)
+    moment[:, 1:] += cross(R, a[:, None])
+    inertia = compose(R, _inertia_columns(_in_body(R, w), _in_body(R, alpha)))
+    return BodyRows(force, torch.cat([moment, inertia], dim=1))
 
 
-def _stack(columns: list[list[Tensor]]) -> Tensor:
-    return torch.stack([torch.stack([column[i] for column in columns]) for i in range(3)])
+def _in_body(R: Tensor, v: Tensor) -> Tensor:
+    """R' v."""
+    out = R[:, :, 0] * v[:, 0, None]
+    out.addcmul_(R[:, :, 1], v[:, 1, None])
+    return out.addcmul_(R[:, :, 2], v[:, 2, None])
 
 
-def _dot(u: list[Tensor], v: list[Tensor]) -> Tensor:
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+def _spin_matrix(w: Tensor, alpha: Tensor) -> Tensor:
+    """Columns of [alpha x] + [w x]^2."""
+    x, y, z = w.unbind(1)
+    ax, ay, az = alpha.unbind(1)
+    (xx, yy, zz), (xy, yz, xz) = (w * w).unbind(1), (w * w.roll(-1, 1)).unbind(1)
+    entries = [-yy - zz, xy + az, xz - ay, xy - az, -xx - zz, yz + ax, xz + ay, yz - ax, -xx - yy]
+    return torch.stack(entries, dim=1).view(len(w), 3, 3, w.shape[2])
 
 
-def _cross(a: list[Tensor], b: list[Tensor]) -> list[Tensor]:
-    return [a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3] for k in range(3)]
-
-
-def _spin_matrix(w: list[Tensor], alpha: list[Tensor]) -> list[list[Tensor]]:
-    """[alpha x] + [w x]^2, rows first."""
-    xx, yy, zz = w[0] * w[0], w[1] * w[1], w[2] * w[2]
-    xy, xz, yz = w[0] * w[1], w[0] * w[2], w[1] * w[2]
-    return [
-        [-yy - zz, xy - alpha[2], xz + alpha[1]],
-        [xy + alpha[2], -xx - zz, yz - alpha[0]],
-        [xz - alpha[1], yz + alpha[0], -xx - yy],
-    ]
-
-
-def _inertia_columns(R: list[list[Tensor]], w: list[Tensor], alpha: list[Tensor]) -> list[list[Tensor]]:
-    """I alpha + w x I w for unit Ixx, Ixy, Iyy, Ixz, Iyz, Izz in body axes, turned into W."""
-    x, y, z = (_dot(column, w) for column in R)
-    ax, ay, az = (_dot(column, alpha) for column in R)
-    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-    body = [
-        [ax, xz, -xy],
-        [ay - xz, ax + yz, xx - yy],
-        [-yz, ay, xy],
-        [az + xy, zz - xx, ax - yz],
-        [yy - zz, az - xy, ay + xz],
-        [yz, -xz, az],
-    ]
-    return [[R[0][i] * b[0] + R[1][i] * b[1] + R[2][i] * b[2] for i in range(3)] for b in body]
+def _inertia_columns(w: Tensor, alpha: Tensor) -> Float[Tensor, "bodies 6 3 frames"]:
+    """I alpha + w x I w for unit Ixx, Ixy, Iyy, Ixz, Iyz, Izz; all in body axes."""
+    x, y, z = w.unbind(1)
+    ax, ay, az = alpha.unbind(1)
+    (xx, yy, zz), (xy, yz, xz) = (w * w).unbind(1), (w * w.roll(-1, 1)).unbind(1)
+    entries = [
+        ax, xz, -xy,
+        ay - xz, ax + yz, xx - yy,
+        -yz, ay, xy,
+        az + xy, zz - xx, ax - yz,
+        yy - zz, az - xy, ay + xz,
+        yz, -xz, az,
+    ]  # fmt: skip
+    return torch.stack(entries, dim=1).view(len(w), 6, 3, w.shape[2])
 
 
 def base_rows(plan: Plan, rows: BodyRows) -> Float[Tensor, "6 params frames"]:
     """Y_O: rows of the floating base; parameters of body 0 first, in tree order."""
-    frames, bodies = rows.force.shape[3], rows.force.shape[2]
-    position = list(plan.position)
-    Y = rows.force.new_zeros(6, bodies, 10, frames)
-    Y[:3, :, :4] = rows.force[:, :, position].transpose(1, 2)
-    Y[3:] = rows.moment[:, :, position].transpose(1, 2)
+    bodies, _, _, frames = rows.moment.shape
+    Y, position = rows.moment.new_zeros(6, bodies, 10, frames), list(plan.position)
+    Y[:3, :, :4] = rows.force[position].permute(2, 0, 1, 3)
+    Y[3:] = rows.moment[position].permute(2, 0, 1, 3)
     return Y.reshape(6, 10 * bodies, frames)
 
 
@@ -136,23 +138,21 @@ def base_gram(
 
     Six of ten columns of the force rows are zero: their product is left out (a third of the work).
     """
-    bodies = rows.force.shape[2]
-    gram, rhs = wrench.new_zeros(10, bodies, 10, bodies), wrench.new_zeros(10, bodies)
-    for axis in range(3):
-        for columns, side in ((rows.moment[axis], wrench[3 + axis]), (rows.force[axis], wrench[axis])):
-            own, flat = columns.shape[0], columns.reshape(columns.shape[0] * bodies, -1)
-            gram[:own, :, :own] += (flat @ flat.T).view(own, bodies, own, bodies)
-            rhs[:own] += (flat @ side).view(own, bodies)
-    position = list(plan.position)
-    ordered = gram.permute(1, 0, 3, 2)[position][:, :, position]
-    return ordered.reshape(10 * bodies, -1), rhs.T[position].reshape(-1)
+    bodies, position = len(plan.order), list(plan.position)
+    gram, rhs = wrench.new_zeros(bodies, 10, bodies, 10), wrench.new_zeros(bodies, 10)
+    for columns, side in ((rows.moment, wrench[3:]), (rows.force, wrench[:3])):
+        own, flat = columns.shape[1], columns.reshape(columns.shape[0] * columns.shape[1], -1)
+        gram[:, :own, :, :own] += (flat @ flat.T).view(bodies, own, bodies, own)
+        rhs[:, :own] += (flat @ side.reshape(-1)).view(bodies, own)
+    ordered = gram[position][:, :, position]
+    return ordered.reshape(10 * bodies, -1), rhs[position].reshape(-1)
 
 
 def body_wrenches(plan: Plan, rows: BodyRows, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "bodies 6 frames"]:
     """Wrench that each body's motion needs, about the root's origin; plan order."""
     ordered = phi[list(plan.order)]
-    force = torch.einsum("icbt,bc->bit", rows.force, ordered[:, :4])
-    moment = torch.einsum("icbt,bc->bit", rows.moment, ordered)
+    force = torch.einsum("bcit,bc->bit", rows.force, ordered[:, :4])
+    moment = torch.einsum("bcit,bc->bit", rows.moment, ordered)
     return torch.cat([force, moment], dim=1)
 
 
@@ -181,11 +181,8 @@ def generalised_forces(state: DynamicState, wrenches: Float[Tensor, "bodies 6 fr
 
     Rows 0-5 are the residual force and moment at the root's origin, in W.
     """
-    plan = state.plan
-    total = wrenches.clone()
-    for level, above in zip(plan.levels[:0:-1], plan.levels[-2::-1], strict=True):
-        parents = torch.tensor(level.parents, device=total.device) + above.start
-        total.index_add_(0, parents, total[level.start : level.stop].clone())
+    above = state.at.tables.above
+    total = (above.mT @ wrenches.flatten(1)).view_as(wrenches)
     S, body = joint_axes(state)
     return (S * total.index_select(0, body)).sum(1)
 

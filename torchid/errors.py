@@ -56,6 +56,10 @@ class ConfigError(TorchidError):
     """The config asks for something that does not exist or cannot be."""
 
 
+class OptionError(ConfigError, ValueError):
+    """An option of a stage cannot be; a ValueError, so that the config lists it among its other faults."""
+
+
 class DataError(TorchidError):
     """The files are sound, but they do not support a result."""
 

@@ -8,12 +8,13 @@ import os
 import re
 import secrets
 import unicodedata
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import h5netcdf
 import numpy as np
 import torch
 import xarray
@@ -23,6 +24,8 @@ from torchid.errors import InputError
 _SAFE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}(?<!\.)\Z")
 _RESERVED = re.compile(r"(?i:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?\Z")
 """Devices of Windows."""
+CHUNK = 1024
+"""Samples along the first dimension that a netCDF file packs together."""
 
 
 def safe_name(text: str) -> str:
@@ -50,15 +53,20 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         if os.name == "posix":  # Windows cannot open a folder
             _flush(path.parent, os.O_RDONLY)
     except OSError as error:
-        raise InputError(
-            "results.unwritable",
-            "cannot be written",
-            source=path,
-            found=error.strerror or str(error),
-            remedy="Make room or choose another `out`.",
-        ) from error
+        raise unwritable(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def unwritable(path: Path, error: OSError) -> InputError:
+    """The error ``results.unwritable`` with the system's reason."""
+    return InputError(
+        "results.unwritable",
+        "cannot be written",
+        source=path,
+        found=error.strerror or str(error),
+        remedy="Make room or choose another `out`.",
+    )
 
 
 @contextmanager
@@ -117,14 +125,35 @@ def write_text(path: str | Path, text: str) -> None:
         file.write(text.encode("utf-8", "replace"))
 
 
-def write_netcdf(path: str | Path, dataset: xarray.Dataset) -> None:
-    """A netCDF-4 file through h5netcdf, deflated, atomically."""
-    packed = {
-        name: {"zlib": True, "complevel": 1} for name, v in dataset.variables.items() if v.ndim and v.dtype != "O"
-    }
-    encoding = {name: how for name, how in packed.items() if dataset[name].dtype.kind in "fiu"}
+def write_netcdf(path: str | Path, pieces: Iterable[xarray.Dataset]) -> None:
+    """A netCDF-4 file through h5netcdf, deflated, atomically.
+
+    Args:
+        path: the file.
+        pieces: the dataset, cut along its dimension ``time`` where it is long; only one piece is held at a time.
+    """
     with atomic_path(path) as temporary:
-        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+        for k, piece in enumerate(pieces):
+            if k == 0:
+                long = [name for name in ("time",) if name in piece.sizes]
+                piece.to_netcdf(temporary, engine="h5netcdf", encoding=_encoding(piece), unlimited_dims=long)
+            else:
+                _append(temporary, piece)
+
+
+def _encoding(dataset: xarray.Dataset) -> dict[Any, dict[str, Any]]:
+    numbers = {name: v for name, v in dataset.variables.items() if v.ndim and v.dtype.kind in "fiu"}
+    sizes = {name: (min(max(1, len(v)), CHUNK), *map(int, v.shape[1:])) for name, v in numbers.items()}
+    return {name: {"zlib": True, "complevel": 1, "chunksizes": size} for name, size in sizes.items()}
+
+
+def _append(path: Path, piece: xarray.Dataset) -> None:
+    with h5netcdf.File(path, "a") as file:
+        start = file.dimensions["time"].size
+        file.resize_dimension("time", start + piece.sizes["time"])
+        for name, variable in file.variables.items():
+            if "time" in variable.dimensions:
+                variable[start:] = piece[name].values.astype(variable.dtype)
 
 
 def file_sha256(path: str | Path) -> str:

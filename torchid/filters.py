@@ -1,5 +1,6 @@
 """Zero-lag low-pass filters for uniformly sampled signals; one of them serves kinematics and forces alike."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,6 +17,8 @@ ORDER = 3
 """Of the differences that the spline penalises: accelerations stay free at the ends of a trial."""
 HALF_POWER = (np.sqrt(2.0) - 1.0) ** (1.0 / (2 * ORDER))
 """Ratio of the -3 dB frequency of 1 / (1 + (f / f0)^6) to f0."""
+TOGETHER = 2
+"""Columns of a signal that are filtered and differentiated together."""
 BUTTERWORTH_PASS = 0.802
 """A 2nd-order Butterworth run both ways has -3 dB at this part of its design cut-off (Winter 2009, section 3.4.4.2)."""
 
@@ -41,25 +44,34 @@ class Smoother:
             return x
         flat = x.detach().cpu().numpy().reshape(len(x), -1)
         w = np.ones(len(x)) if weight is None else weight.detach().cpu().numpy()
-        flat = np.where(w[:, None] > 0.0, flat, 0.0)
         out = self._spline(flat, w) if self.kind == "spline" or w.min() <= 0.0 else self._butterworth(flat)
         return torch.as_tensor(out, dtype=x.dtype, device=x.device).reshape(x.shape)
 
     def _spline(self, x: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        known = weight[:, None] > 0.0
         if len(x) <= 2 * ORDER:
-            return x
+            return np.where(known, x, 0.0)
         f0 = self.cutoff_hz / HALF_POWER
         penalty = (2.0 * np.sin(np.pi * min(f0 / self.rate_hz, 0.5))) ** (-2.0 * ORDER)
         bands = penalty * _difference_bands(len(x))
         # A long gap leaves the solution to the penalty alone: a parabola between its sides.
         bands[-1] += np.maximum(weight, 1e-12)
-        return scipy.linalg.solveh_banded(bands, weight[:, None] * x, overwrite_ab=True, check_finite=False)
+        factor, out = scipy.linalg.cholesky_banded(bands, overwrite_ab=True, check_finite=False), np.empty_like(x)
+        for few in _groups(x):
+            right = np.where(known, weight[:, None] * x[:, few], 0.0)
+            out[:, few] = scipy.linalg.cho_solve_banded((factor, False), right, overwrite_b=True, check_finite=False)
+        return out
 
     def _butterworth(self, x: np.ndarray) -> np.ndarray:
         design = min(self.cutoff_hz / BUTTERWORTH_PASS, 0.49 * self.rate_hz)
         sos = scipy.signal.butter(2, design, fs=self.rate_hz, output="sos")
         pad = min(len(x) - 1, int(3 * self.rate_hz / self.cutoff_hz))
         return scipy.signal.sosfiltfilt(sos, x, axis=0, padlen=pad).copy()
+
+
+def _groups(x: np.ndarray) -> Iterator[slice]:
+    """A few columns at a time: the intermediates of a spline take several times the memory of its signal."""
+    return (slice(k, k + TOGETHER) for k in range(0, x.shape[1], TOGETHER))
 
 
 def _difference_bands(n: int) -> np.ndarray:
@@ -78,6 +90,10 @@ def differentiate(
     """First and second time derivative of the quintic spline through the samples."""
     flat = x.detach().cpu().numpy().reshape(len(x), -1)
     time = np.arange(len(x)) / rate_hz
-    spline = scipy.interpolate.make_interp_spline(time, flat, k=5)
-    first, second = (torch.as_tensor(spline.derivative(k)(time), dtype=x.dtype, device=x.device) for k in (1, 2))
-    return first.reshape(x.shape), second.reshape(x.shape)
+    found = np.empty((2, *flat.shape))
+    for few in _groups(flat):
+        spline = scipy.interpolate.make_interp_spline(time, flat[:, few], k=5)
+        for k in (0, 1):
+            found[k][:, few] = spline.derivative(k + 1)(time)
+    first, second = (torch.as_tensor(y, dtype=x.dtype, device=x.device).reshape(x.shape) for y in found)
+    return first, second

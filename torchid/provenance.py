@@ -23,9 +23,23 @@ class StageTime:
     """What a stage cost."""
 
     seconds: float
-    """Of the computation, also where its result was taken from an earlier run."""
+    """On the clock, of the computation, also where its result was taken from an earlier run."""
+    cpu_seconds: float
+    """Of all processors together."""
     reused: bool
     key: str
+    """Of the stored result; empty where none is stored."""
+
+
+class Stopwatch:
+    """Runs from when it is made."""
+
+    def __init__(self) -> None:
+        self._start = time.perf_counter(), time.process_time()
+
+    def seconds(self) -> tuple[float, float]:
+        """On the clock, and of all processors together."""
+        return time.perf_counter() - self._start[0], time.process_time() - self._start[1]
 
 
 def stage_key(**parts: Any) -> str:

@@ -33,6 +33,10 @@ class Markers:
             position[:, k] = self.position[:, source]
         return replace(self, labels=labels, position=position)
 
+    def frames(self, index: Tensor | slice) -> "Markers":
+        """Some of the frames."""
+        return replace(self, time=self.time[index], position=self.position[index])
+
 
 @dataclass(frozen=True)
 class Plate:

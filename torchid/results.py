@@ -3,8 +3,8 @@
 import json
 import logging
 import os
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 from filelock import FileLock, Timeout
 
 from torchid.errors import DataError, InputError
-from torchid.files import atomic_write, safe_name, write_json, write_text
-from torchid.provenance import StageTime
-from torchid.snapshot import SnapshotError, from_bytes, to_bytes
+from torchid.files import atomic_write, safe_name, unwritable, write_json, write_text
+from torchid.provenance import StageTime, Stopwatch
+from torchid.snapshot import SnapshotError, load_snapshot, release, swap_out, write_snapshot
 
 log = logging.getLogger(__name__)
 Result = TypeVar("Result")
@@ -53,9 +53,7 @@ class OutputFolder:
                 remedy="Wait for it, or choose another `out`.",
             ) from error
         except OSError as error:
-            raise InputError(
-                "results.unwritable", "cannot be written", source=self.out, found=error.strerror or str(error)
-            ) from error
+            raise unwritable(self.out, error) from error
         try:
             write_text(self.state / "pid", str(os.getpid()))
         except InputError:
@@ -90,21 +88,44 @@ class OutputFolder:
     def stage(self, name: str, key: str, compute: Callable[[], Result]) -> Result:
         """The stage's result: the stored one if its ``key`` is the same, else computed and stored.
 
-        The result is anything that ``torchid.snapshot`` holds. ``times`` tells its cost and whether it was reused.
+        The result is anything that ``torchid.snapshot`` holds; its tensors stay in the file and are not to be changed
+        in place. ``times`` tells its cost and whether it was reused.
         """
         file = self.state / "stages" / f"{safe_name(name)}.snapshot"
         stored = _read_stage(file, key)
         if stored is not None:
-            self.times[name] = StageTime(stored["seconds"], True, key)
+            clock, processors = stored["seconds"]
+            self.times[name] = StageTime(clock, processors, True, key)
             return stored["result"]
-        start = time.perf_counter()
+        watch = Stopwatch()
         result = compute()
-        seconds = time.perf_counter() - start
-        content = to_bytes({"key": key, "seconds": seconds, "result": result})
+        seconds = watch.seconds()
         with atomic_write(file) as target:
-            target.write(content)
-        self.times[name] = StageTime(seconds, False, key)
-        return result
+            write_snapshot(target, {"key": key, "seconds": seconds, "result": result})
+        self.times[name] = StageTime(*seconds, False, key)
+        del result
+        release()
+        return load_snapshot(file)["result"]
+
+    def aside(self, value: Result) -> Result:
+        """The same value, its tensors in a file of this run: for what is as long as a recording.
+
+        Raises:
+            InputError: ``results.unwritable``.
+        """
+        try:
+            return swap_out(value, self.state)
+        except OSError as error:
+            raise unwritable(self.out, error) from error
+        finally:
+            release()
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Puts the cost of the block into ``times``, as that of a stage whose result is not stored."""
+        watch = Stopwatch()
+        yield
+        self.times[name] = StageTime(*watch.seconds(), False, "")
 
     def _owner(self) -> str:
         try:
@@ -134,7 +155,7 @@ class OutputFolder:
 
 def _read_stage(file: Path, key: str) -> dict[str, Any] | None:
     try:
-        stored = from_bytes(file.read_bytes())
+        stored = load_snapshot(file)
     except FileNotFoundError:
         return None
     except (OSError, SnapshotError) as error:

@@ -1,24 +1,36 @@
-"""A stage's result as bytes and back: dataclasses of tensors in an npz without pickle.
+"""A stage's result as bytes and back: dataclasses of tensors without pickle.
 
-The tensors are the npz's arrays; the structure around them is a JSON document beside them; a SHA-256 stands in front,
-because zipfile and numpy meet damaged bytes with a dozen kinds of exception and with allocations of any size.
-Only dataclasses and enums of torchid that are already imported are rebuilt, so that reading runs no foreign code.
+A SHA-256 stands in front, then the length of a JSON document, the document, which holds the structure and says where
+each array lies, and the arrays' plain bytes. Only dataclasses and enums of torchid that are already imported are
+rebuilt, so that reading runs no foreign code.
+
+Tensors of a file are mapped, not read: an hour of motion takes memory only while somebody looks at it (``release``).
 """
 
+import ctypes
 import dataclasses
 import hashlib
 import io
 import json
+import math
+import mmap
 import sys
-import zipfile
+import tempfile
+import weakref
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 import torch
 
-_DOCUMENT = "__document__"
+Value = TypeVar("Value")
+DIGEST, LENGTH, ALIGN = 32, 8, 64
+PIECE = 1 << 22
+"""Values of an array that are made contiguous at a time."""
+_maps: "weakref.WeakSet[mmap.mmap]" = weakref.WeakSet()
+_trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
 
 class SnapshotError(ValueError):
@@ -31,12 +43,9 @@ def to_bytes(value: Any) -> bytes:
     Raises:
         TypeError: something else is inside.
     """
-    arrays: dict[str, np.ndarray] = {}
-    document = json.dumps(_encode(value, arrays))
     buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **{_DOCUMENT: np.frombuffer(document.encode("ascii"), np.uint8)}, **arrays)
-    content = buffer.getvalue()
-    return hashlib.sha256(content).digest() + content
+    write_snapshot(buffer, value)
+    return buffer.getvalue()
 
 
 def from_bytes(content: bytes) -> Any:
@@ -45,18 +54,107 @@ def from_bytes(content: bytes) -> Any:
     Raises:
         SnapshotError: see there.
     """
-    digest, content = content[:32], content[32:]
-    if hashlib.sha256(content).digest() != digest:
-        raise SnapshotError("damaged snapshot")
+    return _checked(bytearray(content))
+
+
+def write_snapshot(file: BinaryIO | io.BytesIO, value: Any) -> None:
+    """The bytes of ``to_bytes`` into an empty file, without a copy of them in memory; errors as there."""
+    digest = hashlib.sha256()
+    file.write(bytes(DIGEST))
+    for piece in _pieces(value):
+        digest.update(piece)
+        file.write(piece)
+    file.seek(0)
+    file.write(digest.digest())
+
+
+def load_snapshot(path: str | Path) -> Any:
+    """The value that was written to a file, its tensors mapped and not to be changed in place.
+
+    Raises:
+        SnapshotError: damaged.
+        OSError: it cannot be read.
+    """
+    with Path(path).open("rb") as file:
+        value = _checked(_map(file))
+    release()  # the digest has looked at all of it
+    return value
+
+
+def swap_out(value: Value, folder: str | Path) -> Value:
+    """The same value, its tensors in a nameless file in ``folder`` that vanishes with them; not to be changed in place.
+
+    Raises:
+        TypeError: as ``to_bytes``.
+        OSError: the file cannot be written.
+    """
+    with tempfile.TemporaryFile(dir=folder) as file:
+        file.write(bytes(DIGEST))
+        for piece in _pieces(value):
+            file.write(piece)
+        file.flush()
+        return _rebuild(_map(file))
+
+
+def release() -> None:
+    """Give back the memory of all mapped tensors; whoever looks at them again has them from the file.
+
+    What glibc keeps of freed memory goes too: after an hour's recording that were 450 MiB in pieces.
+    """
+    for mapped in list(_maps):
+        mapped.madvise(mmap.MADV_DONTNEED)
+    if _trim is not None:
+        _trim(0)
+
+
+def _map(file: Any) -> mmap.mmap:
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        return _decode(json.loads(arrays.pop(_DOCUMENT).tobytes()), arrays)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+    except ValueError as error:
+        raise SnapshotError("an empty file") from error
+    if hasattr(mmap, "MADV_DONTNEED"):  # not on Windows
+        _maps.add(mapped)
+    return mapped
+
+
+def _pieces(value: Any) -> Iterator[bytes | memoryview]:
+    """Everything behind the digest."""
+    arrays: dict[Any, tuple[int, np.ndarray]] = {}
+    document = json.dumps(_encode(value, arrays)).encode("ascii")
+    yield len(document).to_bytes(LENGTH, "little")
+    yield document
+    yield bytes(_begin(len(document)) - DIGEST - LENGTH - len(document))
+    for _, array in arrays.values():
+        rows = max(1, PIECE // max(1, array[:1].size)) if array.ndim else 1
+        for start in range(0, len(array) if array.ndim else 1, rows):
+            part = np.ascontiguousarray(array[start : start + rows] if array.ndim else array)
+            if part.size:
+                yield part.reshape(-1).view(np.uint8).data
+        yield bytes(-array.nbytes % ALIGN)
+
+
+def _begin(document: int) -> int:
+    """Where the arrays begin behind a document of so many bytes."""
+    end = DIGEST + LENGTH + document
+    return end + -end % ALIGN
+
+
+def _checked(content: bytearray | mmap.mmap) -> Any:
+    if hashlib.sha256(memoryview(content)[DIGEST:]).digest() != content[:DIGEST]:
+        raise SnapshotError("damaged snapshot")
+    return _rebuild(content)
+
+
+def _rebuild(content: bytearray | mmap.mmap) -> Any:
+    try:
+        size = int.from_bytes(content[DIGEST : DIGEST + LENGTH], "little")
+        document = json.loads(content[DIGEST + LENGTH : DIGEST + LENGTH + size])
+        return _decode(document, content, _begin(size))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError) as error:
         raise SnapshotError(f"unreadable snapshot: {error}") from error
 
 
-def _encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _encode(value: Any, arrays: dict[Any, tuple[int, np.ndarray]]) -> Any:
     if isinstance(value, Enum):
         return {"enum": _class_name(type(value)), "name": value.name}
     if value is None or isinstance(value, bool | int | float | str):
@@ -77,12 +175,15 @@ def _encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     raise TypeError(f"{type(value).__name__} cannot go into a snapshot")
 
 
-def _keep(array: np.ndarray, arrays: dict[str, np.ndarray]) -> str:
+def _keep(array: np.ndarray, arrays: dict[Any, tuple[int, np.ndarray]]) -> list[Any]:
+    """Where the array will lie: dtype, shape and offset. One that stands twice is kept once."""
     if array.dtype.hasobject:
         raise TypeError("an array of objects cannot go into a snapshot")
-    name = f"a{len(arrays)}"
-    arrays[name] = array
-    return name
+    key = array.__array_interface__["data"][0], array.shape, array.strides, array.dtype.str
+    if key not in arrays:
+        last = next(reversed(arrays.values()), None)
+        arrays[key] = 0 if last is None else last[0] + last[1].nbytes + -last[1].nbytes % ALIGN, array
+    return [array.dtype.str, list(array.shape), arrays[key][0]]
 
 
 def _class_name(kind: type) -> str:
@@ -91,26 +192,33 @@ def _class_name(kind: type) -> str:
     return f"{kind.__module__}:{kind.__qualname__}"
 
 
-def _decode(node: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _decode(node: Any, content: bytearray | mmap.mmap, begin: int) -> Any:
     if isinstance(node, list):
-        return [_decode(entry, arrays) for entry in node]
+        return [_decode(entry, content, begin) for entry in node]
     if not isinstance(node, dict):
         return node
     kind = next(iter(node))
-    content = node[kind]
-    if kind == "tensor":
-        return torch.from_numpy(np.array(arrays[content]))
-    if kind == "array":
-        return arrays[content]
+    inside = node[kind]
+    if kind in ("tensor", "array"):
+        array = _array(inside, content, begin)
+        return torch.from_numpy(array) if kind == "tensor" else array
     if kind == "path":
-        return Path(content)
+        return Path(inside)
     if kind == "tuple":
-        return tuple(_decode(entry, arrays) for entry in content)
+        return tuple(_decode(entry, content, begin) for entry in inside)
     if kind == "dict":
-        return {key: _decode(entry, arrays) for key, entry in content.items()}
+        return {key: _decode(entry, content, begin) for key, entry in inside.items()}
     if kind == "enum":
-        return getattr(_class(content, Enum), node["name"])
-    return _class(node["class"])(**{key: _decode(entry, arrays) for key, entry in node["fields"].items()})
+        return getattr(_class(inside, Enum), node["name"])
+    return _class(inside)(**{key: _decode(entry, content, begin) for key, entry in node["fields"].items()})
+
+
+def _array(kept: list[Any], content: bytearray | mmap.mmap, begin: int) -> np.ndarray:
+    kind, shape, offset = kept
+    size = math.prod(shape)
+    if not size:
+        return np.zeros(shape, kind)
+    return np.frombuffer(content, np.dtype(kind), size, begin + offset).reshape(shape)
 
 
 def _class(name: str, base: type = object) -> Any:

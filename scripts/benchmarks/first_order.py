@@ -125,12 +125,12 @@ class _Pattern:
         at, p, _ = problem.residual(q, xi)
         p = p - at.p[:1]
         sums = moments(self.layout, problem.weight, p, torch.zeros_like(p))
-        S = column_twists(self.layout, at, sums, shared=True).S.permute(1, 2, 0)[self.columns]
+        S = column_twists(self.layout, at.about_root(q.dtype), sums, shared=True).S.permute(1, 2, 0)[self.columns]
         S[3:6, 3:] = _rotation_vector_rates(q)
         v, z = S[self.pair_column, :3], S[self.pair_column, 3:]
         root = problem.weight.sqrt()
         J = (v + torch.linalg.cross(z, p[self.pair_marker], dim=1)) * root[self.pair_marker][:, None]
-        R = torch.stack(at.R, dim=1)[problem.body[problem.free]] * root[problem.free][:, None, None]
+        R = at.R[problem.body[problem.free]] * root[problem.free][:, None, None]
         outside = (q > posture.upper) | (q < posture.lower)
         values = (
             J, R, posture.precision.sqrt().expand_as(q), problem.xi_precision.sqrt(),

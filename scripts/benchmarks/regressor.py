@@ -10,8 +10,9 @@ from torch import Tensor
 
 from benchmarks.subject import by_turns
 from torchid.conventions import GRAVITY
-from torchid.dynamics import BodyRows, base_gram, base_rows, body_rows, dynamic_state
+from torchid.dynamics import BodyRows, base_gram, base_rows, body_rows, dynamic_state, walk
 from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.tables import make_joints
 from torchid.model.model import Geometry, Model
 from torchid.model.tree import Tree
 from torchid.model.whole_body import whole_body
@@ -37,7 +38,9 @@ def bench_regressor(rounds: int, compiled: bool) -> dict[str, object]:
 
     runs = {"pinocchio": peer, "eager": eager, "eager_scattered": lambda: base_rows(plan_tree(tree), eager())}
     if compiled:
-        fused = torch.compile(lambda q, v, a: body_rows(dynamic_state(tree, geometry, q, v, a)), dynamic=False)
+        plan = plan_tree(tree)
+        axes = make_joints(plan, geometry)
+        fused = torch.compile(lambda q, v, a: body_rows(walk(plan, axes, q, v, a)), dynamic=False, fullgraph=True)
         fused(q, v, a)
         runs["compiled"] = lambda: fused(q, v, a)
     times = by_turns(runs, rounds)

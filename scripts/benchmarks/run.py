@@ -17,6 +17,7 @@ from benchmarks.fit import bench_fit
 from benchmarks.inertia import bench_inertia
 from benchmarks.kinematics import bench_ik
 from benchmarks.regressor import bench_regressor
+from torchid.allocator import keep_memory
 
 PACKAGES = ("torch", "numpy", "scipy", "pin", "opensim")
 Row = tuple[str, float | None, str, str]
@@ -30,6 +31,7 @@ def main() -> None:
     parser.add_argument("--out", default="bench.json")
     args = parser.parse_args()
     torch.set_num_threads(1)
+    keep_memory()
     quick = args.quick
     fit = bench_fit(200 if quick else 1000, 1 if quick else 5, peers=not quick)
     ik = bench_ik(300 if quick else 2000, 20 if quick else 200, 1 if quick else 3)

@@ -1,19 +1,23 @@
 """Turns what pydantic found into errors that name the key, what was found and the nearest thing that exists."""
 
 import types
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
 from difflib import get_close_matches
-from typing import Any, Union, get_args, get_origin
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from torchid.errors import ConfigError
+from torchid.errors import ConfigError, OptionError
 
 Place = tuple[str | int, ...]
+Section = type
+"""A pydantic model, or a dataclass of options."""
 
 _CODES = {
     "extra_forbidden": "config.unknown_key",
+    "unexpected_keyword_argument": "config.unknown_key",
     "missing": "config.missing_key",
     "literal_error": "config.unknown_value",
     "json_invalid": "config.invalid_text",
@@ -35,6 +39,7 @@ _WORDINGS = {
     "tuple_type": "must be a list",
     "dict_type": "must be a mapping {key: value}",
     "model_type": "must be a mapping {key: value}",
+    "dataclass_type": "must be a mapping {key: value}",
 }
 
 
@@ -96,9 +101,15 @@ def _place(detail: ErrorDetails, document: Any) -> Place:
 def _explain_one(
     place: Place, details: list[ErrorDetails], document: Any, model: type[BaseModel], source: str
 ) -> ConfigError:
-    kind = details[0]["type"]
+    kind, refused = details[0]["type"], details[0].get("ctx", {}).get("error")
     found, remedy = "", ""
-    if kind == "extra_forbidden":
+    if isinstance(refused, OptionError):
+        place = (*place, refused.place)
+        return ConfigError(
+            refused.code, refused.message, source=source, place=dotted(place), found=refused.found,
+            remedy=refused.remedy,
+        )  # fmt: skip
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         message, remedy = "unknown key", _nearest_key(place, document, model)
     elif kind == "missing":
         message = "this key is required"
@@ -131,41 +142,50 @@ def _nearest_key(place: Place, document: Any, model: type[BaseModel]) -> str:
     """The nearest key of the same section, else a section that has this very key, else the keys there are."""
     section = _section(place[:-1], document, model)
     key = str(place[-1])
-    fields = list(section.model_fields) if section else []
+    fields = list(_fields(section)) if section else []
     taken = set(_value(document, place[:-1]) or ())
     free = [name for name in fields if name not in taken]
     hint = _did_you_mean(key, free or fields)
     if hint:
         return hint
-    elsewhere = [name for name, other in _sections(model) if key in other.model_fields]
+    elsewhere = [name for name, other in _sections(model) if key in _fields(other)]
     if elsewhere:
         return "It belongs to " + " or ".join(elsewhere) + "."
     return f"Known here: {', '.join(fields)}."
 
 
-def _section(place: Place, document: Any, model: type[BaseModel]) -> type[BaseModel] | None:
-    current: type[BaseModel] | None = model
+def _section(place: Place, document: Any, model: type[BaseModel]) -> Section | None:
+    current: Section | None = model
     for step in place:
         if isinstance(step, int):
             continue
-        field = current.model_fields.get(step) if current else None
-        current = next(_models(field.annotation), None) if field else None
+        fields = _fields(current) if current else {}
+        current = next(_inside(fields[step]), None) if step in fields else None
     return current
 
 
-def _sections(model: type[BaseModel]) -> Iterator[tuple[str, type[BaseModel]]]:
-    for name, field in model.model_fields.items():
-        for nested in _models(field.annotation):
+def _sections(model: type[BaseModel]) -> Iterator[tuple[str, Section]]:
+    for name, annotation in _fields(model).items():
+        for nested in _inside(annotation):
             yield name, nested
 
 
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Models inside an annotation such as ``tuple[Trial, ...]`` or ``Simulate | None``."""
-    if isinstance(annotation, type) and get_origin(annotation) is None and issubclass(annotation, BaseModel):
-        yield annotation
+def _fields(section: Section) -> Mapping[str, Any]:
+    """Keys of a section and the types of their values."""
+    if issubclass(section, BaseModel):
+        return {name: field.annotation for name, field in section.model_fields.items()}
+    hints = get_type_hints(section)
+    return {name: hints[name] for name in section.__dataclass_fields__}
+
+
+def _inside(annotation: Any) -> Iterator[Section]:
+    """Sections inside an annotation such as ``tuple[Trial, ...]`` or ``SimulateOptions | None``."""
+    if isinstance(annotation, type) and get_origin(annotation) is None:
+        if issubclass(annotation, BaseModel) or is_dataclass(annotation):
+            yield annotation
     elif get_origin(annotation) in (Union, types.UnionType, tuple, list, dict):
         for part in get_args(annotation):
-            yield from _models(part)
+            yield from _inside(part)
 
 
 def _value(document: Any, place: Place) -> Any:

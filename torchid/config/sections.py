@@ -1,12 +1,22 @@
-"""Sections of the config with their defaults; strict, so that a misspelt key or a quoted number is an error."""
+"""Sections of the config with their defaults; strict, so that a misspelt key or a quoted number is an error.
+
+The sections of stages are the stages' own options: pydantic validates a dataclass under the strictness of ``Section``.
+"""
 
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, field_validator, model_validator
 from pydantic_core import PydanticCustomError
+
+from torchid.bounds import Count, Name, Positive
+from torchid.contact.options import ContactOptions
+from torchid.geometry.options import GeometryOptions
+from torchid.inertia.options import InertiaOptions
+from torchid.simulate.options import SimulateOptions
 
 PROJECT_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 """Where ``${TORCHID_DATA}`` points unless the environment says otherwise: ``shared/data`` beside the project."""
@@ -14,10 +24,6 @@ PROJECT_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 BUILTIN_MODELS = ("whole_body",)
 MODEL_SUFFIXES = (".urdf", ".xml", ".osim")
 MARKER_SUFFIXES = (".yaml", ".yml", ".json")
-
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 def resolve_path(text: object, info: Any) -> Path:
@@ -106,52 +112,20 @@ class TrialFile(Section):
     """Takes part in the fit of the inertia."""
 
 
-class Geometry(Section):
-    """Fit of joint centres, lengths and marker places; the fields of ``GeometryOptions``."""
-
-    solver: Literal["arrow", "adam", "lbfgs"] = "arrow"
-    symmetry: Literal["none", "tied"] = "none"
-    groups: dict[Name, tuple[Name, ...]] = Field(default_factory=dict)
-    sigma_mm: Positive | dict[Name, Positive] = 5.0
-    reestimate_sigma: bool = True
-    robust: Positive | None = 4.0
-    static_posture_sd: Positive = 0.2
-    limit_sd: Positive = 0.05
-    temporal: bool = True
-    max_frames: Annotated[int, Field(gt=0)] = 1000
-    static_frames: Annotated[int, Field(gt=0)] = 30
-    iterations: Annotated[int, Field(gt=0, le=100_000)] = 60
-    gradient_iterations: Annotated[int, Field(gt=0, le=1_000_000)] = 2000
-    tolerance: Positive = 1e-6
-
-
 class Motion(Section):
-    """Filter of kinematics and forces alike; the fields of ``MotionOptions``."""
+    """Filter of kinematics and forces alike."""
 
     filter: Literal["spline", "butterworth"] = "spline"
     cutoff_hz: Positive | Literal["auto"] = "auto"
 
 
-class Contact(Section):
-    """When all contact is on the plates; the fields of ``ContactOptions``."""
+@dataclass(frozen=True)
+class Inertia(InertiaOptions):
+    """Fit of mass, centre of mass and inertia tensor of every segment: the stage's options and three more."""
 
-    height_m: Positive = 0.03
-    speed_m_s: Positive = 0.4
-    loaded_n: Positive = 20.0
-    margin_m: NonNegative = 0.03
-    reach_m: Positive = 0.10
-    shortest_s: NonNegative = 0.06
-
-
-class Inertia(Section):
-    """Fit of mass, centre of mass and inertia tensor of every segment; fields of ``InertiaOptions`` and two more."""
-
+    noise: Literal["known"] = "known"
+    """The rows of a trial are whitened by the noise that they show themselves (``identify_inertia``)."""
     enabled: bool = True
-    lmi: bool = True
-    prior: Literal["quadratic", "entropic"] = "quadratic"
-    prior_weight: Literal["evidence", "cross_validation"] | Positive = "evidence"
-    prior_weight_range: tuple[Positive, Positive] = (1.0, 1e3)
-    refuse: bool = True
     known_mass: bool = False
     """Hold the total mass at ``subject.mass_kg`` (within ``mass_sd_kg``, or 0.1 %)."""
     com_boxes: bool = False
@@ -168,24 +142,6 @@ class Diagnosis(Section):
     exclude: tuple[Name, ...] = ()
 
 
-class Simulate(Section):
-    """A synthetic recording session; the fields of ``SimulateOptions`` and the effects to plant."""
-
-    fit: tuple[Name, ...] = ("squats", "hip_rom", "arms", "trunk")
-    heldout: tuple[Name, ...] = ("sway_steps", "walk")
-    duration_s: Positive = 10.0
-    rate_hz: Positive = 100.0
-    plates: Annotated[int, Field(ge=1, le=4)] = 4
-    marker_noise_mm: NonNegative = 1.0
-    force_noise_n: NonNegative = 2.0
-    skin_motion_mm: NonNegative = 0.0
-    gap_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    mass_kg: Positive | None = None
-    height_m: Positive | None = None
-    sex: Literal["male", "female"] | None = None
-    scatter: NonNegative = 1.0
-
-
 class Config(Section):
     """Everything that a run does; relative paths have been resolved against the config's folder."""
 
@@ -193,14 +149,14 @@ class Config(Section):
     model: ModelSource = "whole_body"
     markers: MarkerSource
     trials: tuple[TrialFile, ...] = ()
-    geometry: Geometry = Geometry()
+    geometry: GeometryOptions = GeometryOptions()
     motion: Motion = Motion()
-    contact: Contact = Contact()
+    contact: ContactOptions = ContactOptions()
     inertia: Inertia = Inertia()
     diagnosis: Diagnosis = Diagnosis()
-    simulate: Simulate | None = None
+    simulate: SimulateOptions | None = None
     device: Literal["cpu", "cuda"] = "cpu"
-    threads: Annotated[int, Field(gt=0, le=1024)] | None = None
+    threads: Annotated[Count, Field(le=1024)] | None = None
     """Threads of torch; absent: its own choice."""
     out: UserPath = Field(default=Path("out"), validate_default=True)
     """Folder of the results."""

@@ -9,26 +9,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchid.contact.options import ContactOptions
 from torchid.recording import Forces
-
-
-@dataclass(frozen=True)
-class ContactOptions:
-    """What counts as standing, and as standing on a plate."""
-
-    height_m: float = 0.03
-    """A point of the sole touches within this height of the lowest it gets."""
-    speed_m_s: float = 0.4
-    """And below this speed."""
-    loaded_n: float = 20.0
-    """A plate is loaded above this vertical force."""
-    margin_m: float = 0.03
-    """A foot may stand over the edge of a plate by this much."""
-    reach_m: float = 0.10
-    """A centre of pressure belongs to a foot within this distance of its sole's axis."""
-    shortest_s: float = 0.06
-    """Shorter absences of a plate's reading are the plate's threshold, not a missing plate."""
-
 
 REST = 0.05, 0.2
 """A foot above the ground rests on something, such as a box, when it is flat and slower than this [m/s] for that long

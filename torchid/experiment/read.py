@@ -1,19 +1,17 @@
 """Recordings and model of a config, ready for the fits."""
 
+from collections.abc import Callable
+
 from torchid.config import Config
 from torchid.config.sections import TrialFile
-from torchid.contact import ContactOptions
 from torchid.errors import DataError, Note
 from torchid.geometry.assign import assign_markers
-from torchid.geometry.options import GeometryOptions
-from torchid.inertia.options import InertiaOptions
 from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
 from torchid.model.marker_set import load_marker_set
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
-from torchid.motion import MotionOptions
 from torchid.outcome import Session
 from torchid.recording import Trial
 
@@ -21,14 +19,19 @@ SHORTEST = 6
 """Frames of the shortest trial whose accelerations a quintic spline tells; a static trial may be shorter."""
 
 
-def read_session(config: Config) -> Session:
+def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: trial) -> Session:
     """Read all trials of the config and assign their markers to the model.
+
+    Args:
+        config: which trials, on which model.
+        keep: where to put a trial while others are read (``OutputFolder.aside``).
 
     Raises:
         TorchidError: a file, the model or the marker set is at fault, or a trial that moves is too short.
     """
     files = {file.name: file for file in config.trials}
-    trials = {name: synchronise(_read(file)) for name, file in files.items()}
+    # Kept twice: beside an hour's samples of the plates the markers would have no room.
+    trials = {name: keep(synchronise(keep(_read(file)))) for name, file in files.items()}
     _refuse_short(trials)
     model, said = _model(config)
     markers = load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
@@ -56,24 +59,3 @@ def _model(config: Config) -> tuple[Model, tuple[Note, ...]]:
         who = config.subject
         return whole_body(who.height_m, who.mass_kg, who.sex, who.mass_sd_kg), ()
     return load_model(config.model)
-
-
-def geometry_options(config: Config) -> GeometryOptions:
-    """Options of the geometric fit."""
-    return GeometryOptions(**dict(config.geometry))
-
-
-def motion_options(config: Config) -> MotionOptions:
-    """Options of the filter."""
-    return MotionOptions(**dict(config.motion))
-
-
-def contact_options(config: Config) -> ContactOptions:
-    """Options of the contact stage."""
-    return ContactOptions(**dict(config.contact))
-
-
-def inertia_options(config: Config) -> InertiaOptions:
-    """Options of the inertial fit."""
-    outside = {"enabled", "known_mass", "com_boxes"}
-    return InertiaOptions(**{key: value for key, value in dict(config.inertia).items() if key not in outside})

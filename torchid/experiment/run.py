@@ -8,12 +8,14 @@ import torch
 
 from torchid.config import Config, dump_config
 from torchid.errors import DataError, Note
-from torchid.experiment.read import geometry_options, inertia_options, read_session
+from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, subject_prior, torques
 from torchid.experiment.write import write_outcome
 from torchid.files import file_sha256, write_json, write_text
-from torchid.geometry.fit import GeometryFit, Tracked, fit_geometry, track
+from torchid.geometry.fit import fit_geometry
+from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.tracking import Tracked, track
 from torchid.inertia.identify import Identified, identify_inertia
 from torchid.model.model import InertialPrior
 from torchid.outcome import Followed, Outcome, Residual, Session
@@ -21,6 +23,7 @@ from torchid.provenance import provenance, stage_key
 from torchid.regressor.rows import residual_rms
 from torchid.report import write_report
 from torchid.results import OutputFolder
+from torchid.snapshot import release
 
 log = logging.getLogger(__name__)
 Progress = Callable[[str, float], None]
@@ -45,12 +48,15 @@ def run_experiment(config: Config, progress: Progress = lambda stage, fraction: 
         config = with_recordings(config, progress)
         write_text(folder.path("config.yaml"), dump_config(config))
         progress("read", 0.0)
-        session = read_session(config)
+        with folder.timed("read"):
+            session = read_session(config, folder.aside)
         progress("read", 1.0)
         outcome, failure = _compute(config, session, folder, progress)
+        outcome = replace(outcome, times=dict(folder.times))
         progress("write", 0.0)
-        write_outcome(outcome, folder, failure)
-        write_report(outcome, folder.path("report.html"), failure)
+        with folder.timed("write"):
+            write_outcome(outcome, folder, failure)
+            write_report(outcome, folder.path("report.html"), failure)
         write_json(folder.path("provenance.json"), provenance(_inputs(config), config.seed, folder.times))
         progress("write", 1.0)
         if failure is not None:
@@ -73,30 +79,36 @@ def _compute(
     fit, scaled = _geometry(config, session, folder, key, progress)
     cutoff_hz = cutoff(config, session)
     tracked = _track_all(session, folder, key, {"motion": fit, "scaled": scaled}, progress)
-    followed, followed_scaled = (
-        {name: follow(g, trial, tracked[kind][name], cutoff_hz, config) for name, trial in session.trials.items()}
-        for kind, g in (("motion", fit), ("scaled", scaled))
-    )
+    with folder.timed("follow"):
+        followed, followed_scaled = (
+            {
+                name: _aside(follow(g, trial, tracked[kind][name], cutoff_hz, config), folder)
+                for name, trial in session.trials.items()
+            }
+            for kind, g in (("motion", fit), ("scaled", scaled))
+        )
     outcome = Outcome(
         config, session, fit, scaled, cutoff_hz, followed, followed_scaled,
         subject_prior(config, fit), subject_prior(config, scaled), notes=(*session.notes, *fit.notes),
     )  # fmt: skip
     outcome = replace(outcome, notes=(*outcome.notes, *_contact_notes(followed)))
     if not config.inertia.enabled:
-        return _with_torques(outcome), None
+        return _with_torques(outcome, folder), None
     try:
         identified = folder.stage("inertia", key, lambda: _identify(config, outcome, progress))
     except DataError as failure:
         log.warning("%s", failure)
-        return _with_torques(outcome), failure
+        return _with_torques(outcome, folder), failure
     outcome = replace(outcome, identified=identified, notes=(*outcome.notes, *identified.fit.notes))
-    return _with_torques(replace(outcome, residuals=contributions(outcome))), None
+    with folder.timed("residuals"):
+        outcome = replace(outcome, residuals=contributions(outcome))
+    return _with_torques(outcome, folder), None
 
 
 def _geometry(
     config: Config, session: Session, folder: OutputFolder, key: str, progress: Progress
 ) -> tuple[GeometryFit, GeometryFit]:
-    options, static = geometry_options(config), session.static
+    options, static = config.geometry, session.static
     trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
     if not trials:
         trials = {n: t.markers for n, t in session.trials.items() if t.role == "static"}
@@ -126,6 +138,13 @@ def _track_all(
     return found
 
 
+def _aside(followed: Followed, folder: OutputFolder) -> Followed:
+    """The same, its motion and wrench in a file; the tracked coordinates are in their stage's."""
+    return Followed(
+        followed.name, followed.tracked, *folder.aside((followed.motion, followed.contact, followed.wrench))
+    )
+
+
 def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
     notes = []
     for name, item in followed.items():
@@ -148,7 +167,7 @@ def _identify(config: Config, outcome: Outcome, progress: Progress) -> Identifie
         mass = (who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg)
     if config.inertia.com_boxes:
         box = _com_boxes(outcome.prior)
-    found = identify_inertia([t for t in trials if t is not None], outcome.prior, inertia_options(config), mass, box)
+    found = identify_inertia([t for t in trials if t is not None], outcome.prior, config.inertia, mass, box)
     progress("inertia", 1.0)
     return found
 
@@ -175,16 +194,17 @@ def _com_boxes(prior: InertialPrior) -> torch.Tensor:
     return torch.stack([centre - reach, centre + reach], dim=1)
 
 
-def _with_torques(outcome: Outcome) -> Outcome:
+def _with_torques(outcome: Outcome, folder: OutputFolder) -> Outcome:
     def each(followed: dict[str, Followed], fit: GeometryFit, phi: torch.Tensor) -> dict[str, torch.Tensor]:
-        tree = fit.model.tree
-        return {n: torques(f, tree, fit.geometry, phi, outcome.session.trials[n]) for n, f in followed.items()}
+        tree, trials = fit.model.tree, outcome.session.trials
+        return {n: folder.aside(torques(f, tree, fit.geometry, phi, trials[n])) for n, f in followed.items()}
 
-    return replace(
-        outcome,
-        torque=each(outcome.followed, outcome.fit, outcome.phi),
-        torque_scaled=each(outcome.followed_scaled, outcome.scaled, outcome.prior_scaled.mean),
-    )
+    with folder.timed("torques"):
+        return replace(
+            outcome,
+            torque=each(outcome.followed, outcome.fit, outcome.phi),
+            torque_scaled=each(outcome.followed_scaled, outcome.scaled, outcome.prior_scaled.mean),
+        )
 
 
 def contributions(outcome: Outcome) -> tuple[Residual, ...]:
@@ -214,4 +234,5 @@ def contributions(outcome: Outcome) -> tuple[Residual, ...]:
                     trials.append(item.wrench)
             if trials:
                 rows.append(Residual(label, role, cutoff_hz, geometry, inertia, *residual_rms(trials, phi)))
+            release()
     return tuple(rows)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from torchid.config import Config, load_config
 from torchid.errors import ConfigError
-from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 
 RECORDINGS = "recordings"
@@ -23,7 +22,7 @@ def run_simulation(config: Config, progress: Callable[[str, float], None] = lamb
             "simulate.missing", "the config has no `simulate:` section", remedy="add one, if only `simulate: {}`"
         )
     progress("simulate", 0.0)
-    session = simulate_session(SimulateOptions(**dict(config.simulate)), config.seed, config.out / RECORDINGS)
+    session = simulate_session(config.simulate, config.seed, config.out / RECORDINGS)
     progress("simulate", 1.0)
     assert session.config is not None
     return session.config

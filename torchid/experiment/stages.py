@@ -7,13 +7,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.contact import find_contact
+from torchid.contact.contact import find_contact
 from torchid.dynamics import body_rows, body_wrenches, dynamic_state, generalised_forces, wrench_about
-from torchid.experiment.read import SHORTEST, contact_options, motion_options
+from torchid.experiment.read import SHORTEST
 from torchid.filters import Smoother
-from torchid.geometry.fit import GeometryFit, Tracked
+from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.tracking import Tracked
 from torchid.kinematics.plan import plan_tree
-from torchid.kinematics.recursion import poses
+from torchid.kinematics.recursion import points, poses
 from torchid.model.anthropometry import inertial_prior
 from torchid.model.model import Geometry, InertialPrior
 from torchid.model.tree import Tree
@@ -35,7 +36,7 @@ CHUNK = 2048
 
 def cutoff(config: Config, session: Session) -> float:
     """Cut-off of the filter [Hz]: as configured, or the largest that a fit trial asks for."""
-    wanted = motion_options(config).cutoff_hz
+    wanted = config.motion.cutoff_hz
     if wanted != "auto":
         return float(wanted)
     labels = session.assignment.attachment.labels
@@ -49,15 +50,13 @@ def follow(fit: GeometryFit, trial: Trial, tracked: Tracked, cutoff_hz: float, c
     if len(trial.markers.time) < SHORTEST:
         return _still(trial, tracked, cutoff_hz, config)
     rate = trial.markers.rate
-    smoother = Smoother(min(cutoff_hz, 0.4 * rate), rate, motion_options(config).filter)
+    smoother = Smoother(min(cutoff_hz, 0.4 * rate), rate, config.motion.filter)
     seen = torch.isfinite(tracked.error).any(dim=1)
     motion = smooth_motion(tree, trial.markers.time, tracked.q, smoother, seen)
     if trial.forces is None:
         return Followed(trial.name, tracked, motion)
     sure = seen & _inside(len(seen), round(ENDS / smoother.cutoff_hz * rate)).to(seen.device)
-    contact = find_contact(
-        soles(fit, tracked), trial.forces, sure, rate, SPREAD / smoother.cutoff_hz, contact_options(config)
-    )
+    contact = find_contact(soles(fit, tracked), trial.forces, sure, rate, SPREAD / smoother.cutoff_hz, config.contact)
     total = smoother(torch.nan_to_num(trial.forces.total), contact.measured.to(torch.float64))
     wrench = WrenchTrial(trial.name, tree, fit.geometry, motion, total, contact.used)
     return Followed(trial.name, tracked, motion, contact, wrench)
@@ -66,7 +65,7 @@ def follow(fit: GeometryFit, trial: Trial, tracked: Tracked, cutoff_hz: float, c
 def _still(trial: Trial, tracked: Tracked, cutoff_hz: float, config: Config) -> Followed:
     """A static trial of a few frames: posture without motion, and no use of its forces."""
     still = torch.zeros_like(tracked.q)
-    smoother = Smoother(cutoff_hz, float("inf"), motion_options(config).filter)
+    smoother = Smoother(cutoff_hz, float("inf"), config.motion.filter)
     return Followed(trial.name, tracked, Motion(tracked.time, tracked.q, still, still, smoother))
 
 
@@ -77,19 +76,18 @@ def _inside(frames: int, margin: int) -> Bool[Tensor, " frames"]:
 
 def soles(fit: GeometryFit, tracked: Tracked) -> dict[str, Float[Tensor, "frames points 3"]]:
     """Points of each foot's sole in W: the template's landmarks on the feet of the model."""
-    tree, found = fit.model.tree, {}
+    tree, marks = fit.model.tree, fit.model.landmarks
+    sides = [[f"{name}_{side}" for name in SOLE] for side in ("l", "r")]
+    feet = {marks[names[0]].segment: names for names in sides if set(names) <= set(marks)}
+    if not feet:
+        return {}
     plan = plan_tree(tree)
-    at = poses(plan, tracked.q.T.contiguous(), fit.geometry)
-    for side in ("l", "r"):
-        marks = [fit.model.landmarks.get(f"{name}_{side}") for name in SOLE]
-        if any(mark is None for mark in marks):
-            continue
-        body = tree.names.index(marks[0].segment)  # type: ignore[union-attr]
-        position = plan.position[body]
-        R = torch.stack([column[position] for column in at.R], dim=2)
-        local = R.new_tensor([mark.p_BM_B for mark in marks])  # type: ignore[union-attr]
-        found[tree.names[body]] = at.p[position].T[:, None] + torch.einsum("itj,mj->tmi", R, local)
-    return found
+    body = torch.tensor([plan.position[tree.index(foot)] for foot in feet for _ in SOLE], device=fit.xi.device)
+    local = fit.xi.new_tensor([marks[name].p_BM_B for names in feet.values() for name in names]).reshape(-1, 3)
+    both = fit.xi.new_empty(len(tracked.q), len(local), 3)
+    for q, out in zip(tracked.q.split(CHUNK), both.split(CHUNK), strict=True):
+        out.copy_(points(poses(plan, q.T.contiguous(), fit.geometry), body, local).permute(2, 0, 1))
+    return dict(zip(feet, both.split(len(SOLE), dim=1), strict=True))
 
 
 def subject_prior(config: Config, fit: GeometryFit) -> InertialPrior:
@@ -108,8 +106,8 @@ def torques(
     A leg's torques need its own foot's wrench: they are masked while the foot touches the ground beside the plates or
     shares a plate with the other foot. Everything is masked in frames without motion, the base in unused frames.
     """
-    motion, out = followed.motion, []
-    external = _foot_wrenches(followed, trial)
+    motion, external = followed.motion, _foot_wrenches(followed, trial)
+    out = torch.empty_like(motion.q)
     for start in range(0, len(motion.q), CHUNK):
         part = slice(start, start + CHUNK)
         state = dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
@@ -117,8 +115,8 @@ def torques(
         for body, wrench in external.items():
             position = state.plan.position[tree.names.index(body)]
             needed[position] -= wrench_about(wrench[part], motion.q[part, :3]).T
-        out.append(generalised_forces(state, needed).T)
-    return _masked(torch.cat(out), followed, tree)
+        out[part] = generalised_forces(state, needed).T
+    return _masked(out, followed, tree)
 
 
 def _foot_wrenches(followed: Followed, trial: Trial) -> dict[str, Float[Tensor, "frames 6"]]:
@@ -133,7 +131,7 @@ def _foot_wrenches(followed: Followed, trial: Trial) -> dict[str, Float[Tensor, 
 
 
 def _masked(tau: Tensor, followed: Followed, tree: Tree) -> Tensor:
-    tau = tau.clone()
+    """``tau`` with NaN where it is not known, in place."""
     contact = followed.contact
     seen = torch.isfinite(followed.tracked.error).any(dim=1)
     tau[~seen] = torch.nan

@@ -6,6 +6,7 @@ import xarray
 from torchid.dynamics import wrench_about
 from torchid.errors import DataError
 from torchid.files import safe_name, write_json, write_netcdf
+from torchid.geometry.tracking import modelled
 from torchid.io.storage import write_storage
 from torchid.kinematics.chain import chain_poses
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
@@ -16,6 +17,10 @@ from torchid.outcome.tables import marker_errors as marker_errors
 from torchid.outcome.tables import segment_lengths as segment_lengths
 from torchid.regressor.rows import predict
 from torchid.results import OutputFolder
+from torchid.snapshot import release
+
+PIECE = 8192
+"""Frames of a motion file that are put together at a time."""
 
 
 def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | None) -> None:
@@ -25,6 +30,7 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
         write_json(folder.path("inertia.json"), inertia_table(outcome))
     for name in outcome.session.trials:
         _write_trial(outcome, name, folder)
+        release()
     tree, geometry = outcome.fit.model.tree, outcome.fit.geometry
     places = {
         label: (tree.names[int(body)], p.tolist())
@@ -38,9 +44,10 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
 
 def _write_trial(outcome: Outcome, name: str, folder: OutputFolder) -> None:
     item, part = outcome.followed[name], safe_name(name)
-    write_netcdf(folder.path(f"motion_{part}.nc"), motion_dataset(outcome, name))
+    pieces = [slice(k, k + PIECE) for k in range(0, len(item.motion.time), PIECE)]
+    write_netcdf(folder.path(f"motion_{part}.nc"), (_piece(outcome, name, piece) for piece in pieces))
     if item.wrench is not None:
-        write_netcdf(folder.path(f"forces_{part}.nc"), forces_dataset(outcome, item))
+        write_netcdf(folder.path(f"forces_{part}.nc"), [forces_dataset(outcome, item)])
     tree, time = outcome.fit.model.tree, item.motion.time.numpy()
     names = osim_names(tree)
     write_storage(
@@ -50,26 +57,31 @@ def _write_trial(outcome: Outcome, name: str, folder: OutputFolder) -> None:
     write_storage(folder.path(f"{part}_id.sto"), forces, time, outcome.torque[name].numpy(), title=f"{name} dynamics")
 
 
-def motion_dataset(outcome: Outcome, name: str) -> xarray.Dataset:
-    """Content of ``motion_<trial>.nc``: every frame and marker in the file's time."""
-    item, fit, trial = outcome.followed[name], outcome.fit, outcome.session.trials[name]
+def _piece(outcome: Outcome, name: str, part: slice) -> xarray.Dataset:
+    release()
+    return motion_dataset(outcome, name, part)
+
+
+def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xarray.Dataset:
+    """Content of ``motion_<trial>.nc``: every marker in the file's time, every frame (or ``part`` of them)."""
+    fit, motion = outcome.fit, outcome.followed[name].motion
+    tracked, trial = outcome.followed[name].tracked, outcome.session.trials[name]
     tree, labels = fit.model.tree, fit.attachment.labels
-    by_dof = ("time", "dof")
-    motion = item.motion
+    by_dof, by_marker = ("time", "dof"), ("time", "marker", "axis")
     return xarray.Dataset(
         {
-            "q": (by_dof, motion.q.numpy()),
-            "v": (by_dof, motion.v.numpy()),
-            "a": (by_dof, motion.a.numpy()),
-            "torque": (by_dof, outcome.torque[name].numpy()),
-            "torque_scaled": (by_dof, _match_dofs(outcome, name)),
-            "X_WB": (("time", "body", "row", "column"), chain_poses(tree, motion.q, fit.geometry).numpy()),
-            "markers_measured": (("time", "marker", "axis"), trial.markers.select(labels).position.numpy()),
-            "markers_modelled": (("time", "marker", "axis"), item.tracked.p_WM.numpy()),
-            "observable": (("time",), item.tracked.observable.numpy()),
+            "q": (by_dof, motion.q[part].numpy()),
+            "v": (by_dof, motion.v[part].numpy()),
+            "a": (by_dof, motion.a[part].numpy()),
+            "torque": (by_dof, outcome.torque[name][part].numpy()),
+            "torque_scaled": (by_dof, outcome.torque_scaled[name][part].numpy()),
+            "X_WB": (("time", "body", "row", "column"), chain_poses(tree, motion.q[part], fit.geometry).numpy()),
+            "markers_measured": (by_marker, trial.markers.frames(part).select(labels).position.numpy()),
+            "markers_modelled": (by_marker, modelled(fit, tracked.q[part]).numpy()),
+            "observable": (("time",), tracked.observable[part].numpy()),
         },
         coords={
-            "time": motion.time.numpy(), "dof": list(tree.dof_names), "body": list(tree.names),
+            "time": motion.time[part].numpy(), "dof": list(tree.dof_names), "body": list(tree.names),
             "marker": list(labels), "axis": list("xyz"),
         },
         attrs={
@@ -78,10 +90,6 @@ def motion_dataset(outcome: Outcome, name: str) -> xarray.Dataset:
             "acceleration in W; torque 0-5: residual force and moment at the root's origin, in W",
         },
     )  # fmt: skip
-
-
-def _match_dofs(outcome: Outcome, name: str):
-    return outcome.torque_scaled[name].numpy()
 
 
 def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:

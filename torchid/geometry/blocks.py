@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchid.geometry.layout import Layout
-from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.problem import Evaluation, MarkerProblem
 from torchid.geometry.twists import Twists, column_gradient, column_twists, moments, with_markers
 
 
@@ -48,45 +48,41 @@ class Pieces:
     """Sum of the free markers' weights over the frames, three times each; empty without xi."""
 
 
-def make_pieces(problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shared: bool) -> Pieces:
-    """Twists, wrenches and gradients of the frames of ``problem`` at (q, xi)."""
-    at, p, residual = problem.residual(q, xi)
-    cost, weight = problem.robust_cost(residual)
-    p = p - at.p[:1]
-    pull = weight[:, None] * residual
+def make_pieces(problem: MarkerProblem, layout: Layout, seen: Evaluation, shared: bool) -> Pieces:
+    """Twists, wrenches and gradients of the frames of ``problem`` where it was evaluated, in the layout's precision."""
+    dtype = layout.subtree.dtype
+    at, weight, p = seen.at.about_root(dtype), seen.weight.to(dtype), (seen.p - seen.at.p[:1]).to(dtype)
+    pull = weight[:, None] * seen.residual.to(dtype)
     columns = column_twists(layout, at, moments(layout, weight, p, pull), shared)
-    prior_cost, prior_gradient, prior_curvature = problem.posture.pull(q)
     total = weight[problem.free].sum(1).repeat_interleave(3)
     if shared and len(problem.free):
         free = problem.free
-        R = torch.stack(at.R, dim=1).index_select(0, problem.body[free])
+        R = at.R.index_select(0, problem.body[free])
         columns = with_markers(columns, R, p[free], weight[free], pull[free])
-    rows = layout.dof_rows
-    return Pieces(cost + prior_cost, columns, prior_gradient[rows].T, prior_curvature[rows].T, total)
+    pull, curvature = (x.to(dtype).index_select(0, layout.dof_rows).T for x in (seen.pull, seen.curvature))
+    return Pieces(seen.cost, columns, pull, curvature, total)
 
 
 def make_gradient(
     problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shared: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Cost (frames,) and gradient of each frame in motion (motion, frames) and entries (entries, frames)."""
-    at, p, residual = problem.residual(q, xi)
-    cost, weight = problem.robust_cost(residual)
-    pull = weight[:, None] * residual
-    columns = column_gradient(layout, at, p - at.p[:1], pull, shared)
-    prior_cost, prior_gradient, _ = problem.posture.pull(q)
+    seen = problem.evaluate(q, problem.shape(xi))
+    at, pull = seen.at.about_root(q.dtype), seen.weight[:, None] * seen.residual
+    columns = column_gradient(layout, at, seen.p - seen.at.p[:1], pull, shared)
     g_q = columns.index_select(0, layout.motion if shared else layout.motion_alone)
-    g_q += prior_gradient.index_select(0, layout.dof_rows)
+    g_q += seen.pull.index_select(0, layout.dof_rows)
     if not shared:
-        return cost + prior_cost, g_q, columns[:0]
+        return seen.cost, g_q, columns[:0]
     free = problem.free
-    R = torch.stack(at.R, dim=1).index_select(0, problem.body[free])
+    R = at.R.index_select(0, problem.body[free])
     places = (R * pull[free, None]).sum(2).flatten(0, 1)
-    return cost + prior_cost, g_q, torch.cat([columns[layout.entries[: layout.geometric]], places])
+    return seen.cost, g_q, torch.cat([columns[layout.entries[: layout.geometric]], places])
 
 
 def assemble(problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shared: bool) -> Blocks:
     """Blocks of the frames of ``problem`` at (q, xi); without the columns of xi unless ``shared``."""
-    pieces = make_pieces(problem, layout, q, xi, shared)
+    pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared)
     motion = layout.motion if shared else layout.motion_alone
     S, F = pieces.columns.S[:, motion], pieces.columns.F[:, motion]
     H_qq = torch.bmm(F, S.mT).mul_(lower_mask(layout, layout.motion_body))
@@ -127,12 +123,12 @@ def shared_block(layout: Layout, pieces: Pieces) -> Tensor:
 def shared_curve(layout: Layout, pieces: Pieces, dx: Tensor) -> Tensor:
     """dx' H dx / 2 of the entries alone, for each frame; left out of a frame's model, it looks like a bad model."""
     geometric, step = layout.geometric, dx[layout.entry_xi]
-    S, F = (x[:, layout.entries] * step[:, None] for x in (pieces.columns.S, pieces.columns.F))
+    S, F = layout.of_entries(pieces.columns.S), layout.of_entries(pieces.columns.F)
     inside = layout.within(layout.entry_body, layout.entry_body[:geometric])
     inside[:geometric] -= 0.5 * inside[:geometric] * inside[:geometric].T
-    carried = inside @ S[:, :geometric]
-    own = 0.5 * (F[:, geometric:, :3] * S[:, geometric:, :3]).sum((1, 2))
-    return (F * carried).sum((1, 2)) + own
+    work = (F * ((inside * step[:geometric]) @ S[:, :geometric])).sum(2)
+    work[:, geometric:] += 0.5 * step[geometric:] * (F[:, geometric:, :3] * S[:, geometric:, :3]).sum(2)
+    return work @ step
 
 
 def _rows(x: Tensor, columns: Tensor) -> Tensor:

@@ -14,23 +14,27 @@ from torchid.geometry.layout import Layout
 from torchid.kinematics.plan import Plan
 from torchid.model.tree import BASE_DOFS
 
+Pick = slice | Tensor
+"""Columns that stand side by side, or any columns."""
+
 
 @dataclass(frozen=True)
 class Group:
     """Coordinates of motion that are eliminated together, and the columns of xi that meet them."""
 
-    motion: Tensor
+    size: int
+    motion: Pick
     """Which coordinates of motion (rows of ``layout.motion``)."""
-    columns: Tensor
+    columns: Pick
     """Their columns in ``Twists``."""
-    wide: Tensor
-    """Columns in ``Twists`` of what the rows meet: themselves, the core's motion (branches only), the entries."""
+    core: Pick
+    """Columns in ``Twists`` of the core's motion; none for the core itself."""
     entries: Tensor
     """Columns in ``Twists`` that make the columns of xi: the first of each, then those to be added."""
     extra: tuple[tuple[int, int], ...]
     """(column of xi, entry) of those to be added."""
     inside: Tensor
-    """(motion, wide) 1 where the row's support lies within the column's; lower triangle of the motion's own block."""
+    """(motion; itself, the core, entries) 1 where the row's support lies within the column's; lower where square."""
     around: Tensor
     """(motion, entries) strictly the reverse."""
     own: slice
@@ -55,21 +59,20 @@ class Partition:
     """Parameters of the core, which all branches may meet, in that order."""
 
 
-def branch_bodies(plan: Plan) -> list[list[int]]:
-    """Plan positions of the bodies of each branch; what is in none of them is the core."""
-    tree, position = plan.tree, plan.position
-    moving = {column.body for column in plan.motion}
-    alive = [bool(moving & set(tree.subtree(k))) for k in range(len(tree.bodies))]
-    living = [body.parent for k, body in enumerate(tree.bodies) if alive[k]]
-    forks = {0} | {k for k in range(len(tree.bodies)) if living.count(k) > 1}
-    core = {k for k in range(len(tree.bodies)) if forks & set(tree.subtree(k))}
-    tops = [k for k, body in enumerate(tree.bodies) if k not in core and body.parent in core and alive[k]]
-    return [[position[k] for k in tree.subtree(top)] for top in tops]
+def pick(x: Tensor, columns: Pick) -> Tensor:
+    """Some columns of (frames, columns, ...): a view where they stand side by side."""
+    return x[:, columns] if isinstance(columns, slice) else x.index_select(1, columns)
+
+
+def _side_by_side(columns: Tensor) -> Pick:
+    first, n = int(columns[0]) if len(columns) else 0, len(columns)
+    together = bool((columns == torch.arange(first, first + n, device=columns.device)).all())
+    return slice(first, first + n) if together else columns
 
 
 def make_partition(plan: Plan, layout: Layout, n_xi: int) -> Partition:
     """Branches and core; ``n_xi = 0`` leaves xi out."""
-    branches = branch_bodies(plan)
+    branches = plan.branches
     owner = {body: k for k, bodies in enumerate(branches) for body in bodies}
     core = len(branches)
     motion: list[list[int]] = [[] for _ in range(core + 1)]
@@ -111,17 +114,18 @@ def _group(layout: Layout, motion: list[int], core: list[int], order: list[int],
     body = layout.motion_body[rows]
     inside, around = layout.nesting(body)
     first, extra = _gathered(layout, ((inside + around) > 0).any(0).tolist(), [order[w] for w in where])
-    pick = torch.tensor(first + [entry for _, entry in extra], device=like.device, dtype=torch.long)
+    chosen = torch.tensor(first + [entry for _, entry in extra], device=like.device, dtype=torch.long)
     column = layout.motion if order else layout.motion_alone
     lower = torch.tril(layout.within(body, body))
     return Group(
-        motion=rows,
-        columns=column[rows],
-        wide=torch.cat([column[rows], column[carriers], layout.entries[pick]]),
-        entries=layout.entries[pick],
+        size=len(rows),
+        motion=_side_by_side(rows),
+        columns=_side_by_side(column[rows]),
+        core=_side_by_side(column[carriers]),
+        entries=layout.entries[chosen],
         extra=tuple((column, len(first) + k) for k, (column, _) in enumerate(extra)),
-        inside=torch.cat([lower, layout.within(body, layout.motion_body[carriers]), inside[:, pick]], dim=1),
-        around=around[:, pick],
+        inside=torch.cat([lower, layout.within(body, layout.motion_body[carriers]), inside[:, chosen]], dim=1),
+        around=around[:, chosen],
         own=own,
         xi=torch.tensor(where, device=like.device, dtype=torch.long),
     )

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchid.geometry.blocks import Pieces
-from torchid.geometry.branches import Group, Partition
+from torchid.geometry.branches import Group, Partition, pick
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ def eliminate(partition: Partition, pieces: Pieces, damping: Tensor) -> Eliminat
     g_x = g_x[:, : len(core.xi)]
     floor = 1e-9 * columns.F[:, 0, 0] + 1e-12
     system, weight = _rows(core, pieces, floor, damping)
-    n, kept, diagonals = len(core.columns), [], []
+    n, kept, diagonals = core.size, [], []
     for group in partition.branches:
         own, diagonal = _rows(group, pieces, floor, damping)
-        L, V = _factorise(own, len(group.columns))
+        L, V = _factorise(own, group.size)
         kept.append((L, V))
         diagonals.append(diagonal)
         _subtract(system, torch.bmm(V[:, :, :n].mT, V), group, partition.common, n)
@@ -62,19 +62,20 @@ def eliminate(partition: Partition, pieces: Pieces, damping: Tensor) -> Eliminat
 def _rows(group: Group, pieces: Pieces, floor: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
     """[H_qq damped, H_q,core, H_qx, g_q] of a group, and the diagonal that the damping multiplies."""
     columns = pieces.columns
-    F = columns.F.index_select(1, group.columns)
-    H = torch.bmm(F, columns.S.index_select(1, group.wide).mT).mul_(group.inside)
+    S = pick(columns.S, group.columns)
+    wide = torch.cat([S, pick(columns.S, group.core), columns.S.index_select(1, group.entries)], dim=1)
+    H = torch.bmm(pick(columns.F, group.columns), wide.mT).mul_(group.inside)
     diagonal = torch.diagonal(H, dim1=1, dim2=2)
-    diagonal += pieces.curvature.index_select(1, group.motion)
+    diagonal += pick(pieces.curvature, group.motion)
     scale = diagonal + floor[:, None]
     diagonal += damping[:, None] * scale + floor[:, None]
     if len(group.entries):
-        S, Fe = columns.S.index_select(1, group.columns), columns.F.index_select(1, group.entries)
+        Fe = columns.F.index_select(1, group.entries)
         H[:, :, -len(group.entries) :] += torch.bmm(S, Fe.mT).mul_(group.around)
     start = H.shape[2] - len(group.entries)
     for column, entry in group.extra:
         H[:, :, start + column] += H[:, :, start + entry]
-    g = columns.g.index_select(1, group.columns) + pieces.pull.index_select(1, group.motion)
+    g = pick(columns.g, group.columns) + pick(pieces.pull, group.motion)
     return torch.cat([H[:, :, : start + len(group.xi)], g[:, :, None]], dim=2), scale
 
 
@@ -113,7 +114,7 @@ def back_substitute(partition: Partition, eliminated: Eliminated, dx: Tensor) ->
     steps: list[Tensor] = []
     yy = yg = torch.zeros_like(eliminated.damping)
     core_step = None
-    n = len(partition.core.columns)
+    n = partition.core.size
     groups = (*partition.branches, partition.core)
     for group, L, V in zip(groups[::-1], eliminated.L[::-1], eliminated.V[::-1], strict=True):
         width = V.shape[2] - len(group.xi) - 1

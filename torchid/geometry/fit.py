@@ -13,8 +13,7 @@ from torchid.geometry.options import GeometryOptions
 from torchid.geometry.placing import start_fit
 from torchid.geometry.problem import MarkerProblem
 from torchid.geometry.scatter import reweighted
-from torchid.geometry.start import initial_posture, settle
-from torchid.geometry.trials import evenly, posture_prior, rest, side_by_side, trial_problem
+from torchid.geometry.trials import evenly, posture_prior, settled, side_by_side, trial_problem
 from torchid.geometry.uncertainty import estimate_uncertainty
 from torchid.model.model import Model
 from torchid.recording import Markers
@@ -59,7 +58,7 @@ def _jointly(
     A marker weighs 1 / sigma^2 times the share of its frames that count as independent: skin that slides the same way
     for a second is one observation, not a hundred, and would otherwise drag joint centres away from any prior.
     """
-    problem, q, lengths = jointtrial_problem(fit, trials, static)
+    problem, q, lengths = joint_problem(fit, trials, static)
     solution = _solve(fit, replace(problem, robust=None), q, fit.xi, COARSE, progress)
     for tolerance in (COARSE, fit.options.tolerance):
         fit, problem = reweighted(fit, problem, solution, lengths)
@@ -77,11 +76,11 @@ def joint_problem(
     for markers in trials.values():
         index = evenly(len(markers.time), max(2, round(share * len(markers.time))))
         problem = trial_problem(fit, markers, posture_prior(fit), index)
-        pieces.append((problem, settle(problem, initialposture_prior(problem, fit.xi, rest(fit)), fit.xi)))
+        pieces.append((problem, settled(fit, problem)))
     if static is not None:
         posture = posture_prior(fit, fit.options.static_posture_sd)
         problem = trial_problem(fit, static, posture, evenly(len(static.time), fit.options.static_frames))
-        pieces.append((problem, settle(problem, initialposture_prior(problem, fit.xi, rest(fit)), fit.xi)))
+        pieces.append((problem, settled(fit, problem)))
     q = torch.cat([piece[1] for piece in pieces], dim=1)
     return side_by_side([piece[0] for piece in pieces]), q, tuple(piece[1].shape[1] for piece in pieces)
 

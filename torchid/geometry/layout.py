@@ -39,6 +39,8 @@ class Layout:
     """Row of xi that each entry belongs to."""
     geometric: int
     """Number of entries of named parameters; those of the markers follow."""
+    turn_order: Tensor
+    """The plan's turns in the order of their columns: the core's, then limb by limb."""
     turning_body: Tensor
     """Body of each turn and hinge entry."""
     sliding_body: Tensor
@@ -52,6 +54,11 @@ class Layout:
     subtree: Tensor
     """(bodies, markers): 1 where the marker is on or below the body."""
 
+    def of_entries(self, x: Tensor) -> Tensor:
+        """The entries' columns of (frames, columns, 6): a view where they stand side by side."""
+        first, n = (int(self.entries[0]) if len(self.entries) else 0), len(self.entries)
+        return x[:, first:] if first + n == x.shape[1] else x.index_select(1, self.entries)
+
     def within(self, inner: Tensor, outer: Tensor) -> Tensor:
         """(inner, outer) 1 where the subtree of the inner body lies within the outer's."""
         return self.above[outer][:, inner].T.contiguous()
@@ -63,9 +70,9 @@ class Layout:
         return inside, self.within(self.entry_body, body).T * (1.0 - inside)
 
 
-def make_layout(problem: MarkerProblem) -> Layout:
-    """Index tables of ``problem`` on its device."""
-    plan, like = problem.plan, problem.target
+def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Layout:
+    """Index tables of ``problem`` on its device, in its precision or another."""
+    plan, like = problem.plan, problem.target[:0].to(dtype or problem.target.dtype)
     position = plan.position
     hinge, offset = _entries(problem)
     turns, slides = len(plan.turns), len(plan.slides)
@@ -76,11 +83,14 @@ def make_layout(problem: MarkerProblem) -> Layout:
     base, first_slide = list(range(BASE_DOFS)), BASE_DOFS + turns + len(hinge)
     first_marker = first_slide + slides + len(offset)
     markers = range(3 * len(problem.free))
-    column = [BASE_DOFS + k if k < turns else first_slide + k - turns for k in plan.motion_order]
+    turn_order = [k for k in plan.motion_order if k < turns]
+    rank = {k: place for place, k in enumerate(turn_order)}
+    column = [BASE_DOFS + rank[k] if k < turns else first_slide + k - turns for k in plan.motion_order]
+    alone = [BASE_DOFS + rank.get(k, k) for k in plan.motion_order]
     above = _above(plan).to(like)
     return Layout(
         motion=index(base + column),
-        motion_alone=index(base + [BASE_DOFS + k for k in plan.motion_order]),
+        motion_alone=index(base + alone),
         dof_rows=index(base + [c.row for c in plan.motion]),
         motion_body=index([0] * BASE_DOFS + [position[c.body] for c in plan.motion]),
         entries=index(
@@ -93,7 +103,8 @@ def make_layout(problem: MarkerProblem) -> Layout:
         ),
         entry_xi=index([parameter for parameter, _ in (*hinge, *offset)] + [problem.n_named + k for k in markers]),
         geometric=len(hinge) + len(offset),
-        turning_body=index([position[c.body] for c in plan.turns] + [body for _, body in hinge]),
+        turn_order=index(turn_order),
+        turning_body=index([position[plan.turns[k].body] for k in turn_order] + [body for _, body in hinge]),
         sliding_body=index([position[c.body] for c in plan.slides] + [body for _, body in offset]),
         hinge_map=_table(hinge, len(plan.hinges), like),
         offset_map=_table(offset, 3 * len(plan.order), like),
@@ -126,7 +137,7 @@ def _entries(problem: MarkerProblem) -> tuple[Entries, Entries]:
         if raw < prior.n_offset:
             body, axis = divmod(raw, 3)
             if body:
-                source = axis * len(parents) + position[parents[body]]
+                source = 3 * position[parents[body]] + axis
                 offset.setdefault((parameter, position[body]), {})[source] = coefficient
             continue
         for turn, column in enumerate(plan.hinges):

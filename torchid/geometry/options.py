@@ -1,7 +1,11 @@
 """Options of the geometric fit."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+from annotated_types import Le
+
+from torchid.bounds import Count, Name, Positive
 
 
 @dataclass(frozen=True)
@@ -11,25 +15,25 @@ class GeometryOptions:
     solver: Literal["arrow", "adam", "lbfgs"] = "arrow"
     symmetry: Literal["none", "tied"] = "none"
     """``tied``: left and right share every parameter."""
-    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    groups: dict[Name, tuple[Name, ...]] = field(default_factory=dict)
     """New name: parameters that become one (grouped bones)."""
-    sigma_mm: float | dict[str, float] = 5.0
+    sigma_mm: Positive | dict[Name, Positive] = 5.0
     """Expected marker residual (noise and skin), for all markers or by label."""
     reestimate_sigma: bool = True
     """Take noise and skin from the residuals; of ``sigma_mm`` by label only the proportions of skin remain."""
-    robust: float | None = 4.0
+    robust: Positive | None = 4.0
     """Residuals beyond this many standard deviations lose their influence; None: plain least squares."""
-    static_posture_sd: float = 0.2
+    static_posture_sd: Positive = 0.2
     """Scatter of the joint angles of a standing subject about the neutral pose [rad]."""
-    limit_sd: float = 0.05
+    limit_sd: Positive = 0.05
     """Softness of joint limits [rad]."""
     temporal: bool = True
     """Bridge gaps by the smooth course of each coordinate."""
-    max_frames: int = 1000
+    max_frames: Count = 1000
     """Frames of all fit trials together that enter the joint fit, evenly spaced."""
-    static_frames: int = 30
-    iterations: int = 60
+    static_frames: Count = 30
+    iterations: Annotated[Count, Le(100_000)] = 60
     """Of the arrow solver."""
-    gradient_iterations: int = 2000
+    gradient_iterations: Annotated[Count, Le(1_000_000)] = 2000
     """Of Adam, or function evaluations of LBFGS."""
-    tolerance: float = 1e-6
+    tolerance: Positive = 1e-6

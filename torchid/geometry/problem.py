@@ -9,13 +9,14 @@ A missing marker has weight zero.
 
 from dataclasses import dataclass, replace
 
-import roma
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.kinematics.plan import Plan
 from torchid.kinematics.recursion import Poses, points, poses
+from torchid.kinematics.rotation import after
+from torchid.kinematics.tables import Joints, make_joints
 from torchid.model.model import Geometry, GeometryPrior
 from torchid.model.tree import BASE_DOFS
 
@@ -44,6 +45,33 @@ class PosturePrior:
         cost = 0.5 * (self.precision * error.square() + self.limit_precision * beyond.square()).sum(0)
         gradient[3:BASE_DOFS] = _along_turns(q[3:BASE_DOFS], gradient[3:BASE_DOFS])
         return cost, gradient, curvature.expand_as(q)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What xi means: joints and marker places."""
+
+    joints: Joints
+    place: Float[Tensor, "markers 3"]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The problem at one point (q, xi)."""
+
+    at: Poses
+    p: Float[Tensor, "markers 3 frames"]
+    """p_WM_W of the model's markers [m]."""
+    residual: Float[Tensor, "markers 3 frames"]
+    """Arbitrary where the weight is zero."""
+    weight: Float[Tensor, "markers frames"]
+    """Of the equivalent least-squares problem."""
+    cost: Float[Tensor, " frames"]
+    """Markers and posture, without the prior on xi."""
+    pull: Float[Tensor, "dofs frames"]
+    """Gradient of the posture prior."""
+    curvature: Float[Tensor, "dofs frames"]
+    """Its second derivative."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +110,11 @@ class MarkerProblem:
         """Prior precision of everything shared."""
         return torch.cat([self.geometry.sd, self.place_sd[self.free].reshape(-1)]).square().reciprocal()
 
+    def shape(self, xi: Float[Tensor, " xi"]) -> Shape:
+        """Joints and marker places at xi."""
+        geometry, place = self.split(xi)
+        return Shape(make_joints(self.plan, geometry), place)
+
     def split(self, xi: Float[Tensor, " xi"]) -> tuple[Geometry, Float[Tensor, "markers 3"]]:
         """Geometry and marker places at xi."""
         place = self.place.clone()
@@ -101,10 +134,19 @@ class MarkerProblem:
         self, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]
     ) -> tuple[Poses, Float[Tensor, "markers 3 frames"], Float[Tensor, "markers 3 frames"]]:
         """Poses, marker positions and their residuals (arbitrary where the weight is zero)."""
-        geometry, place = self.split(xi)
-        at = poses(self.plan, q, geometry)
-        p = points(at, self.body, place)
+        shape = self.shape(xi)
+        at = poses(self.plan, q, shape.joints)
+        p = points(at, self.body, shape.place)
         return at, p, p - self.target
+
+    def evaluate(self, q: Float[Tensor, "dofs frames"], shape: Shape) -> Evaluation:
+        """Poses, residuals, cost and weights of every frame."""
+        at = poses(self.plan, q, shape.joints)
+        p = points(at, self.body, shape.place)
+        residual = p - self.target
+        cost, weight = self.robust_cost(residual)
+        prior, pull, curvature = self.posture.pull(q)
+        return Evaluation(at, p, residual, weight, cost + prior, pull, curvature)
 
     def robust_cost(
         self, residual: Float[Tensor, "markers 3 frames"]
@@ -123,9 +165,7 @@ class MarkerProblem:
 
     def frame_cost(self, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]) -> Float[Tensor, " frames"]:
         """Cost of each frame (markers and posture), without the prior on xi."""
-        geometry, place = self.split(xi)
-        residual = points(poses(self.plan, q, geometry, axes=False), self.body, place) - self.target
-        return self.robust_cost(residual)[0] + self.posture.pull(q)[0]
+        return self.evaluate(q, self.shape(xi)).cost
 
     def xi_cost(self, xi: Float[Tensor, " xi"]) -> float:
         """Cost of the prior on xi."""
@@ -135,14 +175,13 @@ class MarkerProblem:
 def retract(q: Tensor, dq: Tensor) -> Tensor:
     """q moved by dq, whose rows 3-5 are a rotation of the base in W."""
     new = q + dq
-    R = roma.rotvec_to_rotmat(dq[3:BASE_DOFS].T) @ roma.rotvec_to_rotmat(q[3:BASE_DOFS].T)
-    new[3:BASE_DOFS] = roma.rotmat_to_rotvec(R).T
+    new[3:BASE_DOFS] = after(dq[3:BASE_DOFS], q[3:BASE_DOFS])
     return new
 
 
 def _along_turns(r: Tensor, gradient: Tensor) -> Tensor:
     """Gradient in a rotation vector r (3, frames) as one in rotations in W (Sola et al. 2018, eq. 146, transposed)."""
-    angle = r.norm(dim=0).clamp(min=1e-3)
+    angle = (r * r).sum(0).sqrt().clamp(min=1e-3)
     factor = angle.square().reciprocal() - 0.5 / (angle * (0.5 * angle).tan())
     once = torch.linalg.cross(r, gradient, dim=0)
     return gradient + 0.5 * once + factor * torch.linalg.cross(r, once, dim=0)

@@ -25,7 +25,7 @@ def initial_posture(problem: MarkerProblem, xi: Float[Tensor, " xi"], rest: Floa
     q = rest[:, None].expand(-1, problem.target.shape[2]).clone()
     q[:6] = 0.0
     at = poses(problem.plan, q[:, :1], geometry)
-    R0 = torch.stack([column[..., 0] for column in at.R], dim=2)[problem.body]
+    R0 = at.R[problem.body, :, :, 0].mT
     model = (R0 @ place[:, :, None])[:, :, 0] + at.p[problem.body, :, 0]
     near = torch.where(problem.body == 0, 1.0, 1e-2 * (problem.body < problem.plan.levels[1].stop)).to(q)
     certainty = problem.place_sd.square().sum(1).add(1e-4).reciprocal()

@@ -46,7 +46,7 @@ def moments(layout: Layout, weight: Tensor, p: Tensor, pull: Tensor) -> Tensor:
 
 
 def column_twists(layout: Layout, at: Poses, sums: Tensor, shared: bool) -> Twists:
-    """Twists of the columns of motion, and of geometry where ``shared``."""
+    """Twists of the columns of motion, and of geometry where ``shared``; ``at`` measures places from the root."""
     z, t = _axes(layout, at, shared)
     turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
     twist = z.new_empty(6 + len(z) + len(t), 6, z.shape[2])
@@ -63,12 +63,12 @@ def column_twists(layout: Layout, at: Poses, sums: Tensor, shared: bool) -> Twis
 
 def _axes(layout: Layout, at: Poses, shared: bool) -> tuple[Tensor, Tensor]:
     """Axes of turns and hinge entries, directions of slides and offset entries."""
-    z, t = at.turn_axis, at.slide_axis
+    z, t = at.turn_axis.index_select(0, layout.turn_order), at.slide_axis
     if not shared:
         return z, t
     frames = z.shape[2]
     hinge = (layout.hinge_map @ at.hinge_axis.flatten(1)).view(len(layout.hinge_map), 3, frames)
-    offset = (layout.offset_map @ torch.cat(at.R).flatten(1)).view(len(layout.offset_map), 3, frames)
+    offset = (layout.offset_map @ at.R.flatten(0, 1).flatten(1)).view(len(layout.offset_map), 3, frames)
     return torch.cat([z, hinge]), torch.cat([t, offset])
 
 
@@ -78,7 +78,7 @@ def column_gradient(layout: Layout, at: Poses, p: Tensor, pull: Tensor, shared: 
     turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
     wrench = torch.cat([pull, cross(p, pull)], dim=1)
     wrench = (layout.subtree @ wrench.flatten(1)).view(len(layout.subtree), 6, p.shape[2])
-    arm = (at.p - at.p[:1]).index_select(0, turning)
+    arm = at.p.index_select(0, turning)
     about = wrench.index_select(0, turning)
     turns = (z * (about[:, 3:] - cross(arm, about[:, :3]))).sum(1)
     slides = (t * wrench[:, :3].index_select(0, sliding)).sum(1)
@@ -109,7 +109,7 @@ def _base(sums: Tensor, twist: Tensor, wrench: Tensor) -> None:
 def _turn(at: Poses, sums: Tensor, body: Tensor, z: Tensor, twist: Tensor, wrench: Tensor) -> None:
     """Turns about axes z through the origins of their bodies."""
     mass, first, second = sums[:, :1], sums[:, 1:4], sums[:, 4:10]
-    v = cross((at.p - at.p[:1]).index_select(0, body), z)
+    v = cross(at.p.index_select(0, body), z)
     twist[:, :3], twist[:, 3:] = v, z
     torch.addcmul(cross(z, first), mass, v, out=wrench[:, :3])
     moment = torch.addcmul(cross(first, v), second[:, 0:1] + second[:, 3:4] + second[:, 5:6], z)

@@ -1,7 +1,8 @@
 """From trials to inertia: rows, noise and parameters, each improved by the other until they agree."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import torch
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.options import InertiaOptions
 from torchid.model.model import InertialPrior
+from torchid.regressor.equations import NormalEquations
 from torchid.regressor.rows import WrenchTrial
 from torchid.regressor.whitening import (
     Spectrum,
@@ -50,7 +52,7 @@ def identify_inertia(
     # The covariance of the rows comes from the residuals themselves; estimating its level once more from the evidence
     # found 1.17 times the information there was, and intervals that covered 89 % instead of 95 %.
     options = replace(options or InertiaOptions(), noise="known")
-    by_trial = [blocks for blocks in map(spectra, trials) if blocks]
+    by_trial = [spectra(trial) for trial in trials if any(True for _ in trial.blocks())]
     if not by_trial:
         raise DataError(
             "inertia.no_frames",
@@ -58,27 +60,29 @@ def identify_inertia(
             found=", ".join(f"{t.name}: {int(t.used.sum())} of {len(t.used)} frames" for t in trials) or "no trials",
             remedy="Record trials with both feet on plates, or check the plates with `torchid check`",
         )
-    blocks = [block for own in by_trial for block in own]
     names, whitening = trials[0].tree.names, initial_whitening(prior.mean)
     lenient = replace(options, refuse=False, base_parameters=False)
     for _ in range(ROUNDS - 1):
-        fit = _fit(by_trial, whitening, prior, names, lenient, mass, com_box)
-        whitening = estimate_whitening(blocks, fit.phi.reshape(-1), determined(fit))
-    fit = _fit(by_trial, whitening, prior, names, options, mass, com_box)
-    return Identified(fit, whitening, 6 * sum(block.F.shape[1] for block in blocks))
+        fit = _fit(_sums(by_trial, whitening), prior, names, lenient, mass, com_box)
+        whitening = estimate_whitening(chain.from_iterable(by_trial), fit.phi.reshape(-1), determined(fit))
+    sums = _sums(by_trial, whitening)
+    return Identified(_fit(sums, prior, names, options, mass, com_box), whitening, sum(int(own.rows) for own in sums))
+
+
+def _sums(by_trial: Sequence[Iterable[Spectrum]], whitening: Whitening) -> list[NormalEquations]:
+    return [accumulate(blocks, whitening) for blocks in by_trial]
 
 
 def _fit(
-    by_trial: Sequence[Sequence[Spectrum]],
-    whitening: Whitening,
+    by_trial: Sequence[NormalEquations],
     prior: InertialPrior,
     names: tuple[str, ...],
     options: InertiaOptions,
     mass: tuple[float, float] | None,
     com_box: Tensor | None,
 ) -> InertiaFit:
-    own = [accumulate(blocks, whitening) for blocks in by_trial]
-    return fit_inertia(sum(own[1:], own[0]), prior, names, options, mass=mass, com_box=com_box, trials=own)
+    total = sum(by_trial[1:], by_trial[0])
+    return fit_inertia(total, prior, names, options, mass=mass, com_box=com_box, trials=by_trial)
 
 
 def determined(fit: InertiaFit) -> float:

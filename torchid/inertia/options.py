@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from torchid.errors import ConfigError
+from torchid.bounds import Positive, Share
+from torchid.errors import OptionError
 
 
 @dataclass(frozen=True)
@@ -14,25 +15,25 @@ class InertiaOptions:
     """Every pseudo-inertia positive definite."""
     prior: Literal["quadratic", "entropic"] = "quadratic"
     """Distance to the prior mean: Mahalanobis, or the log-det divergence of pseudo-inertias."""
-    prior_weight: Literal["evidence", "cross_validation"] | float = "evidence"
+    prior_weight: Literal["evidence", "cross_validation"] | Positive = "evidence"
     """omega_2, the factor on the prior's precision: a number, or how to choose it."""
     noise: Literal["estimated", "known"] = "estimated"
     """omega_1: estimated from the residual, or 1 because the rows are truly whitened."""
-    floor: float = 1e-6
+    floor: Positive = 1e-6
     """Smallest eigenvalue of a pseudo-inertia relative to that of the prior mean (see ``relative_map``)."""
-    prior_weight_range: tuple[float, float] = (1.0, 1e3)
+    prior_weight_range: tuple[Positive, Positive] = (1.0, 1e3)
     """Where omega_2 is looked for: a body is at least as close to the tables as their scatter says. Below one, errors
     that one kind of motion repeats (skin that slides alike in every step) buy masses that no person has: on real walks
     with 0.5, the pelvis gained 0.7 kg for 0.6 N of held-out residual, and with 0.02 it took 20 of 63 kg."""
     base_parameters: bool = True
     """Whether to work out the identifiable combinations."""
-    rank_tolerance: float = 1e-6
+    rank_tolerance: Positive = 1e-6
     """Singular value of the regressor with unit columns, relative to the largest, that counts as zero."""
-    gap_limit: float = 1e-6
+    gap_limit: Positive = 1e-6
     """Largest relative gap, primal and dual residual of an accepted result."""
-    mass_ratio: tuple[float, float] = (0.5, 2.0)
+    mass_ratio: tuple[Positive, Positive] = (0.5, 2.0)
     """Total mass that the data ask for over that of the prior: outside, the plates are at fault."""
-    explained_limit: float = 0.5
+    explained_limit: Share = 0.5
     """Smallest share of the squared wrench that an accepted result explains."""
     refuse: bool = True
     """Raise DataError where the result is not accepted; otherwise return it with its status."""
@@ -43,7 +44,7 @@ class InertiaOptions:
             positive["prior_weight"] = self.prior_weight
         for name, value in positive.items():
             if not 0 < value < float("inf"):
-                raise ConfigError("inertia.option", "must be a positive number", place=name, found=str(value))
+                raise OptionError("inertia.option", "must be a positive number", place=name, found=str(value))
         if not 0 < self.prior_weight_range[0] <= self.prior_weight_range[1]:
             found = str(self.prior_weight_range)
-            raise ConfigError("inertia.option", "must be (low, high)", place="prior_weight_range", found=found)
+            raise OptionError("inertia.option", "must be (low, high)", place="prior_weight_range", found=found)

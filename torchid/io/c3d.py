@@ -6,9 +6,9 @@ import numpy as np
 import torch
 
 from torchid.errors import InputError, Note
-from torchid.io.c3d_data import Layout, read_analogs, read_points, resolve_layout
+from torchid.io.c3d_data import Layout, analog_pieces, read_analogs, read_points, resolve_layout
 from torchid.io.c3d_header import C3dHeader, read_header
-from torchid.io.files import read_bytes
+from torchid.io.files import FileBytes
 from torchid.io.frame import METRES, length_unit
 from torchid.io.labels import OUTPUT_LISTS, select_markers
 from torchid.io.options import ReadOptions
@@ -33,7 +33,7 @@ def read_c3d(path: str | Path, name: str | None = None, role: str = "fit", optio
     Reference: the C3D file format user guide, https://www.c3d.org.
     """
     path, options = Path(path), options or ReadOptions()
-    data = read_bytes(path)
+    data = FileBytes(path)
     header = read_header(data, path)
     _refuse_rotations(header)
     layout = resolve_layout(header, len(data), options.allow_truncated)
@@ -52,21 +52,21 @@ def _refuse_rotations(header: C3dHeader) -> None:
         )
 
 
-def _raw(data: bytes, header: C3dHeader, layout: Layout, options: ReadOptions) -> RawTrial:
-    points = read_points(data, layout, header)
+def _raw(data: FileBytes, header: C3dHeader, layout: Layout, options: ReadOptions) -> RawTrial:
     labels = (header.strings("POINT", "LABELS") + [""] * layout.points)[: layout.points]
     chosen = select_markers(labels, header.source, _outputs(header), options.prefix)
-    position = points[:, list(chosen.columns)]
+    position = read_points(data, layout, header, chosen.columns)
     unit, said = length_unit(" ".join(header.strings("POINT", "UNITS")[:1]), position, options, header.source)
     begin = (layout.first_frame - 1) / layout.rate
     forces, force_notes, plate_facts = _forces(data, header, layout, METRES[unit], begin)
     time = begin + np.arange(layout.frames) / layout.rate
+    position *= METRES[unit]
     events, event_notes = _events(header, layout, begin)
     return RawTrial(
         source=header.source,
         labels=chosen.labels,
         time=time,
-        position=position * METRES[unit],
+        position=position,
         forces=forces,
         up=_screen_axis(header),
         customary="z",
@@ -89,16 +89,18 @@ def _screen_axis(header: C3dHeader) -> str:
 
 
 def _forces(
-    data: bytes, header: C3dHeader, layout: Layout, metres: float, begin: float
+    data: FileBytes, header: C3dHeader, layout: Layout, metres: float, begin: float
 ) -> tuple[Forces | None, list[Note], dict[str, str]]:
     if not layout.channels or not layout.frames:
         return None, [Note("plates.none", "the file has no analog data", header.source)], {}
-    analogs, said = read_analogs(data, layout, header)
-    wrench, plates, notes, facts = read_plates(header, analogs, metres)
+    _, said = read_analogs(data, layout, header, ())
+    read = lambda columns: analog_pieces(data, layout, header, columns)  # noqa: E731
+    samples = layout.frames * layout.ratio
+    wrench, plates, notes, facts = read_plates(header, read, (samples, layout.channels), metres)
     if not plates:
         return None, [*said, *notes, Note("plates.none", "the file has no usable force plate", header.source)], facts
     notes += _invalid(wrench, header.source)
-    time = begin + torch.arange(len(analogs), dtype=torch.float64) / (layout.rate * layout.ratio)
+    time = begin + torch.arange(samples, dtype=torch.float64) / (layout.rate * layout.ratio)
     return Forces(time, wrench, plates), [*said, *notes], facts
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from torchid.errors import InputError, Note
+from torchid.io.files import FileBytes
 
 BLOCK = 512
 MAX_LEADING_ZEROS = 512
@@ -117,7 +118,7 @@ class C3dHeader:
         return found
 
 
-def read_header(data: bytes, source: str | Path) -> C3dHeader:
+def read_header(data: bytes | FileBytes, source: str | Path) -> C3dHeader:
     """Header and parameters of the bytes of a C3D file.
 
     Raises:
@@ -160,7 +161,7 @@ def read_header(data: bytes, source: str | Path) -> C3dHeader:
     )
 
 
-def _start(data: bytes, source: str | Path, notes: list[Note]) -> int:
+def _start(data: bytes | FileBytes, source: str | Path, notes: list[Note]) -> int:
     """Where the file proper begins; refuses what is no C3D."""
     zeros = len(data[: MAX_LEADING_ZEROS + 1]) - len(data[: MAX_LEADING_ZEROS + 1].lstrip(b"\0"))
     for start in (0, zeros):

@@ -4,28 +4,54 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import overload
 
 from torchid.errors import InputError
 
 MAX_BYTES = 4 << 30
 
 
-def read_bytes(path: Path) -> bytes:
-    """The file's bytes.
+class FileBytes:
+    """A file's bytes, indexed like ``bytes`` but read from the file where they are asked for."""
 
-    Raises:
-        InputError: ``file.unreadable`` where it is absent, forbidden or larger than 4 GiB.
-    """
+    def __init__(self, path: Path) -> None:
+        """Raises InputError: ``file.unreadable`` where the file is absent, forbidden or larger than 4 GiB."""
+        self.path = path
+        with _readable(path):
+            self.size = path.stat().st_size
+            if self.size > MAX_BYTES:
+                raise InputError(
+                    "file.unreadable",
+                    "the file is too large",
+                    source=path,
+                    found=f"{self.size} bytes",
+                    remedy="Split the recording",
+                )
+            path.open("rb").close()
+
+    def __len__(self) -> int:
+        return self.size
+
+    @overload
+    def __getitem__(self, index: int) -> int: ...
+    @overload
+    def __getitem__(self, index: slice) -> bytes: ...
+    def __getitem__(self, index: int | slice) -> int | bytes:
+        if isinstance(index, int):
+            return self[index : index + 1][0]
+        start, stop, _ = index.indices(self.size)
+        with _readable(self.path), self.path.open("rb") as file:
+            file.seek(start)
+            found = file.read(max(0, stop - start))
+        if len(found) < stop - start:
+            raise InputError("file.unreadable", "the file became shorter while it was read", source=self.path)
+        return found
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(
-                "file.unreadable",
-                "the file is too large",
-                source=path,
-                found=f"{path.stat().st_size} bytes",
-                remedy="Split the recording",
-            )
-        return path.read_bytes()
+        yield
     except OSError as error:
         raise InputError(
             "file.unreadable",
@@ -34,6 +60,11 @@ def read_bytes(path: Path) -> bytes:
             found=error.strerror or str(error),
             remedy="Check the path and the permissions",
         ) from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of the file's bytes; errors as ``FileBytes``."""
+    return FileBytes(path)[:]
 
 
 def read_lines(path: Path) -> list[str]:

@@ -4,11 +4,9 @@ import re
 import warnings
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.conventions import y_up_to_z_up
 from torchid.errors import InputError, Note
 from torchid.io.options import ReadOptions
 from torchid.recording import Forces
@@ -25,6 +23,8 @@ LIKELY = (0.3, 3.0)
 """Extent [m] that another unit must give before the stated one is called wrong."""
 CLEAR_EXTENT = 1.3
 """A cloud this much taller than wide shows which axis is vertical."""
+SAMPLES = 100_000
+"""Of a long recording's forces so many tell axis, signs and offsets."""
 CLEAR_FORCE = 0.8
 """Share of the mean ground reaction along one axis that shows it to be vertical."""
 
@@ -146,7 +146,8 @@ def _force_axis(forces: Forces | None) -> str:
     """Axis of the mean total force while loaded, empty where no axis stands out."""
     if forces is None or not len(forces.time) or not forces.plates:
         return ""
-    force = forces.total[:, :3].nan_to_num()
+    some = forces.wrench[:: max(1, len(forces.wrench) // SAMPLES), :, :3]
+    force = some.sum(dim=1).nan_to_num()
     size = force.norm(dim=1)
     loaded = force[size > 0.3 * size.max()]
     if float(size.max()) < 50.0:
@@ -168,6 +169,14 @@ def _marker_axis(position: np.ndarray) -> str:
 
 def to_world(vectors: Float[Tensor, "*batch n"], axis: str) -> Float[Tensor, "*batch n"]:
     """Vectors (*batch, 3) or six-vectors (*batch, 6) of a file with this vertical axis, in W."""
-    if axis == "z":
-        return vectors
-    return torch.cat([y_up_to_z_up(part) for part in vectors.split(3, dim=-1)], dim=-1)
+    return vectors if axis == "z" else turn_to_world(vectors.clone(), axis)
+
+
+def turn_to_world(vectors: Float[Tensor, "*batch n"], axis: str) -> Float[Tensor, "*batch n"]:
+    """``to_world`` in place: an hour of samples has no room for a copy."""
+    if axis != "z":
+        for k in range(0, vectors.shape[-1], 3):
+            y = vectors[..., k + 1].clone()
+            vectors[..., k + 1] = -vectors[..., k + 2]
+            vectors[..., k + 2] = y
+    return vectors

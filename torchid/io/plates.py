@@ -8,6 +8,7 @@ surface is above), and where a file has it positive, the opposite vector was sto
 
 import math
 import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,10 @@ UNLOADED = 15.0
 """Width [N] of the band that counts as an unloaded plate."""
 
 
+ReadChannels = Callable[[list[int]], Iterable[tuple[slice, np.ndarray]]]
+"""From column numbers to samples (samples, columns), a few after the other, each time with where they lie among all."""
+
+
 @dataclass(frozen=True)
 class PlateSetup:
     """One plate as the file describes it, lengths in m."""
@@ -45,13 +50,14 @@ class PlateProblem(Exception):
 
 
 def read_plates(
-    header: C3dHeader, analogs: Float[np.ndarray, "samples channels"], metres: float
+    header: C3dHeader, read: ReadChannels, shape: tuple[int, int], metres: float
 ) -> tuple[Float[Tensor, "samples plates 6"], tuple[Plate, ...], list[Note], dict[str, str]]:
     """Wrenches of all usable plates.
 
     Args:
         header: of the file.
-        analogs: (samples, channels) scaled.
+        read: gives the scaled samples of the analog channels asked for.
+        shape: samples and channels of the file.
         metres: length of the file's unit of position [m].
 
     Returns:
@@ -64,20 +70,19 @@ def read_plates(
     if used is not None and used > len(types):
         text = f"FORCE_PLATFORM:USED is {used:g}, but only {len(types)} types are given"
         notes.append(Note("plates.used", text, header.source))
-    wrenches, plates, facts = [], [], {}
+    plates, facts = [], {}
+    found = np.empty((shape[0], min(count, 255), 6))
     for k in range(min(count, 255)):
         try:
             setup = _setup(header, k, metres)
-            wrench, said = plate_wrench(setup, analogs, header, metres)
+            said = _read_wrench(setup, read, shape[1], header, metres, found[:, len(plates)])
         except PlateProblem as problem:
             notes.append(Note("plates.refused", f"plate {k + 1} cannot be used: {problem}", header.source))
             continue
         notes += [Note("plates.assumed", f"plate {k + 1}: {text}", header.source) for text in said]
         facts[f"plate {k + 1} type"] = str(setup.kind)
-        wrenches.append(torch.from_numpy(wrench))
         plates.append(Plate(f"plate {k + 1}", torch.from_numpy(setup.corners)))
-    stacked = torch.stack(wrenches, dim=1) if wrenches else torch.zeros(len(analogs), 0, 6, dtype=torch.float64)
-    return stacked, tuple(plates), notes, facts
+    return torch.from_numpy(np.ascontiguousarray(found[:, : len(plates)])), tuple(plates), notes, facts
 
 
 def _setup(header: C3dHeader, k: int, metres: float) -> PlateSetup:
@@ -105,27 +110,37 @@ def _finite(values: np.ndarray, count: int, name: str) -> np.ndarray:
     return values
 
 
-def plate_wrench(
-    setup: PlateSetup, analogs: Float[np.ndarray, "samples channels"], header: C3dHeader, metres: float
-) -> tuple[Float[np.ndarray, "samples 6"], list[str]]:
-    """Wrench (samples, 6) of one plate on the subject about the origin of the file's axes, and what was assumed."""
+def _read_wrench(
+    setup: PlateSetup,
+    read: ReadChannels,
+    channels: int,
+    header: C3dHeader,
+    metres: float,
+    out: Float[np.ndarray, "samples 6"],
+) -> list[str]:
+    """Fill ``out`` with the wrench on the subject about the origin of the file's axes; returns what was assumed."""
     columns = [c - 1 for c in setup.channels]
-    if min(columns) < 0 or max(columns) >= analogs.shape[1]:
-        raise PlateProblem(f"its channels {setup.channels} are not among the {analogs.shape[1]} of the file")
+    if min(columns) < 0 or max(columns) >= channels:
+        raise PlateProblem(f"its channels {setup.channels} are not among the {channels} of the file")
     if len(set(columns)) < len(columns):
         raise PlateProblem(f"its channels {setup.channels} repeat")
-    raw = analogs[:, columns]
-    if len(raw) and np.isnan(raw).all(axis=0).any():
-        raise PlateProblem("one of its channels has no scale or offset")
     R_WF, p_WF = plate_frame(setup.corners)
     units = header.strings("ANALOG", "UNITS")
-    raw, said = _to_si(setup, raw, [units[c] if c < len(units) else "" for c in columns], metres)
-    force, moment, origin, flipped = _in_plate(setup, raw)
-    moment = moment - np.cross(origin, force)
-    force_W = force @ R_WF.T
-    moment_W = moment @ R_WF.T + np.cross(p_WF, force_W)
-    said += ["ORIGIN has its z above zero, the opposite vector is used"] if flipped else []
-    return np.concatenate([force_W, moment_W], axis=1), said
+    factors, said = _factors(setup, [units[c] if c < len(units) else "" for c in columns], metres)
+    known = np.zeros(len(columns), bool)
+    for part, raw in read(columns):
+        known |= ~np.isnan(raw).all(axis=0)
+        # Not a product with a diagonal matrix, which would spread a channel's NaN to all.
+        si = raw * factors if factors.ndim == 1 else raw @ factors.T
+        force, moment, origin = _in_plate(setup, si)
+        force_W = force @ R_WF.T
+        out[part, :3] = force_W
+        out[part, 3:] = (moment - np.cross(origin, force)) @ R_WF.T + np.cross(p_WF, force_W)
+    if len(out) and not known.all():
+        raise PlateProblem("one of its channels has no scale or offset")
+    if setup.origin[2] > 0 and setup.kind != 1:
+        said.append("ORIGIN has its z above zero, the opposite vector is used")
+    return said
 
 
 def plate_frame(corners: Float[np.ndarray, "4 3"]) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
@@ -144,11 +159,11 @@ def plate_frame(corners: Float[np.ndarray, "4 3"]) -> tuple[Float[np.ndarray, "3
     return np.stack([x, np.cross(z, x), z], axis=1), centre
 
 
-def _to_si(setup: PlateSetup, raw: np.ndarray, units: list[str], metres: float) -> tuple[np.ndarray, list[str]]:
-    """Channels in N, N m and m; a channel whose unit says nothing takes the file's unit of length."""
+def _factors(setup: PlateSetup, units: list[str], metres: float) -> tuple[np.ndarray, list[str]]:
+    """Factor of each channel, or a matrix, to N, N m and m; where a unit says nothing, the file's unit of length."""
     if setup.kind == 4:
         assert setup.calibration is not None
-        return raw @ setup.calibration.T * np.array([1.0, 1.0, 1.0, metres, metres, metres]), []
+        return np.diag([1.0, 1.0, 1.0, metres, metres, metres]) @ setup.calibration, []
     kinds = {1: "FFFLLM", 2: "FFFMMM", 3: "F" * 8}[setup.kind]
     factors, unclear = [], []
     for kind, unit in zip(kinds, units, strict=True):
@@ -160,7 +175,7 @@ def _to_si(setup: PlateSetup, raw: np.ndarray, units: list[str], metres: float) 
     said = (
         [f"units {sorted(set(unclear))} of its channels taken as N and N times the unit of position"] if unclear else []
     )
-    return raw * np.array(factors), said
+    return np.array(factors), said
 
 
 def _factor(kind: str, unit: str) -> float | None:
@@ -175,17 +190,17 @@ def _factor(kind: str, unit: str) -> float | None:
     return next((f * m for n, f in forces.items() for u, m in lengths.items() if text == n + u), None)
 
 
-def _in_plate(setup: PlateSetup, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    """Force and moment (samples, 3) at the transducer in plate axes, the right ORIGIN, and whether it was flipped."""
+def _in_plate(setup: PlateSetup, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Force and moment (samples, 3) at the transducer in plate axes, and the right ORIGIN."""
     flipped = bool(setup.origin[2] > 0)
     if setup.kind == 3:
         a, b, depth = setup.origin[0], setup.origin[1], -abs(setup.origin[2])
-        return *_kistler(raw, a, b), np.array([0.0, 0.0, depth]), flipped
+        return *_kistler(raw, a, b), np.array([0.0, 0.0, depth])
     force, zero = raw[:, :3], np.zeros(len(raw))
     if setup.kind == 1:
         point = np.stack([raw[:, 3], raw[:, 4], zero], axis=1)
-        return force, np.cross(point, force) + np.stack([zero, zero, raw[:, 5]], axis=1), np.zeros(3), False
-    return force, raw[:, 3:], -setup.origin if flipped else setup.origin, flipped
+        return force, np.cross(point, force) + np.stack([zero, zero, raw[:, 5]], axis=1), np.zeros(3)
+    return force, raw[:, 3:], -setup.origin if flipped else setup.origin
 
 
 def _kistler(raw: np.ndarray, a: float, b: float) -> tuple[np.ndarray, np.ndarray]:

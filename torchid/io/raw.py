@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 
 from torchid.errors import InputError, Note
-from torchid.io.frame import to_world, vertical_axis
-from torchid.io.missing import mark_missing, mask_held
+from torchid.io.frame import SAMPLES, to_world, turn_to_world, vertical_axis
+from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
 from torchid.io.plates import baseline
 from torchid.recording import Event, Forces, Markers, Trial
@@ -38,14 +38,20 @@ class RawTrial:
 
 
 def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial:
-    """The trial in W, missing samples NaN, with a note for everything repaired or chosen."""
-    position, missing = mark_missing(raw.position, raw.source)
+    """The trial in W, missing samples NaN, with a note for everything repaired or chosen.
+
+    The arrays of ``raw`` become the trial's: they are changed in place.
+    """
+    position = np.require(raw.position, float, ["C", "W"])
+    mask, missing = missing_samples(position, raw.source)
+    position[mask] = np.nan
     axis, said = vertical_axis(position, raw.forces, raw.up, raw.customary, options, raw.source)
     held: list[Note] = []
     if role != "static" and len(raw.time) > 1:
         rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
-        position, held = mask_held(position, rate, raw.labels, raw.source)
-    world = to_world(torch.from_numpy(np.ascontiguousarray(position)), axis)
+        mask, held = held_samples(position, rate, raw.labels, raw.source)
+        position[mask] = np.nan
+    world = turn_to_world(torch.from_numpy(position), axis)
     markers = Markers(raw.labels, torch.from_numpy(np.ascontiguousarray(raw.time, dtype=float)), world)
     forces = None if raw.forces is None else _forces_in_world(raw.forces, axis)
     notes = (*raw.notes, *missing, *said, *held, *_force_notes(forces, raw))
@@ -55,7 +61,7 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
 
 def _forces_in_world(forces: Forces, axis: str) -> Forces:
     plates = tuple(replace(p, corners=None if p.corners is None else to_world(p.corners, axis)) for p in forces.plates)
-    return Forces(forces.time, to_world(forces.wrench, axis), plates)
+    return Forces(forces.time, turn_to_world(forces.wrench, axis), plates)
 
 
 def _force_notes(forces: Forces | None, raw: RawTrial) -> list[Note]:
@@ -64,7 +70,7 @@ def _force_notes(forces: Forces | None, raw: RawTrial) -> list[Note]:
         return []
     notes = []
     for k, plate in enumerate(forces.plates):
-        vertical = forces.wrench[:, k, 2].numpy()
+        vertical = forces.wrench[:: max(1, len(forces.wrench) // SAMPLES), k, 2].numpy()
         loaded = vertical[np.abs(vertical) > LOADED]
         if len(loaded) and loaded.mean() < 0:
             text = f"{plate.name} pulls the subject down ({loaded.mean():.0f} N while loaded): its sign is reversed"

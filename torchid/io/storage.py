@@ -122,6 +122,8 @@ def write_storage(
         raise ValueError(f"values {values.shape}, time {len(time)}, columns {len(columns)}")
     head = [title, "version=1", f"nRows={len(time)}", f"nColumns={len(columns) + 1}"]
     head += [f"inDegrees={'yes' if in_degrees else 'no'}", "endheader", "\t".join(("time", *columns))]
-    rows = ("\t".join(f"{x:.12g}" for x in (t, *row)) for t, row in zip(time, values, strict=True))
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
+    row = "\t".join(["%.12g"] * (len(columns) + 1)) + "\n"
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        file.write("\n".join(head) + "\n")
+        for t, x in zip(time.tolist(), values, strict=True):
+            file.write(row % (t, *x.tolist()))

@@ -1,43 +1,32 @@
-"""The order in which a tree is walked: bodies level by level, equal turns side by side.
+"""The order in which a tree is walked, and its joints as rotations about constant axes.
 
-The lean recursion keeps frames last, so that every operation streams over contiguous memory, and applies one turn of
-many bodies at once. A ``Plan`` is that order, made once per tree; it holds plain Python and no tensors.
+A constant turn between two moving ones tilts every axis behind it until it is undone: C Rot(a, t) C' = Rot(C a, t).
+Every joint is therefore a product of at most a few rotations about axes that geometry alone decides, times a constant
+remainder that most joints lack. First turns of all bodies, second turns and so on are each one batch.
+
+A ``Plan`` is made once per tree; it holds plain Python and no tensors.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 from torchid.model.tree import BASE_DOFS, Body, Rotation, Tree
 
-CYCLE = {0: (1, 2), 1: (2, 0), 2: (0, 1)}
-"""A turn about axis a by t maps columns (u, v) = CYCLE[a] to (c u + s v, c v - s u)."""
-
 
 @dataclass(frozen=True)
-class Step:
-    """One turn (or slide) of the bodies ``start`` to ``stop`` of a level."""
+class Tilt:
+    """A constant rotation: about an axis by ``sign`` times a hinge angle, or one that the tree fixes."""
 
-    axis: int
-    start: int
-    stop: int
-    first: int
-    """Number of the first of its turns (or slides) in plan order."""
-    moving: bool = True
+    axis: int = 0
+    row: int = -1
+    """Row of the hinge angles."""
+    sign: float = 1.0
+    fixed: Rotation | None = None
 
-
-@dataclass(frozen=True)
-class Level:
-    """Bodies at the same depth."""
-
-    start: int
-    stop: int
-    """Plan positions of its bodies."""
-    parents: tuple[int, ...]
-    """Positions of their parents within the level above."""
-    slides: tuple[Step, ...]
-    turns: tuple[Step, ...]
-    before: tuple[Rotation | None, ...]
-    after: tuple[Rotation | None, ...]
+    def undone_by(self, other: "Tilt") -> bool:
+        """Whether ``other`` straight behind it leaves nothing."""
+        same = (self.axis, self.row, -self.sign) == (other.axis, other.row, other.sign)
+        return same and self.fixed is None and other.fixed is None
 
 
 @dataclass(frozen=True)
@@ -47,25 +36,44 @@ class Column:
     row: int
     """Row of q, or of the hinge angles."""
     body: int
+    axis: int
     sign: float
+    tilts: tuple[Tilt, ...]
+    """Constant rotations that the axis has behind it, outermost first."""
+    slot: int = 0
+    """Number of moving turns of the same body before it."""
+    before: int = -1
+    """The last of them, by its place among ``Plan.turns``; -1 for none."""
     slide: bool = False
 
 
 @dataclass(frozen=True)
+class Level:
+    """Bodies at the same depth: plan positions ``start`` to ``stop``, and their parents' positions."""
+
+    start: int
+    stop: int
+    parents: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
-    """A tree in walking order."""
+    """A tree in walking order; equal only to itself, so that it is a cheap key."""
 
     tree: Tree
     order: tuple[int, ...]
     """Tree index of each plan position."""
     levels: tuple[Level, ...]
+    """The root's first."""
     turns: tuple[Column, ...]
-    """Moving turns in plan order."""
+    """Moving turns: first ones of all bodies, then second ones and so on; bodies in plan order."""
     hinges: tuple[Column, ...]
-    """Turns by hinge angles in plan order."""
+    """Turns by hinge angles."""
     slides: tuple[Column, ...]
+    remainders: tuple[tuple[Tilt, ...], ...]
+    """Of each plan position the constant rotations that nothing undoes."""
 
-    @property
+    @cached_property
     def position(self) -> tuple[int, ...]:
         """Plan position of each body of the tree."""
         place = [0] * len(self.order)
@@ -73,86 +81,92 @@ class Plan:
             place[body] = position
         return tuple(place)
 
-    @property
-    def motion(self) -> tuple[Column, ...]:
-        """Columns of motion behind the six of the base: turns, then slides, in the order of ``motion_order``."""
-        both = self.turns + self.slides
-        return tuple(both[k] for k in self.motion_order)
+    @cached_property
+    def branches(self) -> tuple[tuple[int, ...], ...]:
+        """Plan positions of the bodies of each limb; limbs meet only through what is in none of them, the core."""
+        tree, position = self.tree, self.position
+        moving = {column.body for column in (*self.turns, *self.slides)}
+        alive = [bool(moving & set(tree.subtree(k))) for k in range(len(tree.bodies))]
+        living = [body.parent for k, body in enumerate(tree.bodies) if alive[k]]
+        forks = {0} | {k for k in range(len(tree.bodies)) if living.count(k) > 1}
+        core = {k for k in range(len(tree.bodies)) if forks & set(tree.subtree(k))}
+        tops = [k for k, body in enumerate(tree.bodies) if k not in core and body.parent in core and alive[k]]
+        return tuple(tuple(position[k] for k in tree.subtree(top)) for top in tops)
+
+    @cached_property
+    def motion_order(self) -> tuple[int, ...]:
+        """Order of turns and slides (numbered behind them): the core, then limb by limb; who carries stands first."""
+        position, both = self.position, self.turns + self.slides
+        limb = {body: k for k, bodies in enumerate(self.branches) for body in bodies}
+
+        def key(k: int) -> tuple[int, int, bool, int]:
+            at = position[both[k].body]
+            return limb.get(at, -1), at, not both[k].slide, both[k].slot
+
+        return tuple(sorted(range(len(both)), key=key))
 
     @property
-    def motion_order(self) -> tuple[int, ...]:
-        """Order of turns and slides in which whatever moves more stands before what it moves."""
-        position, both = self.position, self.turns + self.slides
-        if not self.slides:
-            return tuple(range(len(both)))
-        return tuple(sorted(range(len(both)), key=lambda k: position[both[k].body]))
+    def motion(self) -> tuple[Column, ...]:
+        """Columns of motion behind the six of the base, in ``motion_order``."""
+        both = self.turns + self.slides
+        return tuple(both[k] for k in self.motion_order)
 
 
 @lru_cache(maxsize=32)
 def plan_tree(tree: Tree) -> Plan:
     """Walking order of ``tree``."""
     depth = [len(above) - 1 for above in tree.ancestors]
-    # Longest sequences first: the bodies that still turn at step k stay side by side.
-    signature = [tuple((turn.axis, turn.moving) for turn in body.turns) for body in tree.bodies]
-    order = sorted(range(len(tree.bodies)), key=lambda k: (depth[k], -len(signature[k]), signature[k], k))
-    turns: list[Column] = []
-    hinges: list[Column] = []
-    slides: list[Column] = []
-    levels = []
-    for d in range(max(depth) + 1):
-        members = [k for k in order if depth[k] == d]
-        levels.append(_level(tree, order, members, turns, hinges, slides))
-    covered = sorted(column.row for column in turns + slides)
+    order = tuple(sorted(range(len(tree.bodies)), key=lambda k: (depth[k], k)))
+    joints = [_Joint(tree.bodies[k], k) for k in order]
+    place: dict[tuple[int, int], int] = {}
+    for slot in range(max(len(joint.turns) for joint in joints)):
+        for joint in joints:
+            if slot < len(joint.turns):
+                place[joint.body, slot] = len(place)
+    turns = sorted((c for joint in joints for c in joint.turns), key=lambda c: place[c.body, c.slot])
+    slides = tuple(c for joint in joints for c in joint.slides)
+    covered = sorted(column.row for column in (*turns, *slides))
     assert covered == list(range(BASE_DOFS, len(tree.dofs))), "every dof but the base's drives exactly one joint axis"
-    return Plan(tree, tuple(order), tuple(levels), tuple(turns), tuple(hinges), tuple(slides))
-
-
-def _level(
-    tree: Tree, order: list[int], members: list[int], turns: list[Column], hinges: list[Column], slides: list[Column]
-) -> Level:
-    bodies = [tree.bodies[k] for k in members]
-    above = [
-        k for k in order if bodies[0].parent >= 0 and len(tree.ancestors[k]) == len(tree.ancestors[members[0]]) - 1
-    ]
-    return Level(
-        start=order.index(members[0]),
-        stop=order.index(members[-1]) + 1,
-        parents=tuple(above.index(body.parent) for body in bodies if body.parent >= 0),
-        slides=tuple(_slide_steps(bodies, members, slides)),
-        turns=tuple(_turn_steps(bodies, members, turns, hinges)),
-        before=tuple(body.R_PJ for body in bodies),
-        after=tuple(body.R_JB for body in bodies),
+    return Plan(
+        tree,
+        order,
+        tuple(_level(tree, order, d, depth) for d in range(max(depth) + 1)),
+        tuple(_linked(c, place) for c in turns),
+        tuple(_linked(c, place) for joint in joints for c in joint.hinges),
+        slides,
+        tuple(joint.remainder for joint in joints),
     )
 
 
-def _turn_steps(bodies: list[Body], members: list[int], turns: list[Column], hinges: list[Column]) -> list[Step]:
-    steps = []
-    for k in range(max(len(body.turns) for body in bodies)):
-        start = 0
-        while start < len(bodies):
-            stop = start
-            while stop < len(bodies) and _kind(bodies[stop], k) == _kind(bodies[start], k):
-                stop += 1
-            if _kind(bodies[start], k) is not None:
-                turn = bodies[start].turns[k]
-                columns = turns if turn.moving else hinges
-                steps.append(Step(turn.axis, start, stop, len(columns), turn.moving))
-                columns += [
-                    Column(b.turns[k].row, m, b.turns[k].sign)
-                    for b, m in zip(bodies[start:stop], members[start:stop], strict=True)
-                ]
-            start = stop
-    return steps
+def _level(tree: Tree, order: tuple[int, ...], d: int, depth: list[int]) -> Level:
+    members = [position for position, k in enumerate(order) if depth[k] == d]
+    parents = tuple(order.index(tree.bodies[order[p]].parent) for p in members) if d else ()
+    return Level(members[0], members[-1] + 1, parents)
 
 
-def _kind(body: Body, k: int) -> tuple[int, bool] | None:
-    return (body.turns[k].axis, body.turns[k].moving) if k < len(body.turns) else None
+def _linked(column: Column, place: dict[tuple[int, int], int]) -> Column:
+    before = place.get((column.body, column.slot - 1), -1)
+    return Column(column.row, column.body, column.axis, column.sign, column.tilts, column.slot, before, column.slide)
 
 
-def _slide_steps(bodies: list[Body], members: list[int], slides: list[Column]) -> list[Step]:
-    steps = []
-    for position, (body, member) in enumerate(zip(bodies, members, strict=True)):
-        for slide in body.slides:
-            steps.append(Step(slide.axis, position, position + 1, len(slides)))
-            slides.append(Column(slide.row, member, 1.0, slide=True))
-    return steps
+class _Joint:
+    """One body's joint walked from its parent: what tilts every axis, and what is left at the end."""
+
+    def __init__(self, body: Body, index: int) -> None:
+        self.body = index
+        self.turns: list[Column] = []
+        self.hinges: list[Column] = []
+        open_: list[Tilt] = [Tilt(fixed=body.R_PJ)] if body.R_PJ else []
+        self.slides = [Column(s.row, index, s.axis, 1.0, tuple(open_), slide=True) for s in body.slides]
+        for turn in body.turns:
+            column = Column(turn.row, index, turn.axis, turn.sign, tuple(open_), len(self.turns))
+            if turn.moving:
+                self.turns.append(column)
+                continue
+            self.hinges.append(column)
+            tilt = Tilt(turn.axis, turn.row, turn.sign)
+            if open_ and open_[-1].undone_by(tilt):
+                open_.pop()
+            else:
+                open_.append(tilt)
+        self.remainder = (*open_, Tilt(fixed=body.R_JB)) if body.R_JB else tuple(open_)

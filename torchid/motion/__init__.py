@@ -3,5 +3,4 @@
 from torchid.filters import Smoother as Smoother
 from torchid.motion.cutoff import choose_cutoff as choose_cutoff
 from torchid.motion.motion import Motion as Motion
-from torchid.motion.motion import MotionOptions as MotionOptions
 from torchid.motion.motion import smooth_motion as smooth_motion

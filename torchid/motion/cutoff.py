@@ -30,16 +30,24 @@ def choose_cutoff(position: Float[Tensor, "frames markers 3"], rate_hz: float) -
         position: marker trajectories [m]; coordinates with gaps are left out.
         rate_hz: frames per second.
     """
-    x = position.detach().cpu().numpy().reshape(len(position), -1)
-    x = x[:, np.isfinite(x).all(axis=0)]
-    if len(x) < 32 or x.shape[1] == 0:
+    if len(position) < 32:
         return UNKNOWN
-    frequency, power = scipy.signal.welch(
-        x, rate_hz, nperseg=min(len(x), round(WINDOW * rate_hz)), axis=0, detrend="linear"
-    )
-    floor = np.median(power[frequency > min(HIGHEST, 0.3 * rate_hz)], axis=0)
-    moving = np.clip(power - 3.0 * floor, 0.0, None).sum(axis=1) * frequency**2
-    below = np.cumsum(np.where(frequency <= HIGHEST, moving, 0.0))
+    frequency, total = np.zeros(1), np.zeros(1)
+    for marker in range(position.shape[1]):  # one at a time: the periodograms take several times a marker's memory
+        x = position[:, marker].detach().cpu().numpy()
+        x = x[:, np.isfinite(x).all(axis=0)]
+        if x.shape[1]:
+            frequency, power = _power(x, rate_hz)
+            total = total + power
+    below = np.cumsum(np.where(frequency <= HIGHEST, total * frequency**2, 0.0))
     if below[-1] <= 0.0:
         return UNKNOWN
     return float(np.clip(MARGIN * np.interp(SHARE, below / below[-1], frequency), LOWEST, HIGHEST))
+
+
+def _power(x: Float[np.ndarray, "frames channels"], rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [Hz] and the channels' power above their noise floors."""
+    length = min(len(x), round(WINDOW * rate_hz))
+    frequency, power = scipy.signal.welch(x, rate_hz, nperseg=length, axis=0, detrend="linear")
+    floor = np.median(power[frequency > min(HIGHEST, 0.3 * rate_hz)], axis=0)
+    return frequency, np.clip(power - 3.0 * floor, 0.0, None).sum(axis=1)

@@ -6,7 +6,6 @@ accelerations of the bodies, which is all that dynamics sees, therefore do not f
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import roma
 from jaxtyping import Bool, Float
@@ -15,14 +14,6 @@ from torch import Tensor
 from torchid.filters import Smoother, differentiate
 from torchid.model.tree import Tree
 from torchid.motion.rotations import AngularMotion, filter_rotation, joint_rates, rotation_to_turns, turns_to_rotation
-
-
-@dataclass(frozen=True)
-class MotionOptions:
-    """How coordinates and forces are filtered."""
-
-    filter: Literal["spline", "butterworth"] = "spline"
-    cutoff_hz: float | Literal["auto"] = "auto"
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.contact import Contact
+from torchid.contact.contact import Contact
 from torchid.errors import Note
-from torchid.geometry.fit import GeometryFit, Tracked
+from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.tracking import Tracked
 from torchid.inertia.identify import Identified
 from torchid.model.model import InertialPrior
 from torchid.motion import Motion
 from torchid.outcome.session import Session
+from torchid.provenance import StageTime
 from torchid.regressor.rows import WrenchTrial
 
 
@@ -64,6 +66,8 @@ class Outcome:
     torque_scaled: dict[str, Float[Tensor, "frames dofs"]] = field(default_factory=dict)
     residuals: tuple[Residual, ...] = ()
     notes: tuple[Note, ...] = ()
+    times: dict[str, StageTime] = field(default_factory=dict)
+    """Cost of each stage up to here; the only part that two equal runs do not share."""
 
     @property
     def phi(self) -> Float[Tensor, "bodies 10"]:

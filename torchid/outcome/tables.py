@@ -1,15 +1,19 @@
 """Content of ``geometry.json`` and ``inertia.json``: the figures that files and report share."""
 
 import math
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchid.conventions import INERTIAL_NAMES
-from torchid.geometry.fit import GeometryFit
+from torchid.geometry.fitted import GeometryFit
 from torchid.outcome.outcome import Outcome
 from torchid.regressor.rows import residual_rms
+
+PIECE = 1 << 15
+"""Frames whose errors are looked at together."""
 
 
 def geometry_table(outcome: Outcome) -> dict[str, Any]:
@@ -69,23 +73,45 @@ def segment_lengths(fit: GeometryFit) -> dict[str, dict[str, float]]:
 def marker_errors(outcome: Outcome, name: str) -> dict[str, Any]:
     """RMS distances of a trial's physical markers before filtering [mm]."""
     error, scaled = outcome.followed[name].tracked.error, outcome.followed_scaled[name].tracked.error
-    mean_square = torch.nanmean(error.square(), dim=0)
     return {
         "role": outcome.session.trials[name].role,
-        "identified": 1e3 * _rms(error),
-        "scaled": 1e3 * _rms(scaled),
-        "max": 1e3 * float(torch.nan_to_num(error).max()),
-        "markers": dict(zip(outcome.fit.attachment.labels, (1e3 * mean_square.sqrt()).tolist(), strict=True)),
+        "identified": 1e3 * rms(error),
+        "scaled": 1e3 * rms(scaled),
+        "max": 1e3 * largest(error),
+        "markers": {label: 1e3 * rms(error[:, k]) for k, label in enumerate(outcome.fit.attachment.labels)},
     }
 
 
-def _rms(error: Tensor) -> float:
-    known = error[torch.isfinite(error)]
-    return float(known.square().mean().sqrt()) if len(known) else math.nan
+def rms(*parts: Tensor) -> float:
+    """Root mean square of what is finite in all parts, NaN where nothing is."""
+    total, count = 0.0, 0
+    for piece in _pieces(parts):
+        known = piece[torch.isfinite(piece)]
+        total, count = total + float(known.square().sum()), count + len(known)
+    return math.sqrt(total / count) if count else math.nan
+
+
+def largest(*parts: Tensor) -> float:
+    """Largest of what is not NaN in all parts of distances, 0 where nothing is known."""
+    return max((float(piece.nan_to_num(0.0).max()) for piece in _pieces(parts)), default=0.0)
+
+
+def _pieces(parts: Iterable[Tensor]) -> Iterator[Tensor]:
+    """A copy of an hour's errors has no room beside the errors."""
+    return (piece for part in parts for piece in part.split(PIECE) if piece.numel())
 
 
 def inertia_table(outcome: Outcome) -> dict[str, Any]:
     """Content of ``inertia.json``."""
+    return {
+        **identified_table(outcome),
+        "residuals": outcome.residuals,
+        "trials": {name: _trial_residual(outcome, name) for name in outcome.session.trials},
+    }
+
+
+def identified_table(outcome: Outcome) -> dict[str, Any]:
+    """What ``inertia.json`` says of the body; residuals, which take a pass over all frames, are left out."""
     assert outcome.identified is not None
     identified = outcome.identified
     fit, prior = identified.fit, outcome.prior
@@ -123,8 +149,6 @@ def inertia_table(outcome: Outcome) -> dict[str, Any]:
         "cutoff_hz": outcome.cutoff_hz,
         "status": fit.status.value,
         "certificate": fit.certificate,
-        "residuals": outcome.residuals,
-        "trials": {name: _trial_residual(outcome, name) for name in outcome.session.trials},
     }
 
 

@@ -8,7 +8,7 @@ residuals: it holds the plates' noise and what marker noise does to the regresso
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,6 +25,8 @@ BEYOND = 1.2
 """Coefficients up to this many cut-offs are kept."""
 FLOOR = (0.5, 0.1)
 """Least noise of a force [N] and moment [N m] channel per coefficient: no plate is better."""
+KEPT = 30_000
+"""Frames of a trial up to which its spectra are kept in memory."""
 SHRINK = 10.0
 """Equivalent observations by which a band's covariance is drawn to its diagonal and to its neighbours."""
 
@@ -67,17 +69,29 @@ class Whitening:
         return float(torch.logdet(self.covariance)[band].sum())
 
 
-def spectra(trial: WrenchTrial) -> list[Spectrum]:
-    """All blocks of a trial in the frequency domain."""
-    found = []
+@dataclass(frozen=True)
+class Spectra:
+    """Blocks of a trial in the frequency domain, made anew in every pass: an hour of them would take 700 MB."""
+
+    trial: WrenchTrial
+
+    def __iter__(self) -> Iterator[Spectrum]:
+        return (_spectrum(self.trial, part) for part in self.trial.blocks())
+
+
+def spectra(trial: WrenchTrial) -> Iterable[Spectrum]:
+    """All blocks of a trial in the frequency domain; those of a trial of usual length are kept."""
+    several = Spectra(trial)
+    return list(several) if len(trial.used) <= KEPT else several
+
+
+def _spectrum(trial: WrenchTrial, part: slice) -> Spectrum:
+    Y, F = trial.rows(part)
     cutoff = min(trial.motion.smoother.cutoff_hz * BEYOND, 0.5 * trial.rate)
-    for part in trial.blocks():
-        Y, F = trial.rows(part)
-        frames = part.stop - part.start
-        kept = max(1, min(frames, math.ceil(2.0 * cutoff * frames / trial.rate)))
-        C = cosine_matrix(frames, kept).to(F)
-        found.append(Spectrum(Y @ C.T, F @ C.T, bands(frames, kept, trial.rate).to(F.device)))
-    return found
+    frames = part.stop - part.start
+    kept = max(1, min(frames, math.ceil(2.0 * cutoff * frames / trial.rate)))
+    C = cosine_matrix(frames, kept).to(F)
+    return Spectrum(Y @ C.T, F @ C.T, bands(frames, kept, trial.rate).to(F.device))
 
 
 def bands(frames: int, kept: int, rate: float) -> Int[Tensor, " kept"]:
@@ -92,7 +106,7 @@ def initial_whitening(like: Tensor) -> Whitening:
     return Whitening(torch.diag(diagonal).expand(len(EDGES) + 1, 6, 6).clone())
 
 
-def estimate_whitening(blocks: Sequence[Spectrum], phi: Float[Tensor, " params"], lost: float) -> Whitening:
+def estimate_whitening(blocks: Iterable[Spectrum], phi: Float[Tensor, " params"], lost: float) -> Whitening:
     """Covariance per band from the residuals at ``phi``.
 
     Args:
@@ -125,7 +139,7 @@ def _shrunk(scatter: Tensor, n: Tensor) -> Tensor:
     return share * own + (1.0 - share) * torch.diag_embed(level)
 
 
-def accumulate(blocks: Sequence[Spectrum], whitening: Whitening) -> NormalEquations:
+def accumulate(blocks: Iterable[Spectrum], whitening: Whitening) -> NormalEquations:
     """Whitened sums of all blocks."""
     total: NormalEquations | None = None
     for block in blocks:

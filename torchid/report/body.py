@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from torch import Tensor
 
 from torchid.outcome import Outcome
-from torchid.outcome.tables import inertia_table, segment_lengths
+from torchid.outcome.tables import identified_table, segment_lengths
 from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Table
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
 from torchid.report.posture import rest, stick_points, tips
@@ -169,7 +169,7 @@ def _paint_masses(axes: Axes, outcome: Outcome) -> None:
 
 def _table(outcome: Outcome) -> Table:
     lengths, prior = segment_lengths(outcome.fit), outcome.prior.mean
-    found = None if outcome.identified is None else inertia_table(outcome)["segments"]
+    found = None if outcome.identified is None else identified_table(outcome)["segments"]
     prior_sd = torch.diagonal(outcome.prior.covariance).sqrt().reshape(-1, 10)[:, 0]
     rows = []
     for k, name in enumerate(outcome.fit.model.tree.names):
@@ -210,7 +210,7 @@ def _reach(sd: Tensor) -> str:
 
 
 def _total(outcome: Outcome) -> str:
-    total = inertia_table(outcome)["total_mass"]
+    total = identified_table(outcome)["total_mass"]
     return spread(total["value_kg"], total["sd_kg"], 2)
 
 

@@ -10,7 +10,9 @@ from torch import Tensor
 
 from torchid.conventions import GRAVITY
 from torchid.outcome import Outcome
+from torchid.outcome.tables import rms
 from torchid.regressor.rows import measured, predict
+from torchid.snapshot import release
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ def wrenches(outcome: Outcome) -> dict[str, Wrenches]:
             trial.motion.time, measured(trial), prior if outcome.identified is None else predict(trial, outcome.phi),
             prior, measured(other) - predict(other, outcome.prior_scaled.mean), trial.used,
         )  # fmt: skip
+        release()
     return found
 
 
@@ -87,18 +90,11 @@ def improved(trials: dict[str, Wrenches]) -> tuple[list[str], list[str]]:
 
 def marker_rms(outcome: Outcome, names: Sequence[str], columns: Tensor | None = None) -> tuple[float, float]:
     """RMS distance of all markers (or some ``columns``) over all frames, identified and scaled [mm]."""
-    both = []
+    found = []
     for followed in (outcome.followed, outcome.followed_scaled):
-        errors = [followed[name].tracked.error for name in names]
-        errors = [error if columns is None else error[:, columns] for error in errors]
-        both.append(1e3 * rms(torch.cat([error.reshape(-1) for error in errors]))) if errors else both.append(math.nan)
-    return both[0], both[1]
-
-
-def rms(x: Float[Tensor, " values"]) -> float:
-    """Root mean square of what is finite."""
-    known = x[torch.isfinite(x)]
-    return float(known.square().mean().sqrt()) if len(known) else math.nan
+        errors = (followed[name].tracked.error for name in names)
+        found.append(1e3 * rms(*(error if columns is None else error[:, columns] for error in errors)))
+    return found[0], found[1]
 
 
 def body_weight(outcome: Outcome) -> float:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
@@ -109,7 +109,7 @@ def _draw_trial(outcome: Outcome, name: str, trial: Wrenches, key: str) -> Marku
     ]
     if outcome.identified is not None:
         lines.append((trial.identified, {"color": IDENTIFIED, "linewidth": 1.2}))
-    unused = [(float(time[a]), float(time[b - 1])) for a, b in runs(~trial.used)]
+    unused = [(float(time[a * step]), float(time[min(b * step, len(time)) - 1])) for a, b in runs(_gone(trial, step))]
 
     def paint(canvas: Canvas) -> None:
         panels = canvas.subplots(2, 3, sharex=True)
@@ -131,6 +131,12 @@ def _draw_trial(outcome: Outcome, name: str, trial: Wrenches, key: str) -> Marku
     return draw(
         key, (7.5, 4.0), f"Measured and predicted ground reaction force and moment in trial {clean(name)}", paint
     )
+
+
+def _gone(trial: Wrenches, step: int) -> Bool[Tensor, " steps"]:
+    """Steps of which most frames are left out: of an hour, what a single frame is could not be seen."""
+    out = torch.nn.functional.pad((~trial.used).double(), (0, -len(trial.used) % step), value=torch.nan)
+    return out.reshape(-1, step).nanmean(dim=1) > 0.5 if step > 1 else ~trial.used
 
 
 def _limits(parts: list[Tensor]) -> tuple[float, float]:

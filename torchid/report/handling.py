@@ -98,10 +98,10 @@ def _gaps(outcome: Outcome) -> Table:
     for name, item in outcome.followed.items():
         error, contact = item.tracked.error, item.contact
         present = torch.isfinite(error).any(dim=0)
-        gaps = ~torch.isfinite(error[:, present])
+        gaps = ~torch.isfinite(error)[:, present]
         rows.append((
             clean(name), str(len(error)), str(int((~present).sum())),
-            percent(gaps.double().mean() if gaps.numel() else 0.0, 1),
+            percent(int(gaps.sum()) / max(1, gaps.numel()), 1),
             str(int((~item.tracked.observable).sum())),
             ABSENT if contact is None else str(contact.excluded),
             ABSENT if contact is None else str(len(contact.used) - int(contact.used.sum())),

@@ -4,6 +4,7 @@ import math
 
 from torchid.errors import DataError
 from torchid.outcome import Outcome
+from torchid.outcome.tables import largest
 from torchid.report.blocks import Block, Items, Paragraph, Section, Table
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
 from torchid.report.handling import grouped
@@ -141,7 +142,7 @@ def _cautions(outcome: Outcome, tested: dict[str, Wrenches]) -> list[str]:
         lines.append("No trial was held out: nothing here tests the model on motion that it has not seen.")
     if outcome.fit.solution is not None and not outcome.fit.solution.converged:
         lines.append("The geometric fit stopped at its limit of iterations before it converged.")
-    far = [(name, 1e3 * float(item.tracked.error.nan_to_num(0.0).max())) for name, item in outcome.followed.items()]
+    far = [(name, 1e3 * largest(item.tracked.error)) for name, item in outcome.followed.items()]
     far = [(name, most) for name, most in far if most > LARGE_MM]
     if far:
         worst = max(far, key=lambda entry: entry[1])

@@ -7,8 +7,9 @@ from matplotlib.lines import Line2D
 from torch import Tensor
 
 from torchid.outcome import Outcome
+from torchid.outcome.tables import rms
 from torchid.report.blocks import Figure, Section, Table
-from torchid.report.facts import judges, rms
+from torchid.report.facts import judges
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
 from torchid.report.forces import POINTS, peak
 from torchid.report.text import ABSENT, clean, listing, number, percent

@@ -1,9 +1,11 @@
 """How the results were computed, and what they rest on."""
 
+from collections.abc import Sequence
+
 from torchid.config import dump_config
 from torchid.outcome import Outcome
-from torchid.outcome.tables import inertia_table
-from torchid.provenance import versions
+from torchid.outcome.tables import identified_table
+from torchid.provenance import StageTime, versions
 from torchid.report.blocks import Block, Details, Items, Listing, Section, Table
 from torchid.report.text import clean, listing, number, percent, plural, scientific, segment
 
@@ -16,6 +18,19 @@ METHODS = (
     "Weights by evidence: MacKay, Neural Computation 4(3), 1992",
 )
 
+STAGES = (
+    ("read", "Reading the recordings"),
+    ("geometry", "Fit of the geometry"),
+    ("motion_", "Following the markers, identified geometry"),
+    ("scaled_", "Following the markers, scaled template"),
+    ("scaled", "Scaling the template"),
+    ("follow", "Filter, contacts and wrenches"),
+    ("inertia", "Fit of the inertia"),
+    ("residuals", "Residuals step by step"),
+    ("torques", "Joint torques"),
+)
+"""Beginnings of the names of stages, and what they are."""
+
 
 def method_section(outcome: Outcome) -> Section:
     """The section on computation."""
@@ -25,6 +40,7 @@ def method_section(outcome: Outcome) -> Section:
     blocks += [
         Details("Standard deviations of the named geometric parameters", (_parameters(outcome),)),
         Details("Settings: the resolved config", (Listing(clean_lines(dump_config(outcome.config))),)),
+        *_times(outcome),
         Details("Versions", (Table("", ("Software", "Version"), tuple(versions().items()), text=2),)),
         Items(tuple(clean(source, 400) for source in (*outcome.fit.model.sources, *METHODS))),
     ]
@@ -87,7 +103,7 @@ def _inertia(outcome: Outcome) -> Table:
 def _certificate(outcome: Outcome) -> Table:
     """Recomputed figures, what they mean and what was asked of them."""
     assert outcome.identified is not None
-    certificate, low = inertia_table(outcome)["certificate"], outcome.identified.fit.certificate
+    certificate, low = identified_table(outcome)["certificate"], outcome.identified.fit.certificate
     conflict, optimality = certificate.conflict, certificate.optimality
     smallest = int(low.smallest_eigenvalue.argmin())
     least, active = segment(outcome.identified.fit.names[smallest]), [segment(name) for name in certificate.active]
@@ -115,7 +131,7 @@ def _certificate(outcome: Outcome) -> Table:
 
 
 def _base(outcome: Outcome) -> list[Block]:
-    base = inertia_table(outcome)["base_parameters"]
+    base = identified_table(outcome)["base_parameters"]
     if base is None:
         return []
     rows = tuple((clean(entry["name"], 400), number(entry["value"], 4), number(entry["sd"], 4)) for entry in base)
@@ -126,6 +142,30 @@ def _base(outcome: Outcome) -> list[Block]:
         wrap=True,
     )
     return [Details(f"{plural(len(rows), 'base parameter')} with values", (table,))]
+
+
+def _times(outcome: Outcome) -> list[Block]:
+    """What each stage cost; the trials' shares of a stage are added up."""
+    costs = list(outcome.times.values())
+    if not costs:
+        return []
+    stages = dict.fromkeys(_stage(name) for name in outcome.times)
+    rows = [_cost(words, [c for n, c in outcome.times.items() if _stage(n) == words]) for words in stages]
+    rows.append(_cost("Together", costs))
+    reused = sum(cost.reused for cost in costs)
+    caption = "Seconds, without the writing of files and of this page"
+    if reused:
+        caption += f"; {plural(reused, 'result')} taken from an earlier run, with what they cost then"
+    table = Table(caption, ("Stage", "Clock", "All processors"), tuple(rows), strong=frozenset({len(rows) - 1}))
+    return [Details(f"Time: {rows[-1][1]} s on the clock", (table,))]
+
+
+def _stage(name: str) -> str:
+    return next((words for start, words in STAGES if name.startswith(start)), clean(name))
+
+
+def _cost(words: str, costs: Sequence[StageTime]) -> tuple[str, str, str]:
+    return words, number(sum(cost.seconds for cost in costs)), number(sum(cost.cpu_seconds for cost in costs))
 
 
 def _parameters(outcome: Outcome) -> Table:

@@ -9,14 +9,17 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from torch import Tensor
 
+from torchid.geometry.tracking import modelled
 from torchid.outcome import Outcome
-from torchid.outcome.tables import marker_errors
+from torchid.outcome.tables import largest, marker_errors
 from torchid.report.blocks import Figure, Section, Table
-from torchid.report.facts import judges, marker_rms, rms
+from torchid.report.facts import judges, marker_rms
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.report.posture import facing, stick_points, tips
 from torchid.report.text import ABSENT, change, clean, listing, number, segment
 
+PIECE = 1 << 15
+"""Frames whose errors are looked at together."""
 NAMED = 3
 """Worst markers that are named in the drawing and in the text."""
 
@@ -68,7 +71,7 @@ def chosen_frame(outcome: Outcome) -> tuple[str, int]:
     error = outcome.followed[name].tracked.error
     seen = torch.isfinite(error).sum(dim=1)
     frames = (seen == seen.max()).nonzero()[:, 0]
-    level = error[frames].square().nanmean(dim=1)
+    level = torch.cat([error[some].square().nanmean(dim=1) for some in frames.split(PIECE)])
     return name, int(frames[torch.nan_to_num(level).argsort()[len(level) // 2]])
 
 
@@ -79,10 +82,11 @@ def _draw_skeleton(outcome: Outcome, trial: str, frame: int) -> Markup:
     q = outcome.followed_scaled[trial].tracked.q[frame]
     _, dashed = stick_points(outcome.scaled.model, outcome.scaled.geometry, q, tip)
     labels = outcome.fit.attachment.labels
-    measured = outcome.session.trials[trial].markers.select(labels).position[frame]
+    measured = outcome.session.trials[trial].markers.frames(slice(frame, frame + 1)).select(labels).position[0]
+    placed = modelled(outcome.fit, tracked.q[frame : frame + 1])[0]
     axes, origin = facing(X_WB[0, :3, :3]), X_WB[0, :3, 3] * X_WB.new_tensor([1.0, 1.0, 0.0])
     turn = lambda points: (points - origin) @ axes.T  # noqa: E731
-    points = turn(measured), turn(tracked.p_WM[frame])
+    points = turn(measured), turn(placed)
     worst = torch.nan_to_num(tracked.error[frame]).argsort(descending=True)[:NAMED].tolist()
 
     def paint(canvas: Canvas) -> None:
@@ -167,8 +171,8 @@ def _segment_table(outcome: Outcome) -> Table:
         if not len(columns):
             continue
         identified, scaled = marker_rms(outcome, judge.names, columns)
-        error = torch.cat([outcome.followed[n].tracked.error[:, columns].reshape(-1) for n in judge.names])
-        most = 1e3 * float(error.nan_to_num(0.0).max()) if math.isfinite(rms(error)) else math.nan
+        errors = (outcome.followed[n].tracked.error[:, columns] for n in judge.names)
+        most = 1e3 * largest(*errors) if math.isfinite(identified) else math.nan
         rows.append((segment(name), str(len(columns)), number(identified), number(scaled), number(most, 0)))
     head = ("Segment", "Markers", "Identified, RMS [mm]", "Scaled, RMS [mm]", "Identified, largest [mm]")
     return Table(f"Marker distance per segment, {judge.words}", head, tuple(rows))

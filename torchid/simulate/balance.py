@@ -70,7 +70,7 @@ def balance(subject: SimulatedSubject, script: Script, rate: float) -> Moving:
     """Solve for pelvis and legs."""
     wanted = wanted_pressure(subject, script)
     exact, calm = Smoother(rate, rate), Smoother(CUTOFF, rate)
-    place = _pendulum(wanted, rate)
+    place = pendulum(wanted, rate)
     legs = None
     for k in range(ITERATIONS):
         q, legs = stand(subject, script, place, legs)
@@ -81,15 +81,18 @@ def balance(subject: SimulatedSubject, script: Script, rate: float) -> Moving:
         miss = float(error[inner].norm(dim=1).max())
         if miss < ENOUGH or miss > LOST or k == ITERATIONS - 1:
             break
-        place = place - calm(_pendulum(error, rate)) / GAIN
+        place = place - calm(pendulum(error, rate)) / GAIN
     return Moving(motion, wrench, miss)
 
 
-def _pendulum(e: Float[Tensor, "frames 2"], rate: float, height: float = 1.05) -> Float[Tensor, "frames 2"]:
-    """Bounded solution of s - h/g s'' = e, at rest at the ends."""
+def pendulum(
+    e: Float[Tensor, "frames 2"], rate: float, support: Float[Tensor, " frames"] | None = None, height: float = 1.05
+) -> Float[Tensor, "frames 2"]:
+    """Bounded solution of s - h/g s'' = e, at rest at the ends; of ``support`` s - h/g s'' = e where that is given."""
     n, k = len(e), height / GRAVITY * rate**2
     bands = np.zeros((3, n))
     bands[0, 1:], bands[2, :-1] = -k, -k
-    bands[1] = 1.0 + 2.0 * k
-    bands[1, 0] = bands[1, -1] = 1.0 + k
+    bands[1] = 2.0 * k
+    bands[1, 0] = bands[1, -1] = k
+    bands[1] += 1.0 if support is None else support.cpu().numpy()
     return torch.as_tensor(scipy.linalg.solve_banded((1, 1), bands, e.cpu().numpy()), dtype=e.dtype, device=e.device)

@@ -15,6 +15,8 @@ from torchid.simulate.subject import SimulatedSubject
 
 LENGTH, WIDTH, GAP = 0.60, 0.45, 0.005
 """Size of a plate along x and y, and the slit between two [m]."""
+WEIGHTLESS = 1e-6
+"""Vertical force that has no centre of pressure [N]."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ def share_load(
     point = torch.stack([bearing_point(path, subject.sole) for path in script.feet], 1)
     point[:, :, 2] = 0.0
     missed = centre_of_pressure(wrench) - (share * point).sum(1)[:, :2]
+    missed[wrench[:, 2].abs() < WEIGHTLESS] = 0.0
     point[:, :, :2] += missed[:, None]
     force = share * wrench[:, None, :3]
     apart = torch.nn.functional.normalize(point[:, 0] - point[:, 1], dim=1)

@@ -152,5 +152,5 @@ def _leg_step(plan: Plan, at: Poses, goal: Goal) -> Float[Tensor, "frames 6"]:
 
 def _foot_error(at: Poses, foot: int, R: Tensor, p: Tensor) -> Float[Tensor, "frames 6"]:
     """Shift and rotation vector in W from the foot to where it should be."""
-    now = torch.stack([column[foot].T for column in at.R], 2)
+    now = at.R[foot].permute(2, 1, 0)
     return torch.cat([p - at.p[foot].T, roma.rotmat_to_rotvec(R @ now.mT)], 1)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchid.errors import ConfigError
 from torchid.model.skeleton import SIDES
+from torchid.simulate.flight import COUNTERMOVEMENT, leap_height
 from torchid.simulate.script import (
     LEFT,
     RIGHT,
@@ -54,6 +55,8 @@ FREE_LEG: dict[str, Range] = {
 }  # fmt: skip
 SHORT = 0.7
 """Effort below which walks take short steps."""
+TIMID = 0.55
+"""Effort below which jumps get no lower: legs that hardly bend reach their ends before they leave the floor."""
 Maker = Callable[[np.random.Generator, SimulatedSubject, Tensor, float, float], Script]
 
 
@@ -185,6 +188,32 @@ def walk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, dura
     return _script(rng, subject, time, _join(QUIET, SWING), drop, tilt=0.04, steps=steps, stance=stance)
 
 
+def jump(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, duration: float, effort: float) -> Script:
+    """Countermovement jumps on the spot, arms swinging along, landings on the balls of the feet."""
+    stance, steps, height = random_stance(rng, subject), [], torch.zeros_like(time)
+    leans, swings, t = [(-1e3, 0.0)], [(-1e3, 0.0)], float(rng.uniform(0.1, 0.4))
+    effort = max(effort, TIMID)
+    long, _, deep, _ = moments = [(0.5 + 0.5 * effort) * x for x in COUNTERMOVEMENT]
+    while not steps or t + 2.0 * long + 0.3 < duration:
+        t0, T = t + long, float(rng.uniform(0.23, 0.28)) * (0.4 + 0.6 * effort)
+        t1 = t0 + T
+        steps += [
+            Step(k, t0, T, stance.place(k), lift=0.3 * T, leave=0.45, land=0.4, leave_s=0.16, land_s=0.16, roll=0.0)
+            for k in (LEFT, RIGHT)
+        ]
+        height = height + leap_height(time, t0, t1, moments)
+        # Shanks that cannot tilt far over their feet need a trunk that leans further.
+        lean = float(rng.uniform(0.38, 0.50)) + 0.4 * (1.0 - effort)
+        leans += [(t, 0.0), (t0 - deep - 0.04, lean), (t0, 0.0), (t1, 0.0), (t1 + deep, 0.8 * lean), (t1 + long, 0.0)]
+        swings += [(t, 0.0), (t0 - 0.32, -30.0), (t0, 60.0), (t1 + 0.1, 30.0), (t1 + long, 0.0)]
+        t = t1 + long + float(rng.uniform(0.05, 0.5))
+    lean, swing = passages(time, leans), passages(time, swings)
+    drop = torch.full_like(time, 0.02 * _leg_length(subject))
+    script = _script(rng, subject, time, QUIET, drop, tilt=0.02, lean=lean, steps=steps, stance=stance)
+    _add(script, subject, {"shoulder_flexion": (swing, swing)})
+    return replace(script, share=wander(rng, time, 0.46, 0.54, (0.1, 0.4)), rise=height)
+
+
 MOTIONS: Mapping[str, Maker] = {
     "static": static,
     "squats": squats,
@@ -193,6 +222,7 @@ MOTIONS: Mapping[str, Maker] = {
     "hip_rom": hip_rom,
     "sway_steps": sway_steps,
     "walk": walk,
+    "jump": jump,
 }
 
 

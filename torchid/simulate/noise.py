@@ -79,7 +79,7 @@ def skin_cues(subject: SimulatedSubject, motion: Motion) -> dict[str, Float[Tens
         place = state.plan.position[k]
         below = [child for child in tree.bodies if child.parent == k]
         rows = [[t.row for t in b.turns if t.moving] for b in (body, *below[:1])]
-        R = torch.stack([column[place].T for column in state.at.R], 2)
+        R = state.at.R[place].permute(2, 1, 0)
         own = (R.mT @ state.motion.a[place].T[:, :, None])[:, :, 0] / GRAVITY
         angles = [torch.sin(_padded(motion.q, row)) for row in rows]
         angles += [torch.zeros_like(angles[0])] * (2 - len(angles))

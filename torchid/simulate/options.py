@@ -1,8 +1,10 @@
 """What a synthetic session holds and how badly it is measured."""
 
 from dataclasses import dataclass
+from typing import Literal
 
-from torchid.errors import ConfigError
+from torchid.bounds import Name, Positive
+from torchid.errors import OptionError
 
 ANALOG_RATIO = 10
 """Samples of the plates per frame of the markers."""
@@ -12,9 +14,9 @@ ANALOG_RATIO = 10
 class SimulateOptions:
     """A synthetic session; the defaults make seven short trials."""
 
-    fit: tuple[str, ...] = ("squats", "hip_rom", "arms", "trunk")
+    fit: tuple[Name, ...] = ("squats", "hip_rom", "arms", "trunk")
     """Motions of the fit trials; one named twice is drawn twice."""
-    heldout: tuple[str, ...] = ("sway_steps", "walk")
+    heldout: tuple[Name, ...] = ("sway_steps", "walk")
     """Motions of the held-out trials. A ``static`` trial of 3 s is always there."""
     duration_s: float = 10.0
     rate_hz: float = 100.0
@@ -30,9 +32,9 @@ class SimulateOptions:
     """Shift of a thigh marker where a neighbouring joint has turned by one radian; other segments in proportion."""
     gap_fraction: float = 0.0
     """Share of marker samples lost in bursts."""
-    mass_kg: float | None = None
-    height_m: float | None = None
-    sex: str | None = None
+    mass_kg: Positive | None = None
+    height_m: Positive | None = None
+    sex: Literal["male", "female"] | None = None
     """None: drawn."""
     scatter: float = 1.0
     """How far geometry, markers and inertia are drawn from their priors' means, in prior standard deviations."""
@@ -50,7 +52,7 @@ class SimulateOptions:
         )
         for key, good, remedy in checks:
             if not good:
-                raise ConfigError(
-                    f"simulate.{key}", "cannot be simulated", place=f"simulate.{key}", found=str(getattr(self, key)),
+                raise OptionError(
+                    f"simulate.{key}", "cannot be simulated", place=key, found=str(getattr(self, key)),
                     remedy=f"Give {remedy}",
                 )  # fmt: skip

@@ -21,9 +21,6 @@ TRANSFER = 0.30
 PASS = 0.20
 """Time over which the bearing point moves along the sole [s]."""
 
-ROLL_IN_AIR = 0.22
-"""A swinging foot follows its leg, which leans outwards from a pelvis above the other foot [rad]."""
-
 
 @dataclass(frozen=True)
 class Step:
@@ -46,6 +43,8 @@ class Step:
     """Time for which the foot pivots on its ball before it leaves the floor [s]."""
     land_s: float = 0.22
     """Time for which it pivots on ball or heel after landing [s]."""
+    roll: float = 0.22
+    """A swinging foot follows its leg, which leans outwards from a pelvis above the other foot [rad]."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +82,8 @@ class Script:
     """Part of the force that the left foot carries."""
     squeeze: Float[Tensor, " frames"]
     """Feet pressing apart along the line between them while both stand, part of the weight."""
+    rise: Float[Tensor, " frames"] | None = None
+    """Height of the centre of mass over where it starts [m], in motions that leave the floor: it overrules ``drop``."""
     reach: float = 0.990
     """How far the longer-stretched leg may be straightened, part of its length."""
 
@@ -150,7 +151,7 @@ def _add_step(keys: dict[str, list[tuple[float, float]]], step: Step, sole: Sole
     keys["z"] += [(t0, 0.0), (t0 + rise, step.lift), (t1 - rise, step.lift), (t1, 0.0)]
     if step.free:
         keys["free"] += [(t0 + 0.6 * rise, 0.0), (t0 + 2.0 * rise, 1.0), (t1 - 2.0 * rise, 1.0), (t1 - 0.6 * rise, 0.0)]
-    tilt = ROLL_IN_AIR if step.side == LEFT else -ROLL_IN_AIR
+    tilt = step.roll if step.side == LEFT else -step.roll
     ease = min(0.4 * T, 0.5)
     keys["roll"] += [(t0, 0.0), (t0 + ease, tilt), (t1 - ease, tilt), (t1, 0.0)]
     if step.leave or step.land:

@@ -18,7 +18,8 @@ from torchid.model.skeleton import SIDES
 from torchid.motion.motion import Motion
 from torchid.recording import Forces, Markers, Trial
 from torchid.simulate.balance import Moving, balance
-from torchid.simulate.ground import FootLoad, clearance, force_plates, plate_wrenches, share_load
+from torchid.simulate.flight import leap
+from torchid.simulate.ground import WEIGHTLESS, FootLoad, clearance, force_plates, plate_wrenches, share_load
 from torchid.simulate.motions import make_script
 from torchid.simulate.noise import lose_markers, noisy_markers, noisy_plates, skin_shift
 from torchid.simulate.options import ANALOG_RATIO, SimulateOptions
@@ -138,7 +139,7 @@ def _possible(
     for attempt in range(ATTEMPTS):
         effort, rng = 1.0 - 0.07 * attempt, np.random.default_rng((*key, 1, attempt))
         script = make_script(motion, rng, subject, time, duration, effort)
-        moving = balance(subject, script, rate)
+        moving = balance(subject, script, rate) if script.rise is None else leap(subject, script, rate)
         beyond = ((moving.motion.q < low) | (moving.motion.q > high)).any(0)
         low_sole = float(lowest_sole(subject, moving.motion).min())
         if moving.miss <= MISS and not bool(beyond.any()) and low_sole > -SINK:
@@ -153,10 +154,13 @@ def _possible(
 
 
 def _upsample(time: Tensor, wrench: Float[Tensor, "frames plates 6"], rate: float, frames: int) -> Tensor:
-    """Quintic spline through the wrenches at the plates' rate, from time zero on."""
+    """Quintic spline through the wrenches at the plates' rate, from time zero on; zero where all about it are."""
     spline = scipy.interpolate.make_interp_spline(time.numpy(), wrench.flatten(1).numpy(), k=5)
     fine = spline(np.arange(frames * ANALOG_RATIO) / (rate * ANALOG_RATIO))
-    return torch.as_tensor(fine).reshape(-1, *wrench.shape[1:])
+    fine = torch.as_tensor(fine).reshape(-1, *wrench.shape[1:])
+    empty = wrench.abs().amax((1, 2)) < WEIGHTLESS
+    between = (empty & empty.roll(-1))[round(-float(time[0]) * rate) :][:frames]
+    return torch.where(between.repeat_interleave(ANALOG_RATIO)[:, None, None], 0.0, fine)
 
 
 def _cut_motion(motion: Motion, cut: slice) -> Motion:
@@ -169,7 +173,7 @@ def lowest_sole(subject: SimulatedSubject, motion: Motion) -> Float[Tensor, " fr
     tree, plan = subject.model.tree, plan_tree(subject.model.tree)
     at = poses(plan, motion.q.T.contiguous(), subject.geometry)
     feet = [plan.position[tree.index(f"foot_{side}")] for side in SIDES]
-    R = [torch.stack([column[k].T for column in at.R], 2) for k in feet]
+    R = [at.R[k].permute(2, 1, 0) for k in feet]
     return clearance(subject, R, [at.p[k].T for k in feet])
 
 
@@ -182,7 +186,7 @@ def _markers(subject: SimulatedSubject, motion: Motion, options: SimulateOptions
     p = points(at, body, subject.p_BM_B).permute(2, 0, 1)
     if options.skin_motion_mm > 0.0:
         shift = skin_shift(subject, motion, 1e-3 * options.skin_motion_mm)
-        p = p + sum(at.R[a][body].permute(2, 0, 1) * shift[:, :, a : a + 1] for a in range(3))
+        p = p + torch.einsum("mait,tma->tmi", at.R[body], shift)
     return p.contiguous()
 
 

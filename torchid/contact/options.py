@@ -1,0 +1,23 @@
+"""Options of the contact stage."""
+
+from dataclasses import dataclass
+
+from torchid.bounds import NonNegative, Positive
+
+
+@dataclass(frozen=True)
+class ContactOptions:
+    """What counts as standing, and as standing on a plate."""
+
+    height_m: Positive = 0.03
+    """A point of the sole touches within this height of the lowest it gets."""
+    speed_m_s: Positive = 0.4
+    """And below this speed."""
+    loaded_n: Positive = 20.0
+    """A plate is loaded above this vertical force."""
+    margin_m: NonNegative = 0.03
+    """A foot may stand over the edge of a plate by this much."""
+    reach_m: Positive = 0.10
+    """A centre of pressure belongs to a foot within this distance of its sole's axis."""
+    shortest_s: NonNegative = 0.06
+    """Shorter absences of a plate's reading are the plate's threshold, not a missing plate."""

@@ -1,0 +1,80 @@
+"""Markers of a trial followed by the model at fixed geometry, held-out trials too."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.geometry.bridge import bridge_gaps
+from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.trials import posture_prior, settled, trial_problem
+from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.recursion import points, poses
+from torchid.recording import Markers
+
+PIECE = 8192
+"""Frames followed at a time: the work on all frames of an hour at once would fill 4 GB."""
+BESIDE = 256
+"""Frames on either side that are followed with a piece, so that gaps and lost limbs find their neighbours."""
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Markers followed by the model at fixed geometry."""
+
+    time: Float[Tensor, " frames"]
+    q: Float[Tensor, "frames dofs"]
+    error: Float[Tensor, "frames markers"]
+    """Distance between measured and modelled marker, NaN where missing [m]."""
+    observable: Bool[Tensor, " frames"]
+    """The markers of the frame determine every coordinate."""
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square of the distances [m]."""
+        return float(self.error[torch.isfinite(self.error)].square().mean().sqrt())
+
+
+def track(fit: GeometryFit, markers: Markers, bridge: bool | None = None) -> Tracked:
+    """Follow the markers of a trial at the fit's geometry (held-out trials too)."""
+    frames, wanted = len(markers.time), fit.options.temporal if bridge is None else bridge
+    q = fit.xi.new_empty(frames, len(fit.model.tree.dofs))
+    error = fit.xi.new_empty(frames, len(fit.attachment.labels))
+    observable = torch.empty(frames, dtype=torch.bool, device=fit.xi.device)
+    for start in range(0, frames, PIECE):
+        first, stop = max(0, start - BESIDE), min(frames, start + PIECE)
+        found = _track(fit, markers.frames(slice(first, min(frames, stop + BESIDE))), wanted)
+        inner = slice(start - first, stop - first)
+        for whole, part in zip((q, error, observable), found, strict=True):
+            whole[start:stop] = part[inner]
+    return Tracked(markers.time, q, error, observable)
+
+
+def _track(fit: GeometryFit, markers: Markers, bridge: bool) -> tuple[Tensor, Tensor, Tensor]:
+    problem = trial_problem(fit, markers, posture_prior(fit))
+    q = settled(fit, problem)
+    if bridge and not bool((problem.weight > 0).all()):
+        q = bridge_gaps(problem, q, fit.xi)
+    _, _, residual = problem.residual(q, fit.xi)
+    error = torch.where(problem.weight > 0, residual.norm(dim=1), torch.nan)
+    return q.T, error.T, _observable(problem)
+
+
+def modelled(fit: GeometryFit, q: Float[Tensor, "frames dofs"]) -> Float[Tensor, "frames markers 3"]:
+    """p_WM_W of the fit's markers at these coordinates [m]."""
+    plan = plan_tree(fit.model.tree)
+    body = torch.tensor(plan.position, device=q.device)[fit.attachment.body]
+    at = poses(plan, q.T.contiguous(), fit.geometry)
+    return points(at, body, fit.place).permute(2, 0, 1)
+
+
+def _observable(problem: MarkerProblem) -> Bool[Tensor, " frames"]:
+    """Frames in which every body that carries markers shows three, or all it has."""
+    seen = (problem.weight > 0).to(torch.float64)
+    ok = torch.ones(seen.shape[1], dtype=torch.bool, device=seen.device)
+    for body in problem.body.unique():
+        of = problem.body == body
+        ok &= seen[of].sum(0) >= min(3, int(of.sum()))
+    return ok
