@@ -25,6 +25,8 @@ from torchid.model.tree import Tree
 
 CHUNK = 512
 """Frames per batch; fixed, since sums of other sizes differ in the last digit."""
+BLOCKS = 4
+"""Of columns in a Gram matrix, whose upper half is the lower one's mirror: more of them make the products too thin."""
 
 
 class BodyRows(NamedTuple):
@@ -142,10 +144,20 @@ def base_gram(
     gram, rhs = wrench.new_zeros(bodies, 10, bodies, 10), wrench.new_zeros(bodies, 10)
     for columns, side in ((rows.moment, wrench[3:]), (rows.force, wrench[:3])):
         own, flat = columns.shape[1], columns.reshape(columns.shape[0] * columns.shape[1], -1)
-        gram[:, :own, :, :own] += (flat @ flat.T).view(bodies, own, bodies, own)
+        gram[:, :own, :, :own] += _self_product(flat).view(bodies, own, bodies, own)
         rhs[:, :own] += (flat @ side.reshape(-1)).view(bodies, own)
     ordered = gram[position][:, :, position]
     return ordered.reshape(10 * bodies, -1), rhs[position].reshape(-1)
+
+
+def _self_product(rows: Tensor) -> Tensor:
+    """rows rows', of which only the lower triangle of a grid of blocks is worked out."""
+    out, step = rows.new_empty(len(rows), len(rows)), -(-len(rows) // BLOCKS)
+    for start in range(0, len(rows), step):
+        stop = start + step
+        out[start:, start:stop] = rows[start:] @ rows[start:stop].T
+        out[start:stop, stop:] = out[stop:, start:stop].T
+    return out
 
 
 def body_wrenches(plan: Plan, rows: BodyRows, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "bodies 6 frames"]:

@@ -1,6 +1,7 @@
 """Base regressor and normal equations against Pinocchio's full regressor in a Python loop."""
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -11,58 +12,84 @@ from torch import Tensor
 from benchmarks.subject import by_turns
 from torchid.conventions import GRAVITY
 from torchid.dynamics import BodyRows, base_gram, base_rows, body_rows, dynamic_state, walk
-from torchid.kinematics.plan import plan_tree
-from torchid.kinematics.tables import make_joints
+from torchid.kinematics.plan import Plan, plan_tree
+from torchid.kinematics.tables import Joints, make_joints
 from torchid.model.model import Geometry, Model
 from torchid.model.tree import Tree
 from torchid.model.whole_body import whole_body
 
-CHUNK, LOOP = 1024, 200
+CHUNK, FUSED, LOOP = 1024, 512, 200
+"""Frames per call: eager, compiled (whose intermediates are few), and of Pinocchio's loop."""
+STREAM = 8
+"""Calls in a row: a recording is a stream of chunks."""
 JOINTS = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
 
 
 def bench_regressor(rounds: int, compiled: bool) -> dict[str, object]:
     """Microseconds per frame of both, kinematics included, and the largest difference of any entry."""
     model = whole_body(1.75, 70.0, "male")
-    tree, geometry = model.tree, _straight(model)
+    tree, geometry, plan = model.tree, _straight(model), plan_tree(model.tree)
     q, v, a = _motion(tree, CHUNK, np.random.default_rng(1))
     twin, joints = composite_twin(tree, geometry)
     data, states = twin.createData(), [_state(twin, tree, joints, q[:, t], v[:, t], a[:, t]) for t in range(LOOP)]
+    short = [x[:, :FUSED].contiguous() for x in (q, v, a)]
+    fused = fused_rows(plan, make_joints(plan, geometry)) if compiled else None
 
-    def eager() -> BodyRows:
+    def eager(q: Tensor, v: Tensor, a: Tensor) -> BodyRows:
         return body_rows(dynamic_state(tree, geometry, q, v, a))
 
     def peer() -> None:
         for state in states:
             pin.computeJointTorqueRegressor(twin, data, *state)
 
-    runs = {"pinocchio": peer, "eager": eager, "eager_scattered": lambda: base_rows(plan_tree(tree), eager())}
-    if compiled:
-        plan = plan_tree(tree)
-        axes = make_joints(plan, geometry)
-        fused = torch.compile(lambda q, v, a: body_rows(walk(plan, axes, q, v, a)), dynamic=False, fullgraph=True)
-        fused(q, v, a)
-        runs["compiled"] = lambda: fused(q, v, a)
-    times = by_turns(runs, rounds)
-    out: dict[str, object] = {f"{k}_us": t / (LOOP if k == "pinocchio" else CHUNK) * 1e6 for k, t in times.items()}
-    Y = base_rows(plan_tree(tree), eager())
+    def stream(call: Callable[[], object], calls: int) -> Callable[[], object]:
+        return lambda: [call() for _ in range(calls)]
+
+    runs = {
+        "pinocchio": peer,
+        "eager": stream(lambda: eager(q, v, a), STREAM),
+        "eager_scattered": stream(lambda: base_rows(plan, eager(q, v, a)), STREAM),
+    }
+    frames = {"pinocchio": LOOP, "eager": STREAM * CHUNK, "eager_scattered": STREAM * CHUNK, "compiled": STREAM * FUSED}
+    if fused:
+        fused(*short)
+        runs["compiled"] = stream(lambda: fused(*short), STREAM)
+    out: dict[str, object] = {f"{k}_us": t / frames[k] * 1e6 for k, t in by_turns(runs, rounds).items()}
+    Y = base_rows(plan, eager(q, v, a))
     out["difference"] = max(_difference(twin, data, tree, joints, state, Y[:, :, t]) for t, state in enumerate(states))
-    return out | _normal_equations(tree, geometry, rounds)
+    out["normal_equations_100k_s"] = _normal_equations(plan, eager, CHUNK, rounds)
+    if fused:
+        out["normal_equations_100k_compiled_s"] = _normal_equations(plan, fused, FUSED, rounds)
+        out["compiled_difference"] = _relative(base_rows(plan, fused(*short)), Y[:, :, :FUSED])
+    return out
 
 
-def _normal_equations(tree: Tree, geometry: Geometry, rounds: int) -> dict[str, object]:
-    frames, plan = 100_000, plan_tree(tree)
-    q, v, a = (x.repeat(1, -(-frames // CHUNK))[:, :frames] for x in _motion(tree, CHUNK, np.random.default_rng(2)))
-    wrench = torch.zeros(6, frames, dtype=q.dtype)
+def fused_rows(plan: Plan, axes: Joints) -> Callable[[Tensor, Tensor, Tensor], BodyRows]:
+    """The base rows of a fixed number of frames, fused by the compiler."""
+    return torch.compile(lambda q, v, a: body_rows(walk(plan, axes, q, v, a)), dynamic=False, fullgraph=True)
+
+
+def _relative(a: Tensor, b: Tensor) -> float:
+    return float((a - b).abs().max() / b.abs().max())
+
+
+def _normal_equations(plan: Plan, rows: Callable[..., BodyRows], chunk: int, rounds: int) -> float:
+    """CPU seconds from the motion of 100 000 frames to the sums; the last chunk is cut behind the last frame."""
+    frames, tree = 100_000, plan.tree
+    padded = -(-frames // chunk) * chunk
+    q, v, a = (x.repeat(1, -(-padded // CHUNK))[:, :padded] for x in _motion(tree, CHUNK, np.random.default_rng(2)))
+    wrench = torch.zeros(6, padded, dtype=q.dtype)
     spent = []
     for _ in range(rounds):
         start, gram = time.process_time(), 0.0
-        for first in range(0, frames, CHUNK):
-            part = slice(first, first + CHUNK)
-            state = dynamic_state(tree, geometry, q[:, part], v[:, part], a[:, part])
-            gram = gram + base_gram(plan, body_rows(state), wrench[:, part])[0]
+        for first in range(0, padded, chunk):
+            part = slice(first, first + chunk)
+            found = rows(*(x[:, part].contiguous() for x in (q, v, a)))
+            if first + chunk > frames:
+                found = BodyRows(*(x[..., : frames - first].contiguous() for x in found))
+            gram = gram + base_gram(plan, found, wrench[:, first : min(frames, first + chunk)])[0]
         spent.append(time.process_time() - start)
-    return {"normal_equations_100k_s": sorted(spent)[len(spent) // 2]}
+    return sorted(spent)[len(spent) // 2]
 
 
 def _straight(model: Model) -> Geometry:

@@ -81,6 +81,7 @@ def _rows(fit: dict, ik: dict, regressor: dict, inertia: dict, memory: float) ->
         ),
         ("  largest difference", regressor["difference"], "", "<= 1e-12"),
         ("100 000 frames to normal equations", regressor["normal_equations_100k_s"], "s", "<= 0.9"),
+        ("  compiled", regressor.get("normal_equations_100k_compiled_s"), "s", "<= 0.9"),
         ("inertial solve, 1 000 frames", inertia["few_ms"], "ms", "<= 40"),
         ("inertial solve, 20 000 frames", inertia["many_ms"], "ms", "<= 40"),
         ("  relative gap", inertia["gap"], "", "<= 1e-8"),
