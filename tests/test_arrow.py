@@ -1,5 +1,7 @@
 """The arrow solver and inverse kinematics: same optimum as scipy, from many frames, independent of the batch."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -93,6 +95,17 @@ def test_between_meets_its_frames_and_follows_rotations_through_pi(seed: int) ->
     assert_close(found[6, inner], truth[6, inner], rtol=0, atol=1e-4)
     difference = retract(truth, torch.zeros_like(truth))[3:6, inner]
     assert_close(rotvec_to_rotmat(found[3:6, inner].T), rotvec_to_rotmat(difference.T), rtol=0, atol=1e-6)
+
+
+def test_frames_that_hardly_show_a_pose_are_solved_too(seed: int) -> None:
+    """Most markers missing and the rest weighed a million times the priors: every frame ends no worse than it began."""
+    problem, q, xi = random_problem(np.random.default_rng(seed), frames=400, bodies=9)
+    problem = replace(problem, weight=1e4 * problem.weight * (torch.rand(problem.weight.shape) > 0.85))
+    start = q + 0.5 * torch.randn_like(q)
+    solved, cost = solve_poses(problem, start, xi)
+    assert bool(torch.isfinite(solved).all())
+    assert bool((cost <= problem.frame_cost(start, xi)).all())
+    assert_close(cost, problem.frame_cost(solved, xi), rtol=1e-9, atol=1e-9)
 
 
 def test_empty_and_single_frames(seed: int) -> None:

@@ -84,7 +84,7 @@ def solve_arrow(
     part = coarse_problem(problem, few)
     rough = Solution(q[:, few], xi, _cost(part, q[:, few], xi), 0, False, ())
     rough = _descend(part, rough, DAMPING, iterations, tolerance, None, STEP, SCATTER * len(xi))
-    q_better, _ = better_start(problem, q, between(rough.q, few, q.shape[1]), rough.xi)
+    q_better = better_start(problem, q, between(rough.q, few, q.shape[1]), rough.xi)
     # A few frames astray cost the joint descent three to five of its steps; alone they are soon home.
     q_better, cost = solve_poses(problem, q_better, rough.xi, ALONE, COARSE)
     better = Solution(q_better, rough.xi, float(cost.sum()) + problem.xi_cost(rough.xi), rough.iterations, False, ())
@@ -103,9 +103,10 @@ def _twice(
 ) -> Solution:
     """Steps in single precision as long as they help much, then in the problem's."""
     near = _descend(problem, start, first_damping, iterations, max(tolerance, SINGLE), progress, STEP)
-    if tolerance >= SINGLE:
+    left = iterations - (near.iterations - start.iterations)
+    if tolerance >= SINGLE or left <= 0:
         return near
-    return _descend(problem, near, FINE, iterations, tolerance, progress, near.q.dtype)
+    return _descend(problem, near, FINE, left, tolerance, progress, near.q.dtype)
 
 
 def _cost(problem: MarkerProblem, q: Tensor, xi: Tensor) -> float:

@@ -60,15 +60,12 @@ def _change(before: Tensor, after: Tensor) -> Tensor:
     return change
 
 
-def better_start(
-    problem: MarkerProblem, q: Tensor, other: Tensor, xi: Tensor, chunk: int = 1024
-) -> tuple[Tensor, Tensor]:
-    """Of two starts the one with the smaller cost, frame by frame, and that cost."""
-    picked, cost = torch.empty_like(q), q.new_empty(q.shape[1])
+def better_start(problem: MarkerProblem, q: Tensor, other: Tensor, xi: Tensor, chunk: int = 1024) -> Tensor:
+    """Of two starts the one with the smaller cost, frame by frame."""
+    picked = torch.empty_like(q)
     for start in range(0, q.shape[1], chunk):
         part = slice(start, start + chunk)
         piece = problem.frames(part)
         first, second = piece.frame_cost(q[:, part], xi), piece.frame_cost(other[:, part], xi)
         picked[:, part] = torch.where(second < first, other[:, part], q[:, part])
-        cost[part] = torch.minimum(first, second)
-    return picked, cost
+    return picked

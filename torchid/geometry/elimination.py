@@ -13,6 +13,9 @@ from torch import Tensor
 from torchid.geometry.blocks import Pieces
 from torchid.geometry.branches import Group, Partition, pick
 
+ROUNDING = (1e-3, 0.1, 10.0)
+"""Damping, relative to the diagonal, of a block that rounding has made indefinite; one after the other."""
+
 
 @dataclass(frozen=True)
 class Eliminated:
@@ -45,11 +48,11 @@ def eliminate(partition: Partition, pieces: Pieces, damping: Tensor) -> Eliminat
     n, kept, diagonals = core.size, [], []
     for group in partition.branches:
         own, diagonal = _rows(group, pieces, floor, damping)
-        L, V = _factorise(own, group.size)
+        L, V = _factorise(own, group.size, diagonal)
         kept.append((L, V))
         diagonals.append(diagonal)
         _subtract(system, torch.bmm(V[:, :, :n].mT, V), group, partition.common, n)
-    kept.append(_factorise(system, n))
+    kept.append(_factorise(system, n, weight))
     return Eliminated(
         [L for L, _ in kept],
         [V for _, V in kept],
@@ -79,8 +82,14 @@ def _rows(group: Group, pieces: Pieces, floor: Tensor, damping: Tensor) -> tuple
     return torch.cat([H[:, :, : start + len(group.xi)], g[:, :, None]], dim=2), scale
 
 
-def _factorise(rows: Tensor, n: int) -> tuple[Tensor, Tensor]:
+def _factorise(rows: Tensor, n: int, scale: Tensor) -> tuple[Tensor, Tensor]:
     L, info = torch.linalg.cholesky_ex(rows[:, :, :n])
+    for more in ROUNDING:
+        if not info.any():
+            break
+        # Single precision in a frame that hardly determines its pose: damped more, it takes a shorter step downhill.
+        torch.diagonal(rows[:, :, :n], dim1=1, dim2=2).add_(torch.where(info > 0, more, 0.0)[:, None] * scale)
+        L, info = torch.linalg.cholesky_ex(rows[:, :, :n])
     assert not info.any(), "a Gauss-Newton block is positive semidefinite by construction"
     # From the right on the transpose: what is row-major here is then column-major there, and nothing is copied.
     return L, torch.linalg.solve_triangular(L.mT, rows[:, :, n:].mT, upper=True, left=False).mT

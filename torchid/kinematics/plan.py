@@ -7,7 +7,7 @@ remainder that most joints lack. First turns of all bodies, second turns and so 
 A ``Plan`` is made once per tree; it holds plain Python and no tensors.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 from torchid.model.tree import BASE_DOFS, Body, Rotation, Tree
@@ -145,8 +145,7 @@ def _level(tree: Tree, order: tuple[int, ...], d: int, depth: list[int]) -> Leve
 
 
 def _linked(column: Column, place: dict[tuple[int, int], int]) -> Column:
-    before = place.get((column.body, column.slot - 1), -1)
-    return Column(column.row, column.body, column.axis, column.sign, column.tilts, column.slot, before, column.slide)
+    return replace(column, before=place.get((column.body, column.slot - 1), -1))
 
 
 class _Joint:
