@@ -111,7 +111,9 @@ def test_cosine_rows_are_orthonormal(frames, kept):
 
 def coloured(count: int, params: int) -> tuple[list[Spectrum], torch.Tensor, torch.Tensor]:
     """Blocks whose six channels have another covariance in every band; also the parameters and those covariances."""
-    root = 0.2 * torch.randn(len(EDGES) + 1, 6, 6, dtype=torch.float64) + torch.eye(6, dtype=torch.float64)
+    U, _, Vh = torch.linalg.svd(torch.randn(len(EDGES) + 1, 6, 6, dtype=torch.float64))
+    # Singular values within a factor of two: along a near-singular direction the floor of the noise would rule.
+    root = U @ torch.diag_embed(0.7 + 0.7 * torch.rand(len(U), 6, dtype=torch.float64)) @ Vh
     root = root * torch.linspace(12.0, 3.0, len(root), dtype=torch.float64)[:, None, None]
     phi, blocks = torch.randn(params, dtype=torch.float64), []
     for _ in range(count):
