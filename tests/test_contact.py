@@ -117,3 +117,18 @@ def test_edge_of_a_plate_has_a_margin():
     margin = ContactOptions().margin_m
     assert bool(judge(feet(0.5 * margin), LOADED, two_plates()).used.all())
     assert not bool(judge(feet(2.0 * margin), LOADED, two_plates()).used.any())
+
+
+def test_toes_push_until_they_leave():
+    """A foot beside the plates touches while its toes gather speed near the ground, not only while they are slow."""
+    points = foot(1.2, -0.15)
+    gathering = 10.0 * (TIME - 0.5).clamp(min=0.0)  # m/s
+    points[..., 0] += (gathering.cumsum(0) / RATE)[:, None]
+    points[TIME > 0.8, :, 2] += 0.2
+    found = judge({"foot_l": BOTH["foot_l"], "foot_r": points}, LOADED, two_plates())
+    last = int(found.touching[:, 1].nonzero()[-1])
+    assert float(gathering[last]) == pytest.approx(ContactOptions().leaving_m_s, abs=0.15)
+    # The same speed without a contact before it is a swing.
+    found = judge({"foot_l": BOTH["foot_l"], "foot_r": points.flip(0)}, LOADED, two_plates())
+    first = int(found.touching[:, 1].nonzero()[0])
+    assert float(gathering.flip(0)[first]) <= ContactOptions().speed_m_s + 0.1

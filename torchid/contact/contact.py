@@ -102,12 +102,21 @@ def _belt(points: Tensor, loaded: Tensor, rate_hz: float, options: ContactOption
 
 
 def _touching(points: Tensor, belt: Tensor, rate_hz: float, options: ContactOptions) -> Tensor:
-    """(frames, points): low, and slow as seen from the ground; or still at the height at which the foot rested."""
+    """(frames, points): low, and slow as seen from the ground until it leaves; or still where it rested on a box."""
     speed = torch.zeros_like(points[..., 0])
     step = (torch.diff(points, dim=0) * rate_hz - torch.nn.functional.pad(belt, (0, 1))).norm(dim=2)
     speed[1:-1] = 0.5 * (step[1:] + step[:-1])
     speed[0], speed[-1] = step[0], step[-1]
-    return (_low(points, options) & (speed < options.speed_m_s)) | _raised(points, speed, rate_hz, options)
+    low = _low(points, options)
+    down = low & (speed < options.speed_m_s)
+    return _held(down, low & (speed < options.leaving_m_s)) | _raised(points, speed, rate_hz, options)
+
+
+def _held(down: Tensor, near: Tensor) -> Tensor:
+    """(frames, points): from each frame that is down for as long as the frames behind it are near."""
+    time = torch.arange(len(down), device=down.device)[:, None]
+    last, away = (torch.where(flag, time, -1).cummax(dim=0).values for flag in (down, ~near))
+    return last > away
 
 
 def _raised(points: Tensor, speed: Tensor, rate_hz: float, options: ContactOptions) -> Tensor:
