@@ -6,7 +6,7 @@ import torch
 from torch.testing import assert_close
 from trees import pinocchio_state, pinocchio_twin, random_inertia, random_motion, random_tree
 
-from torchid.dynamics import base_rows, body_rows, dynamic_state, inverse_dynamics
+from torchid.dynamics import base_gram, base_rows, body_rows, dynamic_state, inverse_dynamics
 
 pin = pytest.importorskip("pinocchio")
 FRAMES = 3
@@ -36,3 +36,18 @@ def _pinocchio_rnea(twin, tree, q, v, a) -> torch.Tensor:
     out = [*(R_WB @ tau[:3]), *(R_WB @ tau[3:6])]
     out += [tau[twin.joints[twin.getJointId(f"q{k}")].idx_v] for k in range(6, len(tree.dofs))]
     return torch.tensor(np.array(out))
+
+
+def test_sums_of_a_stream_equal_the_rows(seed):
+    """Normal equations without the base rows are those of the rows, whatever the chunks and the order of the bodies."""
+    rng = np.random.default_rng(seed)
+    tree, geometry = random_tree(rng, bodies=7)
+    q, v, a = (x.T.contiguous() for x in random_motion(rng, tree, 40))
+    wrench = torch.tensor(rng.normal(size=(6, 40)))
+    state = dynamic_state(tree, geometry, q, v, a)
+    Y = base_rows(state.plan, body_rows(state))
+    parts = [slice(0, 17), slice(17, 40)]
+    stream = ((body_rows(dynamic_state(tree, geometry, q[:, p], v[:, p], a[:, p])), wrench[:, p]) for p in parts)
+    gram, rhs = base_gram(state.plan, stream)
+    assert_close(gram, torch.einsum("ipt,iqt->pq", Y, Y), rtol=0, atol=1e-12 * float(gram.abs().max()))
+    assert_close(rhs, torch.einsum("ipt,it->p", Y, wrench), rtol=0, atol=1e-12 * float(rhs.abs().max()))

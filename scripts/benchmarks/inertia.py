@@ -40,7 +40,7 @@ def _equations(model, frames: int) -> NormalEquations:
     wrench = torch.einsum("ipt,p->it", base_rows(plan, rows), truth) + NOISE * torch.tensor(
         rng.normal(size=(6, frames))
     )
-    gram, moment = base_gram(plan, rows, wrench)
+    gram, moment = base_gram(plan, [(rows, wrench)])
     return NormalEquations(gram, moment, float(wrench.square().sum()), 6 * frames).scale(NOISE**-2)
 
 

@@ -1,12 +1,13 @@
 """Peak memory of one hour at 100 Hz: poses of one chunk after another, base rows and their sums."""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import torch
 
 from benchmarks.subject import RATE, make_session
-from torchid.dynamics import base_gram, body_rows, dynamic_state
+from torchid.dynamics import BodyRows, base_gram, body_rows, dynamic_state
 from torchid.geometry.inverse import solve_poses
 
 MINUTE = int(60 * RATE)
@@ -19,13 +20,15 @@ def main(minutes: int) -> None:
     geometry, _ = session.problem.split(session.xi)
     tree, plan = session.model.tree, session.problem.plan
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew: making the session must not hide the chain's
-    before, total = _status("VmRSS"), None
-    for _ in range(minutes):
-        q, _ = solve_poses(session.problem, session.start, session.xi)
-        for part in q.split(1024, dim=1):
-            rows = body_rows(dynamic_state(tree, geometry, part, part, part))
-            gram, _ = base_gram(plan, rows, part[:6])
-            total = gram if total is None else total + gram
+    before = _status("VmRSS")
+
+    def stream() -> Iterator[tuple[BodyRows, torch.Tensor]]:
+        for _ in range(minutes):
+            q, _ = solve_poses(session.problem, session.start, session.xi)
+            for part in q.split(1024, dim=1):
+                yield body_rows(dynamic_state(tree, geometry, part, part, part)), part[:6]
+
+    base_gram(plan, stream())
     sys.stdout.write(f"{_status('VmHWM') - before}\n")
 
 

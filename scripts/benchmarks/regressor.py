@@ -1,7 +1,7 @@
 """Base regressor and normal equations against Pinocchio's full regressor in a Python loop."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pinocchio as pin
@@ -11,14 +11,14 @@ from torch import Tensor
 
 from benchmarks.subject import by_turns
 from torchid.conventions import GRAVITY
-from torchid.dynamics import BodyRows, base_gram, base_rows, body_rows, dynamic_state, walk
+from torchid.dynamics import BodyRows, base_gram, base_rows, body_rows, dynamic_state, inertial_columns, walk
 from torchid.kinematics.plan import Plan, plan_tree
 from torchid.kinematics.tables import Joints, make_joints
 from torchid.model.model import Geometry, Model
 from torchid.model.tree import Tree
 from torchid.model.whole_body import whole_body
 
-CHUNK, FUSED, LOOP = 1024, 512, 200
+CHUNK, FUSED, LOOP = 1024, 384, 200
 """Frames per call: eager, compiled (whose intermediates are few), and of Pinocchio's loop."""
 STREAM = 8
 """Calls in a row: a recording is a stream of chunks."""
@@ -50,10 +50,14 @@ def bench_regressor(rounds: int, compiled: bool) -> dict[str, object]:
         "eager": stream(lambda: eager(q, v, a), STREAM),
         "eager_scattered": stream(lambda: base_rows(plan, eager(q, v, a)), STREAM),
     }
-    frames = {"pinocchio": LOOP, "eager": STREAM * CHUNK, "eager_scattered": STREAM * CHUNK, "compiled": STREAM * FUSED}
     if fused:
-        fused(*short)
+        state = walk(plan, make_joints(plan, geometry), *short)
+        known = state.at.R, state.at.p, state.motion.w, state.motion.alpha, state.motion.a
+        columns = torch.compile(inertial_columns, dynamic=False, fullgraph=True)
         runs["compiled"] = stream(lambda: fused(*short), STREAM)
+        runs["compiled_without_kinematics"] = stream(lambda: columns(*known), STREAM)
+    chunk = {name: FUSED if name.startswith("compiled") else CHUNK for name in runs}
+    frames = {name: STREAM * frames for name, frames in chunk.items()} | {"pinocchio": LOOP}
     out: dict[str, object] = {f"{k}_us": t / frames[k] * 1e6 for k, t in by_turns(runs, rounds).items()}
     Y = base_rows(plan, eager(q, v, a))
     out["difference"] = max(_difference(twin, data, tree, joints, state, Y[:, :, t]) for t, state in enumerate(states))
@@ -79,15 +83,18 @@ def _normal_equations(plan: Plan, rows: Callable[..., BodyRows], chunk: int, rou
     padded = -(-frames // chunk) * chunk
     q, v, a = (x.repeat(1, -(-padded // CHUNK))[:, :padded] for x in _motion(tree, CHUNK, np.random.default_rng(2)))
     wrench = torch.zeros(6, padded, dtype=q.dtype)
-    spent = []
-    for _ in range(rounds):
-        start, gram = time.process_time(), 0.0
+
+    def stream() -> Iterator[tuple[BodyRows, Tensor]]:
         for first in range(0, padded, chunk):
-            part = slice(first, first + chunk)
-            found = rows(*(x[:, part].contiguous() for x in (q, v, a)))
+            found = rows(*(x[:, first : first + chunk].contiguous() for x in (q, v, a)))
             if first + chunk > frames:
                 found = BodyRows(*(x[..., : frames - first].contiguous() for x in found))
-            gram = gram + base_gram(plan, found, wrench[:, first : min(frames, first + chunk)])[0]
+            yield found, wrench[:, first : min(frames, first + chunk)]
+
+    spent = []
+    for _ in range(rounds):
+        start = time.process_time()
+        base_gram(plan, stream())
         spent.append(time.process_time() - start)
     return sorted(spent)[len(spent) // 2]
 

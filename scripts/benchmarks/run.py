@@ -79,6 +79,12 @@ def _rows(fit: dict, ik: dict, regressor: dict, inertia: dict, memory: float) ->
             "x",
             ">= 7",
         ),
+        (
+            "  poses and accelerations given",
+            _ratio(regressor["pinocchio_us"], regressor.get("compiled_without_kinematics_us")),
+            "x",
+            ">= 7",
+        ),
         ("  largest difference", regressor["difference"], "", "<= 1e-12"),
         ("100 000 frames to normal equations", regressor["normal_equations_100k_s"], "s", "<= 0.9"),
         ("  compiled", regressor.get("normal_equations_100k_compiled_s"), "s", "<= 0.9"),

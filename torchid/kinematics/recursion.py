@@ -130,9 +130,8 @@ def body_motion(plan: Plan, at: Poses, v: Float[Tensor, "dofs frames"], a: Float
     """
     tables, z = at.tables, at.turn_axis
     rate = z * v.index_select(0, tables.turn_row)[:, None]
-    movers = torch.cat([tables.turns_above, tables.turns_before])
-    w, carried = _summed(v[3:BASE_DOFS], movers, rate).split([len(plan.order), len(plan.turns)])
-    own = torch.addcmul(cross(carried, rate), z, a.index_select(0, tables.turn_row)[:, None])
+    w = _summed(v[3:BASE_DOFS], tables.turns_above, rate)
+    own = torch.addcmul(cross(_carried(tables, w, rate), rate), z, a.index_select(0, tables.turn_row)[:, None])
     alpha = _summed(a[3:BASE_DOFS], tables.turns_above, own)
     arm = at.p[1:] - at.p.index_select(0, tables.parent)
     w_parent = w.index_select(0, tables.parent)
@@ -146,6 +145,15 @@ def body_motion(plan: Plan, at: Poses, v: Float[Tensor, "dofs frames"], a: Float
         pull = pull.index_add(0, link, torch.addcmul(coriolis, t, a.index_select(0, row)[:, None]))
     links = tables.above[:, 1:]
     return BodyMotion(w, alpha, _summed(v[:3], links, drift), _summed(a[:3], links, pull))
+
+
+def _carried(tables: Tables, w: Tensor, rate: Tensor) -> Float[Tensor, "turns 3 frames"]:
+    """Angular velocity of every turn's axis: the parent's and the turns' before it in the same joint."""
+    slots, done = [w.index_select(0, tables.turn_parent[: tables.first])], 0
+    for start, _, before in tables.slots:
+        slots.append((slots[-1] + rate[done:start]).index_select(0, before))
+        done = start
+    return torch.cat(slots)
 
 
 def points(at: Poses, body: Tensor, p_BM_B: Float[Tensor, "markers 3"]) -> Float[Tensor, "markers 3 frames"]:

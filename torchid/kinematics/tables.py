@@ -48,8 +48,6 @@ class Tables:
     """1 where the column's body is the row's or an ancestor of it."""
     turns_above: Float[Tensor, "bodies turns"]
     """1 where the turn moves the body."""
-    turns_before: Float[Tensor, "turns turns"]
-    """1 where the column's turn moves the axis of the row's turn."""
     unit: Float[Tensor, "axes 3"]
     """Axes of turns, hinges and slides and the columns of remainders, before any tilt."""
     tilts: Int[Tensor, "axes depth"]
@@ -108,8 +106,7 @@ def make_tables(plan: Plan, dtype: torch.dtype, device: torch.device) -> Tables:
 
     last = {position[turn.body]: k for k, turn in enumerate(plan.turns)}
     above = number([[float(k in plan.tree.ancestors[body]) for k in plan.order] for body in plan.order])
-    turn_body, slot = index(position[c.body] for c in plan.turns), index(c.slot for c in plan.turns)
-    same = (turn_body[:, None] == turn_body) & (slot[None] >= slot[:, None])
+    turn_body = index(position[c.body] for c in plan.turns)
     columns = (*plan.turns, *plan.hinges, *plan.slides)
     remaining = [k for k, rest in enumerate(plan.remainders) if rest]
     stacks = [c.tilts for c in columns] + [plan.remainders[k] for k in remaining for _ in range(3)]
@@ -139,7 +136,6 @@ def make_tables(plan: Plan, dtype: torch.dtype, device: torch.device) -> Tables:
         slide_link=index(position[c.body] - 1 for c in plan.slides),
         above=above,
         turns_above=above[:, turn_body],
-        turns_before=torch.where(same, 0.0, above[turn_body][:, turn_body]),
         unit=number(
             [_signed(c.axis, c.sign) for c in columns] + [_signed(a, 1.0) for _ in remaining for a in range(3)]
         ).view(-1, 3),
