@@ -235,19 +235,6 @@ def test_skin_moves_with_the_joints(subject):
     assert float(moved["static"].std(0).max()) < 1e-3
 
 
-def test_hooks_change_the_recording_before_noise(subject):
-    """A hook sees the noiseless trial and what it returns is measured."""
-
-    def double(who, item, rng):
-        assert who is subject and isinstance(rng, np.random.Generator)
-        forces = dataclasses.replace(item.trial.forces, wrench=2.0 * item.trial.forces.wrench)
-        return dataclasses.replace(item, trial=dataclasses.replace(item.trial, forces=forces))
-
-    plain, hooked = (simulate_trial(subject, "static", CLEAN, SEED, hooks=h) for h in ((), (double,)))
-    assert_close(hooked.trial.forces.wrench, 2.0 * plain.trial.forces.wrench)
-    assert_close(hooked.truth.wrench, plain.truth.wrench, atol=0, rtol=0)
-
-
 def test_standing_feet_follow_their_paths(subject):
     """A foot that pitches about its ball keeps that point of the sole in place."""
     time = torch.arange(-0.8, 8.8, 0.01, dtype=torch.float64)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.dynamics import body_rows, body_wrenches, dynamic_state
+from torchid.effects.scene import make_scene
 from torchid.filters import Smoother
 from torchid.motion.motion import Motion, smooth_motion
 from torchid.simulate.legs import bearing_point, stand
@@ -46,13 +46,12 @@ class Moving:
 def needed_wrench(
     subject: SimulatedSubject, motion: Motion, phi: Float[Tensor, "bodies 10"] | None = None
 ) -> Float[Tensor, "frames 6"]:
-    """Total external wrench without gravity that the motion needs, about the origin of W."""
-    phi = subject.phi if phi is None else phi
-    columns = (x.T.contiguous() for x in (motion.q, motion.v, motion.a))
-    state = dynamic_state(subject.model.tree, subject.geometry, *columns)
-    total = body_wrenches(state.plan, body_rows(state), phi).sum(0).T
-    moment = total[:, 3:] + torch.linalg.cross(motion.q[:, :3], total[:, :3])
-    return torch.cat([total[:, :3], moment], 1)
+    """Total wrench that the ground must supply for the motion, about the origin of W."""
+    scene = make_scene(subject.trial, subject.model.tree, subject.geometry, motion, subject.phi if phi is None else phi)
+    total = scene.needed()
+    for hidden in subject.hidden:
+        total = total + hidden.load(scene)
+    return total.T.contiguous()
 
 
 def centre_of_pressure(wrench: Float[Tensor, "frames 6"]) -> Float[Tensor, "frames 2"]:

@@ -1,13 +1,24 @@
 """What a synthetic session holds and how badly it is measured."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from torchid.bounds import Name, Positive
+from torchid.effects.effect import Interval
 from torchid.errors import OptionError
 
 ANALOG_RATIO = 10
 """Samples of the plates per frame of the markers."""
+
+
+@dataclass(frozen=True)
+class PlantedOptions:
+    """An effect to hide in the session: names and parameters as in ``diagnosis.json``."""
+
+    effect: Name
+    where: tuple[Name, ...] = ("session",)
+    when: tuple[Interval, ...] | None = None
+    parameters: dict[str, float | list] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,9 @@ class SimulateOptions:
     """None: drawn."""
     scatter: float = 1.0
     """How far geometry, markers and inertia are drawn from their priors' means, in prior standard deviations."""
+
+    effects: tuple[PlantedOptions, ...] = ()
+    """Hidden in every trial that they concern; the truth stands in ``truth/subject.json``."""
 
     def __post_init__(self) -> None:
         checks = (

@@ -11,7 +11,7 @@ from torchid.files import atomic_write, write_json, write_text
 from torchid.io.c3d_write import write_c3d
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.subject import MARKER_SET, SimulatedSubject, simulate_subject
-from torchid.simulate.trial import Hook, SimulatedTrial, TrialTruth, simulate_trial
+from torchid.simulate.trial import SimulatedTrial, TrialTruth, simulate_trial
 
 TRUTH = "truth"
 """Folder beside the recordings that no fit reads."""
@@ -32,16 +32,13 @@ class Session:
         return next(t for t in self.trials if t.trial.name == name)
 
 
-def simulate_session(
-    options: SimulateOptions | None = None, seed: int = 0, out: str | Path | None = None, hooks: tuple[Hook, ...] = ()
-) -> Session:
+def simulate_session(options: SimulateOptions | None = None, seed: int = 0, out: str | Path | None = None) -> Session:
     """Simulate a subject and its trials; with ``out``, write C3D files, ``config.yaml`` and ``truth/`` there.
 
     Args:
         options: motions, rates, noise.
         seed: of everything.
         out: folder, made where it does not exist; None keeps the session in memory.
-        hooks: changes of every trial before noise (``trial.Hook``).
 
     Raises:
         ConfigError: an unknown motion or an impossible subject.
@@ -54,7 +51,7 @@ def simulate_session(
     for k, (motion, role) in enumerate(listed):
         before = sum(other == motion for other, _ in listed[:k])
         name = f"{motion}_{before + 1}" if before else motion
-        trials.append(simulate_trial(subject, motion, options, seed, name=name, role=role, hooks=hooks))
+        trials.append(simulate_trial(subject, motion, options, seed, name=name, role=role))
     session = Session(subject, tuple(trials))
     return session if out is None else write_session(session, options, Path(out))
 

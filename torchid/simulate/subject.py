@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.effects.effect import Planted
 from torchid.errors import ConfigError
 from torchid.inertia.pseudo import params_to_pseudo
 from torchid.model.anthropometry import BMI, inertial_prior
@@ -18,6 +19,7 @@ from torchid.model.proportions import STATURE, proportions
 from torchid.model.skeleton import SIDES
 from torchid.model.whole_body import whole_body
 from torchid.simulate.options import SimulateOptions
+from torchid.simulate.planting import planted
 
 MARKER_SET = "simulated"
 SIDE_CORRELATION = 0.95
@@ -88,6 +90,10 @@ class SimulatedSubject:
     skin: Float[Tensor, "markers 3 cues"]
     """Directions in which a marker slides for each cue of its segment (see ``noise.skin_shift``), unit scatter."""
     sole: Sole
+    hidden: tuple[Planted, ...] = ()
+    """Effects that nobody wrote down."""
+    trial: str = ""
+    """In which the person moves: some effects concern single trials."""
 
 
 def simulate_subject(options: SimulateOptions | None = None, seed: int = 0) -> SimulatedSubject:
@@ -130,6 +136,7 @@ def simulate_subject(options: SimulateOptions | None = None, seed: int = 0) -> S
         segments=tuple(spec.segment for spec in specs.values()),
         p_BM_B=draw_markers(rng, model, specs, options.scatter),
         skin=_skin(rng, specs, cues),
+        hidden=tuple(planted(own) for own in options.effects),
         sole=Sole(-ANKLE_FROM_HEEL * foot, 0.5 * foot, 0.17 * foot, shape.ankle_height * height),
     )
 

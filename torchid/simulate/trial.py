@@ -1,7 +1,6 @@
 """One synthetic recording and the truth behind it."""
 
 import zlib
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from torchid.simulate.ground import WEIGHTLESS, FootLoad, clearance, force_plate
 from torchid.simulate.motions import make_script
 from torchid.simulate.noise import lose_markers, noisy_markers, noisy_plates, skin_shift
 from torchid.simulate.options import ANALOG_RATIO, SimulateOptions
+from torchid.simulate.planting import misread
 from torchid.simulate.script import Script
 from torchid.simulate.subject import SimulatedSubject
 
@@ -64,10 +64,6 @@ class SimulatedTrial:
     truth: TrialTruth
 
 
-Hook = Callable[[SimulatedSubject, SimulatedTrial, np.random.Generator], SimulatedTrial]
-"""A change of a still noiseless recording, such as a planted effect."""
-
-
 def simulate_trial(
     subject: SimulatedSubject,
     motion: str,
@@ -76,7 +72,6 @@ def simulate_trial(
     *,
     name: str | None = None,
     role: str = "fit",
-    hooks: tuple[Hook, ...] = (),
 ) -> SimulatedTrial:
     """Move the subject, let plates carry it, then measure.
 
@@ -87,26 +82,24 @@ def simulate_trial(
         seed: of the motion and of the noise.
         name: of the trial; the motion's if absent.
         role: static, fit or heldout.
-        hooks: applied in order before noise and gaps.
 
     Raises:
         ConfigError: no such motion, or the subject cannot do it in balance.
     """
     options = options or SimulateOptions()
     key = (seed, zlib.crc32((name or motion).encode()))
-    simulated = _clean_trial(subject, motion, options, key, name or motion, role)
-    for k, hook in enumerate(hooks):
-        simulated = hook(subject, simulated, np.random.default_rng((*key, 3, k)))
+    subject = replace(subject, trial=name or motion)
+    simulated = _clean_trial(subject, motion, options, key, role)
     return _measure(subject, simulated, options, np.random.default_rng((*key, 2)))
 
 
 def _clean_trial(
-    subject: SimulatedSubject, motion: str, options: SimulateOptions, key: tuple[int, int], name: str, role: str
+    subject: SimulatedSubject, motion: str, options: SimulateOptions, key: tuple[int, int], role: str
 ) -> SimulatedTrial:
     rate, margin = options.rate_hz, round(MARGIN_S * options.rate_hz)
     frames = round((STATIC_S if motion == "static" else options.duration_s) * rate)
     time = torch.arange(-margin, frames + margin, dtype=torch.float64) / rate
-    script, moving = _possible(subject, motion, time, frames / rate, key, name)
+    script, moving = _possible(subject, motion, time, frames / rate, key)
     plates = force_plates(options.plates)
     load = share_load(subject, script, moving.wrench, plates)
     cut = slice(margin, margin + frames)
@@ -118,18 +111,18 @@ def _clean_trial(
     truth = TrialTruth(kept, position, moving.wrench[cut], load, ~(bears & (load.plate < 0)).any(1), low, moving.miss)
     clock = torch.arange(frames * ANALOG_RATIO, dtype=torch.float64) / (rate * ANALOG_RATIO)
     trial = Trial(
-        name=name,
+        name=subject.trial,
         markers=Markers(subject.labels, kept.time, position),
         forces=Forces(clock, fine, plates),
         role=role,
         parameters={"subject": f"S{subject.seed:02d}", "mass_kg": f"{subject.recorded_mass:.1f}",
                     "height_m": f"{subject.recorded_height:.3f}"},
     )  # fmt: skip
-    return SimulatedTrial(trial, truth)
+    return SimulatedTrial(misread(trial, subject.hidden), truth)
 
 
 def _possible(
-    subject: SimulatedSubject, motion: str, time: Tensor, duration: float, key: tuple[int, int], name: str
+    subject: SimulatedSubject, motion: str, time: Tensor, duration: float, key: tuple[int, int]
 ) -> tuple[Script, Moving]:
     """Draw motions, each somewhat easier, until one is in balance, within the joints' limits and above the floor."""
     dofs = subject.model.tree.dofs
@@ -148,7 +141,7 @@ def _possible(
         found = f"centre of pressure {1e3 * moving.miss:.0f} mm off, soles at {1e3 * low_sole:.1f} mm, "
         found += f"beyond limits: {', '.join(limits) or 'none'}"
     raise ConfigError(
-        "simulate.balance", "the subject cannot do this motion in balance", place=name, found=found,
+        "simulate.balance", "the subject cannot do this motion in balance", place=subject.trial, found=found,
         remedy="Take another seed",
     )  # fmt: skip
 

@@ -1,0 +1,108 @@
+"""Forces at a point of the body that no plate measures: the ground supplies so much less.
+
+Sources: Winter, Biomechanics and Motor Control of Human Movement (2009), chapter 5; Hof, Gazendam & Sinke, J Biomech 38
+(2005), on whole-body balance of forces.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.effect import Effect, Parameter, Place, anchor, within
+from torchid.effects.scene import Point, Reading, Scene, at_origin
+
+TETHER_REACH = 1.0
+"""Typical distance of a tether's point from its anchor [m]."""
+
+
+class PointForce(Effect):
+    """A force on the centre of mass of a segment."""
+
+    segments: tuple[str, ...] = ()
+    """Where it may act; empty: everywhere."""
+
+    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+        names = scenes[0].tree.names
+        return tuple(Place((name,)) for name in names if not self.segments or name in self.segments)
+
+    def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
+        (segment,) = place.where
+        at = scene.point(segment, anchor(scene, place))
+        force = self.force(scene, at, theta) * within(place, scene.trial, scene.time)
+        return -at_origin(at.p, force)
+
+    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+        """On the body, in W."""
+        raise NotImplementedError
+
+
+class ExternalForce(PointForce):
+    """A constant force in W: a cable over a pulley, a hand that steadies, wind."""
+
+    name = "external_force"
+    parameters = (Parameter("force_N", 20.0, 3),)
+    alike = ("body_weight_support", "plate_offset", "body_mass")
+
+    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+        return theta[:, None].expand(3, len(scene.time))
+
+
+class BodyWeightSupport(PointForce):
+    """A harness that carries part of the weight, whatever the body does."""
+
+    name = "body_weight_support"
+    parameters = (Parameter("force_N", 100.0, positive=True),)
+    alike = ("body_mass", "plate_gain", "external_force")
+    segments = ("pelvis", "thorax")
+
+    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+        up = theta.new_tensor([0.0, 0.0, 1.0])[:, None]
+        return (theta * up).expand(3, len(scene.time))
+
+
+class Drag(PointForce):
+    """A force against velocity: water, a parachute, a sled."""
+
+    name = "drag"
+    parameters = (Parameter("coefficient_Ns_m", 10.0, positive=True),)
+    alike = ("time_offset",)
+
+    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+        return -theta * at.v
+
+
+class Tether(PointForce):
+    """A spring to a fixed anchor, such as a cable, a band or a hose: force along position.
+
+    Internal are the stiffness k and k times the anchor's place; the rest length is zero.
+    """
+
+    name = "tether"
+    parameters = (Parameter("stiffness_N_m", 30.0, positive=True), Parameter("pull_N", 30.0 * TETHER_REACH, 3))
+    alike = ("gravity_tilt", "external_force")
+
+    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+        stiffness, pull = self.split(theta)
+        return pull[:, None] - stiffness * at.p
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        stiffness, pull = self.split(theta)
+        return {"stiffness_N_m": stiffness[0], "anchor_m": pull / stiffness}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        stiffness = torch.as_tensor(values.get("stiffness_N_m", 0.0), dtype=torch.float64)
+        anchor = torch.as_tensor(values.get("anchor_m", []), dtype=torch.float64)
+        return super().internal(place, {"stiffness_N_m": stiffness, "pull_N": stiffness * anchor})
+
+
+class UnmeasuredContact(PointForce):
+    """A contact that no plate sees for a while: a rail, a seat, a box, a foot beside the plate."""
+
+    name = "unmeasured_contact"
+    parameters = (Parameter("force_N", 50.0, 3),)
+    alike = ("grasped_object", "external_force")
+
+    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+        return theta[:, None].expand(3, len(scene.time))

@@ -1,0 +1,145 @@
+"""Masses that a segment carries, rigidly, on a spring, or spinning.
+
+Sources: Atkeson, An & Hollerbach, IJRR 5 (1986), on loads of known inertia; Pain & Challis, J Biomech 39 (2006), on
+wobbling masses; Lemus, Berry, Jabeen et al., Sci Rep 10 (2020), on worn gyroscopes.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.signal
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.effect import Effect, Parameter, Place, anchor, value_of, within
+from torchid.effects.scene import Reading, Scene, at_origin, lift
+from torchid.kinematics.recursion import cross
+
+FREQUENCIES = (2.5, 3.5, 5.0, 7.0)
+"""Of wobbling masses [Hz]: soft tissue and viscera (Wakeling & Nigg, J Appl Physiol 90, 2001)."""
+DAMPING = (0.1, 0.3)
+FINE = 8
+"""Steps of the wobbling mass per frame."""
+
+
+class Payload(Effect):
+    """A mass fixed to a segment: weight beyond the recorded mass, inertia beyond the segment's prior.
+
+    Internal are the mass and its first moment about the place's point; the inertia about its own centre is left out.
+    """
+
+    name = "payload"
+    parameters = (Parameter("mass_kg", 2.0, positive=True), Parameter("moment_seg_kgm", 0.3, 3))
+    alike = ("body_mass", "plate_gain", "grasped_object")
+
+    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+        return tuple(Place((n,), point=_centre(scenes[0], n)) for n in scenes[0].tree.names)
+
+    def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
+        """A point mass needs m (a - g); the moment of m p is linear in the first moment but for its square over m."""
+        (segment,) = place.where
+        mass, moment = self.split(theta)
+        k, motion = scene.at(segment), scene.state.motion
+        carrier = scene.point(segment, anchor(scene, place))
+        arm = scene.turned(segment, moment)
+        needed = carrier.a + lift(theta)
+        swing = cross(motion.alpha[k], arm) + cross(motion.w[k], cross(motion.w[k], arm))
+        force = mass * needed + swing
+        total = torch.cat([force, cross(carrier.p, force) + cross(arm, needed)])
+        if float(mass) > 0.0:
+            total = total + torch.cat([torch.zeros_like(force), cross(arm, swing) / mass])
+        return total * within(place, scene.trial, scene.time)
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        mass, moment = self.split(theta)
+        return {"mass_kg": mass[0], "point_seg_m": theta.new_tensor(_point(place)) + moment / mass}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        mass = value_of(values, self.name, "mass_kg", 1)
+        arm = value_of(values, self.name, "point_seg_m", 3) - torch.tensor(_point(place), dtype=torch.float64)
+        return torch.cat([mass, mass * arm])
+
+
+class GraspedObject(Payload):
+    """A payload of a hand that comes and goes."""
+
+    name = "grasped_object"
+    alike = ("unmeasured_contact", "payload")
+
+    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+        return tuple(place for place in super().places(scenes, readings) if place.where[0].startswith("hand"))
+
+
+def _centre(scene: Scene, segment: str) -> tuple[float, float, float]:
+    x, y, z = scene.centre(segment).tolist()
+    return x, y, z
+
+
+def _point(place: Place) -> tuple[float, float, float]:
+    assert place.point is not None, "a payload's place has a point"
+    return place.point
+
+
+class WobblingMass(Effect):
+    """Part of a segment's mass on a damped spring: it lags after quick stops and overshoots.
+
+    The mass is the segment's own, so that at rest nothing changes: what its motion relative to the bone adds is
+    m (x'' ) at the centre of mass, and m x cross (a - g), with x'' + 2 z w x' + w^2 x = -a.
+    """
+
+    name = "wobbling_mass"
+    parameters = (Parameter("mass_kg", 2.0, positive=True),)
+    alike = ("filter_lag", "soft_tissue")
+
+    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+        heavy = [n for n in scenes[0].tree.names if not n.startswith(("hand", "foot", "forearm", "head"))]
+        grids = [{"frequency_hz": f, "damping_ratio": z} for f in FREQUENCIES for z in DAMPING]
+        return tuple(Place((name,), grid=grid) for name in heavy for grid in grids)
+
+    def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
+        (segment,) = place.where
+        at = scene.point(segment, anchor(scene, place))
+        x, xdd = wobble(at.a, scene.rate, place.grid["frequency_hz"], place.grid["damping_ratio"])
+        total = at_origin(at.p, theta * xdd)
+        return total + torch.cat([torch.zeros_like(x), cross(theta * x, at.a + lift(theta))])
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return super().named(place, theta) | {k: theta.new_tensor(v) for k, v in place.grid.items()}
+
+
+def wobble(
+    a: Float[Tensor, "3 frames"], rate_hz: float, frequency_hz: float, damping_ratio: float
+) -> tuple[Float[Tensor, "3 frames"], Float[Tensor, "3 frames"]]:
+    """Place and acceleration of a mass on a spring relative to its accelerated carrier, at rest before the start."""
+    w = 2.0 * math.pi * frequency_hz
+    frames, fine = a.shape[1], FINE * rate_hz
+    spring = [-1.0], [1.0, 2.0 * damping_ratio * w, w * w]
+    discrete: Any = scipy.signal.cont2discrete(spring, 1.0 / fine, "foh")
+    ahead, back = np.ravel(discrete[0]), np.ravel(discrete[1])
+    known = a.detach().cpu().numpy()
+    lead = np.repeat(known[:, :1], frames, axis=1)
+    both = np.concatenate([lead, known], axis=1)
+    clock, steps = np.arange(2 * frames), np.arange(FINE * (2 * frames - 1) + 1) / FINE
+    forced = np.stack([np.interp(steps, clock, row) for row in both])
+    x = np.asarray(scipy.signal.lfilter(ahead, back, forced - forced[:, :1], axis=1))[:, ::FINE][:, frames:]
+    place = torch.as_tensor(x, dtype=a.dtype, device=a.device)
+    speed = torch.as_tensor(np.gradient(x, 1.0 / rate_hz, axis=1), dtype=a.dtype, device=a.device)
+    return place, -(a - a[:, :1]) - 2.0 * damping_ratio * w * speed - w * w * place
+
+
+class Flywheel(Effect):
+    """A rotor of constant momentum in a segment: it resists turning across its axis (a gyroscope, a running motor)."""
+
+    name = "flywheel"
+    parameters = (Parameter("momentum_seg_Nms", 1.0, 3),)
+
+    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+        return tuple(Place((name,)) for name in scenes[0].tree.names)
+
+    def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
+        (segment,) = place.where
+        moment = cross(scene.state.motion.w[scene.at(segment)], scene.turned(segment, theta))
+        return torch.cat([torch.zeros_like(moment), moment])

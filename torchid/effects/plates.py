@@ -1,0 +1,172 @@
+"""Maps of plate channels: what a plate makes of the wrench that it bears.
+
+Sources: Cappozzo, Della Croce, Leardini & Chiari, Gait & Posture 21 (2005), on errors of plates and their spot checks;
+Collins, Adamczyk, Ferris & Kuo, Gait & Posture 29 (2009), on calibration by linear maps.
+"""
+
+from collections.abc import Sequence
+
+import roma
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.effect import Effect, Parameter, Place
+from torchid.effects.scene import PlateFrame, Reading, Scene
+
+CROSSTALK = [[i, j] for i in range(6) for j in range(6) if i != j]
+"""Rows and columns of the off-diagonals of a plate's 6 x 6 map."""
+
+
+def to_plate(frame: PlateFrame, wrench: Float[Tensor, "samples 6"]) -> Float[Tensor, "samples 6"]:
+    """A wrench about the origin of W, taken about the plate's and in its axes."""
+    force, moment = wrench[:, :3], wrench[:, 3:]
+    moment = moment - torch.linalg.cross(frame.p_WF.expand_as(force), force)
+    return torch.cat([force @ frame.R_WF, moment @ frame.R_WF], 1)
+
+
+def to_world(frame: PlateFrame, wrench: Float[Tensor, "samples 6"]) -> Float[Tensor, "samples 6"]:
+    """The inverse of ``to_plate``."""
+    force, moment = wrench[:, :3] @ frame.R_WF.T, wrench[:, 3:] @ frame.R_WF.T
+    return torch.cat([force, moment + torch.linalg.cross(frame.p_WF.expand_as(force), force)], 1)
+
+
+class PlateMap(Effect):
+    """An effect on what single plates read, each alike."""
+
+    together = False
+    """Could also sit on all plates alike."""
+
+    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+        names = sorted({frame.name for r in readings for frame in r.frames})
+        each = tuple(Place((name,)) for name in names)
+        return (*each, Place(tuple(names))) if self.together and len(names) > 1 else each
+
+    def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
+        for name in place.where:
+            k = reading.index(name)
+            if k is not None:
+                mapped = self.map(reading.frames[k], reading.time, reading.wrench[:, k], theta)
+                reading = reading.with_plate(k, mapped)
+        return reading
+
+    def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
+        """What the plate reads of a wrench, both about the origin of W."""
+        raise NotImplementedError
+
+
+class PlateGain(PlateMap):
+    """All channels of a plate read too much by one factor: a wrong sensitivity or amplifier setting.
+
+    All plates alike look like a wrong body mass; one plate alone shows wherever the weight moves between plates.
+    """
+
+    name = "plate_gain"
+    parameters = (Parameter("gain", 0.03),)
+    alike = ("body_mass", "payload")
+    together = True
+
+    def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
+        return (1.0 + theta) * wrench
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {"gain": 1.0 + theta[0]}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return super().internal(place, values) - 1.0
+
+
+class PlateOffset(PlateMap):
+    """A constant wrench on every sample of a plate, loaded or not: it was zeroed under load, or not at all."""
+
+    name = "plate_offset"
+    parameters = (Parameter("force_plate_N", 5.0, 3), Parameter("moment_plate_Nm", 1.0, 3))
+    alike = ("external_force", "plate_drift")
+
+    def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
+        return wrench + to_world(frame, theta.expand(len(time), 6))
+
+
+class PlateDrift(PlateMap):
+    """An offset that grows with time since the recording began: charge amplifiers and warming bridges do."""
+
+    name = "plate_drift"
+    parameters = (Parameter("rate_plate", 0.5, 6),)
+    alike = ("plate_offset",)
+
+    def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
+        return wrench + to_world(frame, (time - time[0])[:, None] * theta)
+
+
+class PlatePose(PlateMap):
+    """The plate lies elsewhere than the file says: moments err by shift x force, and a tilt leans the force.
+
+    ``shift_m`` and ``rotation_rad`` (in W, about the plate's centre) lead from where the file has it to where it is.
+    """
+
+    name = "plate_pose"
+    parameters = (Parameter("shift_m", 0.02, 3), Parameter("rotation_rad", 0.02, 3))
+    alike = ("plate_crosstalk", "gravity_tilt")
+
+    def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
+        shift, turn = self.split(theta)
+        true = PlateFrame(frame.name, frame.p_WF + shift, roma.rotvec_to_rotmat(turn) @ frame.R_WF)
+        return to_world(frame, to_plate(true, wrench))
+
+
+class PlateCrosstalk(PlateMap):
+    """One channel of a plate leaks into another: bent sensors, a wrong or missing calibration matrix."""
+
+    name = "plate_crosstalk"
+    parameters = (Parameter("matrix_plate", 0.01, 30),)
+    alike = ("plate_pose",)
+
+    def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
+        own = to_plate(frame, wrench)
+        return wrench + to_world(frame, own @ self.matrix(theta).T)
+
+    @staticmethod
+    def matrix(theta: Float[Tensor, " 30"]) -> Float[Tensor, "6 6"]:
+        """The off-diagonals in their places."""
+        row, column = torch.tensor(CROSSTALK, device=theta.device).T
+        return theta.new_zeros(6, 6).index_put((row, column), theta)
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {"matrix_plate": self.matrix(theta)}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        full = torch.as_tensor(values.get("matrix_plate", []), dtype=torch.float64)
+        if tuple(full.shape) != (6, 6):
+            return super().internal(place, values)
+        return torch.stack([full[i, j] for i, j in CROSSTALK])
+
+
+class PlateAssignment(PlateMap):
+    """Two plates' cables are swapped: the channels of each are read with the other's geometry.
+
+    The parameter is how much of the swap is there: one, or nothing.
+    """
+
+    name = "plate_assignment"
+    parameters = (Parameter("share", 1.0, positive=True),)
+    alike = ("plate_pose",)
+
+    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+        names = sorted({frame.name for r in readings for frame in r.frames})
+        return tuple(Place((a, b)) for k, a in enumerate(names) for b in names[k + 1 :])
+
+    def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
+        a, b = (reading.index(name) for name in place.where)
+        if a is None or b is None:
+            return reading
+        true = [reading.wrench[:, k] for k in (a, b)]
+        first, second = reading.frames[a], reading.frames[b]
+        there = to_world(first, to_plate(second, true[1])), to_world(second, to_plate(first, true[0]))
+        reading = reading.with_plate(a, true[0] + theta * (there[0] - true[0]))
+        return reading.with_plate(b, true[1] + theta * (there[1] - true[1]))
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return torch.ones(1, dtype=torch.float64)

@@ -1,0 +1,140 @@
+"""A trial as effects see it: bodies that move and carry inertia, and plates that read."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.conventions import GRAVITY
+from torchid.dynamics import DynamicState, body_rows, body_wrenches, dynamic_state
+from torchid.kinematics.recursion import cross
+from torchid.model.model import Geometry
+from torchid.model.tree import Tree
+from torchid.motion import Motion
+from torchid.recording import Forces
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of a body; W axes, frames last."""
+
+    p: Float[Tensor, "3 frames"]
+    v: Float[Tensor, "3 frames"]
+    a: Float[Tensor, "3 frames"]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Motion and inertia of the bodies of one trial."""
+
+    trial: str
+    time: Float[Tensor, " frames"]
+    tree: Tree
+    state: DynamicState
+    phi: Float[Tensor, "bodies 10"]
+
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
+        return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
+
+    def at(self, segment: str) -> int:
+        """Plan position of a body."""
+        return self.state.plan.position[self.tree.index(segment)]
+
+    def centre(self, segment: str) -> Float[Tensor, " 3"]:
+        """Centre of mass p_BC_B of a body."""
+        own = self.phi[self.tree.index(segment)]
+        return own[1:4] / own[0]
+
+    def point(self, segment: str, p_BM_B: Float[Tensor, " 3"]) -> Point:
+        """Place, velocity and acceleration of a point that a body carries."""
+        k, motion = self.at(segment), self.state.motion
+        arm = self.turned(segment, p_BM_B)
+        w, swing = motion.w[k], cross(motion.w[k], arm)
+        a = motion.a[k] + cross(motion.alpha[k], arm) + cross(w, swing)
+        return Point(self.state.at.p[k] + arm, motion.v[k] + swing, a)
+
+    def turned(self, segment: str, b: Float[Tensor, " 3"]) -> Float[Tensor, "3 frames"]:
+        """R_WB b."""
+        return torch.einsum("crt,c->rt", self.state.at.R[self.at(segment)], b)
+
+    @property
+    def mass(self) -> Tensor:
+        """Of all bodies [kg]."""
+        return self.phi[:, 0].sum()
+
+    @property
+    def centre_of_mass(self) -> Float[Tensor, "3 frames"]:
+        """Of all bodies, in W."""
+        moment = sum(self.phi[k, 0] * self.point(name, self.centre(name)).p for k, name in enumerate(self.tree.names))
+        return torch.as_tensor(moment) / self.mass
+
+    def needed(self) -> Float[Tensor, "6 frames"]:
+        """Wrench about the origin of W that the motion needs, gravity carried."""
+        total = body_wrenches(self.state.plan, body_rows(self.state), self.phi).sum(0)
+        return torch.cat([total[:3], total[3:] + cross(self.state.at.p[0], total[:3])])
+
+
+def make_scene(trial: str, tree: Tree, geometry: Geometry, motion: Motion, phi: Float[Tensor, "bodies 10"]) -> Scene:
+    """The scene of a motion."""
+    columns = (x.T.contiguous() for x in (motion.q, motion.v, motion.a))
+    return Scene(trial, motion.time, tree, dynamic_state(tree, geometry, *columns), phi)
+
+
+@dataclass(frozen=True)
+class PlateFrame:
+    """Where the file says that a plate lies: x along its first edge, z up."""
+
+    name: str
+    """``plate_1`` and so on, one list for the whole session."""
+    p_WF: Float[Tensor, " 3"]
+    R_WF: Float[Tensor, "3 3"]
+
+
+def plate_frame(name: str, corners: Float[Tensor, "4 3"]) -> PlateFrame:
+    """The frame at the centre of a plate's corners."""
+    x = corners[0] - corners[1] if (corners[0] - corners[1]).norm() > 0 else corners[0] - corners[3]
+    up = torch.linalg.cross(corners[1] - corners[0], corners[3] - corners[0])
+    x, z = (torch.nn.functional.normalize(e, dim=0) for e in (x, torch.where(up[2] < 0, -up, up)))
+    return PlateFrame(name, corners.mean(0), torch.stack([x, torch.linalg.cross(z, x), z], 1))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the plates of one trial read, on any clock, about the origin of W."""
+
+    trial: str
+    time: Float[Tensor, " samples"]
+    wrench: Float[Tensor, "samples plates 6"]
+    frames: tuple[PlateFrame, ...]
+
+    @property
+    def total(self) -> Float[Tensor, "6 samples"]:
+        """Sum over the plates."""
+        return self.wrench.sum(1).T
+
+    def index(self, plate: str) -> int | None:
+        """Column of a plate, None where the trial lacks it."""
+        names = [frame.name for frame in self.frames]
+        return names.index(plate) if plate in names else None
+
+    def with_plate(self, k: int, wrench: Float[Tensor, "samples 6"]) -> "Reading":
+        """The same with another reading of one plate."""
+        return replace(self, wrench=torch.cat([self.wrench[:, :k], wrench[:, None], self.wrench[:, k + 1 :]], 1))
+
+
+def reading(trial: str, forces: Forces, frames: tuple[PlateFrame, ...]) -> Reading:
+    """The reading of a recording's plates; NaN counts as nothing read."""
+    return Reading(trial, forces.time, torch.nan_to_num(forces.wrench), frames)
+
+
+def at_origin(p: Float[Tensor, "3 #frames"], force: Float[Tensor, "3 frames"]) -> Float[Tensor, "6 frames"]:
+    """Wrench about the origin of W of a force at ``p``."""
+    return torch.cat([force, cross(p.expand_as(force), force)])
+
+
+def lift(like: Tensor) -> Float[Tensor, "3 1"]:
+    """Minus gravity's acceleration."""
+    return like.new_tensor([0.0, 0.0, GRAVITY])[:, None]

@@ -1,0 +1,44 @@
+"""Effects that a synthetic session hides."""
+
+from dataclasses import replace
+
+import torch
+
+from torchid.effects.catalogue import effect
+from torchid.effects.effect import Place, Planted
+from torchid.effects.scene import PlateFrame, Reading, plate_frame
+from torchid.recording import Plate, Trial
+from torchid.simulate.options import PlantedOptions
+
+GRID = ("frequency_hz", "damping_ratio")
+"""Parameters of a planted effect that belong to its place's grid."""
+
+
+def planted(options: PlantedOptions) -> Planted:
+    """The effect that the options describe.
+
+    Raises:
+        ConfigError: unknown, or a parameter is missing.
+    """
+    found = effect(options.effect)
+    values = {key: torch.as_tensor(value, dtype=torch.float64) for key, value in options.parameters.items()}
+    grid = {key: float(values[key]) for key in GRID if key in values}
+    point = tuple(values["point_seg_m"].tolist()) if "point_seg_m" in values else None
+    place = Place(options.where, options.when, point, grid)
+    return Planted(found, place, found.internal(place, values))
+
+
+def session_plates(plates: tuple[Plate, ...]) -> tuple[PlateFrame, ...]:
+    """Frames of plates with corners, numbered from one."""
+    corners = [plate.corners for plate in plates]
+    return tuple(plate_frame(f"plate_{k + 1}", c) for k, c in enumerate(corners) if c is not None)
+
+
+def misread(trial: Trial, hidden: tuple[Planted, ...]) -> Trial:
+    """The recording as plates with these effects would have made it."""
+    if not hidden or trial.forces is None:
+        return trial
+    reading = Reading(trial.name, trial.forces.time, trial.forces.wrench, session_plates(trial.forces.plates))
+    for one in hidden:
+        reading = one.read(reading)
+    return replace(trial, forces=replace(trial.forces, wrench=reading.wrench))
