@@ -77,19 +77,22 @@ class Spectra:
     """Blocks of a trial in the frequency domain, made anew in every pass: an hour of them would take 700 MB."""
 
     trial: WrenchTrial
+    extra: Float[Tensor, "6 more frames"] | None = None
+    """Columns behind those of the inertial parameters, about the root's origin."""
 
     def __iter__(self) -> Iterator[Spectrum]:
-        return (_spectrum(self.trial, part) for part in self.trial.blocks())
+        return (_spectrum(self.trial, part, self.extra) for part in self.trial.blocks())
 
 
-def spectra(trial: WrenchTrial) -> Iterable[Spectrum]:
+def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = None) -> Iterable[Spectrum]:
     """All blocks of a trial in the frequency domain; those of a trial of usual length are kept."""
-    several = Spectra(trial)
+    several = Spectra(trial, extra)
     return list(several) if len(trial.used) <= KEPT else several
 
 
-def _spectrum(trial: WrenchTrial, part: slice) -> Spectrum:
+def _spectrum(trial: WrenchTrial, part: slice, extra: Tensor | None) -> Spectrum:
     Y, F = trial.rows(part)
+    Y = Y if extra is None else torch.cat([Y, extra[:, :, part]], dim=1)
     cutoff = min(trial.motion.smoother.cutoff_hz * BEYOND, 0.5 * trial.rate)
     frames = part.stop - part.start
     kept = max(1, min(frames, math.ceil(2.0 * cutoff * frames / trial.rate)))

@@ -1,0 +1,64 @@
+"""One list of plates for the whole session: a plate is known again by its corners, or by where it bears."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.scene import PlateFrame, plate_frame
+from torchid.recording import Forces
+
+SAME_CORNERS = 0.02
+"""Corners that far apart are another plate's [m]."""
+SAME_PRESSURE = 0.35
+"""Medians of the centre of pressure that far apart are another plate's, where a file has no corners [m]."""
+LOADED = 20.0
+
+
+@dataclass(frozen=True)
+class SessionPlate:
+    """A plate of the session and the channels that belong to it."""
+
+    frame: PlateFrame
+    corners: Float[Tensor, "4 3"] | None
+    channels: dict[str, str]
+    """Name of the channel in the file, by trial."""
+
+
+def recognise(forces: Mapping[str, Forces]) -> tuple[tuple[SessionPlate, ...], dict[str, tuple[PlateFrame, ...]]]:
+    """All plates of the session, and the frames of every trial's plates in the order of its channels."""
+    plates: list[SessionPlate] = []
+    frames: dict[str, tuple[PlateFrame, ...]] = {}
+    for trial, own in forces.items():
+        middle = own.centre_of_pressure(LOADED).nanmedian(dim=0).values
+        found = []
+        for k, plate in enumerate(own.plates):
+            known = _known(plates, plate.corners, middle[k], trial)
+            if known is None:
+                name = f"plate_{len(plates) + 1}"
+                centre = torch.nan_to_num(middle[k])
+                eye = torch.eye(3, dtype=centre.dtype, device=centre.device)
+                frame = PlateFrame(name, centre, eye) if plate.corners is None else plate_frame(name, plate.corners)
+                known = SessionPlate(frame, plate.corners, {})
+                plates.append(known)
+            known.channels[trial] = plate.name
+            found.append(known.frame)
+        frames[trial] = tuple(found)
+    return tuple(plates), frames
+
+
+def _known(plates: list[SessionPlate], corners: Tensor | None, middle: Tensor, trial: str) -> SessionPlate | None:
+    free = [p for p in plates if trial not in p.channels and (p.corners is None) == (corners is None)]
+    if corners is not None:
+        return next((p for p in free if p.corners is not None and _apart(p.corners, corners) < SAME_CORNERS), None)
+    if not bool(torch.isfinite(middle[:2]).all()):
+        return None
+    near = [(float((p.frame.p_WF - middle)[:2].norm()), k) for k, p in enumerate(free)]
+    distance, k = min(near, default=(torch.inf, -1))
+    return free[k] if distance < SAME_PRESSURE else None
+
+
+def _apart(a: Tensor, b: Tensor) -> float:
+    return float((a - b).norm(dim=1).max())
