@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchid.dynamics import wrench_about
@@ -51,6 +51,17 @@ class Design:
     """Prior standard deviations of everything behind the inertia."""
     extra: tuple[Float[Tensor, "6 more frames"], ...]
     """Per trial."""
+    nuisances: tuple[Candidate, ...]
+
+    @property
+    def all(self) -> tuple[Candidate, ...]:
+        """Whose columns ``extra`` holds, in their order."""
+        return (*self.nuisances, *self.candidates)
+
+    def columns(self, chosen: Sequence[Candidate]) -> Int[Tensor, " columns"]:
+        """Of the model with these effects."""
+        behind = [k for c in chosen for k in range(c.columns.start, c.columns.stop)]
+        return torch.tensor([*range(self.base), *behind])
 
 
 def watch(
@@ -105,11 +116,12 @@ def make_design(watched: Sequence[Watched], effects: Sequence[Effect]) -> Design
         candidates[len(small)].columns.start if tried else at,
         tuple(candidates[len(small) :]),
         scenes[0].phi.new_tensor(scale),
-        tuple(_extra(w, candidates) for w in watched),
+        tuple(extra_columns(w, candidates) for w in watched),
+        tuple(candidates[: len(small)]),
     )
 
 
-def _extra(watched: Watched, candidates: Sequence[Candidate]) -> Float[Tensor, "6 more frames"]:
+def extra_columns(watched: Watched, candidates: Sequence[Candidate]) -> Float[Tensor, "6 more frames"]:
     """Columns about the root's origin."""
     found = torch.cat([columns(c.effect, watched.scene, watched.reading, c.place) for c in candidates], 1)
     point = watched.rows.motion.q[:, :3]

@@ -99,13 +99,8 @@ def search(
     whole = _total(by_trial)
     return Search(
         design, prior, whitening, tuple(chosen), tuple(rounds),
-        fit(whole, _columns(design, ())), fit(whole, _columns(design, chosen)),
+        fit(whole, design.columns(())), fit(whole, design.columns(chosen)),
     )  # fmt: skip
-
-
-def _columns(design: Design, chosen: Sequence[Candidate]) -> Tensor:
-    behind = [k for c in chosen for k in range(c.columns.start, c.columns.stop)]
-    return torch.tensor([*range(design.base), *behind])
 
 
 def _total(by_trial: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
@@ -117,7 +112,7 @@ def _noise(
 ) -> Whitening:
     """Covariance of what the model with the chosen effects leaves: noise estimated without them would hold them."""
     whitening, flat = start, [block for own in blocks for block in own]
-    columns = _columns(design, chosen)
+    columns = design.columns(chosen)
     for _ in range(ROUNDS):
         found = fit(_total([prior.standard(accumulate(own, whitening)) for own in blocks]), columns)
         z = torch.zeros_like(prior.mean)
@@ -131,7 +126,7 @@ def _scan(by_trial: Sequence[tuple[Tensor, Tensor]], design: Design, chosen: Seq
     left = [c for c in design.candidates if c not in chosen]
     if not left:
         return Round((), {})
-    columns, whole = _columns(design, chosen), _total(by_trial)
+    columns, whole = design.columns(chosen), _total(by_trial)
     gain = gains(whole, fit(whole, columns), left)
     crossed = torch.zeros_like(gain)
     for own in by_trial:
@@ -159,7 +154,7 @@ def _pruned(by_trial: Sequence[tuple[Tensor, Tensor]], design: Design, chosen: S
     whole = _total(by_trial)
     for one in chosen:
         rest = [c for c in kept if c is not one]
-        if float(gains(whole, fit(whole, _columns(design, rest)), [one])) < NAMED:
+        if float(gains(whole, fit(whole, design.columns(rest)), [one])) < NAMED:
             kept = rest
     return kept
 

@@ -8,6 +8,7 @@ import torch
 
 from torchid.config import Config, dump_config
 from torchid.errors import DataError, Note
+from torchid.experiment.diagnosing import diagnose_outcome
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, subject_prior, torques
@@ -102,6 +103,10 @@ def _compute(
     outcome = replace(outcome, identified=identified, notes=(*outcome.notes, *identified.fit.notes))
     with folder.timed("residuals"):
         outcome = replace(outcome, residuals=contributions(outcome))
+    if config.diagnosis.enabled:
+        progress("diagnosis", 0.0)
+        outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(config, outcome)))
+        progress("diagnosis", 1.0)
     return _with_torques(outcome, folder), None
 
 

@@ -3,6 +3,7 @@
 import torch
 import xarray
 
+from torchid.diagnosis.diagnose import verdict
 from torchid.dynamics import wrench_about
 from torchid.errors import DataError
 from torchid.files import safe_name, write_json, write_netcdf
@@ -28,6 +29,8 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
     write_json(folder.path("geometry.json"), geometry_table(outcome))
     if outcome.identified is not None:
         write_json(folder.path("inertia.json"), inertia_table(outcome))
+    if outcome.diagnosis is not None:
+        write_json(folder.path("diagnosis.json"), verdict(outcome.diagnosis))
     for name in outcome.session.trials:
         _write_trial(outcome, name, folder)
         release()

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.contact import Contact
+from torchid.diagnosis.diagnose import Diagnosis
 from torchid.errors import Note
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.tracking import Tracked
@@ -62,6 +63,8 @@ class Outcome:
     """At the identified segment lengths."""
     prior_scaled: InertialPrior
     identified: Identified | None = None
+    diagnosis: Diagnosis | None = None
+    """None where it was not asked for, or nothing was identified."""
     torque: dict[str, Float[Tensor, "frames dofs"]] = field(default_factory=dict)
     torque_scaled: dict[str, Float[Tensor, "frames dofs"]] = field(default_factory=dict)
     residuals: tuple[Residual, ...] = ()
