@@ -35,8 +35,12 @@ class Rival:
 
     @property
     def score(self) -> float:
-        """What counts: an effect that does not carry over to other trials is none."""
-        return min(self.evidence, self.crossed)
+        """What counts: an effect that does not carry over to other trials is none.
+
+        Not the lesser of both: what only the prior contradicts, such as a wrong recorded mass, each trial predicts from
+        the others without the effect as well.
+        """
+        return self.evidence if self.crossed > 0.0 else min(self.evidence, self.crossed)
 
 
 @dataclass(frozen=True)
