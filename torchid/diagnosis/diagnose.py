@@ -106,7 +106,7 @@ def diagnose(
     everything = found.chosen
     causes = []
     for k, one in enumerate(everything):
-        scan = next(r for r in found.rounds if any(_same(r.rivals[0].candidate, one) for _ in (0,)))
+        scan = next(r for r in found.rounds if r.rivals and _same(r.rivals[0].candidate, one))
         others = tuple(c for c in everything if c is not one)
         causes.append(_cause(found, k, scan, judge.gain(others, everything)))
     idle = _idle(found.design, watched, plates)
@@ -115,10 +115,6 @@ def diagnose(
 
 def _same(a: Candidate, b: Candidate) -> bool:
     return a.columns == b.columns
-
-
-def _alike(a: Candidate, b: Candidate) -> bool:
-    return (a.effect.name, a.place.where) == (b.effect.name, b.place.where)
 
 
 def _cause(found: Search, k: int, scan: Round, gain: dict[str, float]) -> Cause:
@@ -141,10 +137,10 @@ def _cause(found: Search, k: int, scan: Round, gain: dict[str, float]) -> Cause:
 
 
 def _weights(scan: Round) -> list[float]:
-    """Posterior probabilities of all rivals and, implied, of none: families alike, places of a family alike."""
-    sizes = {name: sum(r.candidate.effect.name == name for r in scan.rivals) for name in scan.families}
-    log = torch.tensor([r.score for r in scan.rivals], dtype=torch.float64)
-    log -= torch.tensor([len(sizes) * sizes[r.candidate.effect.name] for r in scan.rivals], dtype=torch.float64).log()
+    """Posterior probabilities of all rivals and, implied, of none: families alike, places by their odds."""
+    odds = {n: sum(r.candidate.place.odds for r in scan.rivals if r.candidate.effect.name == n) for n in scan.families}
+    log = torch.tensor([r.weighed for r in scan.rivals], dtype=torch.float64)
+    log -= torch.tensor([len(odds) * odds[r.candidate.effect.name] for r in scan.rivals], dtype=torch.float64).log()
     return torch.softmax(torch.cat([log, torch.zeros(1, dtype=torch.float64)]), 0)[:-1].tolist()
 
 

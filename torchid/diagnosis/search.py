@@ -1,6 +1,7 @@
 """Which effects the data support: add the best, estimate the noise again, scan again, try to remove each."""
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -41,6 +42,11 @@ class Rival:
         the others without the effect as well.
         """
         return self.evidence if self.crossed > 0.0 else min(self.evidence, self.crossed)
+
+    @property
+    def weighed(self) -> float:
+        """The score with the odds of the place."""
+        return self.score + math.log(self.candidate.place.odds)
 
 
 @dataclass(frozen=True)
@@ -140,16 +146,16 @@ def _scan(by_trial: Sequence[tuple[Tensor, Tensor]], design: Design, chosen: Seq
     if len(by_trial) == 1:
         crossed = gain
     rivals = [Rival(c, float(g), float(x)) for c, g, x in zip(left, gain, crossed, strict=True)]
-    rivals.sort(key=lambda rival: -rival.score)
+    rivals.sort(key=lambda rival: -rival.weighed)
     names = dict.fromkeys(c.effect.name for c in left)
-    families = {n: _mean([r.score for r in rivals if r.candidate.effect.name == n]) for n in names}
+    families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
     return Round(tuple(rivals), families)
 
 
-def _mean(scores: Sequence[float]) -> float:
-    """Log of the mean of exponentials."""
-    x = torch.tensor(scores, dtype=torch.float64)
-    return float(torch.logsumexp(x, 0) - torch.log(torch.tensor(float(len(scores)))))
+def _mean(rivals: Sequence[Rival]) -> float:
+    """Log of the mean of exponentials, places weighed by their odds."""
+    odds = torch.tensor([r.candidate.place.odds for r in rivals], dtype=torch.float64)
+    return float(torch.logsumexp(torch.tensor([r.weighed for r in rivals], dtype=torch.float64), 0) - odds.sum().log())
 
 
 def _pruned(by_trial: Sequence[tuple[Tensor, Tensor]], design: Design, chosen: Sequence[Candidate]) -> list[Candidate]:

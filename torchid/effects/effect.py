@@ -54,6 +54,8 @@ class Place:
     """On the segment, where the effect acts, in its axes [m]; None: its centre of mass."""
     grid: dict[str, float] = field(default_factory=dict)
     """Values of parameters that no column can be linear in, such as a frequency."""
+    odds: float = 1.0
+    """How likely before any data, against the effect's other places."""
 
 
 class Effect(ABC):

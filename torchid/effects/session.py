@@ -80,7 +80,9 @@ class TimeOffset(Effect):
     alike = ("filter_lag", "drag")
 
     def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
-        return (SESSION, *(Place((scene.trial,)) for scene in scenes)) if len(scenes) > 1 else (SESSION,)
+        """Cables and triggers seldom change within a session: all single trials together are a fifth as likely."""
+        single = tuple(Place((scene.trial,), odds=0.2 / len(scenes)) for scene in scenes)
+        return (SESSION, *single) if len(scenes) > 1 else (SESSION,)
 
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         if not covers(place, reading.trial):

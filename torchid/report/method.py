@@ -27,6 +27,7 @@ STAGES = (
     ("follow", "Filter, contacts and wrenches"),
     ("inertia", "Fit of the inertia"),
     ("residuals", "Residuals step by step"),
+    ("diagnosis", "Diagnosis"),
     ("torques", "Joint torques"),
 )
 """Beginnings of the names of stages, and what they are."""

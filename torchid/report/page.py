@@ -12,6 +12,7 @@ from torchid.outcome import Outcome
 from torchid.provenance import versions
 from torchid.report.blocks import Section
 from torchid.report.body import body_section
+from torchid.report.diagnosis import diagnosis_section
 from torchid.report.facts import wrenches
 from torchid.report.forces import forces_section
 from torchid.report.handling import handling_section
@@ -30,6 +31,7 @@ def sections(outcome: Outcome, failure: DataError | None = None) -> list[Section
         skeleton_section(outcome),
         body_section(outcome),
         forces_section(outcome, forces),
+        diagnosis_section(outcome),
         joints_section(outcome),
         handling_section(outcome),
         method_section(outcome),
