@@ -118,7 +118,7 @@ def verdict(session: Session) -> tuple[Diagnosis, list[Watched]]:
     prior = dataclasses.replace(prior, mean=scale * prior.mean)
     found = identify_inertia([rows[n] for n in FIT], prior)
     plates, frames = recognise(forces)
-    watched = {n: watch(r, forces[n], r.used, frames[n], found.fit.phi) for n, r in rows.items()}
+    watched = {n: watch(r, forces[n], r.used, frames[n], found.fit.phi, subject.recorded_mass) for n, r in rows.items()}
     fits, held = [watched[n] for n in FIT], [watched[n] for n in HELDOUT]
     effects = wanted((), ())
     said = diagnose(fits, held, plates, effects, prior, found.fit.omega_2, found.whitening, 2)

@@ -32,6 +32,7 @@ SIZES: dict[str, tuple[tuple[str, ...], dict]] = {
     "plate_assignment": (("plate_1", "plate_2"), {}),
     "gravity_tilt": (("session",), {"roll_rad": 0.01, "pitch_rad": -0.015}),
     "moving_ground": (("session",), {"rms_m_s2": 0.1, "frequency_hz": 1.3}),
+    "body_mass": (("session",), {"mass_kg": 72.0, "recorded_kg": 70.0}),
     "payload": (("thorax",), {"mass_kg": 3.0, "point_seg_m": [-0.1, 0.02, 0.25]}),
     "grasped_object": (("hand_r",), {"mass_kg": 1.5, "point_seg_m": [0.0, 0.0, -0.1]}),
     "wobbling_mass": (("abdomen",), {"mass_kg": 3.0, "frequency_hz": 4.0, "damping_ratio": 0.2}),

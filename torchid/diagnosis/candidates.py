@@ -70,6 +70,7 @@ def watch(
     measured: Bool[Tensor, " frames"],
     frames: tuple[PlateFrame, ...],
     phi: Float[Tensor, "bodies 10"],
+    recorded_kg: float,
 ) -> Watched:
     """A followed trial as the diagnosis sees it.
 
@@ -79,8 +80,10 @@ def watch(
         measured: frames whose wrench is on plates.
         frames: of its plates.
         phi: inertia at which effects are linearised.
+        recorded_kg: mass of the body before any force was seen.
     """
     scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, phi)
+    scene = replace(scene, recorded_kg=recorded_kg)
     raw = reading(rows.name, forces, frames)
     smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
     return Watched(rows, scene, replace(raw, time=rows.motion.time, wrench=_borne(smooth, scene.needed().T)))

@@ -2,7 +2,7 @@
 
 from torchid.effects.effect import Effect
 from torchid.effects.forces import BodyWeightSupport, Drag, ExternalForce, Tether, UnmeasuredContact
-from torchid.effects.masses import Flywheel, GraspedObject, Payload, WobblingMass
+from torchid.effects.masses import BodyMass, Flywheel, GraspedObject, Payload, WobblingMass
 from torchid.effects.plates import PlateAssignment, PlateCrosstalk, PlateDrift, PlateGain, PlateOffset, PlatePose
 from torchid.effects.session import GravityTilt, MovingGround, TimeOffset
 from torchid.errors import ConfigError
@@ -11,7 +11,7 @@ CATALOGUE: dict[str, Effect] = {
     effect.name: effect
     for effect in (
         TimeOffset(), PlateGain(), PlateOffset(), PlateDrift(), PlatePose(), PlateCrosstalk(), PlateAssignment(),
-        GravityTilt(), MovingGround(), Payload(), GraspedObject(), WobblingMass(), Flywheel(),
+        GravityTilt(), MovingGround(), BodyMass(), Payload(), GraspedObject(), WobblingMass(), Flywheel(),
         UnmeasuredContact(), ExternalForce(), BodyWeightSupport(), Tether(), Drag(),
     )
 }  # fmt: skip

@@ -25,6 +25,31 @@ FINE = 8
 """Steps of the wobbling mass per frame."""
 
 
+class BodyMass(Effect):
+    """The recorded mass is not the person's: plates and record disagree everywhere alike.
+
+    A common gain of all plates does the same to the plates; only a second scale tells which. Internal is what the
+    body weighs beyond the record, spread over it as its mass is.
+    """
+
+    name = "body_mass"
+    parameters = (Parameter("excess_kg", 4.0),)
+    alike = ("plate_gain", "payload")
+
+    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+        return (Place(("session",), grid={"recorded_kg": scenes[0].recorded_kg}),)
+
+    def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
+        return theta / scene.mass * scene.needed()
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        recorded = theta.new_tensor(place.grid["recorded_kg"])
+        return {"mass_kg": recorded + theta[0], "recorded_kg": recorded}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return value_of(values, self.name, "mass_kg", 1) - value_of(values, self.name, "recorded_kg", 1)
+
+
 class Payload(Effect):
     """A mass fixed to a segment: weight beyond the recorded mass, inertia beyond the segment's prior.
 

@@ -33,6 +33,8 @@ class Scene:
     tree: Tree
     state: DynamicState
     phi: Float[Tensor, "bodies 10"]
+    recorded_kg: float = float("nan")
+    """Mass of the body before any force was seen."""
 
     @property
     def rate(self) -> float:

@@ -22,7 +22,8 @@ def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
         for name in outcome.session.part(role, "inertia"):
             item = outcome.followed[name]
             if item.wrench is not None and item.contact is not None and any(True for _ in item.wrench.blocks()):
-                found.append(watch(item.wrench, forces[name], item.contact.measured, frames[name], outcome.phi))
+                known = item.contact.measured, frames[name], outcome.phi, float(outcome.prior.mean[:, 0].sum())
+                found.append(watch(item.wrench, forces[name], *known))
         return found
 
     watched = seen("fit")

@@ -20,6 +20,7 @@ STORY = {
     "plate_assignment": "Two plates are swapped",
     "gravity_tilt": "The cameras' vertical is not gravity's",
     "moving_ground": "The laboratory shakes",
+    "body_mass": "The recorded mass is not the person's",
     "payload": "A segment carries more than its own mass",
     "wobbling_mass": "Part of a segment's mass lags behind its bone",
     "flywheel": "Something spins inside a segment",

@@ -10,7 +10,7 @@ from torchid.effects.scene import PlateFrame, Reading, plate_frame
 from torchid.recording import Plate, Trial
 from torchid.simulate.options import PlantedOptions
 
-GRID = ("frequency_hz", "damping_ratio")
+GRID = ("frequency_hz", "damping_ratio", "recorded_kg")
 """Parameters of a planted effect that belong to its place's grid."""
 
 
