@@ -63,7 +63,7 @@ def main(argv: list[str] | None = None) -> None:
     with (args.out / "metrics.jsonl").open("a") as metrics:
         for k in range(state["iteration"], args.iterations):
             found = fit_inertia(accumulate(blocks, state["whitening"]), prior, names, options)
-            whitening = estimate_whitening(blocks, found.phi.reshape(-1), determined(found))
+            whitening = estimate_whitening(((b, found.phi.reshape(-1)) for b in blocks), determined(found))
             state = {"iteration": k + 1, "whitening": whitening, "fit": found}
             checkpoint.write_bytes(to_bytes(state))
             row = {"iteration": k + 1, "mass_kg": float(found.mass.sum()), "omega_2": found.omega_2}

@@ -1,4 +1,7 @@
-"""Tables of the real recordings: what was identified beside the template, the prior, other programs and the truth."""
+"""Tables of the real recordings: what was identified beside the template, the prior, AddBiomechanics and the truth.
+
+What OpenSim leaves on the same frames is measured by ``opensim_residuals.py``.
+"""
 
 import json
 import math
@@ -20,8 +23,6 @@ from torchid.outcome import Outcome
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))
-OPENSIM_WALKS = "36-44 / 14-18"
-"""Inverse dynamics of OpenSim 4.6 on hand-scaled kinematics, 6 Hz, RMS at the pelvis [N / N m] (MANIFEST.md)."""
 TRUTH_GROUPS = {
     "torso": ("torso",), "pelvis": ("pelvis",), "thigh": ("femur",), "shank": ("tibia", "patella"),
     "foot": ("talus", "calcn", "toes"), "upper_arm": ("humerus",), "forearm": ("ulna", "radius"), "hand": ("hand",),
@@ -102,26 +103,18 @@ def _marker_table(outcome: Outcome, reference: dict, roles: Sequence[str] = ("he
 
 def _residual_table(outcome: Outcome, reference: dict) -> Table:
     """Base residual of each trial, from the hardly filtered scaled template to the identified model."""
-    rows, steps = [], []
+    rows, labels = [], []
     for name, trial in outcome.session.trials.items():
-        if trial.role == "static" or outcome.followed[name].wrench is None:
+        alone = replace(outcome.session, trials={name: replace(trial, role="heldout")})
+        steps = () if trial.role == "static" else contributions(replace(outcome, session=alone))
+        if not steps:  # without plates, or not in the inertia
             continue
-        alone = replace(trial, role="heldout")
-        session = replace(outcome.session, trials={name: alone})
-        steps = contributions(replace(outcome, session=session))
         other = reference.get(name, {})
         cells = [f"{step.force_rmse_N:.1f} / {step.moment_rmse_Nm:.1f}" for step in steps]
         given = f"{other['res_force_N']:.1f} / {other['res_torque_Nm']:.1f}" if other else ""
-        opensim = OPENSIM_WALKS if outcome.config.subject.name.startswith("opencap") and "walk" in name else ""
-        rows.append([name, _part(outcome, name), *cells, opensim, given])
-    labels = [f"{step.label}, {step.cutoff_hz:.3g} Hz" for step in steps]
-    head = ["N / N m", "role", *labels, "OpenSim, hand-scaled, 6 Hz", "AddBiomechanics (motion altered)"]
-    return _table(head, rows)
-
-
-def _part(outcome: Outcome, name: str) -> str:
-    role = outcome.session.trials[name].role
-    return role if outcome.session.files[name].inertia else f"{role}, not in the inertia"
+        rows.append([name, trial.role, *cells, given])
+        labels = [f"{step.label}, {step.cutoff_hz:.3g} Hz" for step in steps]
+    return _table(["N / N m", "role", *labels, "AddBiomechanics (motion altered)"], rows)
 
 
 def _frame_table(outcome: Outcome) -> Table:

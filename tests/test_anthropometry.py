@@ -1,4 +1,4 @@
-"""Inertial prior: sums, symmetry, physical consistency, covariance."""
+"""Inertial prior and its table: sums, symmetry, physical consistency, covariance."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,8 @@ import torch
 from torchid.conventions import Inertial
 from torchid.errors import ConfigError
 from torchid.model import anthropometry as module
-from torchid.model.anthropometry import DE_LEVA, body_mass, inertial_prior
+from torchid.model.anthropometry import body_mass, inertial_prior
+from torchid.model.de_leva import DE_LEVA, segments
 from torchid.model.model import Geometry
 from torchid.model.skeleton import SEGMENTS
 from torchid.model.whole_body import whole_body
@@ -127,7 +128,7 @@ def test_linearised_covariance_matches_sampling(seed):
     person = PEOPLE[0]
     prior, geometry, model = prior_of(person)
     rng = np.random.default_rng(seed)
-    centre = module._encode(module._segments(geometry, person[0], "male"))
+    centre = module._encode(segments(geometry, person[0], "male"))
     sd = module._scatter(person[0])
     draws = torch.stack(
         [

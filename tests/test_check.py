@@ -9,7 +9,8 @@ import torch
 from numpy.testing import assert_allclose
 from rich.console import Console
 
-from torchid.check import check_trial, format_check, moved_mass, plate_weight
+from torchid.check import check_trial, format_check
+from torchid.check_plates import moved_mass, plate_weight
 from torchid.conventions import GRAVITY
 from torchid.errors import Note
 from torchid.recording import Forces, Markers, Plate, Trial

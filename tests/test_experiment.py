@@ -191,3 +191,22 @@ def test_the_wrong_marker_set_is_said(tmp_path):
     result = CliRunner().invoke(app, ["run", str(short_session(tmp_path, markers=str(wrong)))])
     assert result.exit_code in (2, 3) and "markers" in result.output
     assert not (tmp_path / "out" / "geometry.json").exists()
+
+
+def test_hidden_effects_are_hidden_from_the_fits(tmp_path):
+    """A run's config tells nothing of how its recordings were made; it runs again, and other effects compute anew."""
+    effect, reused = {"effect": "drag", "where": ["thorax"], "parameters": {"coefficient_Ns_m": 40.0}}, []
+    config, written = tmp_path / "config.yaml", tmp_path / "out" / "config.yaml"
+    document = {
+        "subject": {"name": "S"}, "markers": "simulated", "seed": small.SEED, "out": str(tmp_path / "out"),
+        "geometry": {"max_frames": 10, "iterations": 3, "static_frames": 4}, "inertia": {"enabled": False},
+    }  # fmt: skip
+    for effects, file in (([effect], config), ([effect], written), ([], config)):
+        simulate = {"fit": ["squats"], "heldout": [], "duration_s": 2.0, "effects": effects}
+        config.write_text(yaml.safe_dump({**document, "simulate": simulate}))
+        outcome = run_experiment(load_config(file))
+        reused.append(outcome.times["geometry"].reused)
+        assert outcome.config.simulate is None and len(outcome.config.trials) == 2
+        assert "drag" not in written.read_text()
+        assert ("drag" in (tmp_path / "out" / "recordings" / "truth" / "subject.json").read_text()) == bool(effects)
+    assert reused == [False, True, False]

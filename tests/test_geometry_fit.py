@@ -136,16 +136,27 @@ def test_tracking_a_part_is_tracking_the_whole():
 
 
 def test_a_long_trial_is_followed_in_pieces_that_do_not_show(monkeypatch):
-    """Cut into pieces, one of them within a gap, a trial gets the coordinates and errors of the whole."""
+    """Cut within a gap, a trial gets the coordinates and errors of the whole.
+
+    Those of frames without a gap, and all where the pieces reach over the whole trial with what is beside them. Else
+    the gap's frames lie near: what is typical of a coordinate, beyond which its course takes over, is judged by the
+    piece, and a coordinate close to that limit changes sides. On 40 draws one moved by 0.02 rad, all together by 0.001
+    to 0.002 rad in root mean square, the errors by 0.05 to 0.07 mm.
+    """
     fit, held = small.fit(), small.markers("heldout")["sway_steps"]
     held = small.without(held, fit.attachment.labels[:2], slice(130, 160))
+    complete = torch.isfinite(held.select(fit.attachment.labels).position).all(2).all(1)
+    assert int((~complete).sum()) == 30
     whole = track(fit, held)
     monkeypatch.setattr(tracking, "PIECE", 145)
-    monkeypatch.setattr(tracking, "BESIDE", 100)
-    cut = track(fit, held)
-    assert_close(cut.q, whole.q, rtol=0, atol=2e-2)
-    assert_close(cut.error, whole.error, rtol=0, atol=1e-3, equal_nan=True)
-    assert torch.equal(cut.observable, whole.observable)
+    for beside, same in ((100, complete), (len(held.time) - 145, torch.ones_like(complete))):
+        monkeypatch.setattr(tracking, "BESIDE", beside)
+        cut = track(fit, held)
+        assert_close(cut.q[same], whole.q[same], rtol=0, atol=2e-3)
+        assert_close(cut.error[same], whole.error[same], rtol=0, atol=1e-4, equal_nan=True)
+        assert torch.equal(cut.observable, whole.observable)
+        assert float((cut.q - whole.q)[~complete].square().mean().sqrt()) < 6e-3
+        assert float((cut.error - whole.error)[~complete].nan_to_num().square().mean().sqrt()) < 3e-4
 
 
 def test_modelled_markers_are_where_the_errors_say():

@@ -1,4 +1,4 @@
-"""Tests of torchid.io.c3d, c3d_header and c3d_data on files built byte by byte."""
+"""Tests of torchid.io.c3d, c3d_header, c3d_layout and c3d_data on files built byte by byte."""
 
 import struct
 import time

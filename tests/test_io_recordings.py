@@ -11,8 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from torchid.check import check_trial
 from torchid.io import read_trial
-from torchid.io.c3d_data import read_analogs, read_points, resolve_layout
+from torchid.io.c3d_data import read_analogs, read_points
 from torchid.io.c3d_header import read_header
+from torchid.io.c3d_layout import resolve_layout
 
 DATA = Path(os.environ.get("TORCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 C3D = sorted(path for path in DATA.rglob("*") if path.suffix.lower() == ".c3d") if DATA.is_dir() else []

@@ -79,3 +79,14 @@ def test_cutoff_grows_with_the_band_of_the_signal(seed: int) -> None:
         x = torch.tensor(0.05 * waves[:, None, None] + 1e-3 * rng.normal(size=(1000, 8, 3)))
         found.append(choose_cutoff(x, RATE))
     assert found[0] < found[1] and found[0] >= 2.9 and found[1] >= 8.5
+
+
+def test_labels_that_jump_do_not_move_the_cutoff() -> None:
+    """Two labels exchanged for a second, or a ghost, say nothing about how fast a person moves."""
+    time = np.arange(1000) / 100.0
+    slow = 0.2 * np.sin(2.0 * np.pi * 0.7 * time)
+    x = torch.tensor(np.stack([np.stack([slow + 0.1 * k] * 3, 1) for k in range(6)], 1))
+    x += 1e-3 * torch.tensor(np.random.default_rng(1).normal(size=x.shape))
+    swapped = x.clone()
+    swapped[300:450, [0, 1]] = x[300:450, [1, 0]]
+    assert choose_cutoff(swapped, 100.0) == pytest.approx(choose_cutoff(x, 100.0), rel=0.1)

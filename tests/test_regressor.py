@@ -127,7 +127,7 @@ def coloured(count: int, params: int) -> tuple[list[Spectrum], torch.Tensor, tor
 def test_white_rows_have_unit_covariance(seed):
     """Whitened rows, the blocks' means apart, have independent channels of variance one in every band."""
     blocks, phi, _ = coloured(120, 12)
-    whitening = estimate_whitening(blocks, phi, 0.0)
+    whitening = estimate_whitening(((block, phi) for block in blocks), 0.0)
     residual = torch.stack([(lambda Y, F: F - Y @ phi)(*whitening(block)) for block in blocks])
     residual = residual.reshape(len(blocks), -1, 6)
     for band in blocks[0].band[1:].unique():

@@ -1,6 +1,7 @@
 """The report page: whole, inert, without anything from outside, and with the numbers of the tables."""
 
 import json
+import math
 import re
 from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
@@ -11,16 +12,25 @@ import pytest
 import torch
 
 from torchid.config import load_config
+from torchid.diagnosis.diagnose import Alternative, Cause, Diagnosis, Errors
+from torchid.diagnosis.unexplained import Structure
+from torchid.effects.catalogue import CATALOGUE, effect
+from torchid.effects.effect import Interval, Place
 from torchid.errors import DataError
 from torchid.experiment import run_experiment
 from torchid.outcome import Outcome
-from torchid.report.blocks import Table
+from torchid.regressor.rows import residual_rms
+from torchid.report.blocks import Figure, Paragraph, Table
+from torchid.report.diagnosis import diagnosis_section, gained
+from torchid.report.extension import sides, spectrum
 from torchid.report.facts import wrenches
 from torchid.report.forces import Score, instructive
 from torchid.report.handling import grouped, handling_section
 from torchid.report.head import head_section
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
+from torchid.report.story import STORY, surely, told
+from torchid.report.telling import APART, NOUN, RECORD, tell_apart
 from torchid.report.text import bind, change, clean, listing, merge, number, pattern, segment, spread
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session, write_session
@@ -291,3 +301,132 @@ def test_texts_have_sensible_digits_and_no_control_characters():
     assert listing(list("abcdefghij"), 4) == "a, b, c and 7 more"
     assert segment("thigh_l") == "left thigh" and segment("pelvis") == "pelvis"
     assert bind("12.5 N m at 3 s") == "12.5\N{NO-BREAK SPACE}N\N{NO-BREAK SPACE}m at 3\N{NO-BREAK SPACE}s"
+
+
+GRID = {"frequency_hz": 3.0, "damping_ratio": 0.2, "recorded_kg": 70.0, "modes": 12.0, "turning": 1.0,
+        "x": 1.0, "y": 1.0, "z": 1.0}  # fmt: skip
+WHERE = {
+    "plate_": ("plate_1",), "marker_shift": ("LTHI",), "marker_swap": ("LTHI", "RTHI"), "grasped": ("hand_r",),
+    "joint_": ("knee_l",), "missing": ("knee_l",), "plate_assignment": ("plate_1", "plate_2"),
+}  # fmt: skip
+
+
+def cause(name: str, scale: float = 1.0) -> Cause:
+    """One of an effect's places with every internal parameter at its prior's scale."""
+    own = effect(name)
+    where = next((WHERE[k] for k in sorted(WHERE, reverse=True) if name.startswith(k)), ("thorax",))
+    if name in ("time_offset", "filter_lag", "gravity_tilt", "moving_ground", "body_mass", "marker_scale"):
+        where = ("session",)
+    when = (Interval(TRIAL, 0.5, 1.25),) if own.timed or name == "marker_shift" else None
+    follows = "knee_l_flexion" if name in ("soft_tissue", "joint_centre_shift") else None
+    place = Place(where, when, (0.0, 0.0, 0.1), GRID, follows=follows, markers=("LTHI", "LKNE"))
+    theta = scale * torch.tensor(own.scale(place), dtype=torch.float64)
+    values = {k: {"value": v, "sd": 0.1 * v.abs()} for k, v in own.named(place, theta).items()}
+    gain = {"heldout_log_likelihood": 1.0, "force_rmse_pct": 1.0, "moment_rmse_pct": 1.0}
+    rivals = Alternative("body_mass", ("session",), 0.2), Alternative("payload", ("hand_l",), 0.05)
+    return Cause(
+        name, where, when, values, 0.9, rivals, rivals[:1], gain, place, theta[None], ("squats",), when is None
+    )
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+@pytest.mark.parametrize("scale", [1.0, -1.0])
+def test_every_effect_has_a_sentence(name, scale):
+    """In plain words: sizes with their unit, no key, no number that is none; and what tells it from its look-alikes."""
+    own = effect(name)
+    if scale < 0.0 and any(p.positive for p in own.parameters):
+        return
+    said = told(cause(name, scale))
+    assert not said[0].islower() and said.endswith(".") and "nan" not in said and "tensor" not in said
+    assert "_" not in said and (re.search(r"\d", said) or not cause(name).parameters)
+    for other in own.alike:
+        assert tell_apart(name, other) == tell_apart(other, name)
+    sure = surely(cause(name), Structure(True, 1e-4, 0.4, "x"))
+    assert sure.startswith("very likely (90 %)") and "what remains unexplained" in sure
+
+
+def test_texts_about_effects_name_effects():
+    """All effects are named and have a motion that shows them, and nothing else does."""
+    assert set(STORY) == set(NOUN) == set(RECORD) == set(CATALOGUE)
+    assert {name for pair in APART for name in pair} <= set(CATALOGUE)
+    assert "5.3 ms (sd 0.3 ms)" in told(replace(cause("time_offset"), parameters=one("lag_s", 0.0053, 3e-4)))
+    assert "early" in told(replace(cause("time_offset"), parameters=one("lag_s", -0.0053, 3e-4)))
+    assert "plate 1 reads 2.10 % (sd 0.10 %) too little" in told(
+        replace(cause("plate_gain"), parameters=one("gain", 0.979, 1e-3))
+    ).replace("Plate", "plate")
+
+
+def one(key: str, value: float, sd: float) -> dict:
+    """Parameters of a cause with a single scalar."""
+    return {key: {"value": torch.tensor(value), "sd": torch.tensor(sd)}}
+
+
+def extended(outcome: Outcome) -> Outcome:
+    """The outcome as if naming two causes had led from the table's inertia to it."""
+    identified = outcome.identified
+    assert identified is not None
+    table = replace(identified, fit=replace(identified.fit, phi=outcome.prior.mean))
+    base = replace(outcome, identified=table, fit=replace(outcome.fit))
+    errors = Errors(10.0, 3.0)
+    causes = (cause("payload"), replace(cause("marker_shift"), where=(LABEL,)))
+    rest = Structure(False, 0.2, 0.1, "")
+    found = Diagnosis((), errors, errors, causes, rest, {"plate_gain": "not of plate_3: nobody steps there"})
+    return replace(outcome, diagnosis=found, base=base)
+
+
+def test_named_causes_are_told_drawn_and_counted(run):
+    """The section has curves, bands, rivals and a table with the residuals of both models; the page is inert."""
+    outcome = extended(run.outcome)
+    section = diagnosis_section(outcome)
+    assert section is not None and section.finding.startswith("The thorax carries 2.0")
+    assert len([b for b in section.blocks if isinstance(b, Figure)]) == 4
+    table = next(block for block in section.blocks if isinstance(block, Table))
+    for row, name in zip(table.rows, (TRIAL, "squats"), strict=True):
+        wrench = outcome.followed[name].wrench
+        assert wrench is not None and outcome.base is not None
+        pairs = [residual_rms([wrench], one.phi) for one in (outcome.base, outcome)]
+        (force_0, moment_0), (force_1, moment_1) = pairs
+        assert row[2:6] == (number(force_0), number(force_1), number(moment_0, 2), number(moment_1, 2))
+    found = parse(render_report(outcome))
+    assert set(found.tags) <= ALLOWED and 'id="diagnosis"' in render_report(outcome)
+    assert not [name for _, name, _ in found.attributes if name.startswith("on") or name == "src"]
+
+
+def test_bands_add_up_to_the_residual(run):
+    """The squares of the bands are the square of the RMS of a residual that the filter lets through."""
+    trial = next(side for side in sides(extended(run.outcome)).values()).trials[0]
+    left = trial.motion.smoother(torch.randn(len(trial.used), 6, dtype=torch.float64))
+    used = torch.cat([left[part] for part in trial.blocks()])
+    whole = [float(used[:, k : k + 3].square().sum(1).mean().sqrt()) for k in (0, 3)]
+    found = spectrum([(trial, left)]).square().sum(1).sqrt()
+    torch.testing.assert_close(found, torch.tensor(whole, dtype=torch.float64), rtol=0.1, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("rest", "said"),
+    [
+        (
+            Structure(False, math.nan, math.nan, "cannot be told: no camera"),
+            "remains unexplained cannot be told: no camera",
+        ),
+        (Structure(False, 0.4, 0.1, ""), "too little to matter"),
+        (Structure(True, 1e-5, 0.6, "60 % of <b>it</b>"), "no effect of the catalogue explains: 60 %"),
+    ],
+)
+def test_what_remains_is_said(run, rest, said):
+    """Unknown, nothing and something are three sentences; without causes nothing is drawn or corrected."""
+    none = Errors(math.nan, math.nan)
+    outcome = replace(run.outcome, diagnosis=Diagnosis((), none, none, (), rest))
+    section = diagnosis_section(outcome)
+    assert section is not None and f"None of the {len(CATALOGUE)} effects" in section.finding
+    assert said in " ".join(block.text for block in section.blocks if isinstance(block, Paragraph))
+    assert not any(isinstance(block, Figure) for block in section.blocks)
+
+
+def test_gains_are_said_as_they_are():
+    """Errors that fall, rise or stay are called so; without held-out trials nothing is claimed."""
+    before = {"force_rmse_N": 18.0, "moment_rmse_Nm": 2.0, "marker_rmse_mm": 1.5}
+    said = gained(before, before | {"force_rmse_N": 16.1, "moment_rmse_Nm": 2.5}, "held-out")
+    assert "force error falls from 18.0 to 16.1 N" in said and "moment error rises" in said and "marker" not in said
+    assert "stays at 18.0 N" in gained(before, before, "held-out")
+    assert gained(dict.fromkeys(before, math.nan), before, "held-out").startswith("No held-out trial")

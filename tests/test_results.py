@@ -190,7 +190,7 @@ def test_snapshots_hold_and_rebuild_nothing_foreign():
     for name in ("os:system", "torchid.results:os.system", "torchid.files:write_json", "torchid.results:OutputFolder"):
         document = json.dumps({"class": name, "fields": {}}).encode()
         content = len(document).to_bytes(8, "little") + document
-        with pytest.raises(SnapshotError, match="unreadable"):
+        with pytest.raises(SnapshotError, match="another version"):
             from_bytes(hashlib.sha256(content).digest() + content)
 
 
@@ -245,6 +245,18 @@ def test_stages_are_reused_only_while_their_key_matches(tmp_path):
     before = len(calls)
     run("k1")
     assert len(calls) == 4
+
+
+def test_a_stage_of_another_version_is_computed_again_and_the_log_says_so_plainly(tmp_path, caplog):
+    """A layout, a class or a field that this version does not know: one line names the stage and the reason."""
+    key = json.dumps({"dict": {"key": "k", "result": {"class": "torchid.errors:Note", "fields": {"gone": 1}}}}).encode()
+    with OutputFolder(tmp_path / "out") as folder:
+        for body in (len(key).to_bytes(8, "little") + key, bytes(8) + b"PK" + bytes(60), bytes(range(256))):
+            file = tmp_path / "out" / ".torchid" / "stages" / "geometry.snapshot"
+            file.write_bytes(hashlib.sha256(body).digest() + body)
+            assert folder.stage("geometry", "k", lambda: "new") == "new"
+            assert folder.stage("geometry", "k", lambda: pytest.fail("computed again")) == "new"
+    assert caplog.messages == ["stage geometry is computed again: it was stored by another version of torchid"] * 3
 
 
 def test_a_killed_run_is_continued(tmp_path):

@@ -159,6 +159,6 @@ def _read_stage(file: Path, key: str) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except (OSError, SnapshotError) as error:
-        log.warning("stored stage %s is computed again: %s", file.stem, error)
+        log.warning("stage %s is computed again: %s", file.stem, error)
         return None
     return stored if isinstance(stored, dict) and stored.get("key") == key else None

@@ -111,7 +111,7 @@ def _map(file: Any) -> mmap.mmap:
     try:
         mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
     except ValueError as error:
-        raise SnapshotError("an empty file") from error
+        raise SnapshotError("the stored file is empty") from error
     if hasattr(mmap, "MADV_DONTNEED"):  # not on Windows
         _maps.add(mapped)
     return mapped
@@ -141,7 +141,7 @@ def _begin(document: int) -> int:
 
 def _checked(content: bytearray | mmap.mmap) -> Any:
     if hashlib.sha256(memoryview(content)[DIGEST:]).digest() != content[:DIGEST]:
-        raise SnapshotError("damaged snapshot")
+        raise SnapshotError("the stored file is damaged")
     return _rebuild(content)
 
 
@@ -151,7 +151,8 @@ def _rebuild(content: bytearray | mmap.mmap) -> Any:
         document = json.loads(content[DIGEST + LENGTH : DIGEST + LENGTH + size])
         return _decode(document, content, _begin(size))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError) as error:
-        raise SnapshotError(f"unreadable snapshot: {error}") from error
+        # The digest has shown that the bytes are those once written: what they lack is only what they mean here.
+        raise SnapshotError("it was stored by another version of torchid") from error
 
 
 def _encode(value: Any, arrays: dict[Any, tuple[int, np.ndarray]]) -> Any:

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from torchid.io.c3d_data import Layout, resolve_layout
 from torchid.io.c3d_header import C3dHeader, read_header
+from torchid.io.c3d_layout import Layout, resolve_layout
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 

@@ -1,131 +1,217 @@
 """Everything that could be hidden: every effect at every place, as columns beside those of the inertia."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchid.diagnosis.cameras import Answer, Cameras, MarkerSums, marker_sums
+from torchid.diagnosis.idle import IdleSums, idle_sums
+from torchid.diagnosis.nuisances import GeometryError, SkinSlide
+from torchid.diagnosis.proposals import suggested
+from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
-from torchid.effects.effect import Effect, Place, columns
+from torchid.effects.effect import STEP, Effect, Place, columns
+from torchid.effects.markers import MarkerShift
 from torchid.effects.plates import PlateDrift, PlateOffset
-from torchid.effects.scene import PlateFrame, Reading, Scene, make_scene, reading
-from torchid.recording import Forces
-from torchid.regressor.rows import WrenchTrial
+from torchid.geometry.fitted import GeometryFit
 
-NUISANCE = ((PlateOffset(), 0.2), (PlateDrift(), 0.1))
-"""Small errors that every plate has, part of their priors as effects: 1 N and 0.05 N/s are nobody's discovery."""
-LOADED = 20.0
-"""Vertical force below which a plate bears nothing [N]."""
+PLATES = ((PlateOffset(), 0.1), (PlateDrift(), 0.05))
+"""Small errors that every plate has, part of their priors as effects: 0.5 N and 0.025 N/s are nobody's discovery."""
 
 
 @dataclass(frozen=True)
-class Watched:
-    """One trial: its rows, its bodies and what its plates read, all through the same filter."""
-
-    rows: WrenchTrial
-    scene: Scene
-    reading: Reading
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """An effect at a place and its columns in the design."""
+class Source:
+    """Columns that a nuisance or candidates share."""
 
     effect: Effect
     place: Place
     columns: slice
+    mean: tuple[float, ...]
+    scale: tuple[float, ...]
+    """Of the prior of its parameters."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a place."""
+
+    effect: Effect
+    place: Place
+    source: Source
+    trials: frozenset[int]
+    """In which it could act, by their order."""
+
+    odds: float = 1.0
+    """Of the place among all places of the effect."""
+
+    @property
+    def blocks(self) -> tuple[frozenset[int], ...]:
+        """Trials that share parameters."""
+        return tuple(frozenset({k}) for k in sorted(self.trials)) if self.effect.anew else (self.trials,)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return len(self.columns) * len(self.blocks)
+
+    @property
+    def columns(self) -> Int[Tensor, " columns"]:
+        """In the design."""
+        return torch.arange(self.source.columns.start, self.source.columns.stop)
+
+    @property
+    def relative(self) -> Float[Tensor, " columns"]:
+        """Prior standard deviations against those of the source."""
+        own = torch.tensor(self.effect.scale(self.place), dtype=torch.float64)
+        return own / torch.tensor(self.source.scale, dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Of all sources, in one trial."""
+
+    extra: Float[Tensor, "6 more frames"]
+    """About the root's origin."""
+    markers: MarkerSums | None
+    """Of the kinematic ones."""
+    idle: IdleSums | None = None
+    """Of zero errors."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """Columns of all candidates, behind the inertia's and the nuisances'."""
+    """Columns of nuisances and candidates, behind the inertia's."""
 
     inertia: int
     """Number of inertial parameters."""
     base: int
     """Number of columns of inertia and nuisances."""
+    sources: tuple[Source, ...]
     candidates: tuple[Candidate, ...]
-    scale: Float[Tensor, " more"]
-    """Prior standard deviations of everything behind the inertia."""
-    extra: tuple[Float[Tensor, "6 more frames"], ...]
-    """Per trial."""
-    nuisances: tuple[Candidate, ...]
+    trials: tuple[Columns, ...]
+    kinematic: Int[Tensor, " columns"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
+    """Columns that have rows of markers."""
 
     @property
-    def all(self) -> tuple[Candidate, ...]:
-        """Whose columns ``extra`` holds, in their order."""
-        return (*self.nuisances, *self.candidates)
+    def mean(self) -> Float[Tensor, " more"]:
+        """Of the prior of everything behind the inertia."""
+        return torch.tensor([x for s in self.sources for x in s.mean], dtype=torch.float64)
 
-    def columns(self, chosen: Sequence[Candidate]) -> Int[Tensor, " columns"]:
-        """Of the model with these effects."""
-        behind = [k for c in chosen for k in range(c.columns.start, c.columns.stop)]
-        return torch.tensor([*range(self.base), *behind])
+    @property
+    def scale(self) -> Float[Tensor, " more"]:
+        """Its standard deviations."""
+        return torch.tensor([x for s in self.sources for x in s.scale], dtype=torch.float64)
 
 
-def watch(
-    rows: WrenchTrial,
-    forces: Forces,
-    measured: Bool[Tensor, " frames"],
-    frames: tuple[PlateFrame, ...],
-    phi: Float[Tensor, "bodies 10"],
-    recorded_kg: float,
-) -> Watched:
-    """A followed trial as the diagnosis sees it.
+def make_design(watched: Sequence[Watched], effects: Sequence[Effect], fit: GeometryFit | None = None) -> Design:
+    """Columns of every effect at every place, trial by trial.
 
     Args:
-        rows: motion and total wrench.
-        forces: of its plates, raw, on the clock of the motion.
-        measured: frames whose wrench is on plates.
-        frames: of its plates.
-        phi: inertia at which effects are linearised.
-        recorded_kg: mass of the body before any force was seen.
+        watched: trials.
+        effects: to try.
+        fit: whose geometry the trials were followed with; its errors are nuisances.
     """
-    scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, phi)
-    scene = replace(scene, recorded_kg=recorded_kg)
-    raw = reading(rows.name, forces, frames)
-    smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
-    return Watched(rows, scene, replace(raw, time=rows.motion.time, wrench=_borne(smooth, scene.needed().T)))
-
-
-def _borne(
-    read: Float[Tensor, "frames plates 6"], needed: Float[Tensor, "frames 6"]
-) -> Float[Tensor, "frames plates 6"]:
-    """What the plates bore: their readings, the model's residual taken off in proportion to their loads.
-
-    Readings hold the noise that the total holds. As columns they would explain it by itself: an unloaded plate was
-    found to gain 30 %.
-    """
-    load = read[..., 2:3].clamp(min=0.0) * (read[..., 2:3] > LOADED)
-    share = load / load.sum(1, keepdim=True).clamp(min=LOADED)
-    read = read * (load > 0.0)
-    return read - share * (read.sum(1) - needed)[:, None]
-
-
-def make_design(watched: Sequence[Watched], effects: Sequence[Effect]) -> Design:
-    """Columns of every effect at every place, trial by trial."""
-    scenes, readings = [w.scene for w in watched], [w.reading for w in watched]
-    inertia = watched[0].scene.phi.numel()
-    small = [(e, place, share) for e, share in NUISANCE for place in e.places(scenes, readings)]
-    tried = [(e, place, 1.0) for e in effects for place in e.places(scenes, readings)]
-    at, candidates = inertia, []
-    for effect, place, _ in (*small, *tried):
-        candidates.append(Candidate(effect, place, slice(at, at + effect.size)))
-        at += effect.size
-    scale = [share * s for effect, _, share in (*small, *tried) for s in effect.scale]
+    names = [w.rows.name for w in watched]
+    inertia = watched[0].view.scene.phi.numel()
+    sources, known = [], {}
+    at = inertia
+    for effect, place, mean, scale in nuisances(watched, fit):
+        sources.append(Source(effect, place, slice(at, at + len(scale)), mean, scale))
+        known[_key(effect, place)] = sources[-1]
+        at += len(scale)
+    base, candidates = at, []
+    for effect in effects:
+        places = suggested(effect, watched)
+        for place in places:
+            own, trials = effect.source(place)
+            if _key(effect, own) not in known:
+                scale = effect.scale(own)
+                sources.append(Source(effect, own, slice(at, at + len(scale)), (0.0,) * len(scale), scale))
+                known[_key(effect, own)] = sources[-1]
+                at += len(scale)
+            which = range(len(names)) if trials is None else [names.index(t) for t in trials]
+            odds = place.odds / mass(effect, places)
+            candidates.append(Candidate(effect, place, known[_key(effect, own)], frozenset(which), odds))
+    kinematic = [k for s in sources if s.effect.kinematic for k in range(s.columns.start, s.columns.stop)]
     return Design(
-        inertia,
-        candidates[len(small)].columns.start if tried else at,
-        tuple(candidates[len(small) :]),
-        scenes[0].phi.new_tensor(scale),
-        tuple(extra_columns(w, candidates) for w in watched),
-        tuple(candidates[: len(small)]),
-    )
+        inertia, base, tuple(sources), tuple(candidates),
+        tuple(trial_columns(w, sources) for w in watched), torch.tensor(kinematic, dtype=torch.long),
+    )  # fmt: skip
 
 
-def extra_columns(watched: Watched, candidates: Sequence[Candidate]) -> Float[Tensor, "6 more frames"]:
-    """Columns about the root's origin."""
-    found = torch.cat([columns(c.effect, watched.scene, watched.reading, c.place) for c in candidates], 1)
-    point = watched.rows.motion.q[:, :3]
-    return wrench_about(found.permute(1, 2, 0), point.expand(found.shape[1], -1, -1)).permute(2, 0, 1)
+def mass(effect: Effect, places: Sequence[Place]) -> float:
+    """Odds of all places together; those of proposals are shares of what could have been proposed."""
+    return 1.0 if effect.timed or effect.anew else sum(place.odds for place in places)
+
+
+def nuisances(
+    watched: Sequence[Watched], fit: GeometryFit | None
+) -> Iterator[tuple[Effect, Place, tuple[float, ...], tuple[float, ...]]]:
+    """Effect, place, and mean and standard deviation of its parameters."""
+    views = [w.view for w in watched]
+    for effect, share in PLATES:
+        for place in effect.places(views):
+            yield effect, place, (0.0,) * effect.size(place), tuple(share * s for s in effect.scale(place))
+    if fit is None or watched[0].cameras is None:
+        return
+    n = len(fit.prior.mean)
+    away = fit.prior.mean - fit.xi[:n]
+    yield GeometryError(fit.prior), Place(("session",)), tuple(away.tolist()), tuple(fit.prior.sd.tolist())
+    away = fit.attachment.mean - fit.place
+    for k, label in enumerate(fit.attachment.labels):
+        yield MarkerShift(), Place((label,)), tuple(away[k].tolist()), tuple(fit.attachment.sd[k].tolist())
+    skin = SkinSlide()
+    for place in skin.places(views):
+        yield skin, place, (0.0,) * skin.size(place), skin.scale(place)
+
+
+def _key(effect: Effect, place: Place) -> tuple:
+    return effect.name, place.where, place.when, place.point, tuple(place.grid.items()), place.follows
+
+
+def trial_columns(watched: Watched, sources: Sequence[Source], wanted: Sequence[Source] | None = None) -> Columns:
+    """Of all sources in one trial; zero but for those that are wanted."""
+    view, wrench, left = watched.view, [], []
+    for source in sources:
+        idle = wanted is not None and source not in wanted
+        if not source.effect.kinematic and not idle:
+            wrench.append(columns(source.effect, view.scene, view.read(source.effect.late), source.place))
+            continue
+        answer = None
+        if watched.cameras is not None and source.effect.kinematic:
+            answer = (_silence if idle else answer_of)(watched.cameras, source)
+            left.append(answer.left)
+        nothing = view.reading.wrench.new_zeros(6, len(source.scale), len(view.scene.time))
+        wrench.append(nothing if answer is None else answer.wrench)
+    found, point = torch.cat(wrench, 1), watched.rows.motion.q[:, :3]
+    extra = wrench_about(found.permute(1, 2, 0), point.expand(found.shape[1], -1, -1)).permute(2, 0, 1)
+    sums = None if watched.cameras is None else marker_sums(watched.cameras.coarse, torch.cat(left, 2))
+    zeros = [(s.effect, s.place, s.columns) for s in sources if wanted is None or s in wanted]
+    return Columns(extra, sums, idle_sums(watched.idle, zeros))
+
+
+def _silence(cameras: Cameras, source: Source) -> Answer:
+    coarse, n, frames = cameras.coarse, len(source.scale), len(cameras.sight.scene.time)
+    return Answer(coarse.error.new_zeros(6, n, frames), coarse.error.new_zeros(*coarse.error.shape, n))
+
+
+def answer_of(cameras: Cameras, source: Source) -> Answer:
+    """To unit parameters of an effect."""
+    effect, place = source.effect, source.place
+    sight, slid, moved = cameras.sight, [], []
+    for k, scale in enumerate(effect.scale(place)):
+        theta = sight.p_BM_B.new_zeros(effect.size(place))
+        theta[k] = STEP * scale
+        slid.append((effect.slide(sight, place, theta), theta[k]))
+        moved.append((effect.move(sight.scene, place, theta), theta[k]))
+    answers = []
+    if slid[0][0] is not None:
+        answers.append(
+            cameras.respond(slid[0][0].which, torch.stack([s.by / step for s, step in slid if s is not None]))
+        )
+    if moved[0][0] is not None:
+        answers.append(cameras.moved(torch.stack([m / step for m, step in moved if m is not None])))
+    return answers[0] if len(answers) == 1 else answers[0] + answers[1]

@@ -1,24 +1,30 @@
 """The verdict: causes with their parameters, rivals and confidence, and what they gain on motion that was not used."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Candidate, Design, Watched, extra_columns
-from torchid.diagnosis.evidence import Fitted, fit
+from torchid.diagnosis.candidates import Candidate, trial_columns
+from torchid.diagnosis.evidence import Sums, fit
+from torchid.diagnosis.noise import Rows, summed
 from torchid.diagnosis.plates import SessionPlate
-from torchid.diagnosis.search import ALIKE, Round, Search, estimate, search
+from torchid.diagnosis.search import ALIKE, BODY, Round, Search, estimate, internal, residual, residuals, search
+from torchid.diagnosis.unexplained import Structure, structure
+from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import CATALOGUE, effect
-from torchid.effects.effect import Effect, Interval
+from torchid.effects.effect import Effect, Interval, Place, Planted
+from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
-from torchid.regressor.rows import measured, predict
-from torchid.regressor.whitening import Whitening, accumulate, spectra
+from torchid.regressor.whitening import Whitening, spectra
 
-TIMED = frozenset({"unmeasured_contact", "grasped_object"})
-"""Effects that need intervals."""
+RELEVANT = 0.01
+"""Part of the residual force or moment that a cause must take away where the residual is more than noise."""
 RIVALS = 4
 """Alternatives that are listed at most."""
 
@@ -47,6 +53,20 @@ class Cause:
     indistinguishable: tuple[Alternative, ...]
     gain: dict[str, float]
     """Held-out, of this cause on top of the others."""
+    place: Place
+    theta: Float[Tensor, "blocks params"]
+    """Internal parameters, see ``Effect``; one row, or one for each of the trials."""
+    trials: tuple[str, ...]
+    """Fit trials in which it acts."""
+    everywhere: bool
+    """In all of them, and therefore in others too."""
+
+    def on(self, trial: str) -> Planted | None:
+        """As it acts in a trial, None where it does not or nobody knows."""
+        own = effect(self.effect)
+        if trial in self.trials:
+            return Planted(own, self.place, self.theta[self.trials.index(trial) if own.anew else 0])
+        return Planted(own, self.place, self.theta[0]) if self.everywhere and not own.anew else None
 
 
 @dataclass(frozen=True)
@@ -65,6 +85,7 @@ class Diagnosis:
     baseline: Errors
     extended: Errors
     causes: tuple[Cause, ...]
+    unexplained: Structure
     not_testable: dict[str, str] = field(default_factory=dict)
     """Why, by effect."""
 
@@ -75,7 +96,7 @@ def wanted(include: Sequence[str], exclude: Sequence[str]) -> tuple[Effect, ...]
     Raises:
         ConfigError: one of the names is no effect.
     """
-    out = {effect(name).name for name in exclude} | TIMED
+    out = {effect(name).name for name in exclude}
     return tuple(effect(name) for name in (include or CATALOGUE) if name not in out)
 
 
@@ -88,6 +109,7 @@ def diagnose(
     omega: float,
     whitening: Whitening,
     limit: int,
+    geometry: GeometryFit | None = None,
 ) -> Diagnosis:
     """Scan fit trials, then measure on held-out ones.
 
@@ -100,24 +122,52 @@ def diagnose(
         omega: weight of that prior in the inertial fit.
         whitening: of the inertial fit.
         limit: causes at most.
+        geometry: with which the trials were followed.
     """
-    found = search(watched, effects, inertia, omega, whitening, limit)
-    judge = _Judge(found, watched, heldout)
-    everything = found.chosen
-    causes = []
+    found = search(watched, effects, inertia, omega, whitening, limit, geometry)
+    rest = structure(watched, residuals(watched, found.design, found.prior, found.fitted))
+    if rest.significant:
+        found = _relevant(found, watched)
+    judge, everything, causes = _Judge(found, heldout), found.chosen, []
     for k, one in enumerate(everything):
         scan = next(r for r in found.rounds if r.rivals and _same(r.rivals[0].candidate, one))
         others = tuple(c for c in everything if c is not one)
-        causes.append(_cause(found, k, scan, judge.gain(others, everything)))
-    idle = _idle(found.design, watched, plates)
-    return Diagnosis(plates, judge.errors(()), judge.errors(everything), tuple(causes), idle)
+        names = [w.rows.name for w in watched]
+        causes.append(_cause(found, k, scan, judge.gain(others, everything), names))
+    if rest.significant:
+        # A model that the data visibly contradict is sure of nothing that the contradicted forces told.
+        trust = 1.0 - 0.5 * rest.share_of_residual
+        causes = [c if c.effect in BODY else replace(c, confidence=trust * c.confidence) for c in causes]
+    idle = _idle(watched, plates)
+    return Diagnosis(plates, judge.errors(()), judge.errors(everything), tuple(causes), rest, idle)
+
+
+def _relevant(found: Search, watched: Sequence[Watched]) -> Search:
+    """Where noise does not explain the residual, evidence alone is cheap: forces must also be seen to gain."""
+    kept = list(found.chosen)
+    for one in found.chosen:
+        if one.effect.kinematic or one.effect.timed:
+            continue
+        with_, without = (
+            _sizes(watched, residuals(watched, found.design, found.prior, fit(found.sums, some)))
+            for some in (kept, [c for c in kept if c is not one])
+        )
+        if bool((with_ > (1.0 - RELEVANT) * without).all()):
+            kept.remove(one)
+    return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))
+
+
+def _sizes(watched: Sequence[Watched], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:
+    """RMS of forces and moments over used frames."""
+    both = torch.cat([x[w.rows.used] for w, x in zip(watched, left, strict=True)])
+    return torch.stack([both[:, :3].square().mean().sqrt(), both[:, 3:].square().mean().sqrt()])
 
 
 def _same(a: Candidate, b: Candidate) -> bool:
-    return a.columns == b.columns
+    return a.place is b.place
 
 
-def _cause(found: Search, k: int, scan: Round, gain: dict[str, float]) -> Cause:
+def _cause(found: Search, k: int, scan: Round, gain: dict[str, float], names: Sequence[str]) -> Cause:
     one = found.chosen[k]
     weight = _weights(scan)
     best = next(r for r in scan.rivals if _same(r.candidate, one))
@@ -133,21 +183,25 @@ def _cause(found: Search, k: int, scan: Round, gain: dict[str, float]) -> Cause:
     listed = tuple(Alternative(name, where, w) for w, near, name, where in rivals if w > 1e-3)[:RIVALS]
     values = {key: {"value": value, "sd": sd} for key, (value, sd) in estimate(found, k).items()}
     confidence = min(1.0, own[0] + sum(t.confidence for t in twins))
-    return Cause(one.effect.name, one.place.where, one.place.when, values, confidence, listed, twins, gain)
+    acting = tuple(names[j] for j in sorted(one.trials))
+    return Cause(
+        one.effect.name, one.place.where, one.place.when, values, confidence, listed, twins, gain,
+        one.place, internal(found, k).view(len(one.blocks), -1), acting, len(acting) == len(names),
+    )  # fmt: skip
 
 
 def _weights(scan: Round) -> list[float]:
     """Posterior probabilities of all rivals and, implied, of none: families alike, places by their odds."""
-    odds = {n: sum(r.candidate.place.odds for r in scan.rivals if r.candidate.effect.name == n) for n in scan.families}
-    log = torch.tensor([r.weighed for r in scan.rivals], dtype=torch.float64)
-    log -= torch.tensor([len(odds) * odds[r.candidate.effect.name] for r in scan.rivals], dtype=torch.float64).log()
+    log = torch.tensor([r.weighed for r in scan.rivals], dtype=torch.float64) - math.log(len(scan.families))
     return torch.softmax(torch.cat([log, torch.zeros(1, dtype=torch.float64)]), 0)[:-1].tolist()
 
 
-def _idle(design: Design, watched: Sequence[Watched], plates: Sequence[SessionPlate]) -> dict[str, str]:
-    borne = {f.name for w in watched for k, f in enumerate(w.reading.frames) if bool(w.reading.wrench[:, k].any())}
+def _idle(watched: Sequence[Watched], plates: Sequence[SessionPlate]) -> dict[str, str]:
+    borne = {
+        f.name for w in watched for k, f in enumerate(w.view.reading.frames) if bool(w.view.reading.wrench[:, k].any())
+    }
     silent = [plate.frame.name for plate in plates if plate.frame.name not in borne]
-    out = {name: "needs intervals, which are not searched yet" for name in sorted(TIMED)}
+    out = {}
     if silent:
         out["plate_gain"] = f"not of {', '.join(silent)}: nobody steps there in a fit trial"
     return out
@@ -156,24 +210,23 @@ def _idle(design: Design, watched: Sequence[Watched], plates: Sequence[SessionPl
 class _Judge:
     """Base and extended models, fitted to the fit trials, on the held-out ones."""
 
-    def __init__(self, found: Search, watched: Sequence[Watched], heldout: Sequence[Watched]) -> None:
+    def __init__(self, found: Search, heldout: Sequence[Watched]) -> None:
         self.found, self.heldout = found, heldout
-        self.prior = found.prior
-        own = zip(watched, found.design.extra, strict=True)
-        self.sums = _summed(found, [spectra(w.rows, extra) for w, extra in own])
-        self.extra = [extra_columns(w, found.design.all) for w in heldout]
-        both = zip(heldout, self.extra, strict=True)
-        self.more = _summed(found, [spectra(w.rows, extra) for w, extra in both]) if heldout else None
-
-    def fitted(self, chosen: Sequence[Candidate]) -> Fitted:
-        """To the fit trials."""
-        return fit(self.sums, self.found.design.columns(chosen))
+        needed = [s for s in found.design.sources if s.columns.stop <= found.design.base]
+        needed += [c.source for c in found.chosen]
+        self.columns = [trial_columns(w, found.design.sources, needed) for w in heldout]
+        rows = [Rows(tuple(spectra(w.rows, c.extra)), c) for w, c in zip(heldout, self.columns, strict=True)]
+        more = summed(rows, found.prior, found.design, found.noise)
+        self.both = Sums(found.sums.base, (*found.sums.trials, *more.trials))
 
     def errors(self, chosen: Sequence[Candidate]) -> Errors:
         """Of the held-out trials."""
-        theta, n = self._theta(chosen), self.found.design.inertia
-        phi = theta[:n].reshape(-1, 10)
-        left = [self._residual(w, extra, phi, theta[n:]) for w, extra in zip(self.heldout, self.extra, strict=True)]
+        fitted, n = fit(self.found.sums, self._everywhere(chosen)), self.found.design.inertia
+        left = []
+        for k, (watched, columns) in enumerate(zip(self.heldout, self.columns, strict=True)):
+            trial = len(self.found.sums.trials) + k
+            theta = self.found.prior.theta(fitted.z(len(self.found.prior.mean), trial))
+            left.append(residual(watched, columns, theta[:n].reshape(-1, 10), theta[n:])[watched.rows.used])
         if not left:
             return Errors(float("nan"), float("nan"))
         both = torch.cat(left)
@@ -186,48 +239,34 @@ class _Judge:
             "heldout_log_likelihood": self._predictive(with_) - self._predictive(without),
             "force_rmse_pct": 100.0 * (1.0 - after.force_rmse_N / before.force_rmse_N),
             "moment_rmse_pct": 100.0 * (1.0 - after.moment_rmse_Nm / before.moment_rmse_Nm),
-            "marker_rmse_pct": 0.0,
         }
+
+    def _everywhere(self, chosen: Sequence[Candidate]) -> list[Candidate]:
+        """What acts in all fit trials acts in the held-out ones too."""
+        whole = frozenset(range(len(self.found.sums.trials) + len(self.heldout)))
+        return [replace(c, trials=whole) if c.trials == self.found.sums.all else c for c in chosen]
 
     def _predictive(self, chosen: Sequence[Candidate]) -> float:
         """Log density of the held-out rows after the fit trials (chain rule), up to what all models share."""
-        if self.more is None:
+        if not self.heldout:
             return float("nan")
-        columns = self.found.design.columns(chosen)
-        both = self.sums[0] + self.more[0], self.sums[1] + self.more[1]
-        return fit(both, columns).log_evidence - fit(self.sums, columns).log_evidence
-
-    def _theta(self, chosen: Sequence[Candidate]) -> Float[Tensor, " all"]:
-        found = self.fitted(chosen)
-        z = torch.zeros_like(self.prior.mean)
-        z[found.columns] = found.mean
-        return self.prior.theta(z)
-
-    def _residual(self, watched: Watched, extra: Tensor, phi: Tensor, theta: Tensor) -> Float[Tensor, "used 6"]:
-        rows = watched.rows
-        left = measured(rows) - predict(rows, phi) - torch.einsum("ipt,p->ti", extra, theta)
-        return left[rows.used]
+        chosen = self._everywhere(chosen)
+        return fit(self.both, chosen).log_evidence - fit(self.found.sums, chosen).log_evidence
 
 
-def _summed(found: Search, several: Sequence) -> tuple[Tensor, Tensor]:
-    standard = [found.prior.standard(accumulate(own, found.whitening)) for own in several]
-    gram, moment = standard[0]
-    for g, m in standard[1:]:
-        gram, moment = gram + g, moment + m
-    return gram, moment
-
-
-def verdict(diagnosis: Diagnosis) -> dict[str, object]:
-    """Content of ``diagnosis.json``."""
+def verdict(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Content of ``diagnosis.json`` but for what the extended model makes of markers."""
     return {
-        "baseline": {"heldout": diagnosis.baseline},
+        "baseline": {"heldout": dataclasses.asdict(diagnosis.baseline)},
         "causes": [_listed(cause) for cause in diagnosis.causes],
-        "extended": {"heldout": diagnosis.extended},
+        "unexplained": diagnosis.unexplained,
+        "extended": {"heldout": dataclasses.asdict(diagnosis.extended)},
         "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
         "plates": {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in diagnosis.plates},
     }
 
 
-def _listed(cause: Cause) -> Mapping[str, object]:
+def _listed(cause: Cause) -> dict[str, Any]:
     names = ("effect", "where", "when", "parameters", "confidence", "alternatives", "indistinguishable", "gain")
-    return {name: getattr(cause, name) for name in names}
+    found = {name: getattr(cause, name) for name in names}
+    return found | {"follows": cause.place.follows, "markers": cause.place.markers or None}

@@ -8,8 +8,8 @@ Reference: MacKay, Neural Computation 4 (1992), on evidence; Chib, JASA 90 (1995
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
@@ -17,7 +17,9 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates import Candidate, Design
 from torchid.model.model import InertialPrior
-from torchid.regressor.equations import NormalEquations
+
+Raw = tuple[Float[Tensor, "all all"], Float[Tensor, " all"]]
+"""Gram matrix and moment of whitened rows."""
 
 
 @dataclass(frozen=True)
@@ -29,15 +31,15 @@ class Prior:
     """Lower Cholesky factor of the inertial parameters."""
     scale: Float[Tensor, " more"]
 
-    def standard(self, sums: NormalEquations) -> tuple[Float[Tensor, "all all"], Float[Tensor, " all"]]:
+    def standard(self, sums: Raw) -> tuple[Float[Tensor, "all all"], Float[Tensor, " all"]]:
         """Gram matrix and moment of z."""
         n = len(self.inertia)
 
         def turned(x: Tensor) -> Tensor:
             return torch.cat([self.inertia.T @ x[:n], self.scale.reshape(-1, *[1] * (x.dim() - 1)) * x[n:]])
 
-        moment = turned(sums.moment - sums.gram @ self.mean)
-        return turned(turned(sums.gram).T.contiguous()), moment
+        gram, moment = sums
+        return turned(turned(gram).T.contiguous()), turned(moment - gram @ self.mean)
 
     def theta(self, z: Float[Tensor, " all"]) -> Float[Tensor, " all"]:
         """Back to the parameters."""
@@ -48,15 +50,54 @@ class Prior:
 def make_prior(inertia: InertialPrior, omega: float, design: Design) -> Prior:
     """Of all columns of a design; ``omega`` weighs the inertial prior as the inertial fit did."""
     factor = torch.linalg.cholesky(inertia.covariance / omega)
-    mean = torch.cat([inertia.mean.reshape(-1), torch.zeros_like(design.scale)])
-    return Prior(mean, factor, design.scale)
+    scale = design.scale.to(factor)
+    return Prior(torch.cat([inertia.mean.reshape(-1), design.mean.to(factor)]), factor, scale)
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Gram matrices and moments of z, trial by trial."""
+
+    base: int
+    """Columns of inertia and nuisances; those of the candidates' sources follow."""
+    trials: tuple[Raw, ...]
+    _totals: dict[frozenset[int], Raw] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def all(self) -> frozenset[int]:
+        """Every trial."""
+        return frozenset(range(len(self.trials)))
+
+    def total(self, which: frozenset[int]) -> Raw:
+        """Sums over some trials."""
+        if which not in self._totals:
+            gram, moment = (torch.zeros_like(x) for x in self.trials[0])
+            for k in which:
+                gram += self.trials[k][0]
+                moment += self.trials[k][1]
+            self._totals[which] = gram, moment
+        return self._totals[which]
+
+    def cross(self, chosen: Sequence[Candidate], columns: Tensor, seen: frozenset[int]) -> Tensor:
+        """Rows of the base and of chosen candidates against columns, summed over the trials in which they act."""
+        rows = [self.total(seen)[0][: self.base, columns]]
+        for one, block in _blocks(chosen):
+            gram = self.total(block & seen)[0]
+            rows.append(one.relative.to(gram)[:, None] * gram[one.columns][:, columns])
+        return torch.cat(rows)
+
+
+def _blocks(chosen: Sequence[Candidate]) -> Iterator[tuple[Candidate, frozenset[int]]]:
+    return ((one, block) for one in chosen for block in one.blocks)
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """Posterior of one model: columns, factor of L, whitened moment, mean of z."""
+    """Posterior of one model: chosen effects, factor of L, whitened moment; base columns first."""
 
-    columns: Tensor
+    chosen: tuple[Candidate, ...]
+    seen: frozenset[int]
+    """Trials it was fitted to."""
     factor: Float[Tensor, "n n"]
     whitened: Float[Tensor, " n"]
 
@@ -75,34 +116,80 @@ class Fitted:
         """Of z."""
         return torch.cholesky_inverse(self.factor)
 
+    def z(self, columns: int, trial: int) -> Float[Tensor, " all"]:
+        """Mean over all columns of the design in one trial."""
+        mean = self.mean
+        base = len(mean) - sum(c.size for c in self.chosen)
+        found = mean.new_zeros(columns)
+        found[:base] = mean[:base]
+        at = base
+        for one, block in _blocks(self.chosen):
+            size = len(one.columns)
+            if trial in block:
+                found[one.columns] += one.relative.to(mean) * mean[at : at + size]
+            at += size
+        return found
 
-def fit(standard: tuple[Tensor, Tensor], columns: Tensor) -> Fitted:
-    """The model with these columns."""
-    gram, moment = standard
-    own = gram[columns][:, columns]
-    factor = torch.linalg.cholesky(own + torch.eye(len(columns)).to(own))
-    return Fitted(columns, factor, torch.linalg.solve_triangular(factor, moment[columns, None], upper=False)[:, 0])
+
+def assembled(sums: Sums, chosen: Sequence[Candidate], seen: frozenset[int]) -> Raw:
+    """Gram matrix and moment of the base and these effects."""
+    gram, moment = sums.total(seen)
+    blocks = [sums.cross(chosen, torch.arange(sums.base), seen)]
+    moments = [moment[: sums.base]]
+    for one, block in _blocks(chosen):
+        relative = one.relative.to(gram)
+        blocks.append(sums.cross(chosen, one.columns, block & seen) * relative)
+        moments.append(relative * sums.total(block & seen)[1][one.columns])
+    return torch.cat(blocks, 1), torch.cat(moments)
 
 
-def gains(
-    standard: tuple[Tensor, Tensor], base: Fitted, candidates: Sequence[Candidate]
-) -> Float[Tensor, " candidates"]:
-    """Log evidence that each candidate alone would add to a base."""
-    gram, moment = standard
-    shared = torch.linalg.solve_triangular(base.factor, gram[base.columns], upper=False)
-    left = moment - shared.T @ base.whitened
-    found = moment.new_empty(len(candidates))
-    sizes = {c.effect.size for c in candidates}
-    for size in sizes:
-        rows = [k for k, c in enumerate(candidates) if c.effect.size == size]
-        index = torch.tensor([range(candidates[k].columns.start, candidates[k].columns.stop) for k in rows])
-        own, part = gram[index[:, :, None], index[:, None, :]], shared[:, index].permute(1, 2, 0)
-        L = torch.linalg.cholesky(own - part @ part.mT + torch.eye(size).to(own))
-        u = torch.linalg.solve_triangular(L, left[index][..., None], upper=False)[..., 0]
-        gain = 0.5 * u.square().sum(1) - L.diagonal(dim1=1, dim2=2).log().sum(1)
-        # A parameter known to be positive has half the prior space: twice the density, and only its upper side counts.
-        first = torch.linalg.solve_triangular(L.mT, u[..., None], upper=True)[:, 0, 0]
-        upper = math.log(2.0) + torch.special.log_ndtr(first / torch.cholesky_inverse(L)[:, 0, 0].sqrt())
-        positive = torch.tensor([candidates[k].effect.parameters[0].positive for k in rows])
-        found[rows] = torch.where(positive, gain + upper, gain)
+def fit(sums: Sums, chosen: Sequence[Candidate] = (), seen: frozenset[int] | None = None) -> Fitted:
+    """The model with these effects, on some trials or all."""
+    seen = sums.all if seen is None else seen
+    L, moment = assembled(sums, chosen, seen)
+    factor = torch.linalg.cholesky(L + torch.eye(len(L)).to(L))
+    whitened = torch.linalg.solve_triangular(factor, moment[:, None], upper=False)[:, 0]
+    return Fitted(tuple(chosen), seen, factor, whitened)
+
+
+def gains(sums: Sums, base: Fitted, candidates: Sequence[Candidate]) -> Float[Tensor, "2 candidates"]:
+    """Log evidence that each candidate alone would add to a base, on the trials of the base.
+
+    The second row is half the whitened energy that it would take away: the evidence without its price.
+    """
+    found = base.factor.new_zeros(2, len(candidates))
+    groups: dict[tuple[tuple[frozenset[int], ...], int], list[int]] = {}
+    for k, one in enumerate(candidates):
+        blocks = tuple(block & base.seen for block in one.blocks if block & base.seen)
+        if blocks:
+            groups.setdefault((blocks, len(one.columns)), []).append(k)
+    for (blocks, _), rows in groups.items():
+        found[:, rows] = _gains(sums, base, [candidates[k] for k in rows], blocks)
     return found
+
+
+def _gains(
+    sums: Sums, base: Fitted, some: Sequence[Candidate], blocks: tuple[frozenset[int], ...]
+) -> Float[Tensor, "2 some"]:
+    """Of candidates of one size that act in the same trials; blocks of trials have parameters of their own."""
+    index = torch.stack([c.columns for c in some])
+    relative = torch.stack([c.relative for c in some]).to(base.factor)
+    parts, lefts, owns = [], [], []
+    for block in blocks:
+        gram, moment = sums.total(block)
+        cross = sums.cross(base.chosen, index.flatten(), block) * relative.flatten()
+        shared = torch.linalg.solve_triangular(base.factor, cross, upper=False)
+        lefts.append((relative.flatten() * moment[index.flatten()] - shared.T @ base.whitened).view(index.shape))
+        parts.append(shared.unflatten(1, index.shape).permute(1, 2, 0))
+        owns.append(gram[index[:, :, None], index[:, None, :]] * relative[:, :, None] * relative[:, None, :])
+    part, left, n = torch.cat(parts, 1), torch.cat(lefts, 1), index.shape[1] * len(blocks)
+    own = torch.stack([torch.block_diag(*(o[k] for o in owns)) for k in range(len(some))])
+    L = torch.linalg.cholesky(own - part @ part.mT + torch.eye(n).to(own))
+    u = torch.linalg.solve_triangular(L, left[..., None], upper=False)[..., 0]
+    energy = 0.5 * u.square().sum(1)
+    gain = energy - L.diagonal(dim1=1, dim2=2).log().sum(1)
+    # A parameter known to be positive has half the prior space: twice the density, and only its upper side counts.
+    first = torch.linalg.solve_triangular(L.mT, u[..., None], upper=True)[:, 0, 0]
+    upper = math.log(2.0) + torch.special.log_ndtr(first / torch.cholesky_inverse(L)[:, 0, 0].sqrt())
+    positive = torch.tensor([c.effect.parameters[0].positive for c in some])
+    return torch.stack([torch.where(positive, gain + upper, gain), energy])

@@ -9,19 +9,28 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Candidate, Design, Watched, make_design
-from torchid.diagnosis.evidence import Fitted, Prior, fit, gains, make_prior
+from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design
+from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
+from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, summed
+from torchid.diagnosis.unexplained import structure
+from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect
+from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
-from torchid.regressor.whitening import Spectrum, Whitening, accumulate, estimate_whitening, spectra
+from torchid.regressor.rows import measured, predict
+from torchid.regressor.whitening import Whitening, spectra
 
 log = logging.getLogger(__name__)
 NAMED = 5.0
 """Nats that name an effect: odds of 150 to one."""
 ALIKE = 3.0
 """Nats within which a rival cannot be told apart."""
-ROUNDS = 2
-"""Estimates of the noise for each set of effects."""
+CHANCE = 1.0
+"""Nats by which trials may predict each other worse for a cause that they say nothing of, such as a wrong record."""
+SECOND = 3
+"""Effects that are tried under the noise that they would leave."""
+BODY = frozenset({"soft_tissue", "joint_centre_shift", "missing_dof", "wobbling_mass"})
+"""What every living body has some of; named when it is there, and counted apart from errors of the laboratory."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +42,8 @@ class Rival:
     """Log evidence gained over the model without it [nat]."""
     crossed: float
     """The same, each trial predicted from the others."""
+    explained: float
+    """Half the whitened energy that it takes away, less what as many columns of no meaning would [nat]."""
 
     @property
     def score(self) -> float:
@@ -41,12 +52,12 @@ class Rival:
         Not the lesser of both: what only the prior contradicts, such as a wrong recorded mass, each trial predicts from
         the others without the effect as well.
         """
-        return self.evidence if self.crossed > 0.0 else min(self.evidence, self.crossed)
+        return self.evidence if self.crossed > -CHANCE else min(self.evidence, self.crossed)
 
     @property
     def weighed(self) -> float:
         """The score with the odds of the place."""
-        return self.score + math.log(self.candidate.place.odds)
+        return self.score + math.log(self.candidate.odds)
 
 
 @dataclass(frozen=True)
@@ -57,6 +68,12 @@ class Round:
     families: dict[str, float]
     """Score of each effect, averaged over its places: what was searched is paid for."""
 
+    @property
+    def named(self) -> Rival | None:
+        """The best, if its effect is supported."""
+        best = self.rivals[0] if self.rivals else None
+        return None if best is None or self.families[best.candidate.effect.name] < NAMED else best
+
 
 @dataclass(frozen=True)
 class Search:
@@ -64,11 +81,10 @@ class Search:
 
     design: Design
     prior: Prior
-    whitening: Whitening
+    noise: Noise
     chosen: tuple[Candidate, ...]
     rounds: tuple[Round, ...]
-    base: Fitted
-    """Without any effect, under the same noise."""
+    sums: Sums
     fitted: Fitted
 
 
@@ -79,6 +95,7 @@ def search(
     omega: float,
     whitening: Whitening,
     limit: int,
+    geometry: GeometryFit | None = None,
 ) -> Search:
     """Scan the catalogue until nothing more is supported.
 
@@ -88,64 +105,101 @@ def search(
         inertia: prior of the inertial parameters.
         omega: weight of that prior.
         whitening: of the inertial fit, to begin with.
-        limit: number of effects at most.
+        limit: number of effects at most, of bodies and of all else each.
+        geometry: with which the trials were followed.
     """
-    design = make_design(watched, effects)
+    design = make_design(watched, effects, geometry)
     prior = make_prior(inertia, omega, design)
-    blocks = [list(spectra(w.rows, extra)) for w, extra in zip(watched, design.extra, strict=True)]
+    rows = [Rows(tuple(spectra(w.rows, c.extra)), c) for w, c in zip(watched, design.trials, strict=True)]
+    noise = initial_noise(whitening)
     chosen: list[Candidate] = []
     rounds: list[Round] = []
+    scan = _Scan(watched, rows, design, prior, limit)
     while True:
-        whitening = _noise(blocks, prior, design, chosen, whitening)
-        by_trial = [prior.standard(accumulate(own, whitening)) for own in blocks]
-        found = _scan(by_trial, design, chosen)
+        noise = estimate_noise(rows, prior, design, chosen, noise)
+        sums, found = scan(noise, chosen)
+        if found.named is None:
+            noise, sums, found = scan.again(noise, sums, found, chosen)
         rounds.append(found)
-        best = found.rivals[0] if found.rivals else None
-        if best is None or len(chosen) >= limit or found.families[best.candidate.effect.name] < NAMED:
+        best = found.named
+        if best is None:
             break
         log.info("%s at %s gains %.1f nats", best.candidate.effect.name, best.candidate.place.where, best.score)
         chosen.append(best.candidate)
-    chosen = _pruned(by_trial, design, chosen)
-    whole = _total(by_trial)
-    return Search(
-        design, prior, whitening, tuple(chosen), tuple(rounds),
-        fit(whole, design.columns(())), fit(whole, design.columns(chosen)),
-    )  # fmt: skip
+    chosen = _pruned(sums, chosen)
+    return Search(design, prior, noise, tuple(chosen), tuple(rounds), sums, fit(sums, chosen))
 
 
-def _total(by_trial: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:
-    return sum(g for g, _ in by_trial), sum(m for _, m in by_trial)  # type: ignore[return-value]
+@dataclass(frozen=True)
+class _Scan:
+    """Of the catalogue, under one noise or another."""
+
+    watched: Sequence[Watched]
+    rows: Sequence[Rows]
+    design: Design
+    prior: Prior
+    limit: int
+
+    def __call__(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Sums, Round]:
+        sums = summed(self.rows, self.prior, self.design, noise)
+        return sums, _scan(sums, open_candidates(self.design, chosen, self.limit), chosen)
+
+    def again(self, noise: Noise, sums: Sums, found: Round, chosen: Sequence[Candidate]) -> tuple[Noise, Sums, Round]:
+        """Where the residual is more than noise, under the noise that the likeliest candidates would leave.
+
+        An effect in a narrow band is what the band's noise was estimated from: ground that shook at 37 times the noise
+        had no evidence.
+        """
+        rest = structure(self.watched, residuals(self.watched, self.design, self.prior, fit(sums, chosen)))
+        if not rest.significant:
+            return noise, sums, found
+        best: dict[str, Rival] = {}
+        for rival in found.rivals:
+            if rival.explained > best.setdefault(rival.candidate.effect.name, rival).explained:
+                best[rival.candidate.effect.name] = rival
+        for rival in sorted(best.values(), key=lambda r: -r.explained)[:SECOND]:
+            other = estimate_noise(self.rows, self.prior, self.design, [*chosen, rival.candidate], noise)
+            again = self(other, chosen)
+            named = again[1].named
+            if named is not None and named.candidate.effect is rival.candidate.effect:
+                return other, *again
+        return noise, sums, found
 
 
-def _noise(
-    blocks: Sequence[Sequence[Spectrum]], prior: Prior, design: Design, chosen: Sequence[Candidate], start: Whitening
-) -> Whitening:
-    """Covariance of what the model with the chosen effects leaves: noise estimated without them would hold them."""
-    whitening, flat = start, [block for own in blocks for block in own]
-    columns = design.columns(chosen)
-    for _ in range(ROUNDS):
-        found = fit(_total([prior.standard(accumulate(own, whitening)) for own in blocks]), columns)
-        z = torch.zeros_like(prior.mean)
-        z[columns] = found.mean
-        lost = float(len(columns) - torch.trace(found.covariance))
-        whitening = estimate_whitening(flat, prior.theta(z), lost)
-    return whitening
+def residuals(
+    watched: Sequence[Watched], design: Design, prior: Prior, fitted: Fitted
+) -> list[Float[Tensor, "frames 6"]]:
+    """Of the trials a model was fitted to, about the root's origin."""
+    found = []
+    for k, (own, columns) in enumerate(zip(watched, design.trials, strict=True)):
+        theta, n = prior.theta(fitted.z(len(prior.mean), k)), design.inertia
+        found.append(residual(own, columns, theta[:n].reshape(-1, 10), theta[n:]))
+    return found
 
 
-def _scan(by_trial: Sequence[tuple[Tensor, Tensor]], design: Design, chosen: Sequence[Candidate]) -> Round:
-    left = [c for c in design.candidates if c not in chosen]
+def residual(watched: Watched, columns: Columns, phi: Tensor, theta: Tensor) -> Float[Tensor, "frames 6"]:
+    """About the root's origin, with everything in theta taken off."""
+    return measured(watched.rows) - predict(watched.rows, phi) - torch.einsum("ipt,p->ti", columns.extra, theta)
+
+
+def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
+    """Those that may still be chosen: no laboratory's error is left out because bodies are as bodies are."""
+    full = {of for of in (False, True) if sum((c.effect.name in BODY) == of for c in chosen) >= limit}
+    return [c for c in design.candidates if c not in chosen and (c.effect.name in BODY) not in full]
+
+
+def _scan(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> Round:
     if not left:
         return Round((), {})
-    columns, whole = design.columns(chosen), _total(by_trial)
-    gain = gains(whole, fit(whole, columns), left)
+    gain, energy = gains(sums, fit(sums, chosen), left)
     crossed = torch.zeros_like(gain)
-    for own in by_trial:
+    for k in sums.all:
         # The chain rule: what a trial says after the others is the evidence of all less that of the others.
-        others = whole[0] - own[0], whole[1] - own[1]
-        crossed += gain - gains(others, fit(others, columns), left)
-    if len(by_trial) == 1:
+        crossed += gain - gains(sums, fit(sums, chosen, sums.all - {k}), left)[0]
+    if len(sums.all) == 1:
         crossed = gain
-    rivals = [Rival(c, float(g), float(x)) for c, g, x in zip(left, gain, crossed, strict=True)]
+    both = zip(left, gain.tolist(), crossed.tolist(), energy.tolist(), strict=True)
+    rivals = [Rival(c, g, x, e - 0.5 * c.size) for c, g, x, e in both]
     rivals.sort(key=lambda rival: -rival.weighed)
     names = dict.fromkeys(c.effect.name for c in left)
     families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
@@ -154,27 +208,32 @@ def _scan(by_trial: Sequence[tuple[Tensor, Tensor]], design: Design, chosen: Seq
 
 def _mean(rivals: Sequence[Rival]) -> float:
     """Log of the mean of exponentials, places weighed by their odds."""
-    odds = torch.tensor([r.candidate.place.odds for r in rivals], dtype=torch.float64)
-    return float(torch.logsumexp(torch.tensor([r.weighed for r in rivals], dtype=torch.float64), 0) - odds.sum().log())
+    return float(torch.logsumexp(torch.tensor([r.weighed for r in rivals], dtype=torch.float64), 0))
 
 
-def _pruned(by_trial: Sequence[tuple[Tensor, Tensor]], design: Design, chosen: Sequence[Candidate]) -> list[Candidate]:
+def _pruned(sums: Sums, chosen: Sequence[Candidate]) -> list[Candidate]:
     """Without those that the others have made superfluous."""
     kept = list(chosen)
-    whole = _total(by_trial)
     for one in chosen:
         rest = [c for c in kept if c is not one]
-        if float(gains(whole, fit(whole, design.columns(rest)), [one])) < NAMED:
+        if float(gains(sums, fit(sums, rest), [one])[0]) < NAMED:
             kept = rest
     return kept
 
 
+def internal(found: Search, k: int) -> Float[Tensor, " params"]:
+    """Internal parameters of the k-th chosen effect, block after block of trials."""
+    one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
+    scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
+    return scale * found.fitted.mean[at : at + one.size]
+
+
 def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
     """Named parameters of the k-th chosen effect: values and standard deviations."""
-    one, at = found.chosen[k], found.design.base + sum(c.effect.size for c in found.chosen[:k])
-    part = slice(at, at + one.effect.size)
-    scale = found.prior.scale[one.columns.start - found.design.inertia : one.columns.stop - found.design.inertia]
-    theta = scale * found.fitted.mean[part]
+    one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
+    part = slice(at, at + one.size)
+    scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
+    theta = internal(found, k)
     covariance = scale[:, None] * found.fitted.covariance[part, part] * scale
     values = one.effect.named(one.place, theta)
     out = {}

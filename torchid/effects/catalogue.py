@@ -2,9 +2,11 @@
 
 from torchid.effects.effect import Effect
 from torchid.effects.forces import BodyWeightSupport, Drag, ExternalForce, Tether, UnmeasuredContact
+from torchid.effects.joints import JointCentreShift, MissingDof
+from torchid.effects.markers import MarkerScale, MarkerShift, MarkerSwap, SoftTissue
 from torchid.effects.masses import BodyMass, Flywheel, GraspedObject, Payload, WobblingMass
 from torchid.effects.plates import PlateAssignment, PlateCrosstalk, PlateDrift, PlateGain, PlateOffset, PlatePose
-from torchid.effects.session import GravityTilt, MovingGround, TimeOffset
+from torchid.effects.session import FilterLag, GravityTilt, MovingGround, TimeOffset
 from torchid.errors import ConfigError
 
 CATALOGUE: dict[str, Effect] = {
@@ -12,7 +14,8 @@ CATALOGUE: dict[str, Effect] = {
     for effect in (
         TimeOffset(), PlateGain(), PlateOffset(), PlateDrift(), PlatePose(), PlateCrosstalk(), PlateAssignment(),
         GravityTilt(), MovingGround(), BodyMass(), Payload(), GraspedObject(), WobblingMass(), Flywheel(),
-        UnmeasuredContact(), ExternalForce(), BodyWeightSupport(), Tether(), Drag(),
+        UnmeasuredContact(), ExternalForce(), BodyWeightSupport(), Tether(), Drag(), FilterLag(), MarkerShift(),
+        MarkerSwap(), MarkerScale(), SoftTissue(), JointCentreShift(), MissingDof(),
     )
 }  # fmt: skip
 

@@ -14,7 +14,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.effects.momentum import displaced
 from torchid.effects.scene import Reading, Scene
+from torchid.effects.sight import Sight, Slid, View
 from torchid.errors import ConfigError
 
 STEP = 1e-3
@@ -56,6 +58,10 @@ class Place:
     """Values of parameters that no column can be linear in, such as a frequency."""
     odds: float = 1.0
     """How likely before any data, against the effect's other places."""
+    follows: str | None = None
+    """Coordinate whose angle the effect follows."""
+    markers: tuple[str, ...] = ()
+    """On the segment, where an effect has parameters for each."""
 
 
 class Effect(ABC):
@@ -65,10 +71,22 @@ class Effect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     alike: ClassVar[tuple[str, ...]] = ()
     """Effects that it is easily taken for."""
+    kinematic: ClassVar[bool] = False
+    """It changes what cameras see (``move``, ``slide``)."""
+    anew: ClassVar[bool] = False
+    """Its parameters are others in every trial."""
+    late: ClassVar[bool] = False
+    """It shifts the plates' readings in time."""
+    timed: ClassVar[bool] = False
+    """It comes and goes: its places need intervals."""
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         """Everywhere it could sit in a session."""
         raise NotImplementedError
+
+    def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
+        """Where its columns are those of ``place``, and the trials they are cut down to; None: all."""
+        return place, None if place.when is None else tuple(dict.fromkeys(own.trial for own in place.when))
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         """Wrench about the origin of W that the ground must supply because of it."""
@@ -77,6 +95,16 @@ class Effect(ABC):
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         """What the plates then read."""
         return reading
+
+    def move(
+        self, scene: Scene, place: Place, theta: Float[Tensor, " params"]
+    ) -> Float[Tensor, "bodies 6 frames"] | None:
+        """Displacement of bodies that the model holds elsewhere: of their origins [m] and rotation [rad], in W."""
+        return None
+
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid | None:
+        """How far cameras see markers from where the bodies carry them."""
+        return None
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         """The parameters as reported: values by key."""
@@ -95,13 +123,11 @@ class Effect(ABC):
         """One part for each parameter."""
         return torch.split(theta, [p.size for p in self.parameters])
 
-    @property
-    def size(self) -> int:
+    def size(self, place: Place) -> int:
         """Number of internal parameters."""
         return sum(p.size for p in self.parameters)
 
-    @property
-    def scale(self) -> tuple[float, ...]:
+    def scale(self, place: Place) -> tuple[float, ...]:
         """Prior standard deviations of all of them."""
         return tuple(p.scale for p in self.parameters for _ in range(p.size))
 
@@ -131,7 +157,18 @@ class Planted:
 
     def load(self, scene: Scene) -> Float[Tensor, "6 frames"]:
         """Wrench that the ground must supply because of it."""
-        return self.effect.load(scene, self.place, self.theta)
+        moved = self.effect.move(scene, self.place, self.theta)
+        load = self.effect.load(scene, self.place, self.theta)
+        return load if moved is None else load + displaced(scene, moved[None])[0]
+
+    def seen(self, sight: Sight) -> Float[Tensor, "markers 3 frames"]:
+        """How far it takes the markers from where the model's bodies carry them [m]."""
+        moved = self.effect.move(sight.scene, self.place, self.theta)
+        slid = self.effect.slide(sight, self.place, self.theta)
+        found = torch.zeros_like(sight.p) if moved is None else sight.carried(moved)
+        if slid is not None:
+            found[list(slid.which)] += slid.by
+        return found
 
     def read(self, reading: Reading) -> Reading:
         """What the plates then read."""
@@ -150,18 +187,24 @@ def columns(
         place: where.
         theta: where to linearise; absent, where the effect is.
     """
-    theta = reading.wrench.new_zeros(effect.size) if theta is None else theta
-    found = []
-    for k, scale in enumerate(effect.scale):
-        step = torch.zeros_like(theta)
+    start = reading.wrench.new_zeros(effect.size(place)) if theta is None else theta
+    found = reading.wrench.new_zeros(6, len(start), len(scene.time))
+    if place.when is not None and all(own.trial != scene.trial for own in place.when):
+        return found
+    for k, scale in enumerate(effect.scale(place)):
+        step = torch.zeros_like(start)
         step[k] = STEP * scale
-        ahead, behind = (_total(effect, scene, reading, place, theta + sign * step) for sign in (1.0, -1.0))
-        found.append((ahead - behind) / (2.0 * STEP * scale))
-    return torch.stack(found, 1)
+        ahead, behind = (_total(effect, scene, reading, place, start + sign * step) for sign in (1.0, -1.0))
+        found[:, k] = (ahead - behind) / (2.0 * STEP * scale)
+    return found
 
 
 def _total(effect: Effect, scene: Scene, reading: Reading, place: Place, theta: Tensor) -> Tensor:
-    return effect.load(scene, place, theta) + effect.read(reading, place, theta).total
+    """Only what the effect has a say in: most of a catalogue's cost are loads."""
+    found = reading.wrench.new_zeros(6, len(scene.time))
+    if type(effect).load is not Effect.load:
+        found = found + effect.load(scene, place, theta)
+    return found if type(effect).read is Effect.read else found + effect.read(reading, place, theta).total
 
 
 def anchor(scene: Scene, place: Place) -> Float[Tensor, " 3"]:
@@ -181,6 +224,7 @@ def within(place: Place, trial: str, time: Float[Tensor, " frames"], edge_s: flo
     inside = torch.zeros_like(time)
     for interval in place.when:
         if interval.trial == trial:
-            depth = torch.minimum(time - interval.t0, interval.t1 - time) / edge_s
+            depth = torch.minimum(time - interval.t0, interval.t1 - time)
+            depth = depth / edge_s if edge_s > 0.0 else torch.where(depth >= -1e-9, 1.0, -1.0)
             inside = torch.maximum(inside, 0.5 - 0.5 * torch.cos(torch.pi * (depth + 0.5).clamp(0.0, 1.0)))
     return inside

@@ -11,10 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter, Place, anchor, within
-from torchid.effects.scene import Point, Reading, Scene, at_origin
-
-TETHER_REACH = 1.0
-"""Typical distance of a tether's point from its anchor [m]."""
+from torchid.effects.scene import Point, Scene, at_origin
+from torchid.effects.sight import View
 
 
 class PointForce(Effect):
@@ -23,8 +21,8 @@ class PointForce(Effect):
     segments: tuple[str, ...] = ()
     """Where it may act; empty: everywhere."""
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
-        names = scenes[0].tree.names
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        names = views[0].scene.tree.names
         return tuple(Place((name,)) for name in names if not self.segments or name in self.segments)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
@@ -76,11 +74,11 @@ class Drag(PointForce):
 class Tether(PointForce):
     """A spring to a fixed anchor, such as a cable, a band or a hose: force along position.
 
-    Internal are the stiffness k and k times the anchor's place; the rest length is zero.
+    Internal are the stiffness k and k times the anchor's place, typically a metre away; the rest length is zero.
     """
 
     name = "tether"
-    parameters = (Parameter("stiffness_N_m", 30.0, positive=True), Parameter("pull_N", 30.0 * TETHER_REACH, 3))
+    parameters = (Parameter("stiffness_N_m", 30.0, positive=True), Parameter("pull_N", 30.0, 3))
     alike = ("gravity_tilt", "external_force")
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
@@ -103,6 +101,10 @@ class UnmeasuredContact(PointForce):
     name = "unmeasured_contact"
     parameters = (Parameter("force_N", 50.0, 3),)
     alike = ("grasped_object", "external_force")
+    timed = True
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return theta[:, None].expand(3, len(scene.time))
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {"force_N": theta, "impulse_Ns": theta * sum(own.t1 - own.t0 for own in place.when or ())}

@@ -15,7 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter, Place, anchor, value_of, within
-from torchid.effects.scene import Reading, Scene, at_origin, lift
+from torchid.effects.scene import Scene, at_origin, lift
+from torchid.effects.sight import View
 from torchid.kinematics.recursion import cross
 
 FREQUENCIES = (2.5, 3.5, 5.0, 7.0)
@@ -36,8 +37,8 @@ class BodyMass(Effect):
     parameters = (Parameter("excess_kg", 4.0),)
     alike = ("plate_gain", "payload")
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
-        return (Place(("session",), grid={"recorded_kg": scenes[0].recorded_kg}),)
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        return (Place(("session",), grid={"recorded_kg": views[0].scene.recorded_kg}),)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         return theta / scene.mass * scene.needed()
@@ -60,8 +61,8 @@ class Payload(Effect):
     parameters = (Parameter("mass_kg", 2.0, positive=True), Parameter("moment_seg_kgm", 0.3, 3))
     alike = ("body_mass", "plate_gain", "grasped_object")
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
-        return tuple(Place((n,), point=_centre(scenes[0], n)) for n in scenes[0].tree.names)
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        return tuple(Place((n,), point=_centre(views[0].scene, n)) for n in views[0].scene.tree.names)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         """A point mass needs m (a - g); the moment of m p is linear in the first moment but for its square over m."""
@@ -92,10 +93,11 @@ class GraspedObject(Payload):
     """A payload of a hand that comes and goes."""
 
     name = "grasped_object"
+    timed = True
     alike = ("unmeasured_contact", "payload")
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
-        return tuple(place for place in super().places(scenes, readings) if place.where[0].startswith("hand"))
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        return tuple(place for place in super().places(views) if place.where[0].startswith("hand"))
 
 
 def _centre(scene: Scene, segment: str) -> tuple[float, float, float]:
@@ -111,16 +113,16 @@ def _point(place: Place) -> tuple[float, float, float]:
 class WobblingMass(Effect):
     """Part of a segment's mass on a damped spring: it lags after quick stops and overshoots.
 
-    The mass is the segment's own, so that at rest nothing changes: what its motion relative to the bone adds is
-    m (x'' ) at the centre of mass, and m x cross (a - g), with x'' + 2 z w x' + w^2 x = -a.
+    The mass is the segment's own. What its motion relative to the bone adds is m x'' at the centre of mass, and
+    m x cross (a - g), with x'' + 2 z w x' + w^2 x = g - a: it also sags, always downwards, however the segment leans.
     """
 
     name = "wobbling_mass"
     parameters = (Parameter("mass_kg", 2.0, positive=True),)
     alike = ("filter_lag", "soft_tissue")
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
-        heavy = [n for n in scenes[0].tree.names if not n.startswith(("hand", "foot", "forearm", "head"))]
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        heavy = [n for n in views[0].scene.tree.names if not n.startswith(("hand", "foot", "forearm", "head"))]
         grids = [{"frequency_hz": f, "damping_ratio": z} for f in FREQUENCIES for z in DAMPING]
         return tuple(Place((name,), grid=grid) for name in heavy for grid in grids)
 
@@ -128,8 +130,9 @@ class WobblingMass(Effect):
         (segment,) = place.where
         at = scene.point(segment, anchor(scene, place))
         x, xdd = wobble(at.a, scene.rate, place.grid["frequency_hz"], place.grid["damping_ratio"])
+        sag = -lift(theta) / (2.0 * math.pi * place.grid["frequency_hz"]) ** 2
         total = at_origin(at.p, theta * xdd)
-        return total + torch.cat([torch.zeros_like(x), cross(theta * x, at.a + lift(theta))])
+        return total + torch.cat([torch.zeros_like(x), cross(theta * (x + sag), at.a + lift(theta))])
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         return super().named(place, theta) | {k: theta.new_tensor(v) for k, v in place.grid.items()}
@@ -161,8 +164,8 @@ class Flywheel(Effect):
     name = "flywheel"
     parameters = (Parameter("momentum_seg_Nms", 1.0, 3),)
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
-        return tuple(Place((name,)) for name in scenes[0].tree.names)
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        return tuple(Place((name,)) for name in views[0].scene.tree.names)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         (segment,) = place.where

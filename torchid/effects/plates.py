@@ -12,7 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter, Place
-from torchid.effects.scene import PlateFrame, Reading, Scene
+from torchid.effects.scene import PlateFrame, Reading
+from torchid.effects.sight import View
 
 CROSSTALK = [[i, j] for i in range(6) for j in range(6) if i != j]
 """Rows and columns of the off-diagonals of a plate's 6 x 6 map."""
@@ -37,8 +38,8 @@ class PlateMap(Effect):
     together = False
     """Could also sit on all plates alike."""
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
-        names = sorted({frame.name for r in readings for frame in r.frames})
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        names = sorted({frame.name for v in views for frame in v.reading.frames})
         each = tuple(Place((name,)) for name in names)
         return (*each, Place(tuple(names))) if self.together and len(names) > 1 else each
 
@@ -93,6 +94,10 @@ class PlateDrift(PlateMap):
     name = "plate_drift"
     parameters = (Parameter("rate_plate", 0.5, 6),)
     alike = ("plate_offset",)
+
+    def scale(self, place: Place) -> tuple[float, ...]:
+        """Moments a fifth of a metre times forces."""
+        return (0.5,) * 3 + (0.1,) * 3
 
     def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
         return wrench + to_world(frame, (time - time[0])[:, None] * theta)
@@ -151,8 +156,8 @@ class PlateAssignment(PlateMap):
     parameters = (Parameter("share", 1.0, positive=True),)
     alike = ("plate_pose",)
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
-        names = sorted({frame.name for r in readings for frame in r.frames})
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        names = sorted({frame.name for v in views for frame in v.reading.frames})
         return tuple(Place((a, b)) for k, a in enumerate(names) for b in names[k + 1 :])
 
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:

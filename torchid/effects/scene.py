@@ -31,6 +31,7 @@ class Scene:
     trial: str
     time: Float[Tensor, " frames"]
     tree: Tree
+    q: Float[Tensor, "dofs frames"]
     state: DynamicState
     phi: Float[Tensor, "bodies 10"]
     recorded_kg: float = float("nan")
@@ -81,8 +82,8 @@ class Scene:
 
 def make_scene(trial: str, tree: Tree, geometry: Geometry, motion: Motion, phi: Float[Tensor, "bodies 10"]) -> Scene:
     """The scene of a motion."""
-    columns = (x.T.contiguous() for x in (motion.q, motion.v, motion.a))
-    return Scene(trial, motion.time, tree, dynamic_state(tree, geometry, *columns), phi)
+    q, v, a = (x.T.contiguous() for x in (motion.q, motion.v, motion.a))
+    return Scene(trial, motion.time, tree, q, dynamic_state(tree, geometry, q, v, a), phi)
 
 
 @dataclass(frozen=True)

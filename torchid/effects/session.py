@@ -4,17 +4,19 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.fft
 import scipy.interpolate
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.effects.effect import Effect, Parameter, Place, covers
+from torchid.effects.effect import Effect, Parameter, Place, covers, value_of
 from torchid.effects.scene import Reading, Scene, at_origin
+from torchid.effects.sight import Sight, Slid, View
 
 SESSION = Place(("session",))
-SHAKES = (0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 6.0)
+SHAKES = tuple(0.3 + 0.02 * k for k in range(286))
 """Frequencies at which ground that moves is looked for [Hz]."""
 
 
@@ -28,7 +30,7 @@ class GravityTilt(Effect):
     parameters = (Parameter("roll_rad", 0.02), Parameter("pitch_rad", 0.02))
     alike = ("plate_pose", "tether")
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return (SESSION,)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
@@ -41,14 +43,16 @@ class GravityTilt(Effect):
 class MovingGround(Effect):
     """Laboratory and cameras shake together (a ship, a platform): an inertial force on all mass.
 
-    Internal are the amplitudes of sine and cosine along x, y, z at the frequency of the place's grid.
+    Internal are the amplitudes of sine and cosine along x, y, z at the frequency of the place's grid, in every trial
+    anew: nobody knows the phase at which a recording begins.
     """
 
     name = "moving_ground"
     parameters = (Parameter("sine_m_s2", 0.3, 3), Parameter("cosine_m_s2", 0.3, 3))
     alike = ("unmeasured_contact",)
+    anew = True
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return tuple(Place(("session",), grid={"frequency_hz": f}) for f in SHAKES)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
@@ -59,7 +63,7 @@ class MovingGround(Effect):
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         return {
-            "rms_m_s2": (0.5 * theta.square().sum()).sqrt(),
+            "rms_m_s2": (0.5 * theta.view(-1, 6).square().sum(1).mean()).sqrt(),
             "frequency_hz": theta.new_tensor(place.grid["frequency_hz"]),
         }
 
@@ -67,22 +71,60 @@ class MovingGround(Effect):
         """An upward shake without a stated direction."""
         if "rms_m_s2" not in values:
             return super().internal(place, values)
-        theta = torch.zeros(self.size, dtype=torch.float64)
+        theta = torch.zeros(self.size(SESSION), dtype=torch.float64)
         theta[2] = math.sqrt(2.0) * torch.as_tensor(values["rms_m_s2"])
         return theta
+
+
+class FilterLag(Effect):
+    """The markers were low-passed before anybody saw them: accelerations come out too small, the more the faster.
+
+    A second-order Butterworth filter run both ways. Internal is its cut-off to the power of -4: what it took away of
+    the markers as they are read is that times the fourth derivative, exactly. Read markers it is the columns' task to
+    explain; true ones are filtered.
+    """
+
+    name = "filter_lag"
+    parameters = (Parameter("slowness", 5e-4, positive=True),)
+    alike = ("time_offset", "wobbling_mass")
+    kinematic = True
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        return (SESSION,)
+
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
+        """Sines between the straight lines through both ends, each shrunk by the filter's response."""
+        p, rate = sight.p, sight.scene.rate
+        line = torch.linspace(0.0, 1.0, p.shape[2]).to(p)
+        bent = (p - p[..., :1] - (p[..., -1:] - p[..., :1]) * line)[..., 1:-1].cpu().numpy()
+        sines = np.asarray(scipy.fft.dst(bent, type=1, axis=2))
+        frequency = 0.5 * rate * np.arange(1, sines.shape[2] + 1) / (sines.shape[2] + 1)
+        lost = 1.0 / (1.0 + float(theta[0]) * frequency**4) - 1.0
+        slid = torch.nn.functional.pad(torch.as_tensor(scipy.fft.idst(lost * sines, type=1, axis=2)).to(p), (1, 1))
+        return Slid(tuple(range(len(p))), slid)
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {"cutoff_hz": theta[0].clamp(min=1e-12) ** -0.25}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return value_of(values, self.name, "cutoff_hz", 1) ** -4
 
 
 class TimeOffset(Effect):
     """Cameras and plates disagree about when: forces come late by a lag, in all trials or in one."""
 
     name = "time_offset"
+    late = True
     parameters = (Parameter("lag_s", 0.01),)
     alike = ("filter_lag", "drag")
 
-    def places(self, scenes: Sequence[Scene], readings: Sequence[Reading]) -> tuple[Place, ...]:
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         """Cables and triggers seldom change within a session: all single trials together are a fifth as likely."""
-        single = tuple(Place((scene.trial,), odds=0.2 / len(scenes)) for scene in scenes)
-        return (SESSION, *single) if len(scenes) > 1 else (SESSION,)
+        single = tuple(Place((view.scene.trial,), odds=0.2 / len(views)) for view in views)
+        return (SESSION, *single) if len(views) > 1 else (SESSION,)
+
+    def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
+        return SESSION, None if place.where == SESSION.where else place.where
 
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         if not covers(place, reading.trial):

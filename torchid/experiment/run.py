@@ -9,6 +9,13 @@ import torch
 from torchid.config import Config, dump_config
 from torchid.errors import DataError, Note
 from torchid.experiment.diagnosing import diagnose_outcome
+from torchid.experiment.extending import (
+    corrected_config,
+    effect_wrenches,
+    extend_session,
+    follow_extended,
+    moves_markers,
+)
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, subject_prior, torques
@@ -107,27 +114,66 @@ def _compute(
         progress("diagnosis", 0.0)
         outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(config, outcome)))
         progress("diagnosis", 1.0)
+        if outcome.diagnosis is not None and outcome.diagnosis.causes:
+            outcome = _extended(outcome, folder, key, progress)
     return _with_torques(outcome, folder), None
+
+
+def _extended(base: Outcome, folder: OutputFolder, key: str, progress: Progress) -> Outcome:
+    """Everything fitted again with the named causes taken out of the recordings."""
+    assert base.diagnosis is not None
+    causes, fit = base.diagnosis.causes, base.fit
+    config, session = corrected_config(base.config, causes), base.session
+    tracked = {name: item.tracked for name, item in base.followed.items()}
+    if any(moves_markers(cause) for cause in causes):
+        session = extend_session(base)
+        fit = folder.stage("geometry_extended", key, lambda: _fit_geometry(config, session, True, progress))
+        for name, trial in session.trials.items():
+            tracked[name] = folder.stage(f"extended_{name}", key, lambda t=trial: track(fit, t.markers))
+    with folder.timed("extend"):
+        followed = follow_extended(config, base, session, fit, tracked)
+        added = effect_wrenches(base)
+    outcome = replace(
+        base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
+    )
+    identified = folder.stage("inertia_extended", key, lambda: _identify(config, outcome, progress))
+    outcome = replace(outcome, identified=identified, config=base.config)
+    return replace(outcome, residuals=(*base.residuals, *_residuals(outcome, "+ named causes")))
+
+
+def _residuals(outcome: Outcome, label: str) -> list[Residual]:
+    rows = []
+    for role in ("fit", "heldout"):
+        own = [outcome.followed[name].wrench for name in outcome.session.part(role, "inertia")]
+        trials = [wrench for wrench in own if wrench is not None]
+        if trials:
+            found = residual_rms(trials, outcome.phi)
+            rows.append(Residual(label, role, outcome.cutoff_hz, "identified", "identified", *found))
+    return rows
 
 
 def _geometry(
     config: Config, session: Session, folder: OutputFolder, key: str, progress: Progress
 ) -> tuple[GeometryFit, GeometryFit]:
+    def fit(free: bool) -> GeometryFit:
+        return _fit_geometry(config, session, free, progress)
+
+    found = folder.stage("geometry", key, lambda: fit(True)), folder.stage("scaled", key, lambda: fit(False))
+    progress("geometry", 1.0)
+    return found
+
+
+def _fit_geometry(config: Config, session: Session, free: bool, progress: Progress) -> GeometryFit:
     options, static = config.geometry, session.static
     trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
     if not trials:
         trials = {n: t.markers for n, t in session.trials.items() if t.role == "static"}
     assignment, markers = session.assignment, None if static is None else static.markers
 
-    def fit(free: bool) -> GeometryFit:
-        return fit_geometry(
-            assignment.model, assignment.attachment, trials, markers, options, free,
-            lambda step, cost: progress("geometry", min(0.95, step / options.iterations)),
-        )  # fmt: skip
-
-    found = folder.stage("geometry", key, lambda: fit(True)), folder.stage("scaled", key, lambda: fit(False))
-    progress("geometry", 1.0)
-    return found
+    return fit_geometry(
+        assignment.model, assignment.attachment, trials, markers, options, free,
+        lambda step, cost: progress("geometry", min(0.95, step / options.iterations)),
+    )  # fmt: skip
 
 
 def _track_all(

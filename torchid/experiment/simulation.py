@@ -29,8 +29,12 @@ def run_simulation(config: Config, progress: Callable[[str, float], None] = lamb
 
 
 def with_recordings(config: Config, progress: Callable[[str, float], None]) -> Config:
-    """The config itself, or, where it lists no trials but simulates, the same with the simulated subject and trials."""
+    """What the fits may know: the config without ``simulate:``, which would tell them what is hidden.
+
+    Where it lists no trials, the session is simulated first, and its subject and trials are listed.
+    """
     if config.trials or config.simulate is None:
-        return config
+        return config.model_copy(update={"simulate": None})
     made = load_config(run_simulation(config, progress))
-    return config.model_copy(update={"subject": made.subject, "trials": made.trials, "markers": made.markers})
+    found = {"subject": made.subject, "trials": made.trials, "markers": made.markers}
+    return config.model_copy(update={**found, "simulate": None})

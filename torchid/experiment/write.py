@@ -3,7 +3,6 @@
 import torch
 import xarray
 
-from torchid.diagnosis.diagnose import verdict
 from torchid.dynamics import wrench_about
 from torchid.errors import DataError
 from torchid.files import safe_name, write_json, write_netcdf
@@ -13,7 +12,7 @@ from torchid.kinematics.chain import chain_poses
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.urdf import write_urdf
 from torchid.outcome import Followed, Outcome
-from torchid.outcome.tables import geometry_table, inertia_table
+from torchid.outcome.tables import diagnosis_table, geometry_table, inertia_table
 from torchid.outcome.tables import marker_errors as marker_errors
 from torchid.outcome.tables import segment_lengths as segment_lengths
 from torchid.regressor.rows import predict
@@ -30,7 +29,7 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
     if outcome.identified is not None:
         write_json(folder.path("inertia.json"), inertia_table(outcome))
     if outcome.diagnosis is not None:
-        write_json(folder.path("diagnosis.json"), verdict(outcome.diagnosis))
+        write_json(folder.path("diagnosis.json"), diagnosis_table(outcome))
     for name in outcome.session.trials:
         _write_trial(outcome, name, folder)
         release()
@@ -100,6 +99,11 @@ def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
     trial = outcome.session.trials[item.name]
     assert item.wrench is not None and item.contact is not None and trial.forces is not None
     predicted = wrench_about(predict(item.wrench, outcome.phi), -item.motion.q[:, :3])
+    extended = predicted + outcome.added.get(item.name, torch.zeros_like(predicted))
+    if outcome.base is not None:
+        before = outcome.base.followed[item.name]
+        assert before.wrench is not None
+        predicted = wrench_about(predict(before.wrench, outcome.base.phi), -before.motion.q[:, :3])
     smoother = item.motion.smoother
     finite = torch.isfinite(trial.forces.total).all(dim=1).to(torch.float64)
     plates = smoother(torch.nan_to_num(trial.forces.wrench), finite)
@@ -108,7 +112,7 @@ def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
         {
             "measured": (rows, smoother(torch.nan_to_num(trial.forces.total), finite).numpy()),
             "predicted": (rows, predicted.numpy()),
-            "extended": (rows, predicted.numpy()),
+            "extended": (rows, extended.numpy()),
             "used": (("time",), item.contact.used.numpy()),
             "plate_wrench": (("time", "plate", "component"), plates.numpy()),
             "plate_foot": (("time", "plate"), item.contact.plate.numpy()),

@@ -23,16 +23,19 @@ LOOSE = 1e-3
 CHUNK = 256
 
 
-def bridge_gaps(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 2) -> Tensor:
+def bridge_gaps(
+    problem: MarkerProblem, q: Tensor, xi: Tensor, typical: Tensor | None = None, rounds: int = 2
+) -> Tensor:
     """Coordinates solved again with the temporal prior in frames where a marker is missing.
 
     Args:
         problem: consecutive frames of one trial.
         q: solution without the prior (dofs, frames).
         xi: geometry and marker places.
+        typical: variance of each coordinate in the trial that these frames are part of; absent, in these frames.
     """
     for _ in range(rounds):
-        posture = smooth_course(problem, q, xi)
+        posture = smooth_course(problem, q, xi, typical)
         gaps = (problem.weight <= 0).any(0).nonzero()[:, 0]
         pulled = replace(problem, posture=posture).frames(gaps)
         start = torch.where(pulled.posture.precision > problem.posture.precision, pulled.posture.mean, q[:, gaps])
@@ -41,10 +44,10 @@ def bridge_gaps(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 2) 
     return q
 
 
-def smooth_course(problem: MarkerProblem, q: Tensor, xi: Tensor) -> PosturePrior:
+def smooth_course(problem: MarkerProblem, q: Tensor, xi: Tensor, typical: Tensor | None = None) -> PosturePrior:
     """The posture prior with the smooth course of each coordinate where its frame lacks a marker."""
     variance = _variance(problem, q, xi)
-    typical = variance.median(dim=1, keepdim=True).values
+    typical = variance.median(dim=1, keepdim=True).values if typical is None else typical
     weight = (typical / variance).clamp(max=1.0)
     smoother = Smoother(SMOOTH, 1.0)
     course = torch.stack([smoother(row, w.clamp(min=1e-9)) for row, w in zip(q, weight, strict=True)])
@@ -59,6 +62,11 @@ def smooth_course(problem: MarkerProblem, q: Tensor, xi: Tensor) -> PosturePrior
         mean=torch.where(unsure, course, base.mean),
         precision=torch.where(unsure, precision, base.precision),
     )
+
+
+def typical_variance(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
+    """Median over the frames of the variance of each coordinate given its frame's markers (dofs, 1)."""
+    return _variance(problem, q, xi).median(dim=1, keepdim=True).values
 
 
 def _variance(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:

@@ -6,16 +6,19 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.geometry.bridge import bridge_gaps
+from torchid.geometry.bridge import bridge_gaps, typical_variance
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.problem import MarkerProblem
-from torchid.geometry.trials import posture_prior, settled, trial_problem
+from torchid.geometry.trials import evenly, posture_prior, settled, trial_problem
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
 from torchid.recording import Markers
 
 PIECE = 8192
 """Frames followed at a time: the work on all frames of an hour at once would fill 4 GB."""
+SAMPLE = 2048
+"""Frames that say how well the markers of a trial in pieces typically determine each coordinate. Left to each piece,
+coordinates near the limit where a gap's course takes over would change sides with the piece: by up to 0.02 rad."""
 BESIDE = 256
 """Frames on either side that are followed with a piece, so that gaps and lost limbs find their neighbours."""
 
@@ -43,20 +46,26 @@ def track(fit: GeometryFit, markers: Markers, bridge: bool | None = None) -> Tra
     q = fit.xi.new_empty(frames, len(fit.model.tree.dofs))
     error = fit.xi.new_empty(frames, len(fit.attachment.labels))
     observable = torch.empty(frames, dtype=torch.bool, device=fit.xi.device)
+    typical = _typical(fit, markers) if wanted and frames > PIECE else None
     for start in range(0, frames, PIECE):
         first, stop = max(0, start - BESIDE), min(frames, start + PIECE)
-        found = _track(fit, markers.frames(slice(first, min(frames, stop + BESIDE))), wanted)
+        found = _track(fit, markers.frames(slice(first, min(frames, stop + BESIDE))), wanted, typical)
         inner = slice(start - first, stop - first)
         for whole, part in zip((q, error, observable), found, strict=True):
             whole[start:stop] = part[inner]
     return Tracked(markers.time, q, error, observable)
 
 
-def _track(fit: GeometryFit, markers: Markers, bridge: bool) -> tuple[Tensor, Tensor, Tensor]:
+def _typical(fit: GeometryFit, markers: Markers) -> Tensor:
+    problem = trial_problem(fit, markers, posture_prior(fit), evenly(len(markers.time), SAMPLE))
+    return typical_variance(problem, settled(fit, problem), fit.xi)
+
+
+def _track(fit: GeometryFit, markers: Markers, bridge: bool, typical: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
     problem = trial_problem(fit, markers, posture_prior(fit))
     q = settled(fit, problem)
     if bridge and not bool((problem.weight > 0).all()):
-        q = bridge_gaps(problem, q, fit.xi)
+        q = bridge_gaps(problem, q, fit.xi, typical)
     _, _, residual = problem.residual(q, fit.xi)
     error = torch.where(problem.weight > 0, residual.norm(dim=1), torch.nan)
     return q.T, error.T, _observable(problem)

@@ -14,12 +14,19 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from torchid.conventions import Inertial
+from torchid.inertia import entropic
+from torchid.inertia.base_parameters import Structure
+from torchid.inertia.cone import ConeSolution
 from torchid.inertia.options import InertiaOptions
+from torchid.inertia.problem import Problem
 from torchid.inertia.pseudo import params_to_pseudo
-from torchid.inertia.spectrum import Spectrum, total_mass
+from torchid.inertia.spectrum import Spectrum, cholesky, total_mass
+from torchid.inertia.weights import Weights
 
 EIGENVALUE_LIMIT = -1e-9
 """Smallest pseudo-inertia eigenvalue over trace of an accepted result."""
+ACTIVE = 1e-5
+"""Relative eigenvalue above the floor up to which an LMI counts as active."""
 
 
 class InertiaStatus(StrEnum):
@@ -90,6 +97,60 @@ class Certificate:
     """Share of the squared wrench that the fit explains."""
     active: tuple[str, ...]
     """Bodies whose LMI holds with equality: there the Gaussian standard deviations are too wide."""
+
+
+def certify(
+    problem: Problem,
+    spectrum: Spectrum,
+    data: Structure,
+    weights: Weights,
+    phi: Float[Tensor, "bodies 10"],
+    covariance: Float[Tensor, "params params"],
+    solution: ConeSolution,
+    names: tuple[str, ...],
+    options: InertiaOptions,
+) -> Certificate:
+    """Optimality, physical consistency and agreement with the prior in original units."""
+    floor = options.floor if options.lmi and problem.divergence is None else 0.0
+    factor = torch.linalg.cholesky(params_to_pseudo(problem.mean.reshape(-1, 10)))
+    inverse = torch.linalg.inv(factor)
+    multiplier = inverse.mT @ phi.new_tensor(solution.lmi_dual) @ inverse
+    length = (problem.boxes @ torch.block_diag(*problem.T)).norm(dim=-1)
+    boxes = problem.boxes, phi.new_tensor(solution.box_dual) / length
+    gradient, price = _gradient(problem, spectrum, weights, phi)
+    pseudo, square = params_to_pseudo(phi), problem.equations.square
+    lowest = torch.linalg.eigvalsh(inverse @ pseudo @ inverse.mT)[:, 0]
+    return Certificate(
+        solver=solution.status,
+        iterations=solution.iterations,
+        optimality=check_optimality(phi, gradient, covariance, (factor, multiplier, floor), boxes, price),
+        smallest_eigenvalue=torch.linalg.eigvalsh(pseudo)[:, 0] / pseudo.diagonal(dim1=-2, dim2=-1).sum(-1),
+        rank=data.rank,
+        condition=data.condition,
+        conflict=compare_with_prior(spectrum, data.rank),
+        explained=1 - problem.equations.residual_square(phi.flatten()) / square if square > 0 else 0.0,
+        active=tuple(name for name, low in zip(names, lowest, strict=True) if floor and float(low) < floor + ACTIVE),
+    )
+
+
+def _gradient(
+    problem: Problem, spectrum: Spectrum, weights: Weights, phi: Float[Tensor, "bodies 10"]
+) -> tuple[Float[Tensor, " params"], float]:
+    """Of the objective, from the equations and the prior; and how far it lies above its unconstrained minimum.
+
+    With the entropic prior the minimum is not known in closed form: 0.
+    """
+    flat = phi.flatten()
+    gram, moment = problem.data_terms(weights.omega_1)
+    gradient = 2 * (gram @ flat - moment)
+    if problem.divergence is None:
+        difference = (flat - problem.mean)[:, None]
+        gradient = gradient + 2 * weights.omega_2 * torch.cholesky_solve(difference, cholesky(problem.covariance))[:, 0]
+        free = spectrum.params(spectrum.solve(weights.omega_1, weights.omega_2))
+        return gradient, 0.5 * float(gradient @ (flat - free))
+    x = torch.linalg.solve(problem.T, phi[..., None]).squeeze(-1)
+    slope = weights.omega_2 * problem.divergence[:, None] * entropic.divergence_slope(x)
+    return gradient + torch.linalg.solve(problem.T.mT, slope[..., None]).flatten(), 0.0
 
 
 def check_optimality(

@@ -10,26 +10,19 @@ from torch import Tensor
 
 from torchid.errors import DataError, Note
 from torchid.inertia import cone, entropic
-from torchid.inertia.base_parameters import BaseParameters, Structure, base_parameters, structure
-from torchid.inertia.certificate import (
-    MESSAGES,
-    Certificate,
-    InertiaStatus,
-    check_optimality,
-    compare_with_prior,
-    judge,
-)
+from torchid.inertia.base_parameters import BaseParameters, base_parameters, structure
+from torchid.inertia.certificate import MESSAGES, Certificate, InertiaStatus, certify, judge
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.posterior import Progress, Uncertainty, progress, uncertainty
 from torchid.inertia.problem import Problem, pose
-from torchid.inertia.pseudo import com, inertia_com, mass, params_to_pseudo
-from torchid.inertia.spectrum import Spectrum, cholesky, diagonalise
+from torchid.inertia.pseudo import com, inertia_com, mass
+from torchid.inertia.spectrum import cholesky, diagonalise
 from torchid.inertia.weights import Weights, choose_weights
 from torchid.model.model import InertialPrior
 from torchid.regressor.equations import NormalEquations
 
-ACTIVE = 1e-5
-"""Relative eigenvalue above the floor up to which an LMI counts as active."""
+NO_DATA = Weights(1.0, 1.0, 0.0)
+"""Of equations that determine nothing: the prior is the answer, whatever its weight."""
 
 
 @dataclass(frozen=True)
@@ -108,34 +101,23 @@ def fit_inertia(
     problem = pose(equations, prior, names, options, mass, com_box)
     spectrum = diagonalise(equations, problem.mean, problem.covariance, mass)
     data = structure(equations, options.rank_tolerance)
-    if data.rank:
-        weights = choose_weights(spectrum, options, trials, problem.covariance, mass)
-    else:
-        weights = Weights(1.0, 1.0, 0.0)
+    weights = choose_weights(spectrum, options, trials, problem.covariance, mass) if data.rank else NO_DATA
     free = spectrum.params(spectrum.solve(weights.omega_1, weights.omega_2))
     covariance = spectrum.covariance(weights.omega_1, weights.omega_2)
     solution = _solve(problem, weights, free, covariance, options)
     phi = (problem.T @ free.new_tensor(solution.x).reshape(-1, 10, 1)).squeeze(-1)
-    certificate = _certify(problem, spectrum, data, weights, phi, covariance, solution, names, options)
+    certificate = certify(problem, spectrum, data, weights, phi, covariance, solution, names, options)
     status = judge(certificate, options)
     if options.refuse and status is not InertiaStatus.ACCEPTED:
         raise _refusal(status, certificate)
     with_base = options.base_parameters and data.rank > 0
     return InertiaFit(
-        names=names,
-        phi=phi,
-        covariance=covariance,
-        prior=prior,
-        omega_1=weights.omega_1,
-        omega_2=weights.omega_2,
-        log_evidence=weights.log_evidence,
-        sd=uncertainty(phi, covariance),
+        names=names, phi=phi, covariance=covariance, prior=prior, omega_1=weights.omega_1, omega_2=weights.omega_2,
+        log_evidence=weights.log_evidence, sd=uncertainty(phi, covariance),
         progress=progress(spectrum, covariance, weights.omega_2),
         base=base_parameters(data, names, phi, covariance) if with_base else None,
-        certificate=certificate,
-        status=status,
-        notes=weights.notes + _notes(certificate, solution),
-    )
+        certificate=certificate, status=status, notes=weights.notes + _notes(certificate, solution),
+    )  # fmt: skip
 
 
 def _solve(
@@ -168,54 +150,6 @@ def _unit_rows(problem: Problem) -> Float[Tensor, "boxes params"]:
     """Box rows over relative parameters, each of unit length."""
     rows = problem.boxes @ torch.block_diag(*problem.T)
     return rows / rows.norm(dim=-1, keepdim=True)
-
-
-def _certify(
-    problem: Problem,
-    spectrum: Spectrum,
-    data: Structure,
-    weights: Weights,
-    phi: Float[Tensor, "bodies 10"],
-    covariance: Tensor,
-    solution: cone.ConeSolution,
-    names: tuple[str, ...],
-    options: InertiaOptions,
-) -> Certificate:
-    """Recompute optimality, physical consistency and agreement with the prior in original units."""
-    flat, equations = phi.flatten(), problem.equations
-    gram, moment = problem.data_terms(weights.omega_1)
-    gradient, price = 2 * (gram @ flat - moment), 0.0
-    difference = (flat - problem.mean)[:, None]
-    if problem.divergence is None:
-        gradient = gradient + 2 * weights.omega_2 * torch.cholesky_solve(difference, cholesky(problem.covariance))[:, 0]
-        free = spectrum.params(spectrum.solve(weights.omega_1, weights.omega_2))
-        price = 0.5 * float(gradient @ (flat - free))
-    else:
-        x = torch.linalg.solve(problem.T, phi[..., None]).squeeze(-1)
-        slope = weights.omega_2 * problem.divergence[:, None] * entropic.divergence_slope(x)
-        gradient = gradient + torch.linalg.solve(problem.T.mT, slope[..., None]).flatten()
-    factor = torch.linalg.cholesky(params_to_pseudo(problem.mean.reshape(-1, 10)))
-    inverse = torch.linalg.inv(factor)
-    multiplier = inverse.mT @ phi.new_tensor(solution.lmi_dual) @ inverse
-    floor = options.floor if options.lmi and problem.divergence is None else 0.0
-    length = (problem.boxes @ torch.block_diag(*problem.T)).norm(dim=-1)
-    box_dual = phi.new_tensor(solution.box_dual) / length
-    pseudo = params_to_pseudo(phi)
-    lowest = torch.linalg.eigvalsh(inverse @ pseudo @ inverse.mT)[:, 0]
-    residual = equations.residual_square(flat)
-    return Certificate(
-        solver=solution.status,
-        iterations=solution.iterations,
-        optimality=check_optimality(
-            phi, gradient, covariance, (factor, multiplier, floor), (problem.boxes, box_dual), price
-        ),
-        smallest_eigenvalue=torch.linalg.eigvalsh(pseudo)[:, 0] / pseudo.diagonal(dim1=-2, dim2=-1).sum(-1),
-        rank=data.rank,
-        condition=data.condition,
-        conflict=compare_with_prior(spectrum, data.rank),
-        explained=1 - residual / equations.square if equations.square > 0 else 0.0,
-        active=tuple(name for name, low in zip(names, lowest, strict=True) if floor and float(low) < floor + ACTIVE),
-    )
 
 
 def _refusal(status: InertiaStatus, certificate: Certificate) -> DataError:

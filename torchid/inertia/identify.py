@@ -64,7 +64,9 @@ def identify_inertia(
     lenient = replace(options, refuse=False, base_parameters=False)
     for _ in range(ROUNDS - 1):
         fit = _fit(_sums(by_trial, whitening), prior, names, lenient, mass, com_box)
-        whitening = estimate_whitening(chain.from_iterable(by_trial), fit.phi.reshape(-1), determined(fit))
+        whitening = estimate_whitening(
+            ((block, fit.phi.reshape(-1)) for block in chain.from_iterable(by_trial)), determined(fit)
+        )
     sums = _sums(by_trial, whitening)
     return Identified(_fit(sums, prior, names, options, mass, com_box), whitening, sum(int(own.rows) for own in sums))
 

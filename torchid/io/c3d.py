@@ -6,8 +6,9 @@ import numpy as np
 import torch
 
 from torchid.errors import InputError, Note
-from torchid.io.c3d_data import Layout, analog_pieces, read_analogs, read_points, resolve_layout
+from torchid.io.c3d_data import analog_pieces, read_analogs, read_points
 from torchid.io.c3d_header import C3dHeader, read_header
+from torchid.io.c3d_layout import Layout, resolve_layout
 from torchid.io.files import FileBytes
 from torchid.io.frame import METRES, length_unit
 from torchid.io.labels import OUTPUT_LISTS, select_markers

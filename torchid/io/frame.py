@@ -106,6 +106,26 @@ def vertical_axis(
         InputError: ``axes.contradiction`` and ``axes.unsupported``.
     """
     pushed = _force_axis(forces)
+    _refuse_axis(pushed, options.up or stated, "config" if options.up else "file", source)
+    seen = _marker_axis(position)
+    signs = (
+        (options.up, "as asked"),
+        (pushed, "by the ground reaction"),
+        (stated, "stated by the file"),
+        (seen, "by the markers"),
+        (customary, "by custom of the format; nothing in the file shows it"),
+    )
+    axis, reason = next((up, why) for up, why in signs if up)
+    turned = "; rotated to Z up" if axis == "y" else ""
+    notes = [Note("axes.up", f"vertical axis {axis.upper()} {reason}{turned}", source)]
+    if seen and seen != axis:
+        text = f"the marker cloud is tallest along {seen.upper()}, not {axis.upper()}"
+        notes.append(Note("axes.markers", text, source))
+    return axis, notes
+
+
+def _refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
+    """The axis of the ground reaction is one that can be turned up, and the one that config or file name."""
     if pushed == "x":
         raise InputError(
             "axes.unsupported",
@@ -115,31 +135,15 @@ def vertical_axis(
             found="X vertical",
             remedy="Rotate the laboratory's axes so that Y or Z is vertical",
         )
-    chosen = options.up or stated
     if pushed and chosen and pushed != chosen:
         raise InputError(
             "axes.contradiction",
-            f"the vertical axis is {chosen.upper()} by the {'config' if options.up else 'file'}, "
-            f"but the ground reaction points along {pushed.upper()}",
+            f"the vertical axis is {chosen.upper()} by the {by}, but the ground reaction points along {pushed.upper()}",
             source=source,
             place="axes",
             found=f"{pushed.upper()} vertical by force",
             remedy=f"Give up: {pushed} if the plates are right",
         )
-    seen = _marker_axis(position)
-    axis = chosen or pushed or seen or customary
-    reason = (
-        "as asked" if options.up else "by the ground reaction" if pushed else "stated by the file" if stated else ""
-    )
-    reason = reason or ("by the markers" if seen else "by custom of the format; nothing in the file shows it")
-    notes = [
-        Note("axes.up", f"vertical axis {axis.upper()} {reason}" + ("; rotated to Z up" if axis == "y" else ""), source)
-    ]
-    if seen and seen != axis:
-        notes.append(
-            Note("axes.markers", f"the marker cloud is tallest along {seen.upper()}, not {axis.upper()}", source)
-        )
-    return axis, notes
 
 
 def _force_axis(forces: Forces | None) -> str:

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.kinematics.plan import Plan
+from torchid.kinematics.plan import Plan, Tilt
 from torchid.kinematics.rotation import generators, rodrigues
 from torchid.model.model import Geometry
 
@@ -107,23 +107,15 @@ def make_tables(plan: Plan, dtype: torch.dtype, device: torch.device) -> Tables:
     last = {position[turn.body]: k for k, turn in enumerate(plan.turns)}
     above = number([[float(k in plan.tree.ancestors[body]) for k in plan.order] for body in plan.order])
     turn_body = index(position[c.body] for c in plan.turns)
-    columns = (*plan.turns, *plan.hinges, *plan.slides)
     remaining = [k for k, rest in enumerate(plan.remainders) if rest]
-    stacks = [c.tilts for c in columns] + [plan.remainders[k] for k in remaining for _ in range(3)]
-    known = list(dict.fromkeys(tilt for stack in stacks for tilt in stack))
-    hinged, fixed = [t for t in known if t.fixed is None], [t for t in known if t.fixed is not None]
-    depth = max((len(stack) for stack in stacks), default=0)
-    place = {tilt: k for k, tilt in enumerate((*hinged, *fixed))}
-    padded = [[place[t] for t in reversed(stack)] + [len(known)] * (depth - len(stack)) for stack in stacks]
+    unit, stacks = _axes(plan, remaining)
+    hinged, fixed, tilts = _number_tilts(stacks)
     return Tables(
         order=index(plan.order),
         first=sum(c.slot == 0 for c in plan.turns),
         slots=tuple((start, stop, index(before)) for start, stop, before in _slots(plan)),
         turn_before=index(c.before for c in plan.turns if c.slot),
-        parents=tuple(
-            (level.start, level.stop, index(p - above.start for p in level.parents))
-            for above, level in pairwise(plan.levels)
-        ),
+        parents=tuple((start, stop, index(parents)) for start, stop, parents in _parents(plan)),
         parent=index(p for level in plan.levels[1:] for p in level.parents),
         last=index(last.get(k, len(plan.turns)) for k in range(1, bodies)),
         all_turn=len(last) == bodies - 1,
@@ -136,10 +128,8 @@ def make_tables(plan: Plan, dtype: torch.dtype, device: torch.device) -> Tables:
         slide_link=index(position[c.body] - 1 for c in plan.slides),
         above=above,
         turns_above=above[:, turn_body],
-        unit=number(
-            [_signed(c.axis, c.sign) for c in columns] + [_signed(a, 1.0) for _ in remaining for a in range(3)]
-        ).view(-1, 3),
-        tilts=index(chain(*padded)).view(len(stacks), depth),
+        unit=number(unit).view(-1, 3),
+        tilts=index(chain(*tilts)).view(len(tilts), max(map(len, tilts), default=0)),
         hinge_generators=generators(number([_signed(t.axis, t.sign) for t in hinged]).view(-1, 3)),
         hinge_row=index(t.row for t in hinged),
         fixed=number([t.fixed for t in fixed] + [EYE]).mT.contiguous(),
@@ -147,8 +137,33 @@ def make_tables(plan: Plan, dtype: torch.dtype, device: torch.device) -> Tables:
     )
 
 
+def _axes(plan: Plan, remaining: list[int]) -> tuple[list[list[float]], list[tuple[Tilt, ...]]]:
+    """Axes of turns, hinges and slides and the columns of remainders, and the tilts that each has behind it."""
+    columns = (*plan.turns, *plan.hinges, *plan.slides)
+    unit = [_signed(c.axis, c.sign) for c in columns] + [_signed(a, 1.0) for _ in remaining for a in range(3)]
+    return unit, [c.tilts for c in columns] + [plan.remainders[k] for k in remaining for _ in range(3)]
+
+
+def _number_tilts(stacks: list[tuple[Tilt, ...]]) -> tuple[list[Tilt], list[Tilt], list[list[int]]]:
+    """Tilts by hinges, those that the tree fixes, and each stack, innermost first, as numbers among both.
+
+    The number beyond the last fills stacks up to the deepest.
+    """
+    known = list(dict.fromkeys(tilt for stack in stacks for tilt in stack))
+    hinged, fixed = [t for t in known if t.fixed is None], [t for t in known if t.fixed is not None]
+    depth = max((len(stack) for stack in stacks), default=0)
+    place = {tilt: k for k, tilt in enumerate((*hinged, *fixed))}
+    padded = [[place[t] for t in reversed(stack)] + [len(known)] * (depth - len(stack)) for stack in stacks]
+    return hinged, fixed, padded
+
+
 def _signed(axis: int, sign: float) -> list[float]:
     return [sign * float(k == axis) for k in range(3)]
+
+
+def _parents(plan: Plan) -> Iterator[tuple[int, int, list[int]]]:
+    for above, level in pairwise(plan.levels):
+        yield level.start, level.stop, [p - above.start for p in level.parents]
 
 
 def _slots(plan: Plan) -> Iterator[tuple[int, int, list[int]]]:

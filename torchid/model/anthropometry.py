@@ -1,9 +1,6 @@
 """Masses, centres of mass and moments of inertia of the segments before any force is seen, and how well they are known.
 
-Means: de Leva 1996 (J Biomech 29:1223), Table 4: mass fractions, centres along the segment, radii of gyration, joint
-centres as ends. The trunk's three parts are cut elsewhere than our joints: the lower part (to the omphalion, level with
-L4 and the iliac crests) is the pelvis, the middle part (omphalion to xiphoid) is cut at the T12/L1 joint, below it the
-abdomen, above it, with the upper part, the thorax. So the sum and the first moment of de Leva's trunk are kept.
+Means: de Leva's table (``torchid.model.de_leva``).
 
 Scatter: no source gives a covariance for these segments. The standard deviations are a choice, sized by how far
 published tables stand apart for the same segment, which bounds what a table can say about one person: thigh mass
@@ -13,7 +10,6 @@ published tables stand apart for the same segment, which bounds what a table can
 """
 
 import math
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -21,61 +17,15 @@ from torch import Tensor
 
 from torchid.conventions import INERTIA_PAIRS
 from torchid.errors import ConfigError
+from torchid.model.de_leva import Segment, segments
 from torchid.model.model import Geometry, InertialPrior
-from torchid.model.proportions import proportions, stature
-from torchid.model.skeleton import SEGMENTS, SIDES
+from torchid.model.proportions import stature
+from torchid.model.skeleton import SEGMENTS
 
 BMI, BMI_SD = 23.0, 4.0
 """Body mass index of adults where the mass is not given [kg/m^2]."""
 LATENT = 10
 """Unknowns per segment: log mass, centre (3), log extents (3), normalised products of inertia (3)."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """A segment of de Leva's Table 4."""
-
-    mass: float
-    """Fraction of the body mass."""
-    com: float
-    """Centre of mass from the proximal (upper; foot: rear) end, fraction of the length."""
-    length: float
-    """Length in the table [m], for the mean stature there; radii are fractions of it."""
-    sagittal: float
-    transverse: float
-    longitudinal: float
-    """Radii of gyration about the axes of the anatomical position, fractions of the length."""
-
-
-DE_LEVA: dict[str, dict[str, Row]] = {
-    "male": {
-        "head": Row(0.0694, 0.5002, 0.2429, 0.303, 0.315, 0.261),
-        "upper_trunk": Row(0.1596, 0.5066, 0.2421, 0.505, 0.320, 0.465),
-        "middle_trunk": Row(0.1633, 0.4502, 0.2155, 0.482, 0.383, 0.468),
-        "lower_trunk": Row(0.1117, 0.6115, 0.1457, 0.615, 0.551, 0.587),
-        "upper_arm": Row(0.0271, 0.5772, 0.2817, 0.285, 0.269, 0.158),
-        "forearm": Row(0.0162, 0.4574, 0.2689, 0.276, 0.265, 0.121),
-        "hand": Row(0.0061, 0.7900, 0.0862, 0.628, 0.513, 0.401),
-        "thigh": Row(0.1416, 0.4095, 0.4222, 0.329, 0.329, 0.149),
-        "shank": Row(0.0433, 0.4395, 0.4403, 0.251, 0.246, 0.102),
-        "foot": Row(0.0137, 0.4415, 0.2581, 0.257, 0.245, 0.124),
-    },
-    "female": {
-        "head": Row(0.0668, 0.4841, 0.2437, 0.271, 0.295, 0.261),
-        "upper_trunk": Row(0.1545, 0.5050, 0.2280, 0.466, 0.314, 0.449),
-        "middle_trunk": Row(0.1465, 0.4512, 0.2053, 0.433, 0.354, 0.415),
-        "lower_trunk": Row(0.1247, 0.4920, 0.1815, 0.433, 0.402, 0.444),
-        "upper_arm": Row(0.0255, 0.5754, 0.2751, 0.278, 0.260, 0.148),
-        "forearm": Row(0.0138, 0.4559, 0.2643, 0.261, 0.257, 0.094),
-        "hand": Row(0.0056, 0.7474, 0.0780, 0.531, 0.454, 0.335),
-        "thigh": Row(0.1478, 0.3612, 0.3685, 0.369, 0.364, 0.162),
-        "shank": Row(0.0481, 0.4352, 0.4386, 0.267, 0.263, 0.092),
-        "foot": Row(0.0129, 0.4014, 0.2283, 0.299, 0.279, 0.139),
-    },
-}
-"""Head from vertex to cervicale, upper trunk from cervicale to xiphoid, shank between joint centres (lower half of the
-table). The fractions sum to 1 (male) and 0.9999 (female, rounding) and are divided by their sum."""
-STATURE_OF_TABLE = {"male": 1.741, "female": 1.735}
 
 MASS_SD = {"head": 0.10, "thorax": 0.12, "abdomen": 0.18, "pelvis": 0.18, "upper_arm": 0.12, "forearm": 0.10,
            "hand": 0.15, "thigh": 0.12, "shank": 0.10, "foot": 0.14}  # fmt: skip
@@ -91,17 +41,6 @@ PRODUCT_SD = 0.08
 """Of a product of inertia over mass and the two extents: principal axes lean by some degrees."""
 SCALE_SD = 0.02
 """Of the logarithm of one length scale common to all segments."""
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A segment's distribution of mass in body axes."""
-
-    fraction: float
-    com: tuple[float, float, float]
-    """From the body's origin [m]."""
-    extent: tuple[float, float, float]
-    """Root of the second moment per mass about the centre, along each axis [m]."""
 
 
 def inertial_prior(
@@ -124,7 +63,7 @@ def inertial_prior(
     """
     tall, _ = stature(height, sex)
     total, total_sd = body_mass(tall, mass, mass_sd)
-    tables = [_segments(geometry, tall, s) for s in (("male", "female") if sex == "unknown" else (sex,))]
+    tables = [segments(geometry, tall, s) for s in (("male", "female") if sex == "unknown" else (sex,))]
     both = torch.stack([_encode(table) for table in tables]).to(geometry.offset)
     centre, apart = both.mean(dim=0), 0.5 * (both[0] - both[-1]).abs()
     scatter = torch.hypot(_scatter(tall).to(apart), apart)
@@ -156,109 +95,8 @@ def body_mass(height: float, mass: float | None, mass_sd: float | None) -> tuple
     return mass, 0.01 * mass if mass_sd is None else mass_sd
 
 
-def _segments(geometry: Geometry, height: float, sex: str) -> list[Segment]:
-    """Distribution of mass of all segments, in the order of ``SEGMENTS``."""
-    table, scale = DE_LEVA[sex], height / STATURE_OF_TABLE[sex]
-    offset = dict(zip(SEGMENTS, geometry.offset.tolist(), strict=True))
-    found = _trunk(offset, height, sex) | {"head": _head(table["head"], height, scale)}
-    for side in SIDES:
-        for part, child in (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shank"), ("shank", "foot")):
-            found[f"{part}_{side}"] = _long(table[part], offset[f"{child}_{side}"], scale, sex, part, height)
-        row = table["hand"]
-        sagittal, transverse, along = (r * row.length * scale for r in _extents(row))
-        found[f"hand_{side}"] = Segment(
-            row.mass, (0.0, 0.0, -row.com * row.length * scale), (transverse, sagittal, along)
-        )
-        found[f"foot_{side}"] = _foot(table["foot"], height, sex)
-    total = sum(segment.fraction for segment in found.values())
-    return [Segment(found[n].fraction / total, found[n].com, found[n].extent) for n in SEGMENTS]
-
-
-def _extents(row: Row) -> tuple[float, float, float]:
-    """Extents along the sagittal (front), transverse (side) and longitudinal axis, fractions of the length.
-
-    A radius of gyration about an axis is made of the extents along the two others.
-    """
-    s, t, l = row.sagittal**2, row.transverse**2, row.longitudinal**2
-    return math.sqrt((t + l - s) / 2), math.sqrt((s + l - t) / 2), math.sqrt((s + t - l) / 2)
-
-
-def _long(row: Row, end: list[float], scale: float, sex: str, part: str, height: float) -> Segment:
-    """A segment from its joint to its child's. Radii keep their metres at the template's length.
-
-    The forearm's table is for supination, a quarter turn from the neutral pose: its front and side change places.
-    """
-    stretch = math.sqrt(sum(v * v for v in end)) / (getattr(proportions(sex), f"{part}_length") * height)
-    x, y, z = (e * row.length * scale for e in _extents(row))
-    if part == "forearm":
-        x, y = y, x
-    com = (row.com * end[0], row.com * end[1], row.com * end[2])
-    return Segment(row.mass, com, (x, y, z * stretch))
-
-
-def _head(row: Row, height: float, scale: float) -> Segment:
-    """Head and neck above the neck joint, which stands at the height of the cervicale; 3 cm before it at 1.74 m."""
-    x, y, z = (e * row.length * scale for e in _extents(row))
-    return Segment(row.mass, (0.017 * height, 0.0, (1 - row.com) * row.length * scale), (x, y, z))
-
-
-def _foot(row: Row, height: float, sex: str) -> Segment:
-    """Its long axis points forward; the ankle stands at 0.235 of the length from the heel; centre near the sole."""
-    shape = proportions(sex)
-    length = shape.foot_length * height
-    along_side = _extents(row)
-    com = ((row.com - 0.235) * length, 0.0, -0.58 * shape.ankle_height * height)
-    # The table's sagittal axis is normal to the dorsum (the foot points down there): our vertical.
-    return Segment(row.mass, com, (along_side[2] * length, along_side[1] * length, along_side[0] * length))
-
-
-def _trunk(offset: dict[str, list[float]], height: float, sex: str) -> dict[str, Segment]:
-    """Pelvis, abdomen and thorax; de Leva's trunk is stretched to reach from the hips to our neck joint."""
-    upper, middle, lower = (DE_LEVA[sex][f"{part}_trunk"] for part in ("upper", "middle", "lower"))
-    low, mid, top = (offset[name] for name in ("abdomen", "thorax", "head"))
-    joint = low[2] + mid[2]
-    stretch = (joint + top[2]) / (upper.length + middle.length + lower.length)
-    metres = height / STATURE_OF_TABLE[sex]
-    omphalion, xiphoid = lower.length * stretch, (lower.length + middle.length) * stretch
-    share = min(max((joint - omphalion) / (xiphoid - omphalion), 0.05), 0.95)
-    below, above = _cut(middle, omphalion, xiphoid - omphalion, share, metres)
-    chest = _slab(upper, xiphoid, upper.length * stretch, metres)
-    pelvis = _slab(lower, 0.0, omphalion, metres)
-    # Front of the joints [m per m of stature]: belly and chest lie before the spine, the pelvis about over the hips.
-    return {
-        "pelvis": Segment(pelvis[0], (-0.005 * height, 0.0, pelvis[1]), pelvis[2]),
-        "abdomen": Segment(below[0], (0.014 * height, 0.0, below[1] - low[2]), below[2]),
-        "thorax": _joined(chest, above, 0.020 * height, joint),
-    }
-
-
-_Slab = tuple[float, float, tuple[float, float, float]]
-"""Mass fraction, height of the centre above the hips [m], extents [m]."""
-
-
-def _slab(row: Row, bottom: float, thickness: float, metres: float) -> _Slab:
-    x, y, z = (e * row.length * metres for e in _extents(row))
-    return row.mass, bottom + (1 - row.com) * thickness, (x, y, z)
-
-
-def _cut(row: Row, bottom: float, thickness: float, share: float, metres: float) -> tuple[_Slab, _Slab]:
-    """Lower and upper piece of a slab of uniform density shifted to the slab's own centre of mass."""
-    mass, centre, (x, y, z) = _slab(row, bottom, thickness, metres)
-    lower = mass * share, centre - 0.5 * (1 - share) * thickness, (x, y, z * share)
-    upper = mass * (1 - share), centre + 0.5 * share * thickness, (x, y, z * (1 - share))
-    return lower, upper
-
-
-def _joined(a: _Slab, b: _Slab, x: float, origin: float) -> Segment:
-    mass = a[0] + b[0]
-    z = (a[0] * a[1] + b[0] * b[1]) / mass
-    square = [(a[0] * a[2][k] ** 2 + b[0] * b[2][k] ** 2) / mass for k in range(3)]
-    square[2] += a[0] * b[0] * (a[1] - b[1]) ** 2 / mass**2
-    return Segment(mass, (x, 0.0, z - origin), (math.sqrt(square[0]), math.sqrt(square[1]), math.sqrt(square[2])))
-
-
-def _encode(segments: list[Segment]) -> Float[Tensor, "bodies 10"]:
-    rows = [[math.log(s.fraction), *s.com, *(math.log(e) for e in s.extent), 0.0, 0.0, 0.0] for s in segments]
+def _encode(table: list[Segment]) -> Float[Tensor, "bodies 10"]:
+    rows = [[math.log(s.fraction), *s.com, *(math.log(e) for e in s.extent), 0.0, 0.0, 0.0] for s in table]
     return torch.tensor(rows, dtype=torch.float64)
 
 

@@ -13,6 +13,9 @@ SHARE = 0.99
 """Of the power of velocity that the cut-off must leave below it, before the margin."""
 MARGIN = 1.5
 """From there to -3 dB."""
+JUMP = (0.02, 200.0)
+"""Second difference of a coordinate beyond which a label jumped: both as a length [m] and an acceleration [m/s^2].
+Two labels exchanged for a second put a session's cut-off at the upper bound, and its residual at 70 N."""
 WINDOW = 1.28
 """Length of the periodograms [s]."""
 
@@ -27,7 +30,7 @@ def choose_cutoff(position: Float[Tensor, "frames markers 3"], rate_hz: float) -
     follows narrow lines (cameras, 28 Hz) as soon as the motion is slow.
 
     Args:
-        position: marker trajectories [m]; coordinates with gaps are left out.
+        position: marker trajectories [m]; coordinates with gaps are left out, and those that jump.
         rate_hz: frames per second.
     """
     if len(position) < 32:
@@ -35,7 +38,7 @@ def choose_cutoff(position: Float[Tensor, "frames markers 3"], rate_hz: float) -
     frequency, total = np.zeros(1), np.zeros(1)
     for marker in range(position.shape[1]):  # one at a time: the periodograms take several times a marker's memory
         x = position[:, marker].detach().cpu().numpy()
-        x = x[:, np.isfinite(x).all(axis=0)]
+        x = x[:, np.isfinite(x).all(axis=0) & ~_jumps(x, rate_hz)]
         if x.shape[1]:
             frequency, power = _power(x, rate_hz)
             total = total + power
@@ -43,6 +46,11 @@ def choose_cutoff(position: Float[Tensor, "frames markers 3"], rate_hz: float) -
     if below[-1] <= 0.0:
         return UNKNOWN
     return float(np.clip(MARGIN * np.interp(SHARE, below / below[-1], frequency), LOWEST, HIGHEST))
+
+
+def _jumps(x: Float[np.ndarray, "frames channels"], rate_hz: float) -> np.ndarray:
+    bend = np.abs(np.nan_to_num(np.diff(x, 2, axis=0))).max(axis=0)
+    return bend > max(JUMP[0], JUMP[1] / rate_hz**2)
 
 
 def _power(x: Float[np.ndarray, "frames channels"], rate_hz: float) -> tuple[np.ndarray, np.ndarray]:

@@ -65,8 +65,12 @@ class Outcome:
     identified: Identified | None = None
     diagnosis: Diagnosis | None = None
     """None where it was not asked for, or nothing was identified."""
-    torque: dict[str, Float[Tensor, "frames dofs"]] = field(default_factory=dict)
-    torque_scaled: dict[str, Float[Tensor, "frames dofs"]] = field(default_factory=dict)
+    base: "Outcome | None" = None
+    """Before the model was extended by what the diagnosis names; None where it was not."""
+    added: dict[str, Float[Tensor, "_ 6"]] = field(default_factory=dict)
+    """What named effects add to the plates' total about the origin of W, by trial."""
+    torque: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
+    torque_scaled: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
     residuals: tuple[Residual, ...] = ()
     notes: tuple[Note, ...] = ()
     times: dict[str, StageTime] = field(default_factory=dict)

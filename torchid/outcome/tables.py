@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from torchid.conventions import INERTIAL_NAMES
+from torchid.diagnosis.diagnose import verdict
+from torchid.effects.catalogue import effect
 from torchid.geometry.fitted import GeometryFit
 from torchid.outcome.outcome import Outcome
 from torchid.regressor.rows import residual_rms
@@ -16,8 +18,35 @@ PIECE = 1 << 15
 """Frames whose errors are looked at together."""
 
 
+def diagnosis_table(outcome: Outcome) -> dict[str, Any]:
+    """Content of ``diagnosis.json``: the verdict, and held-out errors of the models as they are written."""
+    assert outcome.diagnosis is not None
+    found = verdict(outcome.diagnosis)
+    found["baseline"]["heldout"] = heldout_errors(outcome.base or outcome)
+    found["extended"]["heldout"] = heldout_errors(outcome)
+    before, after = (found[k]["heldout"]["marker_rmse_mm"] for k in ("baseline", "extended"))
+    for cause in found["causes"]:
+        kinematic = effect(cause["effect"]).kinematic
+        cause["gain"]["marker_rmse_pct"] = 100.0 * (1.0 - after / before) if kinematic and before > 0.0 else 0.0
+    return found
+
+
+def heldout_errors(outcome: Outcome) -> dict[str, float]:
+    """Of forces and markers in the held-out trials; NaN where there are none."""
+    names = outcome.session.part("heldout", "inertia")
+    wrenches = [w for name in names if (w := outcome.followed[name].wrench) is not None]
+    force, moment = residual_rms(wrenches, outcome.phi)
+    errors = [outcome.followed[name].tracked.error for name in outcome.session.role("heldout")]
+    return {"force_rmse_N": force, "moment_rmse_Nm": moment, "marker_rmse_mm": 1e3 * rms(*errors)}
+
+
 def geometry_table(outcome: Outcome) -> dict[str, Any]:
     """Content of ``geometry.json``."""
+    base = outcome.base
+    return _geometry(outcome) | ({} if base is None or base.fit is outcome.fit else {"base": _geometry(base)})
+
+
+def _geometry(outcome: Outcome) -> dict[str, Any]:
     fit, named = outcome.fit, len(outcome.fit.prior.mean)
     sd = torch.zeros_like(fit.xi) if fit.uncertainty is None else fit.uncertainty.sd
     directions = () if fit.uncertainty is None else fit.uncertainty.undetermined
@@ -103,11 +132,25 @@ def _pieces(parts: Iterable[Tensor]) -> Iterator[Tensor]:
 
 def inertia_table(outcome: Outcome) -> dict[str, Any]:
     """Content of ``inertia.json``."""
+    base = {} if outcome.base is None else {"base": identified_table(outcome.base)}
     return {
         **identified_table(outcome),
+        "attachments": attachments(outcome),
         "residuals": outcome.residuals,
         "trials": {name: _trial_residual(outcome, name) for name in outcome.session.trials},
+        **base,
     }
+
+
+ATTACHED = frozenset({"payload", "grasped_object", "flywheel", "wobbling_mass"})
+"""Effects that are things on a segment."""
+
+
+def attachments(outcome: Outcome) -> list[dict[str, Any]]:
+    """What the diagnosis found on segments; their own parameters are without it."""
+    causes = () if outcome.diagnosis is None else outcome.diagnosis.causes
+    keys = ("effect", "where", "when", "parameters")
+    return [{key: getattr(c, key) for key in keys} for c in causes if c.effect in ATTACHED]
 
 
 def identified_table(outcome: Outcome) -> dict[str, Any]:

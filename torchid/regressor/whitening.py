@@ -44,6 +44,17 @@ def cosine_matrix(frames: int, kept: int) -> Float[Tensor, "kept frames"]:
     return C
 
 
+QUIET = (0.2, 0.3)
+"""Parts of the frame rate at which nobody moves and filters against aliases still let noise through."""
+
+
+def white_scatter(x: Float[Tensor, "frames *channels"]) -> Float[Tensor, "*channels"]:
+    """Standard deviation of the white noise of each channel, from where there is nothing else."""
+    first, last = (round(2.0 * f * len(x)) for f in QUIET)
+    coefficients = cosine_matrix(len(x), last).to(x)[first:] @ x.flatten(1)
+    return (coefficients.square().median(0).values / 0.4549).sqrt().view(x.shape[1:])
+
+
 @dataclass(frozen=True)
 class Spectrum:
     """Rows of one block in the frequency domain."""
@@ -112,23 +123,23 @@ def initial_whitening(like: Tensor) -> Whitening:
     return Whitening(torch.diag(diagonal).expand(len(EDGES) + 1, 6, 6).clone())
 
 
-def estimate_whitening(blocks: Iterable[Spectrum], phi: Float[Tensor, " params"], lost: float) -> Whitening:
-    """Covariance per band from the residuals at ``phi``.
+def estimate_whitening(fitted: Iterable[tuple[Spectrum, Float[Tensor, " params"]]], lost: float) -> Whitening:
+    """Covariance per band from the residuals.
 
     Args:
-        blocks: fit data.
-        phi: parameters.
+        fitted: blocks of the fit data, each with the parameters at which its residual is taken.
         lost: degrees of freedom that the fit took from the residuals, shared by the bands in proportion.
     """
-    count = len(EDGES) + 1
-    scatter, n = phi.new_zeros(count, 6, 6), phi.new_zeros(count)
-    for block in blocks:
+    count, scatter, n = len(EDGES) + 1, torch.zeros(()), torch.zeros(())
+    for block, phi in fitted:
+        if not n.dim():
+            scatter, n = phi.new_zeros(count, 6, 6), phi.new_zeros(count)
         # The mean of a block (k = 0) is left out: estimated from its own misfit it would excuse a wrong total mass.
         band, residual = block.band[1:], (block.F - torch.einsum("ipk,p->ik", block.Y, phi))[:, 1:]
         scatter.index_add_(0, band, torch.einsum("ik,jk->kij", residual, residual))
-        n.index_add_(0, band, torch.ones_like(band, dtype=phi.dtype))
+        n.index_add_(0, band, torch.ones_like(band, dtype=n.dtype))
     free = (n * (1.0 - lost / (6.0 * n.sum()).clamp(min=1.0))).clamp(min=1e-9)
-    return Whitening(_shrunk(scatter, free) + torch.diag(phi.new_tensor([FLOOR[0]] * 3 + [FLOOR[1]] * 3).square()))
+    return Whitening(_shrunk(scatter, free) + torch.diag(n.new_tensor([FLOOR[0]] * 3 + [FLOOR[1]] * 3).square()))
 
 
 def _shrunk(scatter: Tensor, n: Tensor) -> Tensor:

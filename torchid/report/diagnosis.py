@@ -1,34 +1,28 @@
-"""What the identified model gets wrong: causes, rivals, and what naming them gains."""
+"""What the model gets wrong: causes in plain words, what naming them changes, and their rivals."""
 
 import math
 
 import torch
+from markupsafe import Markup
+from matplotlib.figure import Figure as Canvas
 from torch import Tensor
 
-from torchid.diagnosis.diagnose import Alternative, Cause, Diagnosis
+from torchid.diagnosis.diagnose import Cause, Diagnosis, wanted
+from torchid.diagnosis.unexplained import Structure
 from torchid.outcome import Outcome
-from torchid.report.blocks import Block, Items, Paragraph, Section, Table
-from torchid.report.text import clean, number, percent, segment
+from torchid.outcome.tables import heldout_errors
+from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
+from torchid.report.extension import Sides, draw_curves, draw_spectrum, sides, telling_trial, trial_rows
+from torchid.report.figure import IDENTIFIED, MUTED, draw, tidy
+from torchid.report.following import draw_markers, marker_error
+from torchid.report.story import WORTH, name, rivals, surely, told
+from torchid.report.telling import LABELLED, NOUN, place
+from torchid.report.text import clean, listing, number, percent, scientific
 
-STORY = {
-    "time_offset": "The clocks of cameras and plates disagree",
-    "plate_gain": "A plate reads too much or too little by one factor",
-    "plate_offset": "A plate reads something when it bears nothing",
-    "plate_drift": "A plate's zero drifts",
-    "plate_pose": "A plate does not lie where the file has it",
-    "plate_crosstalk": "Channels of a plate leak into each other",
-    "plate_assignment": "Two plates are swapped",
-    "gravity_tilt": "The cameras' vertical is not gravity's",
-    "moving_ground": "The laboratory shakes",
-    "body_mass": "The recorded mass is not the person's",
-    "payload": "A segment carries more than its own mass",
-    "wobbling_mass": "Part of a segment's mass lags behind its bone",
-    "flywheel": "Something spins inside a segment",
-    "external_force": "A constant force acts that no plate measures",
-    "body_weight_support": "A harness carries part of the weight",
-    "tether": "A spring pulls towards a fixed point",
-    "drag": "A force works against motion",
-}
+SAME = 0.005
+"""Part of an error below which its change is none."""
+ERRORS = (("force_rmse_N", "force error", "N", 1), ("moment_rmse_Nm", "moment error", "N m", 2),
+          ("marker_rmse_mm", "marker error", "mm", 2))  # fmt: skip
 
 
 def diagnosis_section(outcome: Outcome) -> Section | None:
@@ -38,70 +32,213 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
         return None
     blocks: list[Block] = []
     if found.causes:
-        blocks.append(_causes(found))
-        blocks.append(_rivals(found))
-    blocks.append(Items(tuple(f"{STORY.get(n, n)}: {clean(why)}" for n, why in found.not_testable.items())))
-    blocks.append(
-        Paragraph(
-            "The causes are named, not yet corrected: every other figure on this page is of the model without them."
-        )
-    )
-    return Section("diagnosis", "What the model gets wrong", _finding(found), tuple(blocks))
+        blocks.append(Items(tuple(f"{name(cause)}: {surely(cause, found.unexplained)}" for cause in found.causes)))
+        blocks += _changes(outcome, found)
+        blocks += _rivals(found)
+        blocks.append(Details("All parameters of the named causes", (_parameters(found),)))
+    blocks.append(Paragraph(_unexplained(found.unexplained)))
+    if found.causes:
+        blocks.append(Paragraph(EXTENDED))
+    if found.not_testable:
+        blocks.append(Paragraph("What these recordings cannot test:"))
+        blocks.append(Items(tuple(f"{_noun(n)}: {clean(why)}" for n, why in found.not_testable.items())))
+    return Section("diagnosis", "What the model gets wrong", _finding(outcome, found), tuple(blocks))
 
 
-def _finding(found: Diagnosis) -> str:
+EXTENDED = (
+    "Every other figure of this page is of the extended model: the named causes are taken out of the recordings (or, "
+    "as a load, kept apart from the body), then inertia, and geometry where markers are concerned, are fitted again. "
+    "Measured forces drawn elsewhere are the corrected ones. The values before stand under “base” in inertia.json and "
+    "geometry.json, its prediction beside the extended one in the forces files."
+)
+
+
+def _finding(outcome: Outcome, found: Diagnosis) -> str:
     if not found.causes:
-        return "None of the effects that were tried is supported by the forces of the fit trials."
-    before, after = found.baseline.force_rmse_N, found.extended.force_rmse_N
-    said = "; ".join(f"{STORY.get(c.effect, c.effect)} ({_where(c.where)})" for c in found.causes)
-    if not math.isfinite(before):
-        return f"{said}. No held-out trial tells what that gains."
-    return f"{said}. With that, the held-out force error goes from {number(before)} to {number(after)} N."
+        options = outcome.config.diagnosis
+        tried = len(wanted(options.include, options.exclude))
+        return f"None of the {tried} effects that were tried is supported by the recordings: nothing was corrected."
+    return " ".join([*(told(cause) for cause in found.causes), *_gains(outcome, found)])
 
 
-def _where(where: tuple[str, ...]) -> str:
-    return ", ".join("whole session" if name == "session" else clean(segment(name)) for name in where)
+def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
+    """What the extension gains on held-out trials, and in the trials to which a cause is confined."""
+    if outcome.base is None:
+        return []
+    before, after = heldout_errors(outcome.base), heldout_errors(outcome)
+    said = [gained(before, after, "held-out")]
+    confined = sorted({trial for cause in found.causes if not cause.everywhere for trial in cause.trials})
+    marked = [cause for cause in found.causes if cause.effect in LABELLED and not cause.everywhere]
+    if marked:
+        labels = tuple(dict.fromkeys(label for cause in marked for label in cause.where))
+        trials = sorted({trial for cause in marked for trial in cause.trials})
+        moved = {t: [marker_error(o, t, labels) for o in (outcome.base, outcome)] for t in trials}
+        where = listing([f"{_between(a, b, 'mm', 2)} in {clean(t)}" for t, (a, b) in moved.items()], 4)
+        said.append(f"The distance of {listing(list(labels))} from the model goes {where}.")
+    elif confined:
+        said.append(f"Causes that act in {listing(confined)} alone are judged by the residuals there, see the table.")
+    return said
 
 
-def _causes(found: Diagnosis) -> Table:
-    rows = tuple(
-        (
-            STORY.get(cause.effect, cause.effect),
-            _where(cause.where),
-            "; ".join(f"{key} {_valued(entry)}" for key, entry in cause.parameters.items()) or "yes",
-            percent(cause.confidence),
-            number(cause.gain["force_rmse_pct"]),
-            number(cause.gain["heldout_log_likelihood"]),
+def gained(before: dict[str, float], after: dict[str, float], kind: str) -> str:
+    """Errors that change, in one sentence; where none does, the force's."""
+    known = [e for e in ERRORS if math.isfinite(before[e[0]]) and math.isfinite(after[e[0]])]
+    if not known:
+        return f"No {kind} trial with forces tells what that gains."
+    moved = [e for e in known if abs(after[e[0]] - before[e[0]]) > SAME * before[e[0]]]
+    if not moved:
+        key, words, unit, digits = known[0]
+        return f"With that corrected, the {kind} {words} stays at {number(after[key], digits)} {unit}."
+    parts = []
+    for key, words, unit, digits in moved:
+        verb = "falls" if after[key] < before[key] else "rises"
+        parts.append(f"the {kind} {words} {verb} {_between(before[key], after[key], unit, digits)}")
+    return f"With that corrected, {listing(parts)}."
+
+
+def _between(before: float, after: float, unit: str, digits: int) -> str:
+    return f"from {number(before, digits)} to {number(after, digits)} {unit}"
+
+
+def _changes(outcome: Outcome, found: Diagnosis) -> list[Block]:
+    """Curves, bands and trials before and after."""
+    trials = sides(outcome)
+    if not trials:
+        return []
+    blocks: list[Block] = []
+    if outcome.base is not None and outcome.base.fit is not outcome.fit:
+        blocks.append(
+            Figure(
+                draw_markers(outcome),
+                "Distance from the model of the marker that changes most, in held-out and in fit trials.",
+            )
         )
+    side = telling_trial(outcome, trials)
+    if side is not None:
+        blocks += _forces(outcome, trials, side)
+    return [*blocks, _trial_table(outcome, found, trials)]
+
+
+def _forces(outcome: Outcome, trials: dict[str, Sides], side: Sides) -> list[Block]:
+    """Curves and bands of forces."""
+    role = outcome.session.trials[side.name].role.replace("heldout", "held-out")
+    unseen = [trials[n] for n in outcome.session.part("heldout", "inertia") if n in trials]
+    judged = unseen if any(side is one for one in unseen) else [side]
+    return [
+        Figure(
+            draw_curves(side),
+            f"The {role} trial {clean(side.name)}, where the named causes change the residual most, and the two "
+            "components that they change most. Above: measured by the plates, and predicted by the model without "
+            "(base) and with them (extended); below: what is left.",
+        ),
+        Figure(
+            draw_spectrum(judged),
+            f"Residual by frequency, {'held-out trials' if judged is unseen else f'trial {clean(side.name)}'}; the "
+            "squares of the bars add up to the square of the whole residual.",
+        ),
+    ]
+
+
+def _trial_table(outcome: Outcome, found: Diagnosis, trials: dict[str, Sides]) -> Table:
+    assert outcome.base is not None
+    markers = outcome.base.fit is not outcome.fit
+    named = tuple(dict.fromkeys(n for c in found.causes if c.effect in LABELLED for n in c.where))
+    head = ["Trial", "Role"]
+    kinds = ["Force [N]", "Moment [N\N{NO-BREAK SPACE}m]", *(["Markers [mm]"] if markers else [])]
+    kinds += [f"{listing(list(named), 2)} [mm]"] if markers and named else []
+    for kind in kinds:
+        head += [f"{kind}, base", "extended"]
+    caption = "Residuals of each trial before and after, RMS; moments about the pelvis' origin"
+    return Table(caption, tuple(head), trial_rows(outcome, trials, markers, named), text=2)
+
+
+def _rivals(found: Diagnosis) -> list[Block]:
+    """Bars for causes that have rivals; certainty needs none."""
+    contested = [cause for cause in found.causes if any(a.confidence >= WORTH for a in rivals(cause))]
+    if not contested:
+        return []
+    caption = "How probable each explanation is, given catalogue and recordings."
+    if any(cause.indistinguishable for cause in contested):
+        caption += " Hatched: what these recordings cannot tell from the cause that is named."
+    if found.unexplained.significant:
+        caption += " What remains unexplained has been taken off the confidence of the named causes."
+    return [Figure(_draw_rivals(contested), caption)]
+
+
+def _bars(cause: Cause) -> list[tuple[str, float, str]]:
+    """Label, probability and kind (cause, twin, rival) of a cause and everything it competes with."""
+    twins = {(t.effect, t.where) for t in cause.indistinguishable}
+    own = max(0.0, cause.confidence - sum(t.confidence for t in cause.indistinguishable))
+    return [(name(cause), own, "cause")] + [
+        (name(a), a.confidence, "twin" if (a.effect, a.where) in twins else "rival") for a in rivals(cause)
+    ]
+
+
+def _draw_rivals(causes: list[Cause]) -> Markup:
+    groups = [_bars(cause) for cause in causes]
+    looks: dict[str, dict] = {
+        "cause": {"color": IDENTIFIED},
+        "twin": {"facecolor": "#ffffff", "edgecolor": IDENTIFIED, "hatch": "////", "linewidth": 0.8},
+        "rival": {"color": MUTED},
+    }
+
+    def paint(canvas: Canvas) -> None:
+        panels = canvas.subplots(len(groups), 1, sharex=True, squeeze=False, height_ratios=[len(g) for g in groups])
+        for axes, group in zip(panels[:, 0], groups, strict=True):
+            for row, (_, share, kind) in enumerate(group):
+                axes.barh(row, 100.0 * share, 0.66, **looks[kind])
+                axes.text(100.0 * share + 1.0, row, percent(share) if share >= 0.005 else "< 1 %", va="center")
+            axes.set_yticks(range(len(group)), [clean(label, 48) for label, *_ in group])
+            axes.set_ylim(len(group) - 0.4, -0.6)
+            axes.set_xlim(0.0, 112.0)
+            axes.set_xticks(range(0, 101, 25))
+            tidy(axes, "x")
+        panels[-1, 0].set_xlabel("probability [%]")
+
+    height = 0.75 + 0.28 * sum(len(group) for group in groups)
+    return draw("rivals", (7.5, height), "Probability of each named cause and of its rivals", paint)
+
+
+def _unexplained(left: Structure) -> str:
+    """What remains, in a sentence."""
+    if not math.isfinite(left.share_of_residual):
+        return f"Whether anything remains unexplained {clean(left.description, 400)}."
+    if left.significant:
+        said = clean(left.description, 400)
+        return f"Something remains that no effect of the catalogue explains: {said} (p {_p(left.p_value)})."
+    least = f"at most {percent(left.share_of_residual)} of a band of the residual exceeds it"
+    return f"What is left is about what the noise of plates and markers makes: {least}, too little to matter."
+
+
+def _p(value: float) -> str:
+    return "< 0.001" if value < 1e-3 else f"= {scientific(value)}"
+
+
+def _parameters(found: Diagnosis) -> Table:
+    rows = tuple(
+        (_noun(cause.effect), place(cause), key, _valued(entry))
         for cause in found.causes
+        for key, entry in (cause.parameters or {"present": {}}).items()
     )
-    head = ("Cause", "Where", "Size", "Confidence", "Held-out force error less by, %", "Nats on held-out motion")
-    return Table("Causes that the data support, with standard deviations", head, rows, text=3)
+    head = ("Cause", "Where", "Parameter, as in diagnosis.json", "Value ± standard deviation")
+    return Table("Parameters of the named causes", head, rows, text=4, wrap=True)
+
+
+def _noun(effect: str) -> str:
+    noun = NOUN.get(effect, effect.replace("_", " "))
+    return noun[0].upper() + noun[1:]
 
 
 def _valued(entry: dict[str, Tensor]) -> str:
+    if not entry:
+        return "yes"
     value, sd = (torch.as_tensor(entry[k], dtype=torch.float64).reshape(-1) for k in ("value", "sd"))
     if len(value) > 6:
         return f"{len(value)} values, largest {_figure(float(value.abs().max()))}"
-    return ", ".join(f"{_figure(float(v))} ± {_figure(float(s))}" for v, s in zip(value, sd, strict=True))
+    return ", ".join(
+        f"{_figure(float(v))} ± {_figure(float(s))}" for v, s in zip(value, sd.expand_as(value), strict=True)
+    )
 
 
 def _figure(value: float) -> str:
     return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
-
-
-def _rivals(found: Diagnosis) -> Table:
-    rows = []
-    for cause in found.causes:
-        rows.append((STORY.get(cause.effect, cause.effect), _listed(cause.indistinguishable), _others(cause)))
-    head = ("Cause", "Cannot be told apart here from", "Less likely")
-    return Table("Rivals", head, tuple(rows), text=3, wrap=True)
-
-
-def _others(cause: Cause) -> str:
-    twins = {(t.effect, t.where) for t in cause.indistinguishable}
-    return _listed(tuple(a for a in cause.alternatives if (a.effect, a.where) not in twins))
-
-
-def _listed(several: tuple[Alternative, ...]) -> str:
-    return "; ".join(f"{a.effect} at {_where(a.where)} ({percent(a.confidence)})" for a in several) or "nothing"

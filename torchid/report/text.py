@@ -35,6 +35,21 @@ def spread(value: Any, sd: Any, digits: int = 1, factor: float = 1.0) -> str:
     return f"{number(value, digits, factor)} ± {number(sd, digits, factor)}"
 
 
+def stated(value: Any, sd: Any, unit: str, factor: float = 1.0) -> str:
+    """``5.3 ms (sd 0.3 ms)`` with as many digits as the standard deviation allows; without one, three."""
+    value, sd = factor * float(value), abs(factor * float(sd))
+    unit = unit if unit == "°" else f" {unit}"
+    if not (math.isfinite(sd) and sd > 0.0):
+        return f"{number(value, decimals(abs(value), 3))}{unit}"
+    digits = decimals(sd, 2 if f"{sd:e}"[0] in "12" else 1)
+    return f"{number(value, digits)}{unit} (sd {number(sd, digits)}{unit})"
+
+
+def decimals(value: float, significant: int = 2) -> int:
+    """Decimals that show so many significant digits of a positive number, four at most."""
+    return 1 if value <= 0.0 else min(4, max(0, significant - 1 - math.floor(math.log10(value))))
+
+
 def scientific(value: Any) -> str:
     """Two significant digits, with an exponent where that is shorter."""
     if value is None or not math.isfinite(float(value)):

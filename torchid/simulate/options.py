@@ -19,6 +19,10 @@ class PlantedOptions:
     where: tuple[Name, ...] = ("session",)
     when: tuple[Interval, ...] | None = None
     parameters: dict[str, float | list] = field(default_factory=dict)
+    follows: Name | None = None
+    """Coordinate whose angle a marker or joint effect follows."""
+    markers: tuple[Name, ...] = ()
+    """Those that ``soft_tissue`` moves, in the order of its parameters."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import torch
 
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Place, Planted
+from torchid.effects.joints import MODES, MissingDof
 from torchid.effects.scene import PlateFrame, Reading, plate_frame
 from torchid.recording import Plate, Trial
 from torchid.simulate.options import PlantedOptions
@@ -23,8 +24,10 @@ def planted(options: PlantedOptions) -> Planted:
     found = effect(options.effect)
     values = {key: torch.as_tensor(value, dtype=torch.float64) for key, value in options.parameters.items()}
     grid = {key: float(values[key]) for key in GRID if key in values}
+    if isinstance(found, MissingDof):
+        grid |= {"turning": float("range_rad" in values), "modes": float(MODES), "x": 1.0, "y": 1.0, "z": 1.0}
     point = tuple(values["point_seg_m"].tolist()) if "point_seg_m" in values else None
-    place = Place(options.where, options.when, point, grid)
+    place = Place(options.where, options.when, point, grid, follows=options.follows, markers=options.markers)
     return Planted(found, place, found.internal(place, values))
 
 

@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.effects.scene import make_scene
+from torchid.effects.sight import Sight
 from torchid.errors import ConfigError
 from torchid.filters import Smoother
 from torchid.kinematics.plan import plan_tree
@@ -180,6 +182,10 @@ def _markers(subject: SimulatedSubject, motion: Motion, options: SimulateOptions
     if options.skin_motion_mm > 0.0:
         shift = skin_shift(subject, motion, 1e-3 * options.skin_motion_mm)
         p = p + torch.einsum("mait,tma->tmi", at.R[body], shift)
+    if subject.hidden:
+        scene = make_scene(subject.trial, tree, subject.geometry, motion, subject.phi)
+        sight = Sight(scene, subject.labels, body, subject.p_BM_B)
+        p = p + torch.stack([one.seen(sight) for one in subject.hidden]).sum(0).permute(2, 0, 1)
     return p.contiguous()
 
 

@@ -1,0 +1,1 @@
+"""Sessions made without a line of torchid, and effects hidden in them."""

@@ -1,0 +1,134 @@
+"""What a diagnosis is worth against the truth."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from batteries.sizes import SIZES
+
+BODY = {"soft_tissue", "joint_centre_shift", "missing_dof", "wobbling_mass"}
+"""What bodies have; naming it where it was not planted counts apart from errors of the laboratory."""
+WITHIN, SIGMAS, VAGUE = 0.15, 2.0, 0.25
+"""A parameter is right within this part of it or so many stated standard deviations, unless those exceed a quarter."""
+UNNAMED = {"gain": "gain", "scale": "scale"}
+SURE = 0.9
+
+
+def judged(truth: Sequence[dict], said: dict) -> dict:
+    """Named causes against planted effects."""
+    causes = said["causes"]
+    hits = [next((c for c in causes if matches(planted, c)), None) for planted in truth]
+    first = [k for k, c in enumerate(causes) if any(matches(planted, c) for planted in truth)]
+    wrong = [c for c in causes if not any(matches(planted, c) for planted in truth)]
+    return {
+        "truth": [{"effect": t["effect"], "where": t["where"], "parameters": t["parameters"]} for t in truth],
+        "named": [[c["effect"], c["where"], round(c["confidence"], 3)] for c in causes],
+        "found": [hit is not None for hit in hits],
+        "first": bool(first) and first[0] == 0,
+        "sizes": [None if hit is None else sized(t, hit) for t, hit in zip(truth, hits, strict=True)],
+        "wrong": [[c["effect"], c["where"], round(c["confidence"], 3)] for c in wrong],
+        "unexplained": said.get("unexplained", {}).get("significant"),
+        "heldout": [said["baseline"]["heldout"]["force_rmse_N"], said["extended"]["heldout"]["force_rmse_N"]],
+        "gain": [c["gain"]["heldout_log_likelihood"] for c in causes],
+        "told": f"{'+'.join(t['effect'] + '@' + ','.join(t['where']) for t in truth) or 'nothing'} -> "
+        + ("; ".join(f"{c['effect']}@{','.join(c['where'])}" for c in causes) or "nothing"),
+    }
+
+
+def matches(planted: dict, cause: dict) -> bool:
+    """The cause itself, or one of which it says that it cannot be told apart."""
+    options = [cause, *cause["indistinguishable"]]
+    return any(o["effect"] == planted["effect"] and set(o["where"]) == set(planted["where"]) for o in options)
+
+
+def sized(planted: dict, cause: dict) -> dict | None:
+    """Main parameters: value, stated sd, truth, and whether that is right; None where a rival has the name."""
+    if cause["effect"] != planted["effect"]:
+        return None
+    found = {}
+    for key in SIZES[planted["effect"]]:
+        key = {"excess_kg": "mass_kg"}.get(key, key)
+        if (
+            key in cause["parameters"]
+            and key in planted["parameters"]
+            and not isinstance(planted["parameters"][key], dict)
+        ):
+            entry = cause["parameters"][key]
+            found[key] = _right(key, entry["value"], entry["sd"], planted["parameters"][key])
+    return found
+
+
+def _right(key: str, value: object, sd: object, true: object) -> dict:
+    """Vectors by their length and the error's; factors by their distance from one."""
+    one = 1.0 if key in ("gain", "scale") else 0.0
+    v, s, t = (np.asarray(x, dtype=float).ravel() for x in (value, sd, true))
+    size, miss, spread = np.linalg.norm(t - one), np.linalg.norm(v - t), np.linalg.norm(s)
+    vague = bool(spread > VAGUE * np.linalg.norm(v - one))
+    right = bool(miss < max(WITHIN * size, SIGMAS * spread)) and not vague
+    return {"value": v.tolist(), "sd": s.tolist(), "true": t.tolist(), "right": right}
+
+
+def tables(rows: Sequence[dict]) -> dict:
+    """Figures over all sessions, and a text of them."""
+    good = [r for r in rows if "failed" not in r]
+    lines, figures = [], {}
+    for level in sorted({r["level"] for r in good if r["kind"] == "single"}):
+        lines.append(f"\n{level:22s} sessions found first sizes  wrong names")
+        own = [r for r in good if r["kind"] == "single" and r["level"] == level]
+        for name in SIZES:
+            some = [r for r in own if r["names"] == [name]]
+            if some:
+                lines.append(_line(name, some))
+        lines.append(_line("all", own))
+        figures[level] = {"sessions": len(own), "first": _share(own, "first"), "sizes": _sizes(own)}
+    nulls = [r for r in good if r["kind"] == "null"]
+    loud = [r for r in nulls if any(e not in BODY for e, *_ in r["named"])]
+    figures["null"] = {"sessions": len(nulls), "named": sum(bool(r["named"]) for r in nulls), "laboratory": len(loud)}
+    text = "\nnothing hidden: {sessions} sessions, {named} with a cause named, {laboratory} beside bodies'"
+    lines.append(text.format(**figures["null"]))
+    doubles = [r for r in good if r["kind"] == "double"]
+    figures["double"] = {"sessions": len(doubles), "both": sum(all(r["found"]) for r in doubles),
+                         "one": sum(any(r["found"]) for r in doubles)}  # fmt: skip
+    lines.append(
+        "two hidden: {sessions} sessions, both named in {both}, at least one in {one}".format(**figures["double"])
+    )
+    foreign = [r for r in good if r["kind"] == "foreign"]
+    figures["foreign"] = {"sessions": len(foreign), "flagged": sum(bool(r["unexplained"]) for r in foreign),
+                          "fooled": sum(_fooled(r) for r in foreign)}  # fmt: skip
+    lines.append("outside the catalogue: {sessions} sessions, {flagged} flagged, {fooled} wrongly named without a flag"
+                 .format(**figures["foreign"]))  # fmt: skip
+    figures["calibration"] = _calibration(good)
+    lines += [f"confidence {a}: {n} verdicts, {r} right" for a, n, r in figures["calibration"]]
+    lines.append(f"failed: {len(rows) - len(good)}")
+    return {"figures": figures, "text": "\n".join(lines)}
+
+
+def _line(name: str, rows: Sequence[dict]) -> str:
+    wrong = [e for r in rows for e, *_ in r["wrong"]]
+    found = sum(all(r["found"]) for r in rows)
+    right, all_ = _sizes(rows)
+    first = round(_share(rows, "first") * len(rows))
+    return f"{name:22s} {len(rows):8d} {found:5d} {first:5d} {right:3d}/{all_:<3d} {', '.join(sorted(set(wrong)))}"
+
+
+def _share(rows: Sequence[dict], key: str) -> float:
+    return sum(bool(r[key]) for r in rows) / max(len(rows), 1)
+
+
+def _sizes(rows: Sequence[dict]) -> tuple[int, int]:
+    entries = [entry for r in rows for one in r["sizes"] if one for entry in one.values()]
+    return sum(e["right"] for e in entries), len(entries)
+
+
+def _fooled(row: dict) -> bool:
+    return not row["unexplained"] and any(confidence > SURE for _, _, confidence in row["named"])
+
+
+def _calibration(rows: Sequence[dict]) -> list[tuple[str, int, int]]:
+    """Of laboratory causes, by stated confidence."""
+    found = []
+    for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.01)):
+        said = [(c, c in r["wrong"]) for r in rows if r["kind"] != "foreign" for c in r["named"]]
+        some = [bad for (effect, _, confidence), bad in said if low <= confidence < high and effect not in BODY]
+        found.append((f"{low:.1f}-{min(high, 1.0):.1f}", len(some), len(some) - sum(some)))
+    return found

@@ -1,0 +1,125 @@
+"""A battery of sessions with nothing, one effect, two, or one of no catalogue hidden, and how the diagnosis fares.
+
+    scripts/battery --levels medium --each 4 --nulls 20 --out out/battery
+
+Every session is written by the MuJoCo simulator, run from its files alone, and judged by its truth only then. A row per
+session goes to ``rows.jsonl``, so that a battery that was stopped goes on; tables are printed and written to
+``battery.json`` with seeds and date.
+"""
+
+import argparse
+import datetime
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from batteries.judge import judged, tables
+from batteries.mujoco_session import draw_effect, simulate
+from batteries.sizes import SIZES
+from torchid.config import load_config
+from torchid.experiment import run_experiment
+
+KNOWN = tuple(name for name in SIZES if not name.startswith("offcat_"))
+FOREIGN = tuple(name for name in SIZES if name.startswith("offcat_"))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One session."""
+
+    kind: str
+    """null, single, double or foreign."""
+    names: tuple[str, ...]
+    level: str
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Its folder."""
+        return "-".join((self.kind, self.level, *self.names, str(self.seed)))
+
+
+def jobs(arguments: argparse.Namespace) -> Iterator[Job]:
+    """In an order in which a battery that is stopped early has a little of everything."""
+    seed = arguments.first
+    for k in range(max(arguments.each, arguments.nulls, arguments.pairs, arguments.foreign)):
+        for level in arguments.levels:
+            for name in arguments.effects or KNOWN:
+                seed += 1
+                if k < arguments.each:
+                    yield Job("single", (name,), level, seed)
+            for name in FOREIGN:
+                seed += 1
+                if k < arguments.foreign:
+                    yield Job("foreign", (name,), level, seed)
+            seed += 1
+            if k < arguments.pairs:
+                pair = np.random.default_rng(seed).choice(KNOWN, 2, replace=False)
+                yield Job("double", (str(pair[0]), str(pair[1])), level, seed)
+        seed += 1
+        if k < arguments.nulls:
+            yield Job("null", (), "none", seed)
+
+
+def perform(job: Job, out: Path, keep: bool) -> dict:
+    """Simulate, run, and only then compare."""
+    torch.set_num_threads(1)
+    folder = out / job.key
+    rng = np.random.default_rng((job.seed, 7))
+    config = load_config(simulate(folder, job.seed, [draw_effect(name, job.level, rng) for name in job.names]))
+    begun = time.perf_counter()
+    try:
+        outcome = run_experiment(config)
+        stages = {name: spent.seconds for name, spent in outcome.times.items()}
+        said = json.loads((config.out / "diagnosis.json").read_text())
+        truth = json.loads((folder / "truth" / "truth.json").read_text())
+        row = judged(truth["effects"], said) | {"diagnosis_s": stages.get("diagnosis")}
+    except Exception as failure:  # a battery goes on; the row says what happened
+        row = {"failed": f"{type(failure).__name__}: {failure}"}
+    if not keep:
+        shutil.rmtree(folder)
+    return asdict(job) | row | {"seconds": time.perf_counter() - begun}
+
+
+def main() -> None:
+    """Run what is missing, print tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--effects", nargs="*", choices=KNOWN, help="only these")
+    parser.add_argument("--levels", nargs="*", default=["medium"], choices=["small", "medium", "large"])
+    parser.add_argument("--each", type=int, default=1, help="sessions per effect and level")
+    parser.add_argument("--nulls", type=int, default=2, help="sessions with nothing hidden")
+    parser.add_argument("--pairs", type=int, default=2, help="sessions with two effects, per level")
+    parser.add_argument("--foreign", type=int, default=0, help="sessions per effect outside the catalogue and level")
+    parser.add_argument("--first", type=int, default=int(time.time()) % 10**6, help="seed (default: the clock's)")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--keep", action="store_true", help="keep the sessions' folders")
+    parser.add_argument("--out", type=Path, default=Path("out/battery"))
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    path = arguments.out / "rows.jsonl"
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    done = {Job(r["kind"], tuple(r["names"]), r["level"], r["seed"]).key for r in rows}
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        waiting = [
+            pool.submit(perform, job, arguments.out, arguments.keep) for job in jobs(arguments) if job.key not in done
+        ]
+        for one in as_completed(waiting):
+            rows.append(one.result())
+            with path.open("a") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+            print(f"{len(rows):4d} {rows[-1].get('told', rows[-1].get('failed'))}", flush=True)
+    found = tables(rows)
+    print(found.pop("text"))
+    report = {"date": datetime.date.today().isoformat(), "first_seed": arguments.first, **found, "rows": rows}
+    (arguments.out / "battery.json").write_text(json.dumps(report, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+"""What force plates carried during a trial, and whether their readings can be."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from torchid.conventions import GRAVITY
+from torchid.io.plates import baseline
+from torchid.io.resample import to_clock
+from torchid.recording import Forces, Trial
+
+LOADED = 50.0
+"""Vertical force [N] above which a plate or all of them together carry somebody."""
+MARGIN = 0.02
+"""How far [m] beside the plate still counts as on it."""
+RAIL_SAMPLES = 3
+RAIL_SECONDS = 0.01
+"""A plateau at the peak is suspect from so many samples on, where channels are coarsely quantised from so long on."""
+
+
+@dataclass(frozen=True)
+class PlateCheck:
+    """One plate during a trial."""
+
+    name: str
+    kind: str
+    """Type in the C3D file, empty where the file has none."""
+    mean: float
+    """Mean vertical force [N] over the whole trial."""
+    peak: float
+    """Largest vertical force [N] by size."""
+    baseline: float | None
+    """Median vertical force [N] while unloaded, None where it always carries somebody."""
+    outside: float
+    """Share of the loaded time that the centre of pressure lies beside the plate; NaN without corners or load."""
+    saturated: int
+    """Samples on a plateau at the peak."""
+
+
+def check_plate(forces: Forces, k: int, kind: str) -> PlateCheck:
+    """Facts about plate k; ``kind`` is its type in the file."""
+    vertical = forces.wrench[:, k, 2].nan_to_num()
+    peak = float(vertical[vertical.abs().argmax()]) if len(vertical) else 0.0
+    return PlateCheck(
+        forces.plates[k].name, kind, float(vertical.mean()) if len(vertical) else 0.0, peak,
+        baseline(forces.wrench[:, k, 2].numpy()), _outside(forces, k), _saturated(forces, k)
+    )  # fmt: skip
+
+
+def _outside(forces: Forces, k: int) -> float:
+    """Share of the loaded time that the centre of pressure of plate k lies beside it."""
+    corners = forces.plates[k].corners
+    point = forces.centre_of_pressure(LOADED)[:, k]
+    point = point[point.isfinite().all(dim=1)]
+    if corners is None or not len(point):
+        return float("nan")
+    edges = torch.stack([corners[1] - corners[0], corners[3] - corners[0]])
+    lengths = edges.norm(dim=1)
+    along = (point - corners[0]) @ (edges / lengths[:, None]).T
+    beside = ((along < -MARGIN) | (along > lengths + MARGIN)).any(dim=1)
+    return float(beside.double().mean())
+
+
+def _saturated(forces: Forces, k: int) -> int:
+    """Samples of plate k on a plateau at the largest value of a force component."""
+    if len(forces.time) < RAIL_SAMPLES:
+        return 0
+    worst = 0
+    for column in forces.wrench[:, k, :3].numpy().T:
+        size = np.abs(column)
+        if not size.max() > LOADED:
+            continue
+        inner = column[(size < size.max()) & (column != 0.0)]
+        coarse = len(np.unique(inner)) < len(inner) / 2
+        least = max(RAIL_SAMPLES, int(np.ceil(RAIL_SECONDS * forces.rate)) + 1) if coarse else RAIL_SAMPLES
+        worst = max(worst, _longest(size == size.max()) if _longest(size == size.max()) >= least else 0)
+    return worst
+
+
+def _longest(mask: np.ndarray) -> int:
+    """Length of the longest run of true entries."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return int((ends[1::2] - ends[::2]).max()) if len(ends) else 0
+
+
+def plate_weight(forces: Forces) -> float | None:
+    """Mean total vertical force while loaded, as a mass [kg]; None where nobody stands on the plates.
+
+    Loaded are the samples above half of the median of those above ``LOADED``: steps onto and off the plates would
+    otherwise lower the mean.
+    """
+    vertical = forces.total[:, 2]
+    vertical = vertical[vertical > LOADED]
+    if not len(vertical):
+        return None
+    return float(vertical[vertical > 0.5 * vertical.median()].mean()) / GRAVITY
+
+
+def moved_mass(trial: Trial) -> float | None:
+    """Mass [kg] that the vertical force moves: its mean over the mean of g + a while loaded.
+
+    a is the vertical acceleration of the markers' mean, so that a flight phase or a push-off does not pass for a wrong
+    weight. None without enough markers or loaded frames.
+    """
+    if trial.forces is None or len(trial.forces.time) < 2 or len(trial.markers.time) < 5:
+        return None
+    height = trial.markers.position[..., 2]
+    height = height[:, height.isfinite().all(dim=0)]
+    if height.shape[1] < 3:
+        return None
+    rate = trial.markers.rate
+    mean = height.mean(dim=1)
+    acceleration = (mean[4:] - 2 * mean[2:-2] + mean[:-4]) * (rate / 2) ** 2
+    vertical = to_clock(trial.forces, trial.markers.time).total[2:-2, 2].nan_to_num()
+    loaded = vertical > LOADED
+    if int(loaded.sum()) < 5:
+        return None
+    loaded = vertical > 0.5 * vertical[loaded].median()
+    return float(vertical[loaded].mean() / (GRAVITY + acceleration[loaded].mean()))

@@ -1,0 +1,211 @@
+"""How markers speak in the diagnosis: what they leave of the fit, and how the fitted motion yields to a displacement.
+
+Postures are free in every frame. A displacement D of the markers therefore moves the fitted coordinates by K D, with K
+the weighted pseudo-inverse of the markers' Jacobian J, and shows among the residuals as (1 - J K) D. The bodies that
+the dynamics sees move along.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.effects.momentum import carriage, levers, wrench_of
+from torchid.effects.sight import Sight
+from torchid.regressor.whitening import cosine_matrix, white_scatter
+
+COARSE_HZ = 10.0
+"""Residuals are averaged to about this rate: postures and effects change slowly against it."""
+EDGES = (0.15, 0.5, 1.5)
+"""Upper edges of the bands [Hz] behind the mean of a block, which is a band of its own."""
+KEPT_HZ = 4.0
+"""Of the cosine coefficients; faster, markers of a person have noise alone."""
+CHUNK = 256
+"""Frames whose Jacobians are made together."""
+BLOCK = 256
+"""Averages per block at most."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a displacement does to the rows of a trial, per unit parameter."""
+
+    wrench: Float[Tensor, "6 columns frames"]
+    """That the motion needs, about the origin of W."""
+    left: Float[Tensor, "bins rows columns"]
+    """What cameras show of it beyond postures, weighed by the markers' scatter."""
+
+    def __add__(self, other: "Answer") -> "Answer":
+        return Answer(self.wrench + other.wrench, self.left + other.left)
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Markers of one trial: what was seen, and how far from the fitted model."""
+
+    sight: Sight
+    weight: Float[Tensor, "markers frames"]
+    """1 / sigma^2 [1/m^2], zero where nothing was seen."""
+    error: Float[Tensor, "markers 3 frames"]
+    """Measured minus modelled [m]; zero where nothing was seen."""
+    precision: Float[Tensor, " dofs"]
+    """Of the posture prior."""
+
+    @cached_property
+    def carriage(self) -> Float[Tensor, "frames bodies dofs"]:
+        """Of the bodies' displacements, six rows each."""
+        return carriage(self.sight.scene)
+
+    @cached_property
+    def levers(self) -> Float[Tensor, "frames 9 bodies"]:
+        """Of the momenta, see ``momentum.levers``."""
+        return levers(self.sight.scene)
+
+    def jacobian(self, which: slice | Tensor) -> Float[Tensor, "frames rows dofs"]:
+        """Of the markers' places in some frames, row after row x, y, z of a marker."""
+        own = self.carriage[which].unflatten(1, (-1, 6))[:, self.sight.body]
+        arm = (self.sight.p - self.sight.scene.state.at.p[self.sight.body]).permute(2, 0, 1)[which]
+        turned = torch.linalg.cross(own[:, :, 3:], arm[..., None].expand_as(own[:, :, 3:]), dim=2)
+        return (own[:, :, :3] + turned).flatten(1, 2)
+
+    def inverse(
+        self, J: Float[Tensor, "frames rows dofs"], w: Float[Tensor, "frames rows"]
+    ) -> Float[Tensor, "frames dofs rows"]:
+        """K."""
+        H = J.mT @ (w[:, :, None] * J)
+        scale = torch.diagonal(H, dim1=1, dim2=2).amax(1, keepdim=True)
+        torch.diagonal(H, dim1=1, dim2=2).add_(self.precision + 1e-9 * scale + 1e-9)
+        return torch.cholesky_solve(J.mT * w[:, None], torch.linalg.cholesky(H))
+
+    @cached_property
+    def answer(self) -> Float[Tensor, "frames 9 rows"]:
+        """Momenta of the fitted motion's answer to displaced markers.
+
+        A marker counts as much in every frame as it is seen of the time: gaps would make steps of it.
+        """
+        w, parts = self.weight.mean(1).repeat_interleave(3), []
+        for start in range(0, self.weight.shape[1], CHUNK):
+            part = slice(start, start + CHUNK)
+            J = self.jacobian(part)
+            K = self.inverse(J, w.expand(len(J), -1))
+            parts.append((self.levers[part] @ self.carriage[part]) @ K)
+        return torch.cat(parts)
+
+    @cached_property
+    def scatter(self) -> Float[Tensor, " markers"]:
+        """White noise of each marker's coordinates [m]; gaps are bridged by nothing and count for little."""
+        own = white_scatter(self.error.permute(2, 0, 1)).square().mean(1).sqrt()
+        part = (self.weight > 0.0).to(own).mean(1)
+        # Postures have taken their share of the noise.
+        left = self.coarse.free * self.coarse.rows.numel() / self.coarse.seen
+        return own / (left * part.clamp(min=0.1)).sqrt()
+
+    @cached_property
+    def coarse(self) -> "Coarse":
+        """Averages over a few frames: postures and effects change slowly against them."""
+        group = max(1, round(self.sight.scene.rate / COARSE_HZ))
+        bins = self.weight.shape[1] // group
+        seen = self.weight[:, : bins * group].unflatten(1, (bins, group))
+        total = seen.sum(2)
+        error = self.error[..., : bins * group].unflatten(2, (bins, group))
+        mean = (seen[:, None] * error).sum(3) / total.clamp(min=1e-30)[:, None]
+        middle = torch.arange(bins, device=total.device) * group + group // 2
+        J, w = self.jacobian(middle), total.T.repeat_interleave(3, 1)
+        K = self.inverse(J, w)
+        return Coarse(middle, self.sight.scene.rate / group, w.sqrt(), J, K, mean.permute(2, 0, 1).flatten(1))
+
+    def respond(self, which: Sequence[int], by: Float[Tensor, "columns some 3 frames"]) -> Answer:
+        """To markers that are read elsewhere than the bodies carry them."""
+        rows = torch.tensor([3 * k + i for k in which for i in range(3)], device=by.device)
+        nine = -self.answer[:, :, rows] @ by.permute(3, 1, 2, 0).flatten(1, 2)
+        left = self.coarse.left(by[..., self.coarse.middle].permute(3, 1, 2, 0).flatten(1, 2), rows)
+        return Answer(wrench_of(nine, self.sight.scene.rate).permute(1, 2, 0), left)
+
+    def moved(self, bodies: Float[Tensor, "columns bodies 6 frames"]) -> Answer:
+        """To bodies that are displaced with their markers."""
+        carried = self.respond(range(len(self.sight.labels)), torch.stack([self.sight.carried(b) for b in bodies]))
+        nine = self.levers @ bodies.permute(3, 1, 2, 0).flatten(1, 2)
+        return Answer(carried.wrench + wrench_of(nine, self.sight.scene.rate).permute(1, 2, 0), carried.left)
+
+
+@dataclass(frozen=True)
+class Coarse:
+    """Averaged rows of the markers of one trial."""
+
+    middle: Int[Tensor, " bins"]
+    """Frame in the middle of each average."""
+    rate: float
+    rows: Float[Tensor, "bins rows"]
+    """Square roots of the weights."""
+    J: Float[Tensor, "bins rows dofs"]
+    K: Float[Tensor, "bins dofs rows"]
+    error: Float[Tensor, "bins rows"]
+
+    def left(self, D: Float[Tensor, "bins some columns"], rows: Tensor) -> Float[Tensor, "bins rows columns"]:
+        """(1 - J K) D, weighed, of displacements in some rows."""
+        found = -self.J @ (self.K[:, :, rows] @ D)
+        found[:, rows] += D
+        return found.mul_(self.rows[:, :, None])
+
+    @property
+    def residual(self) -> Float[Tensor, "bins rows 1"]:
+        """Weighed, at the least-squares posture: robust fits stop elsewhere."""
+        return self.left(self.error[:, :, None], torch.arange(self.error.shape[1]))
+
+    @property
+    def free(self) -> float:
+        """Share of the rows that nobody misses and postures leave."""
+        return max(0.05 * self.seen, self.seen - self.J.shape[0] * self.J.shape[2]) / self.rows.numel()
+
+    @property
+    def seen(self) -> float:
+        """Number of rows that nobody misses."""
+        return float((self.rows > 0.0).sum())
+
+    def spectrum(
+        self, left: Float[Tensor, "bins rows columns"]
+    ) -> Iterator[tuple[Float[Tensor, "kept rows columns"], Int[Tensor, " kept"]]]:
+        """Cosine coefficients block by block, with their bands."""
+        pieces = max(1, -(-len(left) // BLOCK))
+        for part in left.tensor_split(pieces):
+            kept = min(len(part), math.ceil(2.0 * KEPT_HZ * len(part) / self.rate))
+            C = cosine_matrix(len(part), kept).to(part)
+            frequency = 0.5 * self.rate * torch.arange(kept, dtype=torch.float64) / len(part)
+            band = 1 + torch.bucketize(frequency, torch.tensor(EDGES, dtype=torch.float64))
+            band[0] = 0
+            yield (C @ part.flatten(1)).view(kept, *part.shape[1:]), band
+
+
+BANDS = len(EDGES) + 2
+
+
+@dataclass(frozen=True)
+class MarkerSums:
+    """Gram matrix, moment and energy of one trial's rows in each band, before any scale of the noise."""
+
+    gram: Float[Tensor, "bands columns columns"]
+    moment: Float[Tensor, "bands columns"]
+    energy: Float[Tensor, " bands"]
+    count: Float[Tensor, " bands"]
+    """Degrees of freedom."""
+
+    def left(self, theta: Float[Tensor, " columns"]) -> Float[Tensor, " bands"]:
+        """Energy of the residual at theta."""
+        return self.energy - 2.0 * self.moment @ theta + torch.einsum("bij,i,j->b", self.gram, theta, theta)
+
+
+def marker_sums(coarse: Coarse, left: Float[Tensor, "bins rows columns"]) -> MarkerSums:
+    """Of the residual against columns that ``Cameras.respond`` left."""
+    n = left.shape[2]
+    both = torch.cat([left, coarse.residual], 2)
+    gram, count = left.new_zeros(BANDS, n + 1, n + 1), left.new_zeros(BANDS)
+    for rows, band in coarse.spectrum(both):
+        for b in band.unique().tolist():
+            flat = rows[band == b].flatten(0, 1)
+            gram[b] += flat.T @ flat
+            count[b] += len(flat) * coarse.free
+    return MarkerSums(gram[:, :n, :n], gram[:, :n, n], gram[:, n, n], count)

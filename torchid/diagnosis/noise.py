@@ -1,0 +1,89 @@
+"""Noise of forces and markers under a model, and the sums that it weighs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.diagnosis.cameras import BANDS
+from torchid.diagnosis.candidates import Candidate, Columns, Design
+from torchid.diagnosis.evidence import Prior, Sums, assembled, fit
+from torchid.regressor.whitening import Spectrum, Whitening, accumulate, estimate_whitening
+
+ROUNDS = 2
+"""Estimates of the noise before any effect is chosen; one less afterwards."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Of forces: a covariance in each band; of markers: a factor of their variance in each of theirs."""
+
+    forces: Whitening
+    markers: Float[Tensor, " bands"]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One trial's rows of forces in the frequency domain, and its columns."""
+
+    forces: tuple[Spectrum, ...]
+    columns: Columns
+
+
+def initial_noise(whitening: Whitening) -> Noise:
+    """Of the inertial fit; markers as they scatter."""
+    return Noise(whitening, torch.ones(BANDS, dtype=whitening.covariance.dtype))
+
+
+def summed(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -> Sums:
+    """Forces and markers of every trial under their noise."""
+    return Sums(design.base, tuple(_standard(own, prior, design, noise) for own in rows))
+
+
+def _standard(rows: Rows, prior: Prior, design: Design, noise: Noise) -> tuple[Tensor, Tensor]:
+    both = accumulate(rows.forces, noise.forces)
+    gram, moment, k = both.gram.clone(), both.moment.clone(), design.kinematic
+    if rows.columns.markers is not None:
+        weight = noise.markers.reciprocal()
+        gram[k[:, None], k] += torch.einsum("b,bij->ij", weight, rows.columns.markers.gram)
+        moment[k] += weight @ rows.columns.markers.moment
+    if rows.columns.idle is not None:
+        k = rows.columns.idle.columns
+        gram[k[:, None], k] += rows.columns.idle.gram
+        moment[k] += rows.columns.idle.moment
+    return prior.standard((gram, moment))
+
+
+def _forces(rows: Rows, prior: Prior, noise: Noise) -> tuple[Tensor, Tensor]:
+    both = accumulate(rows.forces, noise.forces)
+    return prior.standard((both.gram, both.moment))
+
+
+def estimate_noise(
+    rows: Sequence[Rows], prior: Prior, design: Design, chosen: Sequence[Candidate], start: Noise
+) -> Noise:
+    """Of what the model with the chosen effects leaves: noise estimated without them would hold them."""
+    noise = start
+    for _ in range(ROUNDS - bool(chosen)):
+        found = fit(summed(rows, prior, design, noise), chosen)
+        theta = [prior.theta(found.z(len(prior.mean), k)) for k in range(len(rows))]
+        told = Sums(design.base, tuple(_forces(own, prior, noise) for own in rows))
+        # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
+        lost = float((assembled(told, chosen, told.all)[0] * found.covariance).sum())
+        forces = estimate_whitening(
+            ((block, x) for own, x in zip(rows, theta, strict=True) for block in own.forces), lost
+        )
+        noise = Noise(forces, _dispersion(rows, design, theta))
+    return noise
+
+
+def _dispersion(rows: Sequence[Rows], design: Design, theta: Sequence[Tensor]) -> Float[Tensor, " bands"]:
+    """Of markers against the scatter that weighs them; one where none are at hand."""
+    energy = count = torch.zeros(BANDS, dtype=theta[0].dtype)
+    for own, x in zip(rows, theta, strict=True):
+        if own.columns.markers is not None:
+            energy = energy + own.columns.markers.left(x[design.kinematic])
+            count = count + own.columns.markers.count
+    return torch.where(count > 0.0, energy / count.clamp(min=1.0), 1.0).clamp(min=1e-6)

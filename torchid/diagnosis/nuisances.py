@@ -1,0 +1,76 @@
+"""What every recording has a little of: integrated out, never named."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.effect import Effect, Parameter, Place
+from torchid.effects.markers import SoftTissue, bend
+from torchid.effects.momentum import below
+from torchid.effects.scene import Scene
+from torchid.effects.sight import Sight, Slid, View
+from torchid.kinematics.recursion import cross
+from torchid.model.model import GeometryPrior
+
+
+@dataclass(frozen=True)
+class GeometryError(Effect):
+    """Joint centres and axes elsewhere than identified, within their prior."""
+
+    prior: GeometryPrior
+
+    name = "geometry_error"
+    kinematic = True
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        return (Place(("session",)),)
+
+    def size(self, place: Place) -> int:
+        return len(self.prior.mean)
+
+    def scale(self, place: Place) -> tuple[float, ...]:
+        return tuple(self.prior.sd.tolist())
+
+    def move(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "bodies 6 frames"]:
+        """Offsets move all that hangs on a joint along the parent's axes; hinge angles turn it about their axes."""
+        raw, plan, at = self.prior.map @ theta, scene.state.plan, scene.state.at
+        offset, hinge = raw[: self.prior.n_offset].view(-1, 3), raw[self.prior.n_offset :]
+        moved = at.p.new_zeros(len(plan.order), 6, at.p.shape[2])
+        for k in offset.abs().sum(1).nonzero()[:, 0].tolist():
+            body = scene.tree.bodies[k]
+            shift = scene.turned(scene.tree.names[body.parent], offset[k])
+            moved[:, :3] += below(scene, body.name)[:, None, None] * shift
+        for column, axis in zip(plan.hinges, at.hinge_axis, strict=True):
+            if float(hinge[column.row]) != 0.0:
+                turn = hinge[column.row] * axis
+                inside = below(scene, scene.tree.names[column.body])[:, None, None]
+                arm = at.p - at.p[plan.position[column.body]]
+                moved[:, :3] += inside * cross(turn.expand_as(arm), arm)
+                moved[:, 3:] += inside * turn
+        return moved
+
+
+class SkinSlide(SoftTissue):
+    """All markers of a segment slide as one with the angle of a neighbouring joint: no residual shows it.
+
+    The pose of the bone errs by as much, and the needed wrench with it. What a person's skin does is of the order of
+    its prior (Cappozzo et al. 1996, Clin Biomech 11:90; Camomilla et al. 2017, J Biomech 62:5).
+    """
+
+    name = "skin_slide"
+    parameters = (Parameter("shift_m", 0.005, 3), Parameter("turn_rad", 0.03, 3))
+
+    def size(self, place: Place) -> int:
+        return 6
+
+    def scale(self, place: Place) -> tuple[float, ...]:
+        return Effect.scale(self, place)
+
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
+        shift, turn = (sight.scene.turned(place.where[0], x) for x in theta.split(3))
+        which = sight.on(place.where[0])
+        arm = sight.p[list(which)] - sight.scene.state.at.p[sight.scene.at(place.where[0])]
+        slid = shift + cross(turn.expand_as(arm), arm)
+        return Slid(tuple(which), slid * bend(sight.scene, place)[0])

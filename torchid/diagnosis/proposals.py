@@ -1,0 +1,173 @@
+"""Where and when the data suggest that something comes and goes: what is worth columns.
+
+A proposal is no verdict. Each one stands among the others that could have been made (``odds``), so that looking for it
+is paid for.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.diagnosis.cameras import Cameras
+from torchid.diagnosis.watched import Watched
+from torchid.effects.effect import Effect, Interval, Place
+from torchid.effects.joints import MissingDof, axes, courses, directed
+from torchid.effects.session import MovingGround
+from torchid.regressor.rows import measured, predict, runs
+
+WINDOWS = 2
+"""Intervals proposed for each trial."""
+CLOCK_HZ = 20.0
+"""At which ends of intervals are looked for."""
+SHORTEST_S = 0.2
+LONGEST = 0.7
+"""Part of a trial; what lasts longer is not an interval."""
+JOINTS = 2
+"""Joints proposed for each kind of missing motion."""
+PEAKS = 3
+"""Frequencies proposed for ground that moves."""
+AROUND, NEAR = 40, 5
+"""Steps of the grid of frequencies to compare with, and that count as the same peak."""
+SWAPPED = 5
+"""Frames that a swap lasts at least."""
+CLOSER = 0.5
+"""Part of the squared distances that must be left after a swap is undone."""
+
+
+def suggested(effect: Effect, watched: Sequence[Watched]) -> tuple[Place, ...]:
+    """Places of an effect: all it names, those of its intervals, or those worth a closer look."""
+    views = [w.view for w in watched]
+    if effect.name == "marker_swap":
+        return tuple(place for w in watched if w.cameras is not None for place in swaps(w, w.cameras))
+    if isinstance(effect, MissingDof):
+        return _loosest(effect, watched)
+    if isinstance(effect, MovingGround):
+        return _shakes(effect, watched)
+    if not effect.timed:
+        return effect.places(views)
+    found, places = [window for w in watched for window in windows(w)], effect.places(views)
+    share = 1.0 / (len(places) * len(watched))
+    return tuple(replace(place, when=(own,), odds=share * odds) for place in places for own, odds in found)
+
+
+def unexplained(watched: Watched) -> Float[Tensor, "frames 6"]:
+    """Residual of the identified model, zero where frames are not used."""
+    rows = watched.rows
+    return torch.where(rows.used[:, None], measured(rows) - predict(rows, watched.phi), 0.0)
+
+
+def _shakes(effect: MovingGround, watched: Sequence[Watched]) -> tuple[Place, ...]:
+    """Frequencies at which the residual forces of all trials stand out of their neighbours."""
+    places = effect.places([w.view for w in watched])
+    frequency = torch.tensor([place.grid["frequency_hz"] for place in places], dtype=torch.float64)
+    power = torch.zeros_like(frequency)
+    for w in watched:
+        phase = 2.0 * torch.pi * frequency[:, None] * w.rows.motion.time
+        force = unexplained(w)[:, :3]
+        force = force - force.mean(0)
+        power += (torch.cos(phase) @ force).square().sum(1) + (torch.sin(phase) @ force).square().sum(1)
+    around = torch.nn.functional.pad(power[None], (AROUND, AROUND), mode="reflect")[0].unfold(0, 2 * AROUND + 1, 1)
+    height = power / around.median(1).values.clamp(min=1e-12)
+    best = []
+    for _ in range(PEAKS):
+        best.append(int(height.argmax()))
+        height[max(0, best[-1] - NEAR) : best[-1] + NEAR + 1] = 0.0
+    return tuple(replace(places[k], odds=1.0 / len(places)) for k in best)
+
+
+def windows(watched: Watched) -> list[tuple[Interval, float]]:
+    """Intervals in which the residual's mean stands out most, with the odds of each among all there are.
+
+    The scan statistic |sum of residuals|^2 / length over all pairs of ends, forces and moments each on the scale of
+    their own scatter.
+    """
+    rows = watched.rows
+    left = unexplained(watched)
+    group = max(1, round(rows.rate / CLOCK_HZ))
+    bins = len(left) // group
+    coarse = left[: bins * group].unflatten(0, (bins, group)).mean(1)
+    scale = coarse.abs().median(0).values.clamp(min=1e-9)
+    coarse = (coarse - coarse.median(0).values) / scale
+    found, clock = [], group / rows.rate
+    for _ in range(WINDOWS):
+        a, b = _strongest(coarse, round(SHORTEST_S / clock), int(LONGEST * bins))
+        if b <= a:
+            break
+        t0 = float(rows.motion.time[0])
+        found.append((Interval(rows.name, t0 + a * clock, t0 + b * clock), 2.0 / bins**2))
+        coarse[a:b] = 0.0
+    return found
+
+
+def _strongest(x: Float[Tensor, "bins 6"], shortest: int, longest: int) -> tuple[int, int]:
+    sums = torch.cat([x.new_zeros(1, 6), x.cumsum(0)])
+    length = torch.arange(len(sums))[None] - torch.arange(len(sums))[:, None]
+    power = (sums[None] - sums[:, None]).square().sum(2) / length.clamp(min=1)
+    power[(length < shortest) | (length > longest)] = 0.0
+    return divmod(int(power.argmax()), len(sums)) if float(power.max()) > 0.0 else (0, 0)
+
+
+def swaps(watched: Watched, cameras: Cameras) -> list[Place]:
+    """Pairs of markers and when they are closer to each other's places than to their own."""
+    sight, seen = cameras.sight, cameras.weight > 0.0
+    pairs = list(combinations(range(len(sight.labels)), 2))
+    found: dict[tuple[int, int], list[Interval]] = {}
+    time = watched.rows.motion.time
+    odds = 1.0 / (len(pairs) * len(time))
+    for a, b in pairs:
+        run = _exchanged(cameras, a, b) & seen[a] & seen[b]
+        for start, stop in runs(run):
+            if stop - start >= SWAPPED:
+                found.setdefault((a, b), []).append(
+                    Interval(watched.rows.name, float(time[start]), float(time[stop - 1]))
+                )
+    return [Place((sight.labels[a], sight.labels[b]), tuple(own), odds=odds) for (a, b), own in found.items()]
+
+
+def _exchanged(cameras: Cameras, a: int, b: int) -> Bool[Tensor, " frames"]:
+    apart = cameras.sight.p[b] - cameras.sight.p[a]
+    ea, eb = cameras.error[a], cameras.error[b]
+    now = ea.square().sum(0) + eb.square().sum(0)
+    undone = (ea - apart).square().sum(0) + (eb + apart).square().sum(0)
+    return undone < CLOSER * now
+
+
+def _loosest(effect: MissingDof, watched: Sequence[Watched]) -> tuple[Place, ...]:
+    """Joints whose markers follow motion of their own, by the evidence of markers alone."""
+    if watched[0].cameras is None:
+        return ()
+    places = effect.places([w.view for w in watched])
+    score = torch.tensor([sum(_loose(effect, place, w) for w in watched) for place in places])
+    best = []
+    for turning in (0.0, 1.0):
+        own = [k for k, place in enumerate(places) if place.grid["turning"] == turning]
+        best += sorted(own, key=lambda k: -float(score[k]))[:JOINTS]
+    return tuple(replace(places[k], odds=1.0 / len(places)) for k in best)
+
+
+def _loose(effect: MissingDof, place: Place, watched: Watched) -> float:
+    """Evidence of free courses of a joint in one trial, geometry held, residuals' scatter as it is."""
+    cameras, scene = watched.cameras, watched.view.scene
+    assert cameras is not None
+    ones = torch.eye(3).to(scene.q)[axes(place), :, None].expand(-1, 3, len(scene.time))
+    bodies = torch.stack([directed(scene, place, one) for one in ones])
+    coarse = cameras.coarse
+    left = coarse.left(
+        torch.stack([cameras.sight.carried(b) for b in bodies])[..., coarse.middle].permute(3, 1, 2, 0).flatten(1, 2),
+        torch.arange(coarse.error.shape[1]),
+    )
+    residual = coarse.residual[:, :, 0]
+    spread = residual.square().sum() / (coarse.free * residual.numel())
+    modes = courses(scene.time, int(place.grid["modes"]))[:, coarse.middle]
+    A = torch.einsum("tri,trj->tij", left, left) / spread
+    b = torch.einsum("tri,tr->ti", left, residual) / spread
+    scale = effect.scale(place)[0]
+    gram = scale**2 * torch.einsum("tij,kt,lt->ikjl", A, modes, modes).flatten(2).flatten(0, 1)
+    moment = scale * torch.einsum("ti,kt->ik", b, modes).flatten()
+    L = torch.linalg.cholesky(gram + torch.eye(len(gram)).to(gram))
+    u = torch.linalg.solve_triangular(L, moment[:, None], upper=False)
+    return float(0.5 * u.square().sum() - L.diagonal().log().sum())

@@ -1,0 +1,116 @@
+"""One trial as the diagnosis sees it."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.diagnosis.cameras import Cameras
+from torchid.diagnosis.idle import LOADED, Idle, find_idle
+from torchid.dynamics import wrench_about
+from torchid.effects.scene import PlateFrame, Scene, make_scene, reading
+from torchid.effects.sight import Sight, View
+from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.tracking import Tracked, modelled
+from torchid.geometry.trials import posture_prior
+from torchid.kinematics.plan import plan_tree
+from torchid.recording import Forces, Markers
+from torchid.regressor.rows import WrenchTrial, runs
+from torchid.regressor.whitening import white_scatter
+
+ENOUGH = 50
+"""Frames that tell the noise of a plate that bears nothing."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """One trial: its rows, what effects can change in it, and its markers."""
+
+    rows: WrenchTrial
+    view: View
+    phi: Float[Tensor, "bodies 10"]
+    """As identified without any effect."""
+    scatter: Float[Tensor, " 6"]
+    """Noise of the plates' total per frame about the root's origin [N, N m], before the filter."""
+    idle: Idle
+    cameras: Cameras | None = None
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of the body before and after its inertia was fitted."""
+
+    prior: Float[Tensor, "bodies 10"]
+    """Where effects are linearised: a fit without an effect has swallowed part of it."""
+    phi: Float[Tensor, "bodies 10"]
+    recorded_kg: float
+    """Mass of the body before any force was seen."""
+
+
+def watch(
+    rows: WrenchTrial,
+    forces: Forces,
+    measured: Bool[Tensor, " frames"],
+    frames: tuple[PlateFrame, ...],
+    known: Known,
+    seen: tuple[GeometryFit, Markers, Tracked] | None = None,
+) -> Watched:
+    """A followed trial as the diagnosis sees it.
+
+    Args:
+        rows: motion and total wrench.
+        forces: of its plates, raw, on the clock of the motion.
+        measured: frames whose wrench is on plates.
+        frames: of its plates.
+        known: inertia.
+        seen: geometry, markers and how they were followed; None: nothing is asked of the markers.
+    """
+    scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, known.prior)
+    scene = replace(scene, recorded_kg=known.recorded_kg)
+    raw = reading(rows.name, forces, frames)
+    smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
+    needed = replace(scene, phi=known.phi).needed().T
+    read = replace(raw, time=rows.motion.time, wrench=smooth)
+    view = View(scene, replace(read, wrench=_borne(smooth, needed)), read)
+    root = rows.motion.q[:, None, :3].expand(*raw.wrench.shape[:2], 3)
+    scatter = _scatter(wrench_about(raw.wrench, root), raw.wrench[..., 2])
+    idle = find_idle(replace(raw, time=rows.motion.time), rows.rate)
+    if seen is None:
+        return Watched(rows, view, known.phi, scatter, idle)
+    cameras = _cameras(scene, *seen)
+    return Watched(rows, replace(view, sight=cameras.sight), known.phi, scatter, idle, cameras)
+
+
+def _cameras(scene: Scene, fit: GeometryFit, markers: Markers, tracked: Tracked) -> Cameras:
+    position = markers.select(fit.attachment.labels).position.to(fit.xi)
+    seen = torch.isfinite(position).all(2)
+    error = torch.where(seen[:, :, None], position - modelled(fit, tracked.q), 0.0)
+    body = torch.tensor(plan_tree(fit.model.tree).position, device=fit.xi.device)[fit.attachment.body]
+    sight = Sight(scene, fit.attachment.labels, body, fit.place)
+    weight = (seen / fit.sigma.square()).T.contiguous()
+    return Cameras(sight, weight, error.permute(1, 2, 0).contiguous(), posture_prior(fit).precision[:, 0])
+
+
+def _borne(
+    read: Float[Tensor, "frames plates 6"], needed: Float[Tensor, "frames 6"]
+) -> Float[Tensor, "frames plates 6"]:
+    """What the plates bore: their readings, the model's residual taken off in proportion to their loads.
+
+    Readings hold the noise that the total holds. As columns they would explain it by itself: an unloaded plate was
+    found to gain 30 %.
+    """
+    load = read[..., 2:3].clamp(min=0.0) * (read[..., 2:3] > LOADED)
+    share = load / load.sum(1, keepdim=True).clamp(min=LOADED)
+    read = read * (load > 0.0)
+    return read - share * (read.sum(1) - needed)[:, None]
+
+
+def _scatter(read: Float[Tensor, "frames plates 6"], load: Float[Tensor, "frames plates"]) -> Float[Tensor, " 6"]:
+    """Of the total, plates independent: each as it is while it bears nothing, or as in the rest of the trial."""
+    found = []
+    for k in range(read.shape[1]):
+        idle = [part for part in runs(load[:, k].abs() < LOADED) if part[1] - part[0] >= ENOUGH]
+        longest = max(idle, key=lambda part: part[1] - part[0], default=(0, len(read)))
+        found.append(white_scatter(read[slice(*longest), k]).square())
+    return torch.stack(found).sum(0).sqrt()

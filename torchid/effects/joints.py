@@ -1,0 +1,177 @@
+"""Joints that are not what the model takes them for.
+
+Sources: Iwaki, Pinskerova & Freeman, J Bone Joint Surg 82-B (2000), on the knee's moving axis; Andersen, Benoit,
+Damsgaard, Ramsey & Rasmussen, J Biomech 43 (2010), on constrained joints against free ones.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.effect import Effect, Parameter, Place, value_of
+from torchid.effects.markers import bend, liveliest
+from torchid.effects.momentum import below
+from torchid.effects.scene import Scene
+from torchid.effects.sight import View
+from torchid.errors import ConfigError
+from torchid.kinematics.recursion import cross
+from torchid.model.tree import Body
+
+
+def joint_name(scene: Scene, body: int) -> str:
+    """What a body's proximal joint is called: its coordinates' names up to the last word."""
+    rows = [turn.row for turn in scene.tree.bodies[body].turns if turn.moving]
+    return scene.tree.dof_names[rows[0]].rpartition("_")[0] if rows else scene.tree.names[body]
+
+
+def carried_by(scene: Scene, joint: str) -> str:
+    """The body behind a joint.
+
+    Raises:
+        ConfigError: the model has no such joint.
+    """
+    for k, name in enumerate(scene.tree.names):
+        if k and joint == joint_name(scene, k):
+            return name
+    known = ", ".join(joint_name(scene, k) for k in range(1, len(scene.tree.names)))
+    raise ConfigError("effect.joint", "the model has no such joint", place=joint, remedy=f"Known are {known}")
+
+
+class JointCentreShift(Effect):
+    """A joint's centre glides as it turns: everything beyond moves by a smooth function of its angle.
+
+    In the axes of the segment beyond the joint. Internal are vectors that go with sine and one minus cosine of the
+    angle, both zero in the neutral pose and one at 90 degrees: their sum is the shift there.
+    """
+
+    name = "joint_centre_shift"
+    parameters = (Parameter("sine_m", 0.01, 3), Parameter("cosine_m", 0.01, 3))
+    alike = ("missing_dof",)
+    kinematic = True
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        scenes = [v.scene for v in views]
+        joints = [(joint_name(scenes[0], k), liveliest(scenes, k)) for k in range(1, len(scenes[0].tree.names))]
+        return tuple(Place((joint,), follows=dof) for joint, dof in joints if dof is not None)
+
+    def move(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "bodies 6 frames"]:
+        body = carried_by(scene, place.where[0])
+        local = theta.view(2, 3).T @ bend(scene, place)
+        shift = torch.einsum("crt,ct->rt", scene.state.at.R[scene.at(body)], local)
+        moved = torch.cat([shift, torch.zeros_like(shift)])
+        return below(scene, body)[:, None, None] * moved
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {"shift_90_seg_m": theta.view(2, 3).sum(0)}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        """All of it along the sine."""
+        shift = super().internal(place, {"sine_m": values.get("shift_90_seg_m", torch.zeros(0)), "cosine_m": ZERO})
+        return shift
+
+
+ZERO = torch.zeros(3, dtype=torch.float64)
+MODES = 12
+"""Of the course of a planted motion."""
+
+
+class MissingDof(Effect):
+    """A joint moves along or about an axis that the model does not have, in its own time.
+
+    Internal are the coefficients of slow cosines for each axis of the segment beyond the joint that the joint lacks, in
+    every trial anew; the direction in which they are largest is reported.
+    """
+
+    name = "missing_dof"
+    parameters = (Parameter("course", 0.02, 3 * MODES),)
+    alike = ("joint_centre_shift", "soft_tissue")
+    kinematic = True
+    anew = True
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        scene, modes, found = views[0].scene, float(_modes(views)), []
+        for k in range(1, len(scene.tree.names)):
+            for turning in (False, True):
+                grid = lacking(scene.tree.bodies[k], turning)
+                if any(grid.values()):
+                    grid |= {"modes": modes, "turning": float(turning)}
+                    found.append(Place((joint_name(scene, k),), grid=grid))
+        return tuple(found)
+
+    def size(self, place: Place) -> int:
+        return len(axes(place)) * int(place.grid["modes"])
+
+    def scale(self, place: Place) -> tuple[float, ...]:
+        """Motion of 5 mm or 3 degrees in all, shared by the cosines."""
+        own = 0.05 if place.grid["turning"] else 0.005
+        return (own / math.sqrt(place.grid["modes"]),) * self.size(place)
+
+    def move(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "bodies 6 frames"]:
+        course = theta.new_zeros(3, len(scene.time))
+        course[axes(place)] = theta.view(len(axes(place)), -1) @ courses(scene.time, int(place.grid["modes"]))
+        return directed(scene, place, course)
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        some = theta.view(-1, len(axes(place)), int(place.grid["modes"]))
+        own = torch.stack(
+            [some[:, axes(place).index(k)] if k in axes(place) else 0.0 * some[:, 0] for k in range(3)], 1
+        )
+        axis = torch.linalg.eigh(torch.einsum("bik,bjk->ij", own, own))[1][:, -1]
+        axis = axis * torch.sign(axis[axis.abs().argmax()])
+        time = torch.linspace(0.0, 1.0, 200).to(theta)
+        along = torch.einsum("i,bik->bk", axis, own) @ courses(time, own.shape[2])
+        reach = (along.amax(1) - along.amin(1)).mean()
+        keys = ("axis_seg", "range_rad") if place.grid["turning"] else ("direction_seg", "range_m")
+        return dict(zip(keys, (axis, reach), strict=True))
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        """Two cosines along the axis."""
+        turning = bool(place.grid["turning"])
+        axis = value_of(values, self.name, "axis_seg" if turning else "direction_seg", 3)
+        reach = value_of(values, self.name, "range_rad" if turning else "range_m", 1)
+        shape = torch.zeros(int(place.grid["modes"]), dtype=torch.float64)
+        shape[5], shape[8] = 1.0, 0.6
+        own = shape @ courses(torch.linspace(0.0, 1.0, 200, dtype=torch.float64), len(shape))
+        return (axis[axes(place), None] / axis.norm() * reach * shape / (own.max() - own.min())).reshape(-1)
+
+
+def lacking(body: Body, turning: bool) -> dict[str, float]:
+    """1 for each of x, y, z about which (or along which) a joint does not move."""
+    own = {turn.axis for turn in body.turns if turn.moving} if turning else {slide.axis for slide in body.slides}
+    return {axis: float(k not in own) for k, axis in enumerate("xyz")}
+
+
+def axes(place: Place) -> list[int]:
+    """Those that a place of ``missing_dof`` is about."""
+    return [k for k, axis in enumerate("xyz") if place.grid[axis]]
+
+
+def directed(scene: Scene, place: Place, course: Float[Tensor, "3 frames"]) -> Float[Tensor, "bodies 6 frames"]:
+    """Everything beyond a joint moved along or turned about the axes of the segment there."""
+    body = carried_by(scene, place.where[0])
+    k, at = scene.at(body), scene.state.at
+    world = torch.einsum("crt,ct->rt", at.R[k], course)
+    arm = at.p - at.p[k]
+    moved = cross(world.expand_as(arm), arm) if place.grid["turning"] else world.expand_as(arm)
+    turn = world if place.grid["turning"] else torch.zeros_like(world)
+    return below(scene, body)[:, None, None] * torch.cat([moved, turn.expand_as(moved)], 1)
+
+
+def courses(time: Float[Tensor, " frames"], modes: int) -> Float[Tensor, "modes frames"]:
+    """Slow cosines without mean over a trial."""
+    part = (time - time[0]) / (time[-1] - time[0])
+    k = torch.arange(1, modes + 1).to(time)
+    return torch.cos(math.pi * k[:, None] * part)
+
+
+def _modes(views: Sequence[View]) -> int:
+    longest = max(float(v.scene.time[-1] - v.scene.time[0]) for v in views)
+    return min(MOST_MODES, max(MODES, math.ceil(2.0 * FASTEST_HZ * longest)))
+
+
+FASTEST_HZ = 0.8
+"""Of a free motion of a joint."""
+MOST_MODES = 32

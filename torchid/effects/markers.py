@@ -1,0 +1,152 @@
+"""Maps of markers: one that was moved, two that were swapped, a wrong scale, skin that slides.
+
+Sources: Leardini, Chiari, Della Croce & Cappozzo, Gait & Posture 21 (2005), on soft tissue artefacts; Della Croce et
+al., ibid., on misplaced landmarks; Chiari et al., ibid., on instrumental errors.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.effect import Effect, Interval, Parameter, Place, value_of, within
+from torchid.effects.scene import Scene
+from torchid.effects.sight import Sight, Slid, View
+
+
+class MarkerEffect(Effect):
+    """An effect on what cameras see."""
+
+    kinematic = True
+
+
+class MarkerShift(MarkerEffect):
+    """A marker was knocked or stuck on again: in some trials it sits elsewhere on its segment."""
+
+    name = "marker_shift"
+    parameters = (Parameter("shift_seg_m", 0.015, 3),)
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        """Single trials, or all from one on: what was knocked stays so. All trials are only another place."""
+        found = []
+        for label in sorted({label for view in views if view.sight for label in view.sight.labels}):
+            trials = [v.scene for v in views]
+            single = [(k,) for k in range(len(trials))] if len(trials) > 1 else []
+            later = [tuple(range(k, len(trials))) for k in range(1, len(trials) - 1)]
+            found += [Place((label,), tuple(_whole(trials[k]) for k in ks)) for ks in (*single, *later)]
+        return tuple(found)
+
+    def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
+        return Place(place.where), None if place.when is None else tuple(i.trial for i in place.when)
+
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
+        which = [k for k, label in enumerate(sight.labels) if label in place.where]
+        moved = sight.turned(theta.expand(len(which), 3)[:, :, None], which)
+        return Slid(tuple(which), moved * within(place, sight.scene.trial, sight.scene.time, 0.0))
+
+
+def _whole(scene: Scene) -> Interval:
+    return Interval(scene.trial, float(scene.time[0]), float(scene.time[-1]))
+
+
+class MarkerSwap(MarkerEffect):
+    """Two labels are exchanged for a while. The parameter is how much of the swap is there: one, or nothing."""
+
+    name = "marker_swap"
+    timed = True
+    parameters = (Parameter("share", 1.0, positive=True),)
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        return ()
+
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
+        a, b = (sight.labels.index(label) for label in place.where)
+        apart = theta * within(place, sight.scene.trial, sight.scene.time, 0.0) * (sight.p[b] - sight.p[a])
+        return Slid((a, b), torch.stack([apart, -apart]))
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return torch.ones(1, dtype=torch.float64)
+
+
+class MarkerScale(MarkerEffect):
+    """The cameras were calibrated with a wand of another length: all lengths and accelerations err by one factor."""
+
+    name = "marker_scale"
+    parameters = (Parameter("excess", 0.02),)
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        return (Place(("session",)),)
+
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
+        return Slid(tuple(range(len(sight.labels))), theta * sight.p)
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {"scale": 1.0 + theta[0]}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return value_of(values, self.name, "scale", 1) - 1.0
+
+
+class SoftTissue(MarkerEffect):
+    """Skin slides under a segment's markers as a neighbouring joint turns.
+
+    Each marker's shift, in the segment's axes, goes with the sine of the joint's angle from the neutral pose.
+    """
+
+    name = "soft_tissue"
+    parameters = (Parameter("shift_90_m", 0.01, 3),)
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        sight, found = views[0].sight, []
+        if sight is None:
+            return ()
+        for name in sight.scene.tree.names:
+            labels = tuple(sight.labels[k] for k in sight.on(name))
+            if labels:
+                found += [Place((name,), follows=dof, markers=labels) for dof in _cues([v.scene for v in views], name)]
+        return tuple(found)
+
+    def size(self, place: Place) -> int:
+        return 3 * len(place.markers)
+
+    def scale(self, place: Place) -> tuple[float, ...]:
+        return super().scale(place) * len(place.markers)
+
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
+        which = [sight.labels.index(label) for label in place.markers]
+        local = theta.view(-1, 3, 1) * bend(sight.scene, place)[0]
+        return Slid(tuple(which), sight.turned(local, which))
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {"shift_90_m": theta.view(-1, 3)}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return value_of(values, self.name, "shift_90_m", 3 * len(place.markers))
+
+
+def bend(scene: Scene, place: Place) -> Float[Tensor, "2 frames"]:
+    """Sine and one minus cosine of the coordinate that a place follows, from its rest."""
+    row = scene.tree.dof_names.index(str(place.follows))
+    angle = scene.q[row] - scene.tree.dofs[row].rest
+    return torch.stack([torch.sin(angle), 1.0 - torch.cos(angle)])
+
+
+def _cues(scenes: Sequence[Scene], segment: str) -> tuple[str, ...]:
+    """Of the joints at both ends of a segment, the coordinate that moves most."""
+    tree = scenes[0].tree
+    ends = [tree.index(segment), *(k for k, body in enumerate(tree.bodies) if body.parent == tree.index(segment))]
+    return tuple(dof for k in ends if (dof := liveliest(scenes, k)) is not None)
+
+
+def liveliest(scenes: Sequence[Scene], body: int) -> str | None:
+    """The coordinate of a body's joint that moves most, None for the root."""
+    tree = scenes[0].tree
+    rows = [turn.row for turn in tree.bodies[body].turns if turn.moving]
+    if not rows:
+        return None
+    spread = [max(float(s.q[row].std()) for s in scenes) for row in rows]
+    return tree.dof_names[rows[spread.index(max(spread))]]

@@ -1,0 +1,117 @@
+"""What a small displacement of bodies does to the wrench that a motion needs.
+
+With P = sum m c' and H = sum c x m c' + I w about the origin of W, what is needed is the rate of (P, H) and gravity's
+share. A displacement d of a body's origin and a rotation e of it move its centre of mass by s = d + e x r and turn I w
+into I w + e x I w + I e', whatever w is. Products by parts leave three vectors that are linear in (d, e) itself:
+
+    A = sum m s,  B = sum c x m s + I e,  C = sum 2 s x m c' + e x I w - w x I e + I (w x e)
+    change of force = A'',  change of moment = B'' + C' + A x (minus gravity)
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.dynamics import joint_axes
+from torchid.effects.scene import Scene, lift
+from torchid.kinematics.recursion import cross
+
+
+def displaced(scene: Scene, bodies: Float[Tensor, "columns bodies 6 frames"]) -> Float[Tensor, "columns 6 frames"]:
+    """Change of ``Scene.needed`` where bodies are displaced a little, to first order.
+
+    Args:
+        scene: motion and inertia.
+        bodies: displacement of each body's origin [m] and its rotation [rad], W axes, plan order.
+    """
+    nine = levers(scene) @ bodies.permute(3, 1, 2, 0).flatten(1, 2)
+    return wrench_of(nine, scene.rate).permute(2, 1, 0)
+
+
+def wrench_of(nine: Float[Tensor, "frames 9 columns"], rate_hz: float) -> Float[Tensor, "frames 6 columns"]:
+    """Change of the wrench about the origin of W from the vectors A, B, C."""
+    A, B, C = nine.split(3, 1)
+    up = lift(nine)[None].expand_as(A)
+    moment = rate_of(rate_of(B, rate_hz) + C, rate_hz) + torch.linalg.cross(A, up, dim=1)
+    return torch.cat([rate_of(rate_of(A, rate_hz), rate_hz), moment], 1)
+
+
+def rate_of(x: Float[Tensor, "frames *some"], rate_hz: float) -> Float[Tensor, "frames *some"]:
+    """Time derivative: fourth-order differences, second-order ones at the ends.
+
+    For what a filter has left of frequencies far below the frame rate: 0.5 % off at a tenth of it.
+    """
+    found = torch.empty_like(x)
+    found[2:-2] = (8.0 * (x[3:-1] - x[1:-3]) - x[4:] + x[:-4]) * (rate_hz / 12.0)
+    for k, near in ((0, (0, 1, 2)), (1, (0, 1, 2)), (-1, (-1, -2, -3)), (-2, (-1, -2, -3))):
+        a, b, c = (x[j] for j in near)
+        sign = 1.0 if k >= 0 else -1.0
+        slope = (-1.5 * a + 2.0 * b - 0.5 * c) if k in (0, -1) else 0.5 * (c - a)
+        found[k] = sign * rate_hz * slope
+    return found
+
+
+def levers(scene: Scene) -> Float[Tensor, "frames 9 rows"]:
+    """A, B, C per displacement and rotation of every body, six rows a body in plan order."""
+    plan, at, motion = scene.state.plan, scene.state.at, scene.state.motion
+    phi = scene.phi[list(plan.order)]
+    mass, arm = phi[:, 0], phi[:, 1:4] / phi[:, :1]
+    offset = torch.einsum("bcit,bc->bit", at.R, arm)
+    own = inertia_matrix(phi[:, 4:]) - mass[:, None, None] * _shell(arm)
+    inertia = torch.einsum("bkit,bkl,bljt->tbij", at.R, own, at.R)
+    r, c, w = (_spin(x) for x in (offset, at.p + offset, motion.w))
+    v = _spin(motion.v + cross(motion.w, offset))
+    L = _spin(torch.einsum("tbij,bjt->bit", inertia, motion.w))
+    m, eye = mass[:, None, None], torch.eye(3).to(r).expand_as(r)
+    d = [m * eye, m * c, -2.0 * m * v]
+    e = [-m * r, inertia - m * c @ r, 2.0 * m * v @ r - L - w @ inertia + inertia @ w]
+    both = torch.cat([torch.cat(d, 2), torch.cat(e, 2)], 3)
+    return both.permute(0, 2, 1, 3).flatten(2)
+
+
+def _spin(x: Float[Tensor, "bodies 3 frames"]) -> Float[Tensor, "frames bodies 3 3"]:
+    """Matrices of x cross."""
+    a, b, c = x.permute(1, 2, 0)
+    zero = torch.zeros_like(a)
+    return torch.stack([zero, -c, b, c, zero, -a, -b, a, zero], 2).view(*a.shape, 3, 3)
+
+
+def inertia_matrix(six: Float[Tensor, "bodies 6"]) -> Float[Tensor, "bodies 3 3"]:
+    """Ixx, Ixy, Iyy, Ixz, Iyz, Izz as matrices."""
+    xx, xy, yy, xz, yz, zz = six.unbind(1)
+    return torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).view(-1, 3, 3)
+
+
+def _shell(arm: Float[Tensor, "bodies 3"]) -> Float[Tensor, "bodies 3 3"]:
+    """|c|^2 1 - c c', inertia of a unit mass at c."""
+    eye = torch.eye(3).to(arm)
+    return arm.square().sum(1)[:, None, None] * eye - arm[:, :, None] * arm[:, None]
+
+
+def carriage(scene: Scene) -> Float[Tensor, "frames rows dofs"]:
+    """Displacement and rotation of every body, six rows each in plan order, per coordinate (3-5: rotations in W)."""
+    S, _ = joint_axes(scene.state)
+    mask = supports(scene).to(S)[:, :, None, None]
+    turn = mask * S[None, :, 3:]
+    arm = (scene.state.at.p - scene.state.at.p[:1])[:, None].expand_as(turn)
+    both = torch.cat([mask * S[None, :, :3] + cross(turn, arm), turn], 2)
+    return both.permute(3, 0, 2, 1).flatten(1, 2).contiguous()
+
+
+def supports(scene: Scene) -> Tensor:
+    """(bodies, dofs) whether a body, by plan position, moves with a coordinate."""
+    plan = scene.state.plan
+    above = torch.zeros(len(plan.order), len(plan.tree.dofs), dtype=torch.bool)
+    above[:, :6] = True
+    for column in plan.motion:
+        for body, ancestors in enumerate(plan.tree.ancestors):
+            above[plan.position[body], column.row] |= column.body in ancestors
+    return above.to(scene.phi.device)
+
+
+def below(scene: Scene, segment: str) -> Float[Tensor, " bodies"]:
+    """1 for a segment and everything that it carries, plan order."""
+    tree, position = scene.tree, scene.state.plan.position
+    inside = scene.phi.new_zeros(len(position))
+    inside[[position[k] for k in tree.subtree(tree.index(segment))]] = 1.0
+    return inside

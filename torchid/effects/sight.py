@@ -1,0 +1,70 @@
+"""What cameras see of one trial: markers on bodies."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.effects.scene import Reading, Scene
+from torchid.kinematics.recursion import cross
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Markers of one trial where the bodies carry them."""
+
+    scene: Scene
+    labels: tuple[str, ...]
+    body: Int[Tensor, " markers"]
+    """Plan position of the body that carries each."""
+    p_BM_B: Float[Tensor, "markers 3"]
+
+    @cached_property
+    def p(self) -> Float[Tensor, "markers 3 frames"]:
+        """p_WM_W [m]."""
+        return self.scene.state.at.p[self.body] + self.turned(self.p_BM_B[:, :, None])
+
+    def turned(
+        self, b: Float[Tensor, "some 3 #frames"], which: Sequence[int] | None = None
+    ) -> Float[Tensor, "some 3 frames"]:
+        """R_WB b of the bodies of some markers, or all."""
+        R = self.scene.state.at.R[self.body if which is None else self.body[list(which)]]
+        return (R * b[:, :, None]).sum(1)
+
+    def on(self, segment: str) -> tuple[int, ...]:
+        """The markers of a segment."""
+        return tuple((self.body == self.scene.at(segment)).nonzero()[:, 0].tolist())
+
+    def carried(self, bodies: Float[Tensor, "*columns bodies 6 frames"]) -> Float[Tensor, "*columns markers 3 frames"]:
+        """How far displaced bodies take their markers (see ``Scene.displaced``)."""
+        own = bodies.index_select(-3, self.body)
+        arm = (self.p - self.scene.state.at.p[self.body]).expand_as(own[..., :3, :])
+        return own[..., :3, :] + cross(own[..., 3:, :], arm)
+
+
+@dataclass(frozen=True)
+class Slid:
+    """Markers that cameras see elsewhere than the bodies carry them."""
+
+    which: tuple[int, ...]
+    by: Float[Tensor, "some 3 frames"]
+    """In W [m]."""
+
+
+@dataclass(frozen=True)
+class View:
+    """All that effects can change in one trial."""
+
+    scene: Scene
+    reading: Reading
+    """What the plates bore by the model; the readings' noise in the columns would explain that of the total."""
+    measured: Reading
+    """What they read, through the same filter."""
+    sight: Sight | None = None
+    """None where no markers are at hand."""
+
+    def read(self, late: bool) -> Reading:
+        """What columns are made of; of effects that shift time, the noise is not that of the total."""
+        return self.measured if late else self.reading

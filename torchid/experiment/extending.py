@@ -1,0 +1,100 @@
+"""The model extended by what the diagnosis names: recordings corrected, everything fitted again."""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.config import Config
+from torchid.diagnosis.candidates import Source, answer_of
+from torchid.diagnosis.diagnose import Cause
+from torchid.diagnosis.watched import Watched
+from torchid.effects.catalogue import effect
+from torchid.effects.effect import Planted, columns
+from torchid.effects.scene import make_scene
+from torchid.effects.sight import Sight
+from torchid.experiment.diagnosing import watch_outcome
+from torchid.experiment.stages import follow
+from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.tracking import Tracked
+from torchid.outcome import Followed, Outcome, Session
+from torchid.recording import Trial
+
+SMOOTHED = "filter_lag"
+"""Acts on markers, but what a filter took away no marker gives back: the wrench is corrected for it."""
+RECORD = "body_mass"
+"""Is no force: the prior takes the mass that was found instead of the recorded one."""
+
+
+def extend_session(outcome: Outcome) -> Session:
+    """The same recordings with named effects on markers taken out, in all trials in which they are known to act."""
+    assert outcome.diagnosis is not None
+    causes = [c for c in outcome.diagnosis.causes if moves_markers(c)]
+    trials = {name: _cleared(outcome, trial, causes) for name, trial in outcome.session.trials.items()}
+    return replace(outcome.session, trials=trials)
+
+
+def moves_markers(cause: Cause) -> bool:
+    """Whether correcting it changes what cameras saw."""
+    return effect(cause.effect).kinematic and cause.effect != SMOOTHED
+
+
+def _cleared(outcome: Outcome, trial: Trial, causes: list[Cause]) -> Trial:
+    acting = [planted for cause in causes if (planted := cause.on(trial.name)) is not None]
+    if not acting:
+        return trial
+    fit, motion = outcome.fit, outcome.followed[trial.name].motion
+    scene = make_scene(trial.name, fit.model.tree, fit.geometry, motion, outcome.prior.mean)
+    body = torch.tensor(scene.state.plan.position)[fit.attachment.body]
+    sight = Sight(scene, fit.attachment.labels, body, fit.place)
+    off = torch.stack([one.seen(sight) for one in acting]).sum(0).permute(2, 0, 1)
+    position = trial.markers.position.clone()
+    for k, label in enumerate(fit.attachment.labels):
+        if label in trial.markers.labels:
+            position[:, trial.markers.labels.index(label)] -= off[:, k].to(position)
+    return replace(trial, markers=replace(trial.markers, position=position))
+
+
+def corrected_config(config: Config, causes: tuple[Cause, ...]) -> Config:
+    """With the person's mass as found, where the recorded one is named wrong."""
+    for cause in causes:
+        if cause.effect == RECORD:
+            mass, sd = (float(cause.parameters["mass_kg"][k]) for k in ("value", "sd"))
+            subject = config.subject.model_copy(update={"mass_kg": mass, "mass_sd_kg": sd})
+            return config.model_copy(update={"subject": subject})
+    return config
+
+
+def follow_extended(
+    config: Config, base: Outcome, session: Session, fit: GeometryFit, tracked: dict[str, Tracked]
+) -> dict[str, Followed]:
+    """All trials followed by the extended model; wrenches are those that it has to explain by motion alone."""
+    found = {name: follow(fit, trial, tracked[name], base.cutoff_hz, config) for name, trial in session.trials.items()}
+    for name, added in effect_wrenches(base).items():
+        wrench = found[name].wrench
+        if wrench is not None:
+            found[name] = replace(found[name], wrench=replace(wrench, wrench=wrench.wrench - added))
+    return found
+
+
+def effect_wrenches(base: Outcome) -> dict[str, Float[Tensor, "frames 6"]]:
+    """What the named effects add to the plates' total about the origin of W, by trial; those on markers have none."""
+    assert base.diagnosis is not None
+    forceful = [c for c in base.diagnosis.causes if not moves_markers(c) and c.effect != RECORD]
+    found = {}
+    for role in ("fit", "heldout"):
+        for name, watched in watch_outcome(base, role).items():
+            acting = [one for c in forceful if (one := c.on(name)) is not None]
+            if acting:
+                found[name] = torch.stack([_added(watched, one) for one in acting]).sum(0)
+    return found
+
+
+def _added(watched: Watched, one: Planted) -> Float[Tensor, "frames 6"]:
+    if one.effect.kinematic:
+        assert watched.cameras is not None
+        source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
+        return torch.einsum("ipt,p->ti", answer_of(watched.cameras, source).wrench, one.theta)
+    view = watched.view
+    return torch.einsum("ipt,p->ti", columns(one.effect, view.scene, view.read(one.effect.late), one.place), one.theta)
