@@ -34,12 +34,13 @@ def test_verdicts_are_judged_by_effect_and_place():
     drag = {"effect": "drag", "where": ["thorax"], "parameters": size, "indistinguishable": []}
     other = {"effect": "tether", "where": ["head"], "parameters": {}, "indistinguishable": []}
     twin = dict(other, indistinguishable=[{"effect": "drag", "where": ["thorax"]}])
-    right, sizes = judge(truth, [drag, other])
+    skin = dict(other, effect="soft_tissue", where=["thigh_r"])
+    right, sizes = judge(truth, [skin, drag, other])
     assert right and sizes == ["coefficient_Ns_m: 28 ± 2, in truth 30"]
     assert judge(truth, [other, drag]) == (False, sizes)
     assert judge(truth, [twin]) == (True, [])
     assert judge(truth, [dict(drag, where=["head"])]) == (False, [])
-    assert judge(truth, []) == (False, []) and judge([], [drag]) == (False, []) and judge([], []) == (True, [])
+    assert judge(truth, []) == (False, []) and judge([], [drag]) == (False, []) and judge([], [skin]) == judge([], []) == (True, [])
 
 
 def test_the_demo_shows_the_fit_nothing_of_the_draw(tmp_path):

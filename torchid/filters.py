@@ -47,6 +47,17 @@ class Smoother:
         out = self._spline(flat, w) if self.kind == "spline" or w.min() <= 0.0 else self._butterworth(flat)
         return torch.as_tensor(out, dtype=x.dtype, device=x.device).reshape(x.shape)
 
+    def response(self, frequency_hz: Float[Tensor, " some"]) -> Float[Tensor, " some"]:
+        """Part of the amplitude that passes, away from ends and gaps."""
+        if self.cutoff_hz >= 0.45 * self.rate_hz:
+            return torch.ones_like(frequency_hz)
+        f0, order = (
+            (self.cutoff_hz / HALF_POWER, 2 * ORDER)
+            if self.kind == "spline"
+            else (self.cutoff_hz / BUTTERWORTH_PASS, 4)
+        )
+        return 1.0 / (1.0 + (frequency_hz / f0) ** order)
+
     def _spline(self, x: np.ndarray, weight: np.ndarray) -> np.ndarray:
         known = weight[:, None] > 0.0
         if len(x) <= 2 * ORDER:

@@ -5,9 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from batteries.sizes import SIZES
+from torchid.effects.catalogue import BODILY
 
-BODY = {"soft_tissue", "joint_centre_shift", "missing_dof", "wobbling_mass"}
-"""What bodies have; naming it where it was not planted counts apart from errors of the laboratory."""
 WITHIN, SIGMAS, VAGUE = 0.15, 2.0, 0.25
 """A parameter is right within this part of it or so many stated standard deviations, unless those exceed a quarter."""
 UNNAMED = {"gain": "gain", "scale": "scale"}
@@ -82,7 +81,7 @@ def tables(rows: Sequence[dict]) -> dict:
         lines.append(_line("all", own))
         figures[level] = {"sessions": len(own), "first": _share(own, "first"), "sizes": _sizes(own)}
     nulls = [r for r in good if r["kind"] == "null"]
-    loud = [r for r in nulls if any(e not in BODY for e, *_ in r["named"])]
+    loud = [r for r in nulls if any(e not in BODILY for e, *_ in r["named"])]
     figures["null"] = {"sessions": len(nulls), "named": sum(bool(r["named"]) for r in nulls), "laboratory": len(loud)}
     text = "\nnothing hidden: {sessions} sessions, {named} with a cause named, {laboratory} beside bodies'"
     lines.append(text.format(**figures["null"]))
@@ -129,6 +128,6 @@ def _calibration(rows: Sequence[dict]) -> list[tuple[str, int, int]]:
     found = []
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.01)):
         said = [(c, c in r["wrong"]) for r in rows if r["kind"] != "foreign" for c in r["named"]]
-        some = [bad for (effect, _, confidence), bad in said if low <= confidence < high and effect not in BODY]
+        some = [bad for (effect, _, confidence), bad in said if low <= confidence < high and effect not in BODILY]
         found.append((f"{low:.1f}-{min(high, 1.0):.1f}", len(some), len(some) - sum(some)))
     return found

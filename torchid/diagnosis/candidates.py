@@ -11,6 +11,7 @@ from torchid.diagnosis.cameras import Answer, Cameras, MarkerSums, marker_sums
 from torchid.diagnosis.idle import IdleSums, idle_sums
 from torchid.diagnosis.nuisances import GeometryError, SkinSlide
 from torchid.diagnosis.proposals import suggested
+from torchid.diagnosis.rates import calibrated
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
 from torchid.effects.effect import STEP, Effect, Place, columns
@@ -188,6 +189,8 @@ def trial_columns(watched: Watched, sources: Sequence[Source], wanted: Sequence[
         wrench.append(nothing if answer is None else answer.wrench)
     found, point = torch.cat(wrench, 1), watched.rows.motion.q[:, :3]
     extra = wrench_about(found.permute(1, 2, 0), point.expand(found.shape[1], -1, -1)).permute(2, 0, 1)
+    late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
+    extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
     sums = None if watched.cameras is None else marker_sums(watched.cameras.coarse, torch.cat(left, 2))
     zeros = [(s.effect, s.place, s.columns) for s in sources if wanted is None or s in wanted]
     return Columns(extra, sums, idle_sums(watched.idle, zeros))

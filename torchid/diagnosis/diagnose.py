@@ -14,7 +14,7 @@ from torchid.diagnosis.candidates import Candidate, trial_columns
 from torchid.diagnosis.evidence import Sums, fit
 from torchid.diagnosis.noise import Rows, summed
 from torchid.diagnosis.plates import SessionPlate
-from torchid.diagnosis.search import ALIKE, BODY, Round, Search, estimate, internal, residual, residuals, search
+from torchid.diagnosis.search import ALIKE, Round, Search, estimate, internal, residual, residuals, search
 from torchid.diagnosis.unexplained import Structure, structure
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import CATALOGUE, effect
@@ -137,7 +137,7 @@ def diagnose(
     if rest.significant:
         # A model that the data visibly contradict is sure of nothing that the contradicted forces told.
         trust = 1.0 - 0.5 * rest.share_of_residual
-        causes = [c if c.effect in BODY else replace(c, confidence=trust * c.confidence) for c in causes]
+        causes = [c if effect(c.effect).bodily else replace(c, confidence=trust * c.confidence) for c in causes]
     idle = _idle(watched, plates)
     return Diagnosis(plates, judge.errors(()), judge.errors(everything), tuple(causes), rest, idle)
 

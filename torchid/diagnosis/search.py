@@ -29,8 +29,6 @@ CHANCE = 1.0
 """Nats by which trials may predict each other worse for a cause that they say nothing of, such as a wrong record."""
 SECOND = 3
 """Effects that are tried under the noise that they would leave."""
-BODY = frozenset({"soft_tissue", "joint_centre_shift", "missing_dof", "wobbling_mass"})
-"""What every living body has some of; named when it is there, and counted apart from errors of the laboratory."""
 
 
 @dataclass(frozen=True)
@@ -184,8 +182,8 @@ def residual(watched: Watched, columns: Columns, phi: Tensor, theta: Tensor) -> 
 
 def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
     """Those that may still be chosen: no laboratory's error is left out because bodies are as bodies are."""
-    full = {of for of in (False, True) if sum((c.effect.name in BODY) == of for c in chosen) >= limit}
-    return [c for c in design.candidates if c not in chosen and (c.effect.name in BODY) not in full]
+    full = {of for of in (False, True) if sum(c.effect.bodily == of for c in chosen) >= limit}
+    return [c for c in design.candidates if c not in chosen and c.effect.bodily not in full]
 
 
 def _scan(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> Round:

@@ -17,7 +17,7 @@ from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
 from torchid.effects.momentum import wrench_of
-from torchid.regressor.whitening import BEYOND, EDGES, bands, cosine_matrix
+from torchid.regressor.whitening import EDGES, bands, coefficients, cosine_matrix
 
 SHARE = 0.35
 """Part of a band's residual that noise does not explain, from which on it matters: half as much again as the noise.
@@ -102,11 +102,10 @@ def _energy(watched: Watched, cameras: Cameras, left: Float[Tensor, "frames 6"])
 def _by_band(watched: Watched, x: Float[Tensor, "frames 6"]) -> tuple[Float[Tensor, "kinds bands"], Tensor]:
     """Energy of the used frames' cosine coefficients, means of blocks left out."""
     rows = watched.rows
-    cutoff = min(rows.motion.smoother.cutoff_hz * BEYOND, 0.5 * rows.rate)
     energy, count = x.new_zeros(2, len(EDGES) + 1), x.new_zeros(len(EDGES) + 1)
     for part in rows.blocks():
         frames = part.stop - part.start
-        kept = max(1, min(frames, int(2.0 * cutoff * frames / rows.rate)))
+        kept = coefficients(rows, frames)
         square = (cosine_matrix(frames, kept).to(x) @ x[part]).square()[1:]
         band = bands(frames, kept, rows.rate)[1:].to(x.device)
         for k, (_, axes) in enumerate(KINDS):

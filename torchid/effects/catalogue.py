@@ -18,6 +18,8 @@ CATALOGUE: dict[str, Effect] = {
         MarkerSwap(), MarkerScale(), SoftTissue(), JointCentreShift(), MissingDof(),
     )
 }  # fmt: skip
+BODILY = frozenset(name for name, effect in CATALOGUE.items() if effect.bodily)
+"""What every living body has some of."""
 
 
 def effect(name: str) -> Effect:

@@ -69,8 +69,8 @@ class Effect(ABC):
 
     name: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
-    alike: ClassVar[tuple[str, ...]] = ()
-    """Effects that it is easily taken for."""
+    bodily: ClassVar[bool] = False
+    """Every living body has some of it: named when it is there, and counted apart from errors of the laboratory."""
     kinematic: ClassVar[bool] = False
     """It changes what cameras see (``move``, ``slide``)."""
     anew: ClassVar[bool] = False

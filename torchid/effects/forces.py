@@ -41,7 +41,6 @@ class ExternalForce(PointForce):
 
     name = "external_force"
     parameters = (Parameter("force_N", 20.0, 3),)
-    alike = ("body_weight_support", "plate_offset", "body_mass")
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return theta[:, None].expand(3, len(scene.time))
@@ -52,7 +51,6 @@ class BodyWeightSupport(PointForce):
 
     name = "body_weight_support"
     parameters = (Parameter("force_N", 100.0, positive=True),)
-    alike = ("body_mass", "plate_gain", "external_force")
     segments = ("pelvis", "thorax")
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
@@ -65,7 +63,6 @@ class Drag(PointForce):
 
     name = "drag"
     parameters = (Parameter("coefficient_Ns_m", 10.0, positive=True),)
-    alike = ("time_offset",)
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return -theta * at.v
@@ -79,7 +76,6 @@ class Tether(PointForce):
 
     name = "tether"
     parameters = (Parameter("stiffness_N_m", 30.0, positive=True), Parameter("pull_N", 30.0, 3))
-    alike = ("gravity_tilt", "external_force")
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         stiffness, pull = self.split(theta)
@@ -100,7 +96,6 @@ class UnmeasuredContact(PointForce):
 
     name = "unmeasured_contact"
     parameters = (Parameter("force_N", 50.0, 3),)
-    alike = ("grasped_object", "external_force")
     timed = True
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:

@@ -48,8 +48,8 @@ class JointCentreShift(Effect):
     """
 
     name = "joint_centre_shift"
+    bodily = True
     parameters = (Parameter("sine_m", 0.01, 3), Parameter("cosine_m", 0.01, 3))
-    alike = ("missing_dof",)
     kinematic = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -86,8 +86,8 @@ class MissingDof(Effect):
     """
 
     name = "missing_dof"
+    bodily = True
     parameters = (Parameter("course", 0.02, 3 * MODES),)
-    alike = ("joint_centre_shift", "soft_tissue")
     kinematic = True
     anew = True
 

@@ -98,6 +98,7 @@ class SoftTissue(MarkerEffect):
     """
 
     name = "soft_tissue"
+    bodily = True
     parameters = (Parameter("shift_90_m", 0.01, 3),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:

@@ -35,7 +35,6 @@ class BodyMass(Effect):
 
     name = "body_mass"
     parameters = (Parameter("excess_kg", 4.0),)
-    alike = ("plate_gain", "payload")
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return (Place(("session",), grid={"recorded_kg": views[0].scene.recorded_kg}),)
@@ -59,7 +58,6 @@ class Payload(Effect):
 
     name = "payload"
     parameters = (Parameter("mass_kg", 2.0, positive=True), Parameter("moment_seg_kgm", 0.3, 3))
-    alike = ("body_mass", "plate_gain", "grasped_object")
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return tuple(Place((n,), point=_centre(views[0].scene, n)) for n in views[0].scene.tree.names)
@@ -94,7 +92,6 @@ class GraspedObject(Payload):
 
     name = "grasped_object"
     timed = True
-    alike = ("unmeasured_contact", "payload")
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return tuple(place for place in super().places(views) if place.where[0].startswith("hand"))
@@ -118,8 +115,8 @@ class WobblingMass(Effect):
     """
 
     name = "wobbling_mass"
+    bodily = True
     parameters = (Parameter("mass_kg", 2.0, positive=True),)
-    alike = ("filter_lag", "soft_tissue")
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         heavy = [n for n in views[0].scene.tree.names if not n.startswith(("hand", "foot", "forearm", "head"))]

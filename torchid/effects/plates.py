@@ -64,7 +64,6 @@ class PlateGain(PlateMap):
 
     name = "plate_gain"
     parameters = (Parameter("gain", 0.03),)
-    alike = ("body_mass", "payload")
     together = True
 
     def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
@@ -82,7 +81,6 @@ class PlateOffset(PlateMap):
 
     name = "plate_offset"
     parameters = (Parameter("force_plate_N", 5.0, 3), Parameter("moment_plate_Nm", 1.0, 3))
-    alike = ("external_force", "plate_drift")
 
     def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
         return wrench + to_world(frame, theta.expand(len(time), 6))
@@ -93,7 +91,6 @@ class PlateDrift(PlateMap):
 
     name = "plate_drift"
     parameters = (Parameter("rate_plate", 0.5, 6),)
-    alike = ("plate_offset",)
 
     def scale(self, place: Place) -> tuple[float, ...]:
         """Moments a fifth of a metre times forces."""
@@ -111,7 +108,6 @@ class PlatePose(PlateMap):
 
     name = "plate_pose"
     parameters = (Parameter("shift_m", 0.02, 3), Parameter("rotation_rad", 0.02, 3))
-    alike = ("plate_crosstalk", "gravity_tilt")
 
     def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
         shift, turn = self.split(theta)
@@ -124,7 +120,6 @@ class PlateCrosstalk(PlateMap):
 
     name = "plate_crosstalk"
     parameters = (Parameter("matrix_plate", 0.01, 30),)
-    alike = ("plate_pose",)
 
     def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
         own = to_plate(frame, wrench)
@@ -154,7 +149,6 @@ class PlateAssignment(PlateMap):
 
     name = "plate_assignment"
     parameters = (Parameter("share", 1.0, positive=True),)
-    alike = ("plate_pose",)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         names = sorted({frame.name for v in views for frame in v.reading.frames})

@@ -28,7 +28,6 @@ class GravityTilt(Effect):
 
     name = "gravity_tilt"
     parameters = (Parameter("roll_rad", 0.02), Parameter("pitch_rad", 0.02))
-    alike = ("plate_pose", "tether")
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return (SESSION,)
@@ -49,7 +48,6 @@ class MovingGround(Effect):
 
     name = "moving_ground"
     parameters = (Parameter("sine_m_s2", 0.3, 3), Parameter("cosine_m_s2", 0.3, 3))
-    alike = ("unmeasured_contact",)
     anew = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -86,7 +84,6 @@ class FilterLag(Effect):
 
     name = "filter_lag"
     parameters = (Parameter("slowness", 5e-4, positive=True),)
-    alike = ("time_offset", "wobbling_mass")
     kinematic = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -116,7 +113,6 @@ class TimeOffset(Effect):
     name = "time_offset"
     late = True
     parameters = (Parameter("lag_s", 0.01),)
-    alike = ("filter_lag", "drag")
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         """Cables and triggers seldom change within a session: all single trials together are a fifth as likely."""

@@ -104,11 +104,16 @@ def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = N
 def _spectrum(trial: WrenchTrial, part: slice, extra: Tensor | None) -> Spectrum:
     Y, F = trial.rows(part)
     Y = Y if extra is None else torch.cat([Y, extra[:, :, part]], dim=1)
-    cutoff = min(trial.motion.smoother.cutoff_hz * BEYOND, 0.5 * trial.rate)
     frames = part.stop - part.start
-    kept = max(1, min(frames, math.ceil(2.0 * cutoff * frames / trial.rate)))
+    kept = coefficients(trial, frames)
     C = cosine_matrix(frames, kept).to(F)
     return Spectrum(Y @ C.T, F @ C.T, bands(frames, kept, trial.rate).to(F.device))
+
+
+def coefficients(trial: WrenchTrial, frames: int) -> int:
+    """Number of those of a block that the filter lets live."""
+    cutoff = min(trial.motion.smoother.cutoff_hz * BEYOND, 0.5 * trial.rate)
+    return max(1, min(frames, math.ceil(2.0 * cutoff * frames / trial.rate)))
 
 
 def bands(frames: int, kept: int, rate: float) -> Int[Tensor, " kept"]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from torchid.effects.catalogue import effect
 from torchid.effects.effect import Interval
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 
@@ -92,10 +93,13 @@ def _plate(rng: Generator) -> tuple[str]:
 def judge(truth: Sequence[Mapping[str, Any]], causes: Sequence[Mapping[str, Any]]) -> tuple[bool, list[str]]:
     """Whether the first named cause, or one that it says it cannot be told from, is what was hidden; and the sizes.
 
+    What every living body has some of, such as skin that moves, is no answer to what was hidden: it is there besides.
+
     Args:
         truth: of ``truth/subject.json``, ``options.effects``.
         causes: of ``diagnosis.json``.
     """
+    causes = [cause for cause in causes if not effect(cause["effect"]).bodily]
     if not truth or not causes:
         return not truth and not causes, []
     planted, first = truth[0], causes[0]
