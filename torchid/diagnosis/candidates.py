@@ -80,6 +80,8 @@ class Columns:
     """Of the kinematic ones."""
     idle: IdleSums | None = None
     """Of zero errors."""
+    beyond: Float[Tensor, "frames 6"] | None = None
+    """What late effects do beyond their columns, about the origin of W, where those are linearised elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,11 @@ class Design:
     trials: tuple[Columns, ...]
     kinematic: Int[Tensor, " columns"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
     """Columns that have rows of markers."""
+
+    @property
+    def late(self) -> list[bool]:
+        """Which columns behind the inertia are rates of what plates read."""
+        return [s.effect.late for s in self.sources for _ in s.scale]
 
     @property
     def mean(self) -> Float[Tensor, " more"]:

@@ -10,9 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Candidate, trial_columns
+from torchid.diagnosis.candidates import Candidate, Columns, trial_columns
 from torchid.diagnosis.evidence import Sums, fit
-from torchid.diagnosis.noise import Rows, summed
+from torchid.diagnosis.late import linearised
+from torchid.diagnosis.noise import rows_of, summed
 from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import ALIKE, Round, Search, estimate, internal, residual, residuals, search
 from torchid.diagnosis.unexplained import Structure, structure
@@ -21,7 +22,7 @@ from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect, Interval, Place, Planted
 from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
-from torchid.regressor.whitening import Whitening, spectra
+from torchid.regressor.whitening import Whitening
 
 RELEVANT = 0.01
 """Part of the residual force or moment that a cause must take away where the residual is more than noise."""
@@ -215,22 +216,29 @@ class _Judge:
         needed = [s for s in found.design.sources if s.columns.stop <= found.design.base]
         needed += [c.source for c in found.chosen]
         self.columns = [trial_columns(w, found.design.sources, needed) for w in heldout]
-        rows = [Rows(tuple(spectra(w.rows, c.extra)), c) for w, c in zip(heldout, self.columns, strict=True)]
+        if any(one.effect.late for one in found.chosen):
+            self.columns = self._settled()
+        rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
         more = summed(rows, found.prior, found.design, found.noise)
         self.both = Sums(found.sums.base, (*found.sums.trials, *more.trials))
 
     def errors(self, chosen: Sequence[Candidate]) -> Errors:
         """Of the held-out trials."""
-        fitted, n = fit(self.found.sums, self._everywhere(chosen)), self.found.design.inertia
-        left = []
-        for k, (watched, columns) in enumerate(zip(self.heldout, self.columns, strict=True)):
-            trial = len(self.found.sums.trials) + k
-            theta = self.found.prior.theta(fitted.z(len(self.found.prior.mean), trial))
-            left.append(residual(watched, columns, theta[:n].reshape(-1, 10), theta[n:])[watched.rows.used])
+        fitted, first = fit(self.found.sums, self._everywhere(chosen)), len(self.found.sums.trials)
+        both = enumerate(zip(self.heldout, self.columns, strict=True), first)
+        left = [residual(w, c, self.found.prior, fitted, k)[w.rows.used] for k, (w, c) in both]
         if not left:
             return Errors(float("nan"), float("nan"))
         both = torch.cat(left)
         return Errors(*(float(x.square().sum(1).mean().sqrt()) for x in (both[:, :3], both[:, 3:])))
+
+    def _settled(self) -> list[Columns]:
+        """Columns with those of late effects where the fit trials found them."""
+        found, first = self.found, len(self.found.sums.trials)
+        fitted, n = fit(found.sums, self._everywhere(found.chosen)), found.design.inertia
+        theta = [found.prior.theta(fitted.z(len(found.prior.mean), first + k))[n:] for k in range(len(self.heldout))]
+        trials = zip(self.heldout, self.columns, theta, strict=True)
+        return [linearised(w, c, found.design.sources, x) for w, c, x in trials]
 
     def gain(self, without: Sequence[Candidate], with_: Sequence[Candidate]) -> dict[str, float]:
         """Of the larger model over the smaller one."""

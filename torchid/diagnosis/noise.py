@@ -10,7 +10,9 @@ from torch import Tensor
 from torchid.diagnosis.cameras import BANDS
 from torchid.diagnosis.candidates import Candidate, Columns, Design
 from torchid.diagnosis.evidence import Prior, Sums, assembled, fit
-from torchid.regressor.whitening import Spectrum, Whitening, accumulate, estimate_whitening
+from torchid.diagnosis.late import without_beyond
+from torchid.diagnosis.watched import Watched
+from torchid.regressor.whitening import Spectrum, Whitening, accumulate, estimate_whitening, spectra
 
 ROUNDS = 2
 """Estimates of the noise before any effect is chosen; one less afterwards."""
@@ -30,6 +32,31 @@ class Rows:
 
     forces: tuple[Spectrum, ...]
     columns: Columns
+
+
+def rows_of(watched: Watched, columns: Columns, late: Sequence[bool]) -> Rows:
+    """Of one trial, columns shrunk to what is expected of the true motion.
+
+    Noise in what predicts makes it predict too much, the more the faster: a body mass that wobbles explained that in
+    sessions that hid nothing (regression calibration; Carroll et al. 2006, Measurement Error in Nonlinear Models,
+    chapter 4). The mean of a block is weight, and stays.
+
+    Args:
+        watched: the trial.
+        columns: of it.
+        late: which of them do not come from the motion.
+    """
+    found = tuple(spectra(without_beyond(watched.rows, columns), columns.extra))
+    if watched.expected is None:
+        return Rows(found, columns)
+    return Rows(tuple(_shrunk(block, watched.expected.believed, late) for block in found), columns)
+
+
+def _shrunk(block: Spectrum, believed: Float[Tensor, "bands 6"], late: Sequence[bool]) -> Spectrum:
+    part = believed[block.band].T[:, None].repeat(1, block.Y.shape[1], 1)
+    part[:, :, 0] = 1.0
+    part[:, torch.tensor([False] * (block.Y.shape[1] - len(late)) + list(late))] = 1.0
+    return Spectrum(part * block.Y, block.F, block.band)
 
 
 def initial_noise(whitening: Whitening) -> Noise:

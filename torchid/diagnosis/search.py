@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -11,14 +11,15 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
-from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, summed
+from torchid.diagnosis.late import linearised, without_beyond
+from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, rows_of, summed
 from torchid.diagnosis.unexplained import structure
 from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect
 from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
 from torchid.regressor.rows import measured, predict
-from torchid.regressor.whitening import Whitening, spectra
+from torchid.regressor.whitening import Whitening
 
 log = logging.getLogger(__name__)
 NAMED = 5.0
@@ -27,6 +28,8 @@ ALIKE = 3.0
 """Nats within which a rival cannot be told apart."""
 CHANCE = 1.0
 """Nats by which trials may predict each other worse for a cause that they say nothing of, such as a wrong record."""
+NEWTON = 2
+"""Steps by which effects that no column is linear in are found."""
 SECOND = 3
 """Effects that are tried under the noise that they would leave."""
 
@@ -108,13 +111,12 @@ def search(
     """
     design = make_design(watched, effects, geometry)
     prior = make_prior(inertia, omega, design)
-    rows = [Rows(tuple(spectra(w.rows, c.extra)), c) for w, c in zip(watched, design.trials, strict=True)]
     noise = initial_noise(whitening)
     chosen: list[Candidate] = []
     rounds: list[Round] = []
-    scan = _Scan(watched, rows, design, prior, limit)
+    scan = _Scan(watched, _rows(watched, design), design, prior, limit)
     while True:
-        noise = estimate_noise(rows, prior, design, chosen, noise)
+        noise = estimate_noise(scan.rows, prior, scan.design, chosen, noise)
         sums, found = scan(noise, chosen)
         if found.named is None:
             noise, sums, found = scan.again(noise, sums, found, chosen)
@@ -124,8 +126,14 @@ def search(
             break
         log.info("%s at %s gains %.1f nats", best.candidate.effect.name, best.candidate.place.where, best.score)
         chosen.append(best.candidate)
+        if best.candidate.effect.late:
+            noise, scan = scan.settled(noise, chosen)
     chosen = _pruned(sums, chosen)
-    return Search(design, prior, noise, tuple(chosen), tuple(rounds), sums, fit(sums, chosen))
+    return Search(scan.design, prior, noise, tuple(chosen), tuple(rounds), sums, fit(sums, chosen))
+
+
+def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:
+    return [rows_of(w, c, design.late) for w, c in zip(watched, design.trials, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -141,6 +149,19 @@ class _Scan:
     def __call__(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Sums, Round]:
         sums = summed(self.rows, self.prior, self.design, noise)
         return sums, _scan(sums, open_candidates(self.design, chosen, self.limit), chosen)
+
+    def settled(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Noise, "_Scan"]:
+        """Late effects linearised where they are."""
+        scan = self
+        for _ in range(NEWTON):
+            noise = estimate_noise(scan.rows, self.prior, scan.design, chosen, noise)
+            fitted = fit(summed(scan.rows, self.prior, scan.design, noise), chosen)
+            theta = [self.prior.theta(fitted.z(len(self.prior.mean), k)) for k in range(len(scan.rows))]
+            n, sources = scan.design.inertia, scan.design.sources
+            moved = zip(self.watched, scan.design.trials, theta, strict=True)
+            design = replace(scan.design, trials=tuple(linearised(w, c, sources, x[n:]) for w, c, x in moved))
+            scan = replace(scan, rows=_rows(self.watched, design), design=design)
+        return noise, scan
 
     def again(self, noise: Noise, sums: Sums, found: Round, chosen: Sequence[Candidate]) -> tuple[Noise, Sums, Round]:
         """Where the residual is more than noise, under the noise that the likeliest candidates would leave.
@@ -168,16 +189,17 @@ def residuals(
     watched: Sequence[Watched], design: Design, prior: Prior, fitted: Fitted
 ) -> list[Float[Tensor, "frames 6"]]:
     """Of the trials a model was fitted to, about the root's origin."""
-    found = []
-    for k, (own, columns) in enumerate(zip(watched, design.trials, strict=True)):
-        theta, n = prior.theta(fitted.z(len(prior.mean), k)), design.inertia
-        found.append(residual(own, columns, theta[:n].reshape(-1, 10), theta[n:]))
-    return found
+    both = enumerate(zip(watched, design.trials, strict=True))
+    return [residual(own, columns, prior, fitted, k) for k, (own, columns) in both]
 
 
-def residual(watched: Watched, columns: Columns, phi: Tensor, theta: Tensor) -> Float[Tensor, "frames 6"]:
-    """About the root's origin, with everything in theta taken off."""
-    return measured(watched.rows) - predict(watched.rows, phi) - torch.einsum("ipt,p->ti", columns.extra, theta)
+def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, trial: int) -> Float[Tensor, "frames 6"]:
+    """Of one trial about the root's origin, with everything that the model knows taken off."""
+    theta, n = prior.theta(fitted.z(len(prior.mean), trial)), len(prior.inertia)
+    late = any(one.effect.late for one in fitted.chosen)
+    rows = without_beyond(watched.rows, columns) if late else watched.rows
+    known = predict(rows, theta[:n].reshape(-1, 10)) + torch.einsum("ipt,p->ti", columns.extra, theta[n:])
+    return measured(rows) - known
 
 
 def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:

@@ -1,12 +1,14 @@
 """One trial as the diagnosis sees it."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.diagnosis.cameras import Cameras
+from torchid.diagnosis.expected import Expected, expected
 from torchid.diagnosis.idle import LOADED, Idle, find_idle
 from torchid.dynamics import wrench_about
 from torchid.effects.scene import PlateFrame, Scene, make_scene, reading
@@ -35,6 +37,11 @@ class Watched:
     """Noise of the plates' total per frame about the root's origin [N, N m], before the filter."""
     idle: Idle
     cameras: Cameras | None = None
+
+    @cached_property
+    def expected(self) -> Expected | None:
+        """What noise makes of the wrench; None where no camera shows that of the markers."""
+        return None if self.cameras is None else expected(self.rows, self.cameras, self.scatter)
 
 
 @dataclass(frozen=True)
