@@ -40,7 +40,11 @@ def test_verdicts_are_judged_by_effect_and_place():
     assert judge(truth, [other, drag]) == (False, sizes)
     assert judge(truth, [twin]) == (True, [])
     assert judge(truth, [dict(drag, where=["head"])]) == (False, [])
-    assert judge(truth, []) == (False, []) and judge([], [drag]) == (False, []) and judge([], [skin]) == judge([], []) == (True, [])
+    assert (
+        judge(truth, []) == (False, [])
+        and judge([], [drag]) == (False, [])
+        and judge([], [skin]) == judge([], []) == (True, [])
+    )
 
 
 def test_the_demo_shows_the_fit_nothing_of_the_draw(tmp_path):

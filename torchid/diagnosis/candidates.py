@@ -186,7 +186,7 @@ def trial_columns(watched: Watched, sources: Sequence[Source], wanted: Sequence[
     for source in sources:
         idle = wanted is not None and source not in wanted
         if not source.effect.kinematic and not idle:
-            wrench.append(columns(source.effect, view.scene, view.read(source.effect.late), source.place))
+            wrench.append(columns(source.effect, view.scene, view.read(source.effect.inverted), source.place))
             continue
         answer = None
         if watched.cameras is not None and source.effect.kinematic:

@@ -61,6 +61,8 @@ class Sums:
     base: int
     """Columns of inertia and nuisances; those of the candidates' sources follow."""
     trials: tuple[Raw, ...]
+    constant: float = 0.0
+    """Log density of all rows but for what models of one noise differ in."""
     _totals: dict[frozenset[int], Raw] = field(default_factory=dict, repr=False, compare=False)
 
     @property

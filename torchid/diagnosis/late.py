@@ -35,7 +35,7 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
         at = part.stop
         if not source.effect.late:
             continue
-        back = source.effect.read(measured, source.place, -theta[part])
+        back = source.effect.undone(measured, source.place, theta[part])
         slope = columns(source.effect, watched.view.scene, back, source.place).permute(1, 2, 0)
         slope = wrench_about(slope, root.expand(len(slope), -1, -1)).permute(2, 0, 1)
         extra[:, part] = calibrated(slope, watched.rows, watched.scatter)

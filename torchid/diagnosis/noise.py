@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.diagnosis.cameras import BANDS
 from torchid.diagnosis.candidates import Candidate, Columns, Design
-from torchid.diagnosis.evidence import Prior, Sums, assembled, fit
+from torchid.diagnosis.evidence import Prior, Raw, Sums, assembled, fit
 from torchid.diagnosis.late import without_beyond
 from torchid.diagnosis.watched import Watched
 from torchid.regressor.whitening import Spectrum, Whitening, accumulate, estimate_whitening, spectra
@@ -66,21 +66,26 @@ def initial_noise(whitening: Whitening) -> Noise:
 
 def summed(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -> Sums:
     """Forces and markers of every trial under their noise."""
-    return Sums(design.base, tuple(_standard(own, prior, design, noise) for own in rows))
+    found = [_standard(own, prior, design, noise) for own in rows]
+    return Sums(design.base, tuple(raw for raw, _ in found), sum(constant for _, constant in found))
 
 
-def _standard(rows: Rows, prior: Prior, design: Design, noise: Noise) -> tuple[Tensor, Tensor]:
+def _standard(rows: Rows, prior: Prior, design: Design, noise: Noise) -> tuple[Raw, float]:
     both = accumulate(rows.forces, noise.forces)
-    gram, moment, k = both.gram.clone(), both.moment.clone(), design.kinematic
+    gram, moment, k, square = both.gram.clone(), both.moment.clone(), design.kinematic, both.square
+    volume = sum(noise.forces.log_determinant(block.band) for block in rows.forces)
     if rows.columns.markers is not None:
-        weight = noise.markers.reciprocal()
-        gram[k[:, None], k] += torch.einsum("b,bij->ij", weight, rows.columns.markers.gram)
-        moment[k] += weight @ rows.columns.markers.moment
+        weight, markers = noise.markers.reciprocal(), rows.columns.markers
+        gram[k[:, None], k] += torch.einsum("b,bij->ij", weight, markers.gram)
+        moment[k] += weight @ markers.moment
+        square += float(weight @ markers.energy)
+        volume += float(markers.count @ noise.markers.log())
     if rows.columns.idle is not None:
         k = rows.columns.idle.columns
         gram[k[:, None], k] += rows.columns.idle.gram
         moment[k] += rows.columns.idle.moment
-    return prior.standard((gram, moment))
+    away = square - 2.0 * float(moment @ prior.mean) + float(prior.mean @ gram @ prior.mean)
+    return prior.standard((gram, moment)), -0.5 * (away + volume)
 
 
 def _forces(rows: Rows, prior: Prior, noise: Noise) -> tuple[Tensor, Tensor]:

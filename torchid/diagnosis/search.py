@@ -30,7 +30,7 @@ CHANCE = 1.0
 """Nats by which trials may predict each other worse for a cause that they say nothing of, such as a wrong record."""
 NEWTON = 2
 """Steps by which effects that no column is linear in are found."""
-SECOND = 3
+SECOND = 4
 """Effects that are tried under the noise that they would leave."""
 
 
@@ -118,8 +118,7 @@ def search(
     while True:
         noise = estimate_noise(scan.rows, prior, scan.design, chosen, noise)
         sums, found = scan(noise, chosen)
-        if found.named is None:
-            noise, sums, found = scan.again(noise, sums, found, chosen)
+        noise, sums, found = scan.closer(noise, sums, found, chosen)
         rounds.append(found)
         best = found.named
         if best is None:
@@ -163,11 +162,11 @@ class _Scan:
             scan = replace(scan, rows=_rows(self.watched, design), design=design)
         return noise, scan
 
-    def again(self, noise: Noise, sums: Sums, found: Round, chosen: Sequence[Candidate]) -> tuple[Noise, Sums, Round]:
-        """Where the residual is more than noise, under the noise that the likeliest candidates would leave.
+    def closer(self, noise: Noise, sums: Sums, found: Round, chosen: Sequence[Candidate]) -> tuple[Noise, Sums, Round]:
+        """Where the residual is more than noise, likely candidates compete under the noise that each would leave.
 
-        An effect in a narrow band is what the band's noise was estimated from: ground that shook at 37 times the noise
-        had no evidence.
+        Whatever is not yet named is in the noise that was estimated without it: ground that shook at 37 times the noise
+        had no evidence, and two plates that were swapped had less than a tenth of the energy that they explain.
         """
         rest = structure(self.watched, residuals(self.watched, self.design, self.prior, fit(sums, chosen)))
         if not rest.significant:
@@ -176,13 +175,15 @@ class _Scan:
         for rival in found.rivals:
             if rival.explained > best.setdefault(rival.candidate.effect.name, rival).explained:
                 best[rival.candidate.effect.name] = rival
+        looks = []
         for rival in sorted(best.values(), key=lambda r: -r.explained)[:SECOND]:
             other = estimate_noise(self.rows, self.prior, self.design, [*chosen, rival.candidate], noise)
             again = self(other, chosen)
             named = again[1].named
             if named is not None and named.candidate.effect is rival.candidate.effect:
-                return other, *again
-        return noise, sums, found
+                whole = fit(again[0], [*chosen, named.candidate]).log_evidence + again[0].constant
+                looks.append((whole + math.log(named.candidate.odds), other, *again))
+        return max(looks, key=lambda look: look[0])[1:] if looks else (noise, sums, found)
 
 
 def residuals(

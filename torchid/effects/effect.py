@@ -77,6 +77,8 @@ class Effect(ABC):
     """Its parameters are others in every trial."""
     late: ClassVar[bool] = False
     """It shifts the plates' readings in time."""
+    inverted: ClassVar[bool] = False
+    """Its columns are what taking it out of the plates' readings takes away (``undone``)."""
     timed: ClassVar[bool] = False
     """It comes and goes: its places need intervals."""
 
@@ -95,6 +97,10 @@ class Effect(ABC):
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         """What the plates then read."""
         return reading
+
+    def undone(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
+        """What plates that read this would have read without it."""
+        return self.read(reading, place, -theta)
 
     def move(
         self, scene: Scene, place: Place, theta: Float[Tensor, " params"]
@@ -183,7 +189,7 @@ def columns(
     Args:
         effect: which.
         scene: motion and inertia as estimated.
-        reading: of the plates, as measured: what a map of plates acts on is known from it well enough.
+        reading: of the plates: as the effect found it, or left it if it is ``inverted``.
         place: where.
         theta: where to linearise; absent, where the effect is.
     """
@@ -204,6 +210,8 @@ def _total(effect: Effect, scene: Scene, reading: Reading, place: Place, theta: 
     found = reading.wrench.new_zeros(6, len(scene.time))
     if type(effect).load is not Effect.load:
         found = found + effect.load(scene, place, theta)
+    if effect.inverted:
+        return found - effect.undone(reading, place, theta).total
     return found if type(effect).read is Effect.read else found + effect.read(reading, place, theta).total
 
 

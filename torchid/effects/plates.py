@@ -149,6 +149,7 @@ class PlateAssignment(PlateMap):
 
     name = "plate_assignment"
     parameters = (Parameter("share", 1.0, positive=True),)
+    inverted = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         names = sorted({frame.name for v in views for frame in v.reading.frames})
@@ -163,6 +164,9 @@ class PlateAssignment(PlateMap):
         there = to_world(first, to_plate(second, true[1])), to_world(second, to_plate(first, true[0]))
         reading = reading.with_plate(a, true[0] + theta * (there[0] - true[0]))
         return reading.with_plate(b, true[1] + theta * (there[1] - true[1]))
+
+    def undone(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
+        return self.read(reading, place, theta)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         return {}

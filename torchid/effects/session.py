@@ -111,7 +111,7 @@ class TimeOffset(Effect):
     """Cameras and plates disagree about when: forces come late by a lag, in all trials or in one."""
 
     name = "time_offset"
-    late = True
+    late = inverted = True
     parameters = (Parameter("lag_s", 0.01),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:

@@ -65,6 +65,6 @@ class View:
     sight: Sight | None = None
     """None where no markers are at hand."""
 
-    def read(self, late: bool) -> Reading:
-        """What columns are made of; of effects that shift time, the noise is not that of the total."""
-        return self.measured if late else self.reading
+    def read(self, inverted: bool) -> Reading:
+        """What columns are made of."""
+        return self.measured if inverted else self.reading

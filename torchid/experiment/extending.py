@@ -97,7 +97,7 @@ def _added(watched: Watched, one: Planted) -> Float[Tensor, "frames 6"]:
         source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
         return torch.einsum("ipt,p->ti", answer_of(watched.cameras, source).wrench, one.theta)
     view = watched.view
-    if one.effect.late:
-        back = one.effect.read(view.measured, one.place, -one.theta)
+    if one.effect.inverted:
+        back = one.effect.undone(view.measured, one.place, one.theta)
         return (view.measured.total - back.total).T
     return torch.einsum("ipt,p->ti", columns(one.effect, view.scene, view.reading, one.place), one.theta)
