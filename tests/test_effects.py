@@ -11,7 +11,7 @@ from torch.testing import assert_close
 from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.candidates import Source, answer_of
 from torchid.effects.catalogue import CATALOGUE, effect
-from torchid.effects.effect import Interval, Place, Planted, columns, within
+from torchid.effects.effect import Interval, Place, Planted, columns, mean_within, within
 from torchid.effects.scene import Reading, Scene, make_scene
 from torchid.effects.sight import Sight, View
 from torchid.errors import ConfigError
@@ -209,12 +209,14 @@ def test_the_ground_carries_what_is_hidden(subject, plain):
 
 
 def test_intervals_bound_an_effect():
-    """Inside one, outside zero, half at the ends; other trials stay as they are."""
+    """Outside zero, then risen to one within a tenth of a second; other trials stay as they are."""
     time = torch.arange(0.0, 3.0, 0.01, dtype=torch.float64)
     place = Place(("thorax",), MIDDLE)
     weight = within(place, "squats", time)
     assert float(weight[150]) == 1.0 and float(weight[20]) == 0.0 == float(weight[-20])
-    assert float(weight[100]) == pytest.approx(0.5, abs=1e-9) == float(weight[200])
+    assert float(weight[100]) == pytest.approx(0.0, abs=1e-9) == float(weight[200])
+    assert float(weight[105]) == pytest.approx(0.5, abs=1e-9) == float(weight[195])
+    assert float(weight[100:201].mean()) == pytest.approx(mean_within(place), abs=0.01)
     assert not bool(within(place, "walk", time).any())
     assert bool((within(Place(("thorax",)), "walk", time) == 1.0).all())
 

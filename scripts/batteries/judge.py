@@ -75,7 +75,7 @@ def tables(rows: Sequence[dict]) -> dict:
         lines.append(f"\n{level:22s} sessions found first sizes  wrong names")
         own = [r for r in good if r["kind"] == "single" and r["level"] == level]
         for name in SIZES:
-            some = [r for r in own if r["names"] == [name]]
+            some = [r for r in own if list(r["names"]) == [name]]
             if some:
                 lines.append(_line(name, some))
         lines.append(_line("all", own))

@@ -47,6 +47,8 @@ class Candidate:
 
     odds: float = 1.0
     """Of the place among all places of the effect."""
+    proposed: Place | None = None
+    """Before the ends of its interval were moved."""
 
     @property
     def blocks(self) -> tuple[frozenset[int], ...]:
@@ -97,6 +99,11 @@ class Design:
     trials: tuple[Columns, ...]
     kinematic: Int[Tensor, " columns"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
     """Columns that have rows of markers."""
+
+    @property
+    def columns(self) -> int:
+        """Number of all columns."""
+        return self.sources[-1].columns.stop if self.sources else self.inertia
 
     @property
     def late(self) -> list[bool]:
@@ -198,7 +205,7 @@ def trial_columns(watched: Watched, sources: Sequence[Source], wanted: Sequence[
     extra = wrench_about(found.permute(1, 2, 0), point.expand(found.shape[1], -1, -1)).permute(2, 0, 1)
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
-    sums = None if watched.cameras is None else marker_sums(watched.cameras.coarse, torch.cat(left, 2))
+    sums = marker_sums(watched.cameras.coarse, torch.cat(left, 2)) if watched.cameras is not None and left else None
     zeros = [(s.effect, s.place, s.columns) for s in sources if wanted is None or s in wanted]
     return Columns(extra, sums, idle_sums(watched.idle, zeros))
 

@@ -164,8 +164,8 @@ def _sizes(watched: Sequence[Watched], left: Sequence[Tensor]) -> Float[Tensor, 
     return torch.stack([both[:, :3].square().mean().sqrt(), both[:, 3:].square().mean().sqrt()])
 
 
-def _same(a: Candidate, b: Candidate) -> bool:
-    return a.place is b.place
+def _same(scanned: Candidate, one: Candidate) -> bool:
+    return scanned.place is (one.proposed or one.place)
 
 
 def _cause(found: Search, k: int, scan: Round, gain: dict[str, float], names: Sequence[str]) -> Cause:

@@ -41,6 +41,11 @@ class Prior:
         gram, moment = sums
         return turned(turned(gram).T.contiguous()), turned(moment - gram @ self.mean)
 
+    def widened(self, design: Design) -> "Prior":
+        """The same of inertia, for another design."""
+        n = len(self.inertia)
+        return Prior(torch.cat([self.mean[:n], design.mean.to(self.mean)]), self.inertia, design.scale.to(self.mean))
+
     def theta(self, z: Float[Tensor, " all"]) -> Float[Tensor, " all"]:
         """Back to the parameters."""
         n = len(self.inertia)

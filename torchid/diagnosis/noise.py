@@ -12,7 +12,8 @@ from torchid.diagnosis.candidates import Candidate, Columns, Design
 from torchid.diagnosis.evidence import Prior, Raw, Sums, assembled, fit
 from torchid.diagnosis.late import without_beyond
 from torchid.diagnosis.watched import Watched
-from torchid.regressor.whitening import Spectrum, Whitening, accumulate, estimate_whitening, spectra
+from torchid.regressor.equations import NormalEquations
+from torchid.regressor.whitening import Spectrum, Whitening, accumulate, column_spectra, estimate_whitening, spectra
 
 ROUNDS = 2
 """Estimates of the noise before any effect is chosen; one less afterwards."""
@@ -53,10 +54,31 @@ def rows_of(watched: Watched, columns: Columns, late: Sequence[bool]) -> Rows:
 
 
 def _shrunk(block: Spectrum, believed: Float[Tensor, "bands 6"], late: Sequence[bool]) -> Spectrum:
-    part = believed[block.band].T[:, None].repeat(1, block.Y.shape[1], 1)
-    part[:, :, 0] = 1.0
+    part = _part(block, believed)[:, None].repeat(1, block.Y.shape[1], 1)
     part[:, torch.tensor([False] * (block.Y.shape[1] - len(late)) + list(late))] = 1.0
     return Spectrum(part * block.Y, block.F, block.band)
+
+
+def _part(block: Spectrum, believed: Float[Tensor, "bands 6"]) -> Float[Tensor, "6 kept"]:
+    part = believed[block.band].T.clone()
+    part[:, 0] = 1.0
+    return part
+
+
+def with_columns(rows: Rows, columns: Columns, watched: Watched, more: Float[Tensor, "6 more frames"]) -> Rows:
+    """Rows with further columns that come from the motion.
+
+    Args:
+        rows: as they are.
+        columns: of the trial, further ones behind.
+        watched: the trial.
+        more: the further ones about the root's origin.
+    """
+    blocks = []
+    for block, fresh in zip(rows.forces, column_spectra(watched.rows, more), strict=True):
+        own = fresh if watched.expected is None else _part(block, watched.expected.believed)[:, None] * fresh
+        blocks.append(Spectrum(torch.cat([block.Y, own], 1), block.F, block.band))
+    return Rows(tuple(blocks), columns)
 
 
 def initial_noise(whitening: Whitening) -> Noise:
@@ -66,13 +88,19 @@ def initial_noise(whitening: Whitening) -> Noise:
 
 def summed(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -> Sums:
     """Forces and markers of every trial under their noise."""
-    found = [_standard(own, prior, design, noise) for own in rows]
+    return _summed(rows, [accumulate(own.forces, noise.forces) for own in rows], prior, design, noise)
+
+
+def _summed(
+    rows: Sequence[Rows], forces: Sequence[NormalEquations], prior: Prior, design: Design, noise: Noise
+) -> Sums:
+    found = [standardised(own, both, prior, design, noise) for own, both in zip(rows, forces, strict=True)]
     return Sums(design.base, tuple(raw for raw, _ in found), sum(constant for _, constant in found))
 
 
-def _standard(rows: Rows, prior: Prior, design: Design, noise: Noise) -> tuple[Raw, float]:
-    both = accumulate(rows.forces, noise.forces)
-    gram, moment, k, square = both.gram.clone(), both.moment.clone(), design.kinematic, both.square
+def standardised(rows: Rows, forces: NormalEquations, prior: Prior, design: Design, noise: Noise) -> tuple[Raw, float]:
+    """Sums of one trial, and the log density of its rows but for what models of one noise differ in."""
+    gram, moment, k, square = forces.gram.clone(), forces.moment.clone(), design.kinematic, forces.square
     volume = sum(noise.forces.log_determinant(block.band) for block in rows.forces)
     if rows.columns.markers is not None:
         weight, markers = noise.markers.reciprocal(), rows.columns.markers
@@ -88,20 +116,16 @@ def _standard(rows: Rows, prior: Prior, design: Design, noise: Noise) -> tuple[R
     return prior.standard((gram, moment)), -0.5 * (away + volume)
 
 
-def _forces(rows: Rows, prior: Prior, noise: Noise) -> tuple[Tensor, Tensor]:
-    both = accumulate(rows.forces, noise.forces)
-    return prior.standard((both.gram, both.moment))
-
-
 def estimate_noise(
     rows: Sequence[Rows], prior: Prior, design: Design, chosen: Sequence[Candidate], start: Noise
 ) -> Noise:
     """Of what the model with the chosen effects leaves: noise estimated without them would hold them."""
     noise = start
     for _ in range(ROUNDS - bool(chosen)):
-        found = fit(summed(rows, prior, design, noise), chosen)
+        whitened = [accumulate(own.forces, noise.forces) for own in rows]
+        found = fit(_summed(rows, whitened, prior, design, noise), chosen)
         theta = [prior.theta(found.z(len(prior.mean), k)) for k in range(len(rows))]
-        told = Sums(design.base, tuple(_forces(own, prior, noise) for own in rows))
+        told = Sums(design.base, tuple(prior.standard((both.gram, both.moment)) for both in whitened))
         # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
         lost = float((assembled(told, chosen, told.all)[0] * found.covariance).sum())
         forces = estimate_whitening(

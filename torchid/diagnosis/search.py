@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
+from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.late import linearised, without_beyond
 from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, rows_of, summed
 from torchid.diagnosis.unexplained import structure
@@ -31,7 +32,9 @@ CHANCE = 1.0
 NEWTON = 2
 """Steps by which effects that no column is linear in are found."""
 SECOND = 4
-"""Effects that are tried under the noise that they would leave."""
+"""Effects that are tried under the noise that they would leave, at most."""
+LIKELY = 0.2
+"""Part of what the likeliest explains that another must explain to be tried."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ def search(
     rounds: list[Round] = []
     scan = _Scan(watched, _rows(watched, design), design, prior, limit)
     while True:
-        noise = estimate_noise(scan.rows, prior, scan.design, chosen, noise)
+        noise = estimate_noise(scan.rows, scan.prior, scan.design, chosen, noise)
         sums, found = scan(noise, chosen)
         noise, sums, found = scan.closer(noise, sums, found, chosen)
         rounds.append(found)
@@ -127,8 +130,10 @@ def search(
         chosen.append(best.candidate)
         if best.candidate.effect.late:
             noise, scan = scan.settled(noise, chosen)
+        if best.candidate.effect.timed and not best.candidate.effect.kinematic:
+            scan, chosen[-1] = scan.timed(noise, chosen)
     chosen = _pruned(sums, chosen)
-    return Search(scan.design, prior, noise, tuple(chosen), tuple(rounds), sums, fit(sums, chosen))
+    return Search(scan.design, scan.prior, noise, tuple(chosen), tuple(rounds), sums, fit(sums, chosen))
 
 
 def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:
@@ -162,6 +167,13 @@ class _Scan:
             scan = replace(scan, rows=_rows(self.watched, design), design=design)
         return noise, scan
 
+    def timed(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple["_Scan", Candidate]:
+        """The last effect with its interval and course as they are best."""
+        noise = estimate_noise(self.rows, self.prior, self.design, chosen, noise)
+        sums = summed(self.rows, self.prior, self.design, noise)
+        rows, design, prior, best = timed(self.watched, self.rows, self.design, self.prior, noise, sums, chosen)
+        return replace(self, rows=rows, design=design, prior=prior), best
+
     def closer(self, noise: Noise, sums: Sums, found: Round, chosen: Sequence[Candidate]) -> tuple[Noise, Sums, Round]:
         """Where the residual is more than noise, likely candidates compete under the noise that each would leave.
 
@@ -175,15 +187,26 @@ class _Scan:
         for rival in found.rivals:
             if rival.explained > best.setdefault(rival.candidate.effect.name, rival).explained:
                 best[rival.candidate.effect.name] = rival
-        looks = []
-        for rival in sorted(best.values(), key=lambda r: -r.explained)[:SECOND]:
-            other = estimate_noise(self.rows, self.prior, self.design, [*chosen, rival.candidate], noise)
-            again = self(other, chosen)
-            named = again[1].named
-            if named is not None and named.candidate.effect is rival.candidate.effect:
-                whole = fit(again[0], [*chosen, named.candidate]).log_evidence + again[0].constant
-                looks.append((whole + math.log(named.candidate.odds), other, *again))
-        return max(looks, key=lambda look: look[0])[1:] if looks else (noise, sums, found)
+        likely = sorted(best.values(), key=lambda r: -r.explained)[:SECOND]
+        likely = [rival for rival in likely if rival.explained > LIKELY * likely[0].explained]
+        if found.named is not None and [rival.candidate for rival in likely] == [found.named.candidate]:
+            return noise, sums, found
+        looks = [look for rival in likely if (look := self._look(noise, rival.candidate, chosen)) is not None]
+        if not looks:
+            return noise, sums, found
+        _, noise, sums = max(looks, key=lambda look: look[0])
+        return noise, sums, _scan(sums, open_candidates(self.design, chosen, self.limit), chosen)
+
+    def _look(self, noise: Noise, one: Candidate, chosen: Sequence[Candidate]) -> tuple[float, Noise, Sums] | None:
+        """Log evidence with one more effect under the noise that it leaves; None where it is not supported there."""
+        other = estimate_noise(self.rows, self.prior, self.design, [*chosen, one], noise)
+        sums = summed(self.rows, self.prior, self.design, other)
+        own = [c for c in open_candidates(self.design, chosen, self.limit) if c.effect is one.effect]
+        named = _scan(sums, own, chosen).named
+        if named is None:
+            return None
+        whole = fit(sums, [*chosen, named.candidate]).log_evidence + sums.constant
+        return whole + math.log(named.candidate.odds), other, sums
 
 
 def residuals(

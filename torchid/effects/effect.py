@@ -86,6 +86,10 @@ class Effect(ABC):
         """Everywhere it could sit in a session."""
         raise NotImplementedError
 
+    def finer(self, place: Place) -> tuple[Place, ...]:
+        """The place with a finer course in time, worth its columns only where the effect is known to be."""
+        return ()
+
     def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
         """Where its columns are those of ``place``, and the trials they are cut down to; None: all."""
         return place, None if place.when is None else tuple(dict.fromkeys(own.trial for own in place.when))
@@ -225,14 +229,31 @@ def covers(place: Place, trial: str) -> bool:
     return "session" in place.where or trial in place.where
 
 
-def within(place: Place, trial: str, time: Float[Tensor, " frames"], edge_s: float = 0.1) -> Float[Tensor, " frames"]:
-    """1 inside the place's intervals and 0 outside, risen along half a cosine of ``edge_s`` about their ends."""
+EDGE_S = 0.1
+
+
+def edge(place: Place) -> float:
+    """How long what comes and goes takes to come, and to go [s]."""
+    return place.grid.get("edge_s", EDGE_S)
+
+
+def within(
+    place: Place, trial: str, time: Float[Tensor, " frames"], edge_s: float | None = None
+) -> Float[Tensor, " frames"]:
+    """0 outside the place's intervals, 1 inside, risen along half a cosine of ``edge_s`` from their ends."""
     if place.when is None:
         return torch.ones_like(time)
-    inside = torch.zeros_like(time)
+    inside, edge_s = torch.zeros_like(time), edge(place) if edge_s is None else edge_s
     for interval in place.when:
         if interval.trial == trial:
             depth = torch.minimum(time - interval.t0, interval.t1 - time)
-            depth = depth / edge_s if edge_s > 0.0 else torch.where(depth >= -1e-9, 1.0, -1.0)
-            inside = torch.maximum(inside, 0.5 - 0.5 * torch.cos(torch.pi * (depth + 0.5).clamp(0.0, 1.0)))
+            depth = depth / edge_s if edge_s > 0.0 else torch.where(depth >= -1e-9, 1.0, 0.0)
+            inside = torch.maximum(inside, 0.5 - 0.5 * torch.cos(torch.pi * depth.clamp(0.0, 1.0)))
     return inside
+
+
+def mean_within(place: Place) -> float:
+    """Mean of ``within`` over the intervals; 1 throughout."""
+    if place.when is None:
+        return 1.0
+    return 1.0 - edge(place) * len(place.when) / sum(own.t1 - own.t0 for own in place.when)

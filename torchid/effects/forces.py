@@ -5,12 +5,13 @@ Sources: Winter, Biomechanics and Motor Control of Human Movement (2009), chapte
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.effect import Effect, Parameter, Place, anchor, within
+from torchid.effects.effect import Effect, Parameter, Place, anchor, mean_within, within
 from torchid.effects.scene import Point, Scene, at_origin
 from torchid.effects.sight import View
 
@@ -92,14 +93,62 @@ class Tether(PointForce):
 
 
 class UnmeasuredContact(PointForce):
-    """A contact that no plate sees for a while: a rail, a seat, a box, a foot beside the plate."""
+    """A contact that no plate sees for a while: a rail, a seat, a box, a foot beside the plate.
+
+    A force that comes, stays and goes, or one that changes steadily from knot to knot of its interval.
+    """
 
     name = "unmeasured_contact"
     parameters = (Parameter("force_N", 50.0, 3),)
     timed = True
 
+    def finer(self, place: Place) -> tuple[Place, ...]:
+        assert place.when is not None
+        (own,) = place.when
+        knots = {min(MOST_KNOTS, max(3, 1 + round((own.t1 - own.t0) / spacing))) for spacing in SPACING_S}
+        return tuple(replace(place, grid={"knots": float(k)}) for k in sorted(knots))
+
+    def size(self, place: Place) -> int:
+        return 3 * _knots(place)
+
+    def scale(self, place: Place) -> tuple[float, ...]:
+        return super().scale(place) * _knots(place)
+
+    def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
+        if _knots(place) == 1:
+            return super().load(scene, place, theta)
+        (segment,) = place.where
+        at = scene.point(segment, anchor(scene, place))
+        return -at_origin(at.p, theta.view(-1, 3).T @ _hats(place, scene))
+
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return theta[:, None].expand(3, len(scene.time))
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        return {"force_N": theta, "impulse_Ns": theta * sum(own.t1 - own.t0 for own in place.when or ())}
+        force = theta * mean_within(place)
+        if _knots(place) > 1:
+            weight = torch.ones(_knots(place)).to(theta)
+            weight[[0, -1]] = 0.5
+            force = weight @ theta.view(-1, 3) / weight.sum()
+        return {"force_N": force, "impulse_Ns": force * sum(own.t1 - own.t0 for own in place.when or ())}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return super().internal(place, values) / mean_within(place)
+
+
+SPACING_S = (0.1, 0.2, 0.4)
+MOST_KNOTS = 16
+
+
+def _knots(place: Place) -> int:
+    return int(place.grid.get("knots", 1.0))
+
+
+def _hats(place: Place, scene: Scene) -> Float[Tensor, "knots frames"]:
+    """Each 1 at its knot and 0 at the others, straight between; zero outside the interval."""
+    assert place.when is not None
+    (own,) = place.when
+    knots = _knots(place)
+    at = (scene.time - own.t0) / (own.t1 - own.t0) * (knots - 1)
+    inside = (at >= 0.0) & (at <= knots - 1.0)
+    return inside * (1.0 - (at - torch.arange(knots).to(at)[:, None]).abs()).clamp(min=0.0)

@@ -110,6 +110,15 @@ def _spectrum(trial: WrenchTrial, part: slice, extra: Tensor | None) -> Spectrum
     return Spectrum(Y @ C.T, F @ C.T, bands(frames, kept, trial.rate).to(F.device))
 
 
+def column_spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"]) -> list[Float[Tensor, "6 more kept"]]:
+    """Columns alone, block after block."""
+    found = []
+    for part in trial.blocks():
+        frames = part.stop - part.start
+        found.append(extra[:, :, part] @ cosine_matrix(frames, coefficients(trial, frames)).to(extra).T)
+    return found
+
+
 def coefficients(trial: WrenchTrial, frames: int) -> int:
     """Number of those of a block that the filter lets live."""
     cutoff = min(trial.motion.smoother.cutoff_hz * BEYOND, 0.5 * trial.rate)

@@ -1,0 +1,89 @@
+"""When something that comes and goes began and ended, and its course between, once it is known what it is."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.diagnosis.candidates import Candidate, Columns, Design, Source
+from torchid.diagnosis.evidence import Prior, Raw, Sums, fit, gains
+from torchid.diagnosis.noise import Noise, Rows, standardised, with_columns
+from torchid.diagnosis.watched import Watched
+from torchid.dynamics import wrench_about
+from torchid.effects.effect import Interval, Place, columns
+from torchid.regressor.whitening import accumulate
+
+STEP_S = 0.1
+"""By which both ends are moved."""
+REACH = 3
+"""Steps on either side."""
+EDGES_S = (0.1, 0.25)
+"""It takes to come and to go."""
+
+
+def timed(
+    watched: Sequence[Watched], rows: Sequence[Rows], design: Design, prior: Prior, noise: Noise,
+    sums: Sums, chosen: Sequence[Candidate],
+) -> tuple[list[Rows], Design, Prior, Candidate]:  # fmt: skip
+    """The last of the chosen effects with ends and course where the evidence is best, and the design that has it."""
+    *others, best = chosen
+    (trial,), base = best.trials, fit(sums, others)
+    for places in (moved_ends, best.effect.finer):
+        if not (some := tuple(places(best.place))):
+            break
+        tried = _with(design, best, (best.place, *some))
+        extra, wide = _extra(watched[trial], tried), prior.widened(tried)
+        own = with_columns(rows[trial], _columns(tried, trial, extra), watched[trial], extra)
+        raws = [_padded(raw, len(wide.mean)) for raw in sums.trials]
+        raws[trial] = standardised(own, accumulate(own.forces, noise.forces), wide, tried, noise)[0]
+        gain = gains(Sums(sums.base, tuple(raws)), base, tried.candidates)[0]
+        best = tried.candidates[int(gain.argmax())]
+    final = _with(design, best, (best.place,))
+    extra = [_extra(w, final) for w in watched]
+    trials = [_columns(final, k, x) for k, x in enumerate(extra)]
+    found = [with_columns(*each) for each in zip(rows, trials, watched, extra, strict=True)]
+    (best,) = final.candidates
+    whole = replace(final, candidates=(*design.candidates, best), trials=tuple(trials))
+    return found, whole, prior.widened(whole), best
+
+
+def moved_ends(place: Place) -> Iterator[Place]:
+    """The same with its interval's ends moved, and quicker or slower to come and go."""
+    assert place.when is not None
+    (own,) = place.when
+    steps = [k * STEP_S for k in range(-REACH, REACH + 1)]
+    for t0, t1 in ((own.t0 + a, own.t1 + b) for a in steps for b in steps):
+        for edge in (e for e in EDGES_S if 2.0 * e < t1 - t0):
+            yield replace(place, when=(Interval(own.trial, t0, t1),), grid={"edge_s": edge})
+
+
+def _with(design: Design, one: Candidate, places: Sequence[Place]) -> Design:
+    """Further places of an effect as the only candidates; columns are not there yet."""
+    at, sources = design.columns, []
+    for place in places:
+        scale = one.effect.scale(place)
+        sources.append(Source(one.effect, place, slice(at, at + len(scale)), (0.0,) * len(scale), scale))
+        at += len(scale)
+    fresh = tuple(replace(one, place=s.place, source=s, proposed=one.proposed or one.place) for s in sources)
+    return replace(design, sources=(*design.sources, *sources), candidates=fresh)
+
+
+def _columns(design: Design, trial: int, extra: Tensor) -> Columns:
+    own = design.trials[trial]
+    return replace(own, extra=torch.cat([own.extra, extra], 1))
+
+
+def _extra(watched: Watched, design: Design) -> Float[Tensor, "6 more frames"]:
+    """Columns of the candidates about the root's origin."""
+    view, root = watched.view, watched.rows.motion.q[:, :3]
+    some = [columns(c.effect, view.scene, view.reading, c.place) for c in design.candidates]
+    found = torch.cat(some, 1).permute(1, 2, 0)
+    return wrench_about(found, root.expand(len(found), -1, -1)).permute(2, 0, 1)
+
+
+def _padded(raw: Raw, size: int) -> Raw:
+    gram, moment = raw
+    more = size - len(moment)
+    return torch.nn.functional.pad(gram, (0, more, 0, more)), torch.nn.functional.pad(moment, (0, more))
