@@ -187,32 +187,24 @@ def _key(effect: Effect, place: Place) -> tuple:
     return effect.name, place.where, place.when, place.point, tuple(place.grid.items()), place.follows
 
 
-def trial_columns(watched: Watched, sources: Sequence[Source], wanted: Sequence[Source] | None = None) -> Columns:
-    """Of all sources in one trial; zero but for those that are wanted."""
+def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
+    """Of all sources in one trial."""
     view, wrench, left = watched.view, [], []
     for source in sources:
-        idle = wanted is not None and source not in wanted
-        if not source.effect.kinematic and not idle:
+        if not source.effect.kinematic:
             wrench.append(columns(source.effect, view.scene, view.read(source.effect.inverted), source.place))
-            continue
-        answer = None
-        if watched.cameras is not None and source.effect.kinematic:
-            answer = (_silence if idle else answer_of)(watched.cameras, source)
+        elif watched.cameras is None:
+            wrench.append(view.reading.wrench.new_zeros(6, len(source.scale), len(view.scene.time)))
+        else:
+            answer = answer_of(watched.cameras, source)
+            wrench.append(answer.wrench)
             left.append(answer.left)
-        nothing = view.reading.wrench.new_zeros(6, len(source.scale), len(view.scene.time))
-        wrench.append(nothing if answer is None else answer.wrench)
     found, point = torch.cat(wrench, 1), watched.rows.motion.q[:, :3]
     extra = wrench_about(found.permute(1, 2, 0), point.expand(found.shape[1], -1, -1)).permute(2, 0, 1)
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
     sums = marker_sums(watched.cameras.coarse, torch.cat(left, 2)) if watched.cameras is not None and left else None
-    zeros = [(s.effect, s.place, s.columns) for s in sources if wanted is None or s in wanted]
-    return Columns(extra, sums, idle_sums(watched.idle, zeros))
-
-
-def _silence(cameras: Cameras, source: Source) -> Answer:
-    coarse, n, frames = cameras.coarse, len(source.scale), len(cameras.sight.scene.time)
-    return Answer(coarse.error.new_zeros(6, n, frames), coarse.error.new_zeros(*coarse.error.shape, n))
+    return Columns(extra, sums, idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources]))
 
 
 def answer_of(cameras: Cameras, source: Source) -> Answer:

@@ -12,10 +12,11 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates import Candidate, Columns, trial_columns
 from torchid.diagnosis.evidence import Sums, fit
+from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal
 from torchid.diagnosis.late import linearised
 from torchid.diagnosis.noise import rows_of, summed
 from torchid.diagnosis.plates import SessionPlate
-from torchid.diagnosis.search import ALIKE, Round, Search, estimate, internal, residual, residuals, search
+from torchid.diagnosis.search import residual, residuals, search
 from torchid.diagnosis.unexplained import Structure, structure
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import CATALOGUE, effect
@@ -213,9 +214,7 @@ class _Judge:
 
     def __init__(self, found: Search, heldout: Sequence[Watched]) -> None:
         self.found, self.heldout = found, heldout
-        needed = [s for s in found.design.sources if s.columns.stop <= found.design.base]
-        needed += [c.source for c in found.chosen]
-        self.columns = [trial_columns(w, found.design.sources, needed) for w in heldout]
+        self.columns = [trial_columns(w, found.design.sources) for w in heldout]
         if any(one.effect.late for one in found.chosen):
             self.columns = self._settled()
         rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]

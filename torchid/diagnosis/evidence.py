@@ -191,7 +191,8 @@ def _gains(
         owns.append(gram[index[:, :, None], index[:, None, :]] * relative[:, :, None] * relative[:, None, :])
     part, left, n = torch.cat(parts, 1), torch.cat(lefts, 1), index.shape[1] * len(blocks)
     own = torch.stack([torch.block_diag(*(o[k] for o in owns)) for k in range(len(some))])
-    L = torch.linalg.cholesky(own - part @ part.mT + torch.eye(n).to(own))
+    told = own - part @ part.mT
+    L = torch.linalg.cholesky(told + torch.eye(n).to(own))
     u = torch.linalg.solve_triangular(L, left[..., None], upper=False)[..., 0]
     energy = 0.5 * u.square().sum(1)
     gain = energy - L.diagonal(dim1=1, dim2=2).log().sum(1)
@@ -199,4 +200,7 @@ def _gains(
     first = torch.linalg.solve_triangular(L.mT, u[..., None], upper=True)[:, 0, 0]
     upper = math.log(2.0) + torch.special.log_ndtr(first / torch.cholesky_inverse(L)[:, 0, 0].sqrt())
     positive = torch.tensor([c.effect.parameters[0].positive for c in some])
-    return torch.stack([torch.where(positive, gain + upper, gain), energy])
+    gain = torch.where(positive, gain + upper, gain)
+    # What is there in full or not at all has no other size to be averaged over.
+    whole = torch.tensor([c.effect.whole for c in some])
+    return torch.stack([torch.where(whole, left[:, 0] - 0.5 * told[:, 0, 0], gain), energy])

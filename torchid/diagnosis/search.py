@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
+from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.late import linearised, without_beyond
 from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, rows_of, summed
@@ -23,73 +24,12 @@ from torchid.regressor.rows import measured, predict
 from torchid.regressor.whitening import Whitening
 
 log = logging.getLogger(__name__)
-NAMED = 5.0
-"""Nats that name an effect: odds of 150 to one."""
-ALIKE = 3.0
-"""Nats within which a rival cannot be told apart."""
-CHANCE = 1.0
-"""Nats by which trials may predict each other worse for a cause that they say nothing of, such as a wrong record."""
 NEWTON = 2
 """Steps by which effects that no column is linear in are found."""
 SECOND = 4
 """Effects that are tried under the noise that they would leave, at most."""
 LIKELY = 0.2
 """Part of what the likeliest explains that another must explain to be tried."""
-
-
-@dataclass(frozen=True)
-class Rival:
-    """A candidate and what the data say for it."""
-
-    candidate: Candidate
-    evidence: float
-    """Log evidence gained over the model without it [nat]."""
-    crossed: float
-    """The same, each trial predicted from the others."""
-    explained: float
-    """Half the whitened energy that it takes away, less what as many columns of no meaning would [nat]."""
-
-    @property
-    def score(self) -> float:
-        """What counts: an effect that does not carry over to other trials is none.
-
-        Not the lesser of both: what only the prior contradicts, such as a wrong recorded mass, each trial predicts from
-        the others without the effect as well.
-        """
-        return self.evidence if self.crossed > -CHANCE else min(self.evidence, self.crossed)
-
-    @property
-    def weighed(self) -> float:
-        """The score with the odds of the place."""
-        return self.score + math.log(self.candidate.odds)
-
-
-@dataclass(frozen=True)
-class Round:
-    """One scan of the catalogue, best first."""
-
-    rivals: tuple[Rival, ...]
-    families: dict[str, float]
-    """Score of each effect, averaged over its places: what was searched is paid for."""
-
-    @property
-    def named(self) -> Rival | None:
-        """The best, if its effect is supported."""
-        best = self.rivals[0] if self.rivals else None
-        return None if best is None or self.families[best.candidate.effect.name] < NAMED else best
-
-
-@dataclass(frozen=True)
-class Search:
-    """What was found."""
-
-    design: Design
-    prior: Prior
-    noise: Noise
-    chosen: tuple[Candidate, ...]
-    rounds: tuple[Round, ...]
-    sums: Sums
-    fitted: Fitted
 
 
 def search(
@@ -133,7 +73,7 @@ def search(
         if best.candidate.effect.timed and not best.candidate.effect.kinematic:
             scan, chosen[-1] = scan.timed(noise, chosen)
     chosen = _pruned(sums, chosen)
-    return Search(scan.design, scan.prior, noise, tuple(chosen), tuple(rounds), sums, fit(sums, chosen))
+    return reduced(scan.design, scan.prior, noise, chosen, rounds, sums)
 
 
 def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:
@@ -263,26 +203,3 @@ def _pruned(sums: Sums, chosen: Sequence[Candidate]) -> list[Candidate]:
         if float(gains(sums, fit(sums, rest), [one])[0]) < NAMED:
             kept = rest
     return kept
-
-
-def internal(found: Search, k: int) -> Float[Tensor, " params"]:
-    """Internal parameters of the k-th chosen effect, block after block of trials."""
-    one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
-    scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
-    return scale * found.fitted.mean[at : at + one.size]
-
-
-def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
-    """Named parameters of the k-th chosen effect: values and standard deviations."""
-    one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
-    part = slice(at, at + one.size)
-    scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
-    theta = internal(found, k)
-    covariance = scale[:, None] * found.fitted.covariance[part, part] * scale
-    values = one.effect.named(one.place, theta)
-    out = {}
-    for key in values:
-        slope = torch.func.jacrev(lambda x, key=key: one.effect.named(one.place, x)[key])(theta)
-        flat = slope.reshape(-1, len(theta))
-        out[key] = values[key], (flat @ covariance * flat).sum(1).sqrt().reshape(values[key].shape)
-    return out

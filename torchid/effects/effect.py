@@ -82,6 +82,9 @@ class Effect(ABC):
     timed: ClassVar[bool] = False
     """It comes and goes: its places need intervals."""
 
+    whole: ClassVar[bool] = False
+    """Its one parameter is one, or it is not there."""
+
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         """Everywhere it could sit in a session."""
         raise NotImplementedError

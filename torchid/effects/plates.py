@@ -141,6 +141,10 @@ class PlateCrosstalk(PlateMap):
         return torch.stack([full[i, j] for i, j in CROSSTALK])
 
 
+BEARING = 20.0
+"""Upward force from which a plate bears something [N]."""
+
+
 class PlateAssignment(PlateMap):
     """Two plates' cables are swapped: the channels of each are read with the other's geometry.
 
@@ -149,7 +153,7 @@ class PlateAssignment(PlateMap):
 
     name = "plate_assignment"
     parameters = (Parameter("share", 1.0, positive=True),)
-    inverted = True
+    inverted = whole = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         names = sorted({frame.name for v in views for frame in v.reading.frames})
@@ -159,11 +163,12 @@ class PlateAssignment(PlateMap):
         a, b = (reading.index(name) for name in place.where)
         if a is None or b is None:
             return reading
-        true = [reading.wrench[:, k] for k in (a, b)]
+        # Where a plate bears nothing, its noise would be swapped, and the noise in what is read explained by itself.
+        true = [reading.wrench[:, k] * (reading.wrench[:, k, 2:3] > BEARING) for k in (a, b)]
         first, second = reading.frames[a], reading.frames[b]
         there = to_world(first, to_plate(second, true[1])), to_world(second, to_plate(first, true[0]))
-        reading = reading.with_plate(a, true[0] + theta * (there[0] - true[0]))
-        return reading.with_plate(b, true[1] + theta * (there[1] - true[1]))
+        reading = reading.with_plate(a, reading.wrench[:, a] + theta * (there[0] - true[0]))
+        return reading.with_plate(b, reading.wrench[:, b] + theta * (there[1] - true[1]))
 
     def undone(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         return self.read(reading, place, theta)

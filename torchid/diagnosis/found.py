@@ -1,0 +1,134 @@
+"""What a search for effects found, and what it found them against."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.diagnosis.cameras import MarkerSums
+from torchid.diagnosis.candidates import Candidate, Columns, Design
+from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit
+from torchid.diagnosis.noise import Noise
+
+NAMED = 5.0
+"""Nats that name an effect: odds of 150 to one."""
+ALIKE = 3.0
+"""Nats within which a rival cannot be told apart."""
+CHANCE = 1.0
+"""Nats by which trials may predict each other worse for a cause that they say nothing of, such as a wrong record."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A candidate and what the data say for it."""
+
+    candidate: Candidate
+    evidence: float
+    """Log evidence gained over the model without it [nat]."""
+    crossed: float
+    """The same, each trial predicted from the others."""
+    explained: float
+    """Half the whitened energy that it takes away, less what as many columns of no meaning would [nat]."""
+
+    @property
+    def score(self) -> float:
+        """What counts: an effect that does not carry over to other trials is none.
+
+        Not the lesser of both: what only the prior contradicts, such as a wrong recorded mass, each trial predicts from
+        the others without the effect as well.
+        """
+        return self.evidence if self.crossed > -CHANCE else min(self.evidence, self.crossed)
+
+    @property
+    def weighed(self) -> float:
+        """The score with the odds of the place."""
+        return self.score + math.log(self.candidate.odds)
+
+
+@dataclass(frozen=True)
+class Round:
+    """One scan of the catalogue, best first."""
+
+    rivals: tuple[Rival, ...]
+    families: dict[str, float]
+    """Score of each effect, averaged over its places: what was searched is paid for."""
+
+    @property
+    def named(self) -> Rival | None:
+        """The best, if its effect is supported."""
+        best = self.rivals[0] if self.rivals else None
+        return None if best is None or self.families[best.candidate.effect.name] < NAMED else best
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was found."""
+
+    design: Design
+    prior: Prior
+    noise: Noise
+    chosen: tuple[Candidate, ...]
+    rounds: tuple[Round, ...]
+    sums: Sums
+    fitted: Fitted
+
+
+def reduced(
+    design: Design, prior: Prior, noise: Noise, chosen: Sequence[Candidate], rounds: Sequence[Round], sums: Sums
+) -> Search:
+    """What a search ended with, without the columns that nobody chose."""
+    wanted = {c.source.columns.start for c in chosen}
+    kept = [s for s in design.sources if s.columns.start < design.base or s.columns.start in wanted]
+    sources, at, index = {}, design.inertia, [torch.arange(design.inertia)]
+    for source in kept:
+        index.append(torch.arange(source.columns.start, source.columns.stop))
+        sources[source.columns.start] = replace(source, columns=slice(at, at + len(source.scale)))
+        at += len(source.scale)
+    some = torch.cat(index)
+    own = tuple(replace(c, source=sources[c.source.columns.start]) for c in chosen)
+    seen = torch.isin(design.kinematic, some)
+    kinematic = torch.searchsorted(some, design.kinematic[seen])
+    small = replace(
+        design,
+        sources=tuple(sources.values()),
+        candidates=own,
+        trials=tuple(_reduced(c, some[design.inertia :] - design.inertia, seen) for c in design.trials),
+        kinematic=kinematic,
+    )
+    raws = tuple((gram[some[:, None], some], moment[some]) for gram, moment in sums.trials)
+    less = Sums(sums.base, raws, sums.constant)
+    return Search(small, prior.widened(small), noise, own, tuple(rounds), less, fit(less, own))
+
+
+def _reduced(columns: Columns, some: Int[Tensor, " kept"], seen: Tensor) -> Columns:
+    markers = columns.markers
+    if markers is not None:
+        gram = markers.gram[:, seen][:, :, seen]
+        markers = MarkerSums(gram, markers.moment[:, seen], markers.energy, markers.count)
+    return replace(columns, extra=columns.extra[:, some], markers=markers)
+
+
+def internal(found: Search, k: int) -> Float[Tensor, " params"]:
+    """Internal parameters of the k-th chosen effect, block after block of trials."""
+    one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
+    scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
+    return scale * found.fitted.mean[at : at + one.size]
+
+
+def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
+    """Named parameters of the k-th chosen effect: values and standard deviations."""
+    one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
+    part = slice(at, at + one.size)
+    scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
+    theta = internal(found, k)
+    covariance = scale[:, None] * found.fitted.covariance[part, part] * scale
+    values = one.effect.named(one.place, theta)
+    out = {}
+    for key in values:
+        slope = torch.func.jacrev(lambda x, key=key: one.effect.named(one.place, x)[key])(theta)
+        flat = slope.reshape(-1, len(theta))
+        out[key] = values[key], (flat @ covariance * flat).sum(1).sqrt().reshape(values[key].shape)
+    return out
