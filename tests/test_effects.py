@@ -169,7 +169,7 @@ def test_the_fitted_motion_yields_as_predicted(subject, plain, followed, name):
     )
     source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
     answer = answer_of(cameras, source)
-    wrench = smoother(smoother(answer.wrench.permute(2, 0, 1) @ one.theta)).T
+    wrench = smoother(smoother(cameras.wrench([answer]).permute(2, 0, 1) @ one.theta)).T
     exact = smoother(lacks.T).T
     inner = slice(30, -30)
     for part in (slice(0, 3), slice(3, 6)):
@@ -177,7 +177,7 @@ def test_the_fitted_motion_yields_as_predicted(subject, plain, followed, name):
         assert float((wrench - exact)[part, inner].norm()) < 0.05 * size + 0.02
     still, shown = ((p - modelled(fit, q)) for p, q in zip((plain.truth.markers, moved), both, strict=True))
     left = cameras.coarse.rows[0, 0] * (shown - still)[cameras.coarse.middle].flatten(1)
-    guess = answer.left @ one.theta
+    guess = cameras.left([answer])[:, :, :-1] @ one.theta
     assert float((guess - left)[3:-3].norm()) < 0.05 * float(left[3:-3].norm())
 
 
@@ -193,7 +193,7 @@ def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed)
     known = Cameras(sight, cameras.weight, cameras.error, posture_prior(fit).precision[:, 0])
     source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
     lacks = smoother((scene.needed() - found.needed()).T)[40:-40]
-    guess = smoother(answer_of(known, source).wrench.permute(2, 0, 1) @ one.theta)[40:-40]
+    guess = smoother(known.wrench([answer_of(known, source)]).permute(2, 0, 1) @ one.theta)[40:-40]
     for part in (slice(0, 3), slice(3, 6)):
         assert float((lacks - guess)[:, part].norm()) < 0.1 * float(lacks[:, part].norm()) + 0.05
 

@@ -7,7 +7,7 @@ the dynamics sees move along.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -34,13 +34,13 @@ BLOCK = 256
 class Answer:
     """What a displacement does to the rows of a trial, per unit parameter."""
 
-    wrench: Float[Tensor, "6 columns frames"]
-    """That the motion needs, about the origin of W."""
-    left: Float[Tensor, "bins rows columns"]
-    """What cameras show of it beyond postures, weighed by the markers' scatter."""
+    nine: Float[Tensor, "frames 9 columns"]
+    """Vectors A, B, C of what the motion needs, see ``momentum``."""
+    shift: Float[Tensor, "bins rows columns"]
+    """Of the markers, now and then."""
 
     def __add__(self, other: "Answer") -> "Answer":
-        return Answer(self.wrench + other.wrench, self.left + other.left)
+        return Answer(self.nine + other.nine, self.shift + other.shift)
 
 
 @dataclass(frozen=True)
@@ -121,15 +121,30 @@ class Cameras:
     def respond(self, which: Sequence[int], by: Float[Tensor, "columns some 3 frames"]) -> Answer:
         """To markers that are read elsewhere than the bodies carry them."""
         rows = torch.tensor([3 * k + i for k in which for i in range(3)], device=by.device)
-        nine = -self.answer[:, :, rows] @ by.permute(3, 1, 2, 0).flatten(1, 2)
-        left = self.coarse.left(by[..., self.coarse.middle].permute(3, 1, 2, 0).flatten(1, 2), rows)
-        return Answer(wrench_of(nine, self.sight.scene.rate).permute(1, 2, 0), left)
+        own = by.permute(3, 1, 2, 0).flatten(1, 2)
+        shift = by.new_zeros(len(self.coarse.middle), self.coarse.error.shape[1], len(by))
+        shift[:, rows] = own[self.coarse.middle]
+        return Answer(-self.answer[:, :, rows] @ own, shift)
 
     def moved(self, bodies: Float[Tensor, "columns bodies 6 frames"]) -> Answer:
         """To bodies that are displaced with their markers."""
         carried = self.respond(range(len(self.sight.labels)), torch.stack([self.sight.carried(b) for b in bodies]))
-        nine = self.levers @ bodies.permute(3, 1, 2, 0).flatten(1, 2)
-        return Answer(carried.wrench + wrench_of(nine, self.sight.scene.rate).permute(1, 2, 0), carried.left)
+        return replace(carried, nine=carried.nine + self.levers @ bodies.permute(3, 1, 2, 0).flatten(1, 2))
+
+    def swayed(self, bodies: Float[Tensor, "ways bodies 6 frames"], courses: Float[Tensor, "modes frames"]) -> Answer:
+        """To each displacement along each course."""
+        one, later = self.moved(bodies), courses[:, self.coarse.middle]
+        nine = torch.einsum("fiw,mf->fiwm", one.nine, courses).flatten(2)
+        return Answer(nine, torch.einsum("biw,mb->biwm", one.shift, later).flatten(2))
+
+    def wrench(self, answers: Sequence[Answer]) -> Float[Tensor, "6 columns frames"]:
+        """That the motion needs because of displacements, about the origin of W."""
+        return wrench_of(torch.cat([a.nine for a in answers], 2), self.sight.scene.rate).permute(1, 2, 0)
+
+    def left(self, answers: Sequence[Answer]) -> Float[Tensor, "bins rows columns"]:
+        """What cameras show of displacements beyond postures, weighed; the last column is what they do show."""
+        coarse = self.coarse
+        return coarse.left(torch.cat([*(a.shift for a in answers), coarse.error[:, :, None]], 2))
 
 
 @dataclass(frozen=True)
@@ -145,16 +160,9 @@ class Coarse:
     K: Float[Tensor, "bins dofs rows"]
     error: Float[Tensor, "bins rows"]
 
-    def left(self, D: Float[Tensor, "bins some columns"], rows: Tensor) -> Float[Tensor, "bins rows columns"]:
-        """(1 - J K) D, weighed, of displacements in some rows."""
-        found = -self.J @ (self.K[:, :, rows] @ D)
-        found[:, rows] += D
-        return found.mul_(self.rows[:, :, None])
-
-    @property
-    def residual(self) -> Float[Tensor, "bins rows 1"]:
-        """Weighed, at the least-squares posture: robust fits stop elsewhere."""
-        return self.left(self.error[:, :, None], torch.arange(self.error.shape[1]))
+    def left(self, D: Float[Tensor, "bins rows columns"]) -> Float[Tensor, "bins rows columns"]:
+        """(1 - J K) D, weighed. Of the error: at the least-squares posture, for robust fits stop elsewhere."""
+        return torch.baddbmm(D, self.J, self.K @ D, alpha=-1.0).mul_(self.rows[:, :, None])
 
     @property
     def free(self) -> float:
@@ -199,11 +207,10 @@ class MarkerSums:
 
 
 def marker_sums(coarse: Coarse, left: Float[Tensor, "bins rows columns"]) -> MarkerSums:
-    """Of the residual against columns that ``Cameras.respond`` left."""
-    n = left.shape[2]
-    both = torch.cat([left, coarse.residual], 2)
+    """Of the last column against the others, see ``Cameras.left``."""
+    n = left.shape[2] - 1
     gram, count = left.new_zeros(BANDS, n + 1, n + 1), left.new_zeros(BANDS)
-    for rows, band in coarse.spectrum(both):
+    for rows, band in coarse.spectrum(left):
         for b in band.unique().tolist():
             flat = rows[band == b].flatten(0, 1)
             gram[b] += flat.T @ flat

@@ -1,7 +1,7 @@
 """Everything that could be hidden: every effect at every place, as columns beside those of the inertia."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -157,6 +157,39 @@ def make_design(watched: Sequence[Watched], effects: Sequence[Effect], fit: Geom
     )  # fmt: skip
 
 
+def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:
+    """A design of the base and some candidates, these in it, and which columns of all it keeps."""
+    wanted = {c.source.columns.start for c in some}
+    kept = [s for s in design.sources if s.columns.start < design.base or s.columns.start in wanted]
+    sources, at, index = {}, design.inertia, [torch.arange(design.inertia)]
+    for source in kept:
+        index.append(torch.arange(source.columns.start, source.columns.stop))
+        sources[source.columns.start] = replace(source, columns=slice(at, at + len(source.scale)))
+        at += len(source.scale)
+    which = torch.cat(index)
+    own = tuple(replace(c, source=sources[c.source.columns.start]) for c in some)
+    seen = torch.isin(design.kinematic, which)
+    return (
+        replace(
+            design,
+            sources=tuple(sources.values()),
+            candidates=own,
+            trials=tuple(_only(c, which[design.inertia :] - design.inertia, seen) for c in design.trials),
+            kinematic=torch.searchsorted(which, design.kinematic[seen]),
+        ),
+        own,
+        which,
+    )
+
+
+def _only(columns: Columns, some: Int[Tensor, " kept"], seen: Tensor) -> Columns:
+    markers = columns.markers
+    if markers is not None:
+        gram = markers.gram[:, seen][:, :, seen]
+        markers = MarkerSums(gram, markers.moment[:, seen], markers.energy, markers.count)
+    return replace(columns, extra=columns.extra[:, some], markers=markers)
+
+
 def mass(effect: Effect, places: Sequence[Place]) -> float:
     """Odds of all places together; those of proposals are shares of what could have been proposed."""
     return 1.0 if effect.timed or effect.anew else sum(place.odds for place in places)
@@ -189,21 +222,22 @@ def _key(effect: Effect, place: Place) -> tuple:
 
 def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     """Of all sources in one trial."""
-    view, wrench, left = watched.view, [], []
+    view, cameras, point = watched.view, watched.cameras, watched.rows.motion.q[:, :3]
+    wrench = view.reading.wrench.new_zeros(6, sum(len(s.scale) for s in sources), len(point))
+    at, kinematic, answers = 0, [], []
     for source in sources:
+        own = list(range(at, at := at + len(source.scale)))
         if not source.effect.kinematic:
-            wrench.append(columns(source.effect, view.scene, view.read(source.effect.inverted), source.place))
-        elif watched.cameras is None:
-            wrench.append(view.reading.wrench.new_zeros(6, len(source.scale), len(view.scene.time)))
-        else:
-            answer = answer_of(watched.cameras, source)
-            wrench.append(answer.wrench)
-            left.append(answer.left)
-    found, point = torch.cat(wrench, 1), watched.rows.motion.q[:, :3]
-    extra = wrench_about(found.permute(1, 2, 0), point.expand(found.shape[1], -1, -1)).permute(2, 0, 1)
+            wrench[:, own] = columns(source.effect, view.scene, view.read(source.effect.inverted), source.place)
+        elif cameras is not None:
+            answers.append(answer_of(cameras, source))
+            kinematic += own
+    if cameras is not None and answers:
+        wrench[:, kinematic] = cameras.wrench(answers)
+    extra = wrench_about(wrench.permute(1, 2, 0), point.expand(wrench.shape[1], -1, -1)).permute(2, 0, 1)
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
-    sums = marker_sums(watched.cameras.coarse, torch.cat(left, 2)) if watched.cameras is not None and left else None
+    sums = marker_sums(cameras.coarse, cameras.left(answers)) if cameras is not None and answers else None
     return Columns(extra, sums, idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources]))
 
 
@@ -211,6 +245,8 @@ def answer_of(cameras: Cameras, source: Source) -> Answer:
     """To unit parameters of an effect."""
     effect, place = source.effect, source.place
     sight, slid, moved = cameras.sight, [], []
+    if (swaying := effect.courses(sight.scene, place)) is not None:
+        return cameras.swayed(*swaying)
     for k, scale in enumerate(effect.scale(place)):
         theta = sight.p_BM_B.new_zeros(effect.size(place))
         theta[k] = STEP * scale

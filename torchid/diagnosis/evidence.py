@@ -33,13 +33,14 @@ class Prior:
 
     def standard(self, sums: Raw) -> tuple[Float[Tensor, "all all"], Float[Tensor, " all"]]:
         """Gram matrix and moment of z."""
-        n = len(self.inertia)
-
-        def turned(x: Tensor) -> Tensor:
-            return torch.cat([self.inertia.T @ x[:n], self.scale.reshape(-1, *[1] * (x.dim() - 1)) * x[n:]])
-
-        gram, moment = sums
-        return turned(turned(gram).T.contiguous()), turned(moment - gram @ self.mean)
+        n, (gram, moment) = len(self.inertia), sums
+        moment = moment - gram @ self.mean
+        gram = gram.clone()
+        gram[:n] = self.inertia.T @ gram[:n]
+        gram[:, :n] = gram[:, :n] @ self.inertia
+        gram[n:] *= self.scale[:, None]
+        gram[:, n:] *= self.scale
+        return gram, torch.cat([self.inertia.T @ moment[:n], self.scale * moment[n:]])
 
     def widened(self, design: Design) -> "Prior":
         """The same of inertia, for another design."""

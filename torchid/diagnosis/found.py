@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.cameras import MarkerSums
-from torchid.diagnosis.candidates import Candidate, Columns, Design
+from torchid.diagnosis.candidates import Candidate, Design, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit
 from torchid.diagnosis.noise import Noise
 
@@ -80,35 +79,10 @@ def reduced(
     design: Design, prior: Prior, noise: Noise, chosen: Sequence[Candidate], rounds: Sequence[Round], sums: Sums
 ) -> Search:
     """What a search ended with, without the columns that nobody chose."""
-    wanted = {c.source.columns.start for c in chosen}
-    kept = [s for s in design.sources if s.columns.start < design.base or s.columns.start in wanted]
-    sources, at, index = {}, design.inertia, [torch.arange(design.inertia)]
-    for source in kept:
-        index.append(torch.arange(source.columns.start, source.columns.stop))
-        sources[source.columns.start] = replace(source, columns=slice(at, at + len(source.scale)))
-        at += len(source.scale)
-    some = torch.cat(index)
-    own = tuple(replace(c, source=sources[c.source.columns.start]) for c in chosen)
-    seen = torch.isin(design.kinematic, some)
-    kinematic = torch.searchsorted(some, design.kinematic[seen])
-    small = replace(
-        design,
-        sources=tuple(sources.values()),
-        candidates=own,
-        trials=tuple(_reduced(c, some[design.inertia :] - design.inertia, seen) for c in design.trials),
-        kinematic=kinematic,
-    )
+    small, own, some = only(design, chosen)
     raws = tuple((gram[some[:, None], some], moment[some]) for gram, moment in sums.trials)
     less = Sums(sums.base, raws, sums.constant)
     return Search(small, prior.widened(small), noise, own, tuple(rounds), less, fit(less, own))
-
-
-def _reduced(columns: Columns, some: Int[Tensor, " kept"], seen: Tensor) -> Columns:
-    markers = columns.markers
-    if markers is not None:
-        gram = markers.gram[:, seen][:, :, seen]
-        markers = MarkerSums(gram, markers.moment[:, seen], markers.energy, markers.count)
-    return replace(columns, extra=columns.extra[:, some], markers=markers)
 
 
 def internal(found: Search, k: int) -> Float[Tensor, " params"]:

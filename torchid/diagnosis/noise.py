@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.cameras import BANDS
-from torchid.diagnosis.candidates import Candidate, Columns, Design
+from torchid.diagnosis.candidates import Candidate, Columns, Design, only
 from torchid.diagnosis.evidence import Prior, Raw, Sums, assembled, fit
 from torchid.diagnosis.late import without_beyond
 from torchid.diagnosis.watched import Watched
@@ -81,6 +81,18 @@ def with_columns(rows: Rows, columns: Columns, watched: Watched, more: Float[Ten
     return Rows(tuple(blocks), columns)
 
 
+def narrowed(
+    rows: Sequence[Rows], prior: Prior, design: Design, some: Sequence[Candidate]
+) -> tuple[list[Rows], Prior, Design, tuple[Candidate, ...]]:
+    """Everything without the columns of all other candidates."""
+    small, own, which = only(design, some)
+    less = []
+    for k, one in enumerate(rows):
+        blocks = tuple(Spectrum(block.Y[:, which], block.F, block.band) for block in one.forces)
+        less.append(Rows(blocks, small.trials[k]))
+    return less, prior.widened(small), small, own
+
+
 def initial_noise(whitening: Whitening) -> Noise:
     """Of the inertial fit; markers as they scatter."""
     return Noise(whitening, torch.ones(BANDS, dtype=whitening.covariance.dtype))
@@ -120,6 +132,7 @@ def estimate_noise(
     rows: Sequence[Rows], prior: Prior, design: Design, chosen: Sequence[Candidate], start: Noise
 ) -> Noise:
     """Of what the model with the chosen effects leaves: noise estimated without them would hold them."""
+    rows, prior, design, chosen = narrowed(rows, prior, design, chosen)
     noise = start
     for _ in range(ROUNDS - bool(chosen)):
         whitened = [accumulate(own.forces, noise.forces) for own in rows]

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect, Interval, Place
-from torchid.effects.joints import MissingDof, axes, courses, directed
+from torchid.effects.joints import MissingDof
 from torchid.effects.session import MovingGround
 from torchid.regressor.rows import measured, predict, runs
 
@@ -153,16 +153,13 @@ def _loose(effect: MissingDof, place: Place, watched: Watched) -> float:
     """Evidence of free courses of a joint in one trial, geometry held, residuals' scatter as it is."""
     cameras, scene = watched.cameras, watched.view.scene
     assert cameras is not None
-    ones = torch.eye(3).to(scene.q)[axes(place), :, None].expand(-1, 3, len(scene.time))
-    bodies = torch.stack([directed(scene, place, one) for one in ones])
+    bodies, modes = effect.courses(scene, place)
     coarse = cameras.coarse
-    left = coarse.left(
-        torch.stack([cameras.sight.carried(b) for b in bodies])[..., coarse.middle].permute(3, 1, 2, 0).flatten(1, 2),
-        torch.arange(coarse.error.shape[1]),
-    )
-    residual = coarse.residual[:, :, 0]
+    shown = torch.stack([cameras.sight.carried(b) for b in bodies])[..., coarse.middle].permute(3, 1, 2, 0)
+    both = coarse.left(torch.cat([shown.flatten(1, 2), coarse.error[:, :, None]], 2))
+    left, residual = both[:, :, :-1], both[:, :, -1]
     spread = residual.square().sum() / (coarse.free * residual.numel())
-    modes = courses(scene.time, int(place.grid["modes"]))[:, coarse.middle]
+    modes = modes[:, coarse.middle]
     A = torch.einsum("tri,trj->tij", left, left) / spread
     b = torch.einsum("tri,tr->ti", left, residual) / spread
     scale = effect.scale(place)[0]

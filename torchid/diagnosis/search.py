@@ -9,12 +9,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design
+from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
 from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.late import linearised, without_beyond
-from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, rows_of, summed
+from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, narrowed, rows_of, summed
 from torchid.diagnosis.unexplained import structure
 from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect
@@ -80,6 +80,11 @@ def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:
     return [rows_of(w, c, design.late) for w, c in zip(watched, design.trials, strict=True)]
 
 
+def _linearised(watched: Sequence[Watched], design: Design, theta: Sequence[Tensor]) -> Design:
+    trials = zip(watched, design.trials, theta, strict=True)
+    return replace(design, trials=tuple(linearised(w, c, design.sources, x[design.inertia :]) for w, c, x in trials))
+
+
 @dataclass(frozen=True)
 class _Scan:
     """Of the catalogue, under one noise or another."""
@@ -96,16 +101,17 @@ class _Scan:
 
     def settled(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Noise, "_Scan"]:
         """Late effects linearised where they are."""
-        scan = self
+        small, own, which = only(self.design, chosen)
+        prior, theta = self.prior.widened(small), [self.prior.mean.clone() for _ in self.rows]
         for _ in range(NEWTON):
-            noise = estimate_noise(scan.rows, self.prior, scan.design, chosen, noise)
-            fitted = fit(summed(scan.rows, self.prior, scan.design, noise), chosen)
-            theta = [self.prior.theta(fitted.z(len(self.prior.mean), k)) for k in range(len(scan.rows))]
-            n, sources = scan.design.inertia, scan.design.sources
-            moved = zip(self.watched, scan.design.trials, theta, strict=True)
-            design = replace(scan.design, trials=tuple(linearised(w, c, sources, x[n:]) for w, c, x in moved))
-            scan = replace(scan, rows=_rows(self.watched, design), design=design)
-        return noise, scan
+            rows = _rows(self.watched, small)
+            noise = estimate_noise(rows, prior, small, own, noise)
+            fitted = fit(summed(rows, prior, small, noise), own)
+            for k, x in enumerate(theta):
+                x[which] = prior.theta(fitted.z(len(prior.mean), k))
+            small = _linearised(self.watched, small, [x[which] for x in theta])
+        design = _linearised(self.watched, self.design, theta)
+        return noise, replace(self, rows=_rows(self.watched, design), design=design)
 
     def timed(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple["_Scan", Candidate]:
         """The last effect with its interval and course as they are best."""
@@ -134,19 +140,20 @@ class _Scan:
         looks = [look for rival in likely if (look := self._look(noise, rival.candidate, chosen)) is not None]
         if not looks:
             return noise, sums, found
-        _, noise, sums = max(looks, key=lambda look: look[0])
-        return noise, sums, _scan(sums, open_candidates(self.design, chosen, self.limit), chosen)
+        _, noise = max(looks, key=lambda look: look[0])
+        return noise, *self(noise, chosen)
 
-    def _look(self, noise: Noise, one: Candidate, chosen: Sequence[Candidate]) -> tuple[float, Noise, Sums] | None:
+    def _look(self, noise: Noise, one: Candidate, chosen: Sequence[Candidate]) -> tuple[float, Noise] | None:
         """Log evidence with one more effect under the noise that it leaves; None where it is not supported there."""
         other = estimate_noise(self.rows, self.prior, self.design, [*chosen, one], noise)
-        sums = summed(self.rows, self.prior, self.design, other)
-        own = [c for c in open_candidates(self.design, chosen, self.limit) if c.effect is one.effect]
-        named = _scan(sums, own, chosen).named
+        family = [c for c in open_candidates(self.design, chosen, self.limit) if c.effect is one.effect]
+        rows, prior, design, own = narrowed(self.rows, self.prior, self.design, [*chosen, *family])
+        sums, base = summed(rows, prior, design, other), own[: len(chosen)]
+        named = _scan(sums, own[len(chosen) :], base).named
         if named is None:
             return None
-        whole = fit(sums, [*chosen, named.candidate]).log_evidence + sums.constant
-        return whole + math.log(named.candidate.odds), other, sums
+        whole = fit(sums, [*base, named.candidate]).log_evidence + sums.constant
+        return whole + math.log(named.candidate.odds), other
 
 
 def residuals(

@@ -121,6 +121,13 @@ class MissingDof(Effect):
         course[axes(place)] = theta.view(len(axes(place)), -1) @ courses(scene.time, int(place.grid["modes"]))
         return directed(scene, place, course)
 
+    def courses(
+        self, scene: Scene, place: Place
+    ) -> tuple[Float[Tensor, "ways bodies 6 frames"], Float[Tensor, "modes frames"]]:
+        ones = torch.eye(3).to(scene.q)[axes(place), :, None].expand(-1, 3, len(scene.time))
+        ways = torch.stack([directed(scene, place, one) for one in ones])
+        return ways, courses(scene.time, int(place.grid["modes"]))
+
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         some = theta.view(-1, len(axes(place)), int(place.grid["modes"]))
         own = torch.stack(

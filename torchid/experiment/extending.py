@@ -95,7 +95,7 @@ def _added(watched: Watched, one: Planted) -> Float[Tensor, "frames 6"]:
     if one.effect.kinematic:
         assert watched.cameras is not None
         source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
-        return torch.einsum("ipt,p->ti", answer_of(watched.cameras, source).wrench, one.theta)
+        return torch.einsum("ipt,p->ti", watched.cameras.wrench([answer_of(watched.cameras, source)]), one.theta)
     view = watched.view
     if one.effect.inverted:
         back = one.effect.undone(view.measured, one.place, one.theta)
