@@ -14,6 +14,7 @@ import torch
 from torchid.config import load_config
 from torchid.diagnosis.diagnose import Alternative, Cause, Diagnosis, Errors
 from torchid.diagnosis.unexplained import Structure
+from torchid.effects.apart import APART, RECORD, tell_apart
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Interval, Place
 from torchid.errors import DataError
@@ -30,7 +31,7 @@ from torchid.report.head import head_section
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
 from torchid.report.story import STORY, surely, told
-from torchid.report.telling import APART, NOUN, RECORD, tell_apart
+from torchid.report.telling import NOUN
 from torchid.report.text import bind, change, clean, listing, merge, number, pattern, segment, spread
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session, write_session

@@ -45,6 +45,12 @@ def sized(planted: dict, cause: dict) -> dict | None:
     if cause["effect"] != planted["effect"]:
         return None
     found = {}
+    if planted["effect"] == "gravity_tilt":
+        entry, true = cause["parameters"], planted["parameters"]
+        both = (
+            [x[key] for key in ("roll_rad", "pitch_rad")] for x in (_part(entry, "value"), _part(entry, "sd"), true)
+        )
+        found["tilt_rad"] = _right("tilt_rad", *both)
     for key in SIZES[planted["effect"]]:
         key = {"excess_kg": "mass_kg"}.get(key, key)
         if (
@@ -55,6 +61,10 @@ def sized(planted: dict, cause: dict) -> dict | None:
             entry = cause["parameters"][key]
             found[key] = _right(key, entry["value"], entry["sd"], planted["parameters"][key])
     return found
+
+
+def _part(parameters: dict, name: str) -> dict:
+    return {key: entry[name] for key, entry in parameters.items()}
 
 
 def _right(key: str, value: object, sd: object, true: object) -> dict:

@@ -19,6 +19,7 @@ from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import residual, residuals, search
 from torchid.diagnosis.unexplained import Structure, structure
 from torchid.diagnosis.watched import Watched
+from torchid.effects.apart import tell_apart
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect, Interval, Place, Planted
 from torchid.geometry.fitted import GeometryFit
@@ -276,4 +277,6 @@ def verdict(diagnosis: Diagnosis) -> dict[str, Any]:
 def _listed(cause: Cause) -> dict[str, Any]:
     names = ("effect", "where", "when", "parameters", "confidence", "alternatives", "indistinguishable", "gain")
     found = {name: getattr(cause, name) for name in names}
+    twins = [dataclasses.asdict(t) | {"motion": tell_apart(cause.effect, t.effect)} for t in cause.indistinguishable]
+    found["indistinguishable"] = twins
     return found | {"follows": cause.place.follows, "markers": cause.place.markers or None}

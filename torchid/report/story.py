@@ -8,9 +8,10 @@ import torch
 from torchid.conventions import GRAVITY
 from torchid.diagnosis.diagnose import Alternative, Cause
 from torchid.diagnosis.unexplained import Structure
+from torchid.effects.apart import tell_apart
 from torchid.effects.effect import Interval
 from torchid.report.sizes import BODY, ROOM, length, much, of, parts, size, vector
-from torchid.report.telling import NOUN, called, place, tell_apart
+from torchid.report.telling import NOUN, called, place
 from torchid.report.text import clean, listing, number, percent, stated
 
 DEGREES = 180.0 / math.pi
