@@ -115,10 +115,17 @@ def main() -> None:
             with path.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
             print(f"{len(rows):4d} {rows[-1].get('told', rows[-1].get('failed'))}", flush=True)
+            written(arguments.out, arguments.first, rows)
+    print(written(arguments.out, arguments.first, rows))
+
+
+def written(out: Path, first: int, rows: list[dict]) -> str:
+    """The tables of all rows so far; with seeds and date in ``battery.json``."""
     found = tables(rows)
-    print(found.pop("text"))
-    report = {"date": datetime.date.today().isoformat(), "first_seed": arguments.first, **found, "rows": rows}
-    (arguments.out / "battery.json").write_text(json.dumps(report, indent=1))
+    text = found.pop("text")
+    report = {"date": datetime.date.today().isoformat(), "first_seed": first, **found, "rows": rows}
+    (out / "battery.json").write_text(json.dumps(report, indent=1))
+    return text
 
 
 if __name__ == "__main__":

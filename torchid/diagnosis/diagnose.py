@@ -132,17 +132,18 @@ def diagnose(
     if rest.significant:
         found = _relevant(found, watched)
     judge, everything, causes = _Judge(found, heldout), found.chosen, []
+    extended = judge(everything)
     for k, one in enumerate(everything):
         scan = next(r for r in found.rounds if r.rivals and _same(r.rivals[0].candidate, one))
         others = tuple(c for c in everything if c is not one)
         names = [w.rows.name for w in watched]
-        causes.append(_cause(found, k, scan, judge.gain(others, everything), names))
+        causes.append(_cause(found, k, scan, _gain(judge(others), extended), names))
     if rest.significant:
         # A model that the data visibly contradict is sure of nothing that the contradicted forces told.
         trust = 1.0 - 0.5 * rest.share_of_residual
         causes = [c if effect(c.effect).bodily else replace(c, confidence=trust * c.confidence) for c in causes]
     idle = _idle(watched, plates)
-    return Diagnosis(plates, judge.errors(()), judge.errors(everything), tuple(causes), rest, idle)
+    return Diagnosis(plates, judge(())[0], extended[0], tuple(causes), rest, idle)
 
 
 def _relevant(found: Search, watched: Sequence[Watched]) -> Search:
@@ -222,15 +223,17 @@ class _Judge:
         more = summed(rows, found.prior, found.design, found.noise)
         self.both = Sums(found.sums.base, (*found.sums.trials, *more.trials))
 
-    def errors(self, chosen: Sequence[Candidate]) -> Errors:
-        """Of the held-out trials."""
-        fitted, first = fit(self.found.sums, self._everywhere(chosen)), len(self.found.sums.trials)
+    def __call__(self, chosen: Sequence[Candidate]) -> tuple[Errors, float]:
+        """Held-out residual, and log density of the held-out rows after the fit trials but for what models share."""
+        chosen, first = self._everywhere(chosen), len(self.found.sums.trials)
+        fitted = fit(self.found.sums, chosen)
         both = enumerate(zip(self.heldout, self.columns, strict=True), first)
         left = [residual(w, c, self.found.prior, fitted, k)[w.rows.used] for k, (w, c) in both]
         if not left:
-            return Errors(float("nan"), float("nan"))
+            return Errors(float("nan"), float("nan")), float("nan")
         both = torch.cat(left)
-        return Errors(*(float(x.square().sum(1).mean().sqrt()) for x in (both[:, :3], both[:, 3:])))
+        errors = Errors(*(float(x.square().sum(1).mean().sqrt()) for x in (both[:, :3], both[:, 3:])))
+        return errors, fit(self.both, chosen).log_evidence - fitted.log_evidence
 
     def _settled(self) -> list[Columns]:
         """Columns with those of late effects where the fit trials found them."""
@@ -240,26 +243,20 @@ class _Judge:
         trials = zip(self.heldout, self.columns, theta, strict=True)
         return [linearised(w, c, found.design.sources, x) for w, c, x in trials]
 
-    def gain(self, without: Sequence[Candidate], with_: Sequence[Candidate]) -> dict[str, float]:
-        """Of the larger model over the smaller one."""
-        before, after = self.errors(without), self.errors(with_)
-        return {
-            "heldout_log_likelihood": self._predictive(with_) - self._predictive(without),
-            "force_rmse_pct": 100.0 * (1.0 - after.force_rmse_N / before.force_rmse_N),
-            "moment_rmse_pct": 100.0 * (1.0 - after.moment_rmse_Nm / before.moment_rmse_Nm),
-        }
-
     def _everywhere(self, chosen: Sequence[Candidate]) -> list[Candidate]:
         """What acts in all fit trials acts in the held-out ones too."""
         whole = frozenset(range(len(self.found.sums.trials) + len(self.heldout)))
         return [replace(c, trials=whole) if c.trials == self.found.sums.all else c for c in chosen]
 
-    def _predictive(self, chosen: Sequence[Candidate]) -> float:
-        """Log density of the held-out rows after the fit trials (chain rule), up to what all models share."""
-        if not self.heldout:
-            return float("nan")
-        chosen = self._everywhere(chosen)
-        return fit(self.both, chosen).log_evidence - fit(self.found.sums, chosen).log_evidence
+
+def _gain(before: tuple[Errors, float], after: tuple[Errors, float]) -> dict[str, float]:
+    """Of the larger model over the smaller one."""
+    (less, low), (more, high) = before, after
+    return {
+        "heldout_log_likelihood": high - low,
+        "force_rmse_pct": 100.0 * (1.0 - more.force_rmse_N / less.force_rmse_N),
+        "moment_rmse_pct": 100.0 * (1.0 - more.moment_rmse_Nm / less.moment_rmse_Nm),
+    }
 
 
 def verdict(diagnosis: Diagnosis) -> dict[str, Any]:

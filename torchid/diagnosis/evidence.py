@@ -79,10 +79,16 @@ class Sums:
     def total(self, which: frozenset[int]) -> Raw:
         """Sums over some trials."""
         if which not in self._totals:
+            left, some = self.all - which, which
             gram, moment = (torch.zeros_like(x) for x in self.trials[0])
-            for k in which:
-                gram += self.trials[k][0]
-                moment += self.trials[k][1]
+            if 0 < len(left) < len(which):
+                # All but a few: what those say taken off.
+                gram, moment = (x.clone() for x in self.total(self.all))
+                some = left
+            sign = 1.0 if some is which else -1.0
+            for k in some:
+                gram.add_(self.trials[k][0], alpha=sign)
+                moment.add_(self.trials[k][1], alpha=sign)
             self._totals[which] = gram, moment
         return self._totals[which]
 

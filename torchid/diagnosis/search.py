@@ -1,7 +1,6 @@
 """Which effects the data support: add the best, estimate the noise again, scan again, try to remove each."""
 
 import logging
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -149,11 +148,11 @@ class _Scan:
         family = [c for c in open_candidates(self.design, chosen, self.limit) if c.effect is one.effect]
         rows, prior, design, own = narrowed(self.rows, self.prior, self.design, [*chosen, *family])
         sums, base = summed(rows, prior, design, other), own[: len(chosen)]
-        named = _scan(sums, own[len(chosen) :], base).named
-        if named is None:
+        fitted, rest = fit(sums, base), own[len(chosen) :]
+        gain = gains(sums, fitted, rest)[0] + torch.tensor([c.odds for c in rest]).log()
+        if float(torch.logsumexp(gain, 0)) < NAMED:
             return None
-        whole = fit(sums, [*base, named.candidate]).log_evidence + sums.constant
-        return whole + math.log(named.candidate.odds), other
+        return fitted.log_evidence + float(gain.max()) + sums.constant, other
 
 
 def residuals(
