@@ -101,7 +101,7 @@ class Design:
     """Columns that have rows of markers."""
 
     @property
-    def columns(self) -> int:
+    def width(self) -> int:
         """Number of all columns."""
         return self.sources[-1].columns.stop if self.sources else self.inertia
 

@@ -61,7 +61,7 @@ def moved_ends(place: Place) -> Iterator[Place]:
 
 def _with(design: Design, one: Candidate, places: Sequence[Place]) -> Design:
     """Further places of an effect as the only candidates; columns are not there yet."""
-    at, sources = design.columns, []
+    at, sources = design.width, []
     for place in places:
         scale = one.effect.scale(place)
         sources.append(Source(one.effect, place, slice(at, at + len(scale)), (0.0,) * len(scale), scale))
