@@ -23,6 +23,7 @@ import torch
 from batteries.judge import judged, tables
 from batteries.mujoco_session import draw_effect, simulate
 from batteries.sizes import SIZES
+from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.experiment import run_experiment
 
@@ -71,6 +72,7 @@ def jobs(arguments: argparse.Namespace) -> Iterator[Job]:
 def perform(job: Job, out: Path, keep: bool) -> dict:
     """Simulate, run, and only then compare."""
     torch.set_num_threads(1)
+    keep_memory()
     folder = out / job.key
     rng = np.random.default_rng((job.seed, 7))
     config = load_config(simulate(folder, job.seed, [draw_effect(name, job.level, rng) for name in job.names]))

@@ -1,7 +1,7 @@
 """Everything that could be hidden: every effect at every place, as columns beside those of the inertia."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -97,8 +97,11 @@ class Design:
     sources: tuple[Source, ...]
     candidates: tuple[Candidate, ...]
     trials: tuple[Columns, ...]
-    kinematic: Int[Tensor, " columns"] = field(default_factory=lambda: torch.zeros(0, dtype=torch.long))
-    """Columns that have rows of markers."""
+
+    @property
+    def kinematic(self) -> slice:
+        """Columns that have rows of markers."""
+        return _kinematic(self.sources)
 
     @property
     def width(self) -> int:
@@ -138,7 +141,8 @@ def make_design(watched: Sequence[Watched], effects: Sequence[Effect], fit: Geom
         known[_key(effect, place)] = sources[-1]
         at += len(scale)
     base, candidates = at, []
-    for effect in effects:
+    # Those that markers show stand together, behind the nuisances that markers show.
+    for effect in sorted(effects, key=lambda e: not e.kinematic):
         places = suggested(effect, watched)
         for place in places:
             own, trials = effect.source(place)
@@ -150,11 +154,13 @@ def make_design(watched: Sequence[Watched], effects: Sequence[Effect], fit: Geom
             which = range(len(names)) if trials is None else [names.index(t) for t in trials]
             odds = place.odds / mass(effect, places)
             candidates.append(Candidate(effect, place, known[_key(effect, own)], frozenset(which), odds))
-    kinematic = [k for s in sources if s.effect.kinematic for k in range(s.columns.start, s.columns.stop)]
-    return Design(
-        inertia, base, tuple(sources), tuple(candidates),
-        tuple(trial_columns(w, sources) for w in watched), torch.tensor(kinematic, dtype=torch.long),
-    )  # fmt: skip
+    trials = tuple(trial_columns(w, sources) for w in watched)
+    return Design(inertia, base, tuple(sources), tuple(candidates), trials)
+
+
+def _kinematic(sources: Sequence[Source]) -> slice:
+    own = [s.columns for s in sources if s.effect.kinematic]
+    return slice(own[0].start, own[-1].stop) if own else slice(0)
 
 
 def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:
@@ -168,24 +174,16 @@ def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candi
         at += len(source.scale)
     which = torch.cat(index)
     own = tuple(replace(c, source=sources[c.source.columns.start]) for c in some)
-    seen = torch.isin(design.kinematic, which)
-    return (
-        replace(
-            design,
-            sources=tuple(sources.values()),
-            candidates=own,
-            trials=tuple(_only(c, which[design.inertia :] - design.inertia, seen) for c in design.trials),
-            kinematic=torch.searchsorted(which, design.kinematic[seen]),
-        ),
-        own,
-        which,
-    )
+    k = design.kinematic
+    seen = which[(which >= k.start) & (which < k.stop)] - k.start
+    trials = tuple(_only(c, which[design.inertia :] - design.inertia, seen) for c in design.trials)
+    return replace(design, sources=tuple(sources.values()), candidates=own, trials=trials), own, which
 
 
-def _only(columns: Columns, some: Int[Tensor, " kept"], seen: Tensor) -> Columns:
+def _only(columns: Columns, some: Int[Tensor, " kept"], seen: Int[Tensor, " fewer"]) -> Columns:
     markers = columns.markers
     if markers is not None:
-        gram = markers.gram[:, seen][:, :, seen]
+        gram = markers.gram[:, seen[:, None], seen]
         markers = MarkerSums(gram, markers.moment[:, seen], markers.energy, markers.count)
     return replace(columns, extra=columns.extra[:, some], markers=markers)
 
@@ -224,16 +222,15 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     """Of all sources in one trial."""
     view, cameras, point = watched.view, watched.cameras, watched.rows.motion.q[:, :3]
     wrench = view.reading.wrench.new_zeros(6, sum(len(s.scale) for s in sources), len(point))
-    at, kinematic, answers = 0, [], []
+    first, answers, own = sources[0].columns.start if sources else 0, [], _kinematic(sources)
     for source in sources:
-        own = list(range(at, at := at + len(source.scale)))
         if not source.effect.kinematic:
-            wrench[:, own] = columns(source.effect, view.scene, view.read(source.effect.inverted), source.place)
+            part = slice(source.columns.start - first, source.columns.stop - first)
+            wrench[:, part] = columns(source.effect, view.scene, view.read(source.effect.inverted), source.place)
         elif cameras is not None:
             answers.append(answer_of(cameras, source))
-            kinematic += own
     if cameras is not None and answers:
-        wrench[:, kinematic] = cameras.wrench(answers)
+        wrench[:, own.start - first : own.stop - first] = cameras.wrench(answers)
     extra = wrench_about(wrench.permute(1, 2, 0), point.expand(wrench.shape[1], -1, -1)).permute(2, 0, 1)
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import Candidate, Columns, trial_columns
 from torchid.diagnosis.evidence import Sums, fit
 from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal
@@ -221,19 +222,20 @@ class _Judge:
             self.columns = self._settled()
         rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
         more = summed(rows, found.prior, found.design, found.noise)
-        self.both = Sums(found.sums.base, (*found.sums.trials, *more.trials))
+        self.both = Sums(found.sums.base, (*found.sums.trials, *more.trials), found.sums.constant)
 
     def __call__(self, chosen: Sequence[Candidate]) -> tuple[Errors, float]:
         """Held-out residual, and log density of the held-out rows after the fit trials but for what models share."""
         chosen, first = self._everywhere(chosen), len(self.found.sums.trials)
-        fitted = fit(self.found.sums, chosen)
+        (sums, some), (whole, _) = (eliminated(x, chosen) for x in (self.found.sums, self.both))
+        fitted = fit(sums, some)
         both = enumerate(zip(self.heldout, self.columns, strict=True), first)
         left = [residual(w, c, self.found.prior, fitted, k)[w.rows.used] for k, (w, c) in both]
         if not left:
             return Errors(float("nan"), float("nan")), float("nan")
         both = torch.cat(left)
         errors = Errors(*(float(x.square().sum(1).mean().sqrt()) for x in (both[:, :3], both[:, 3:])))
-        return errors, fit(self.both, chosen).log_evidence - fitted.log_evidence
+        return errors, fit(whole, some).log_evidence + whole.constant - fitted.log_evidence - sums.constant
 
     def _settled(self) -> list[Columns]:
         """Columns with those of late effects where the fit trials found them."""

@@ -8,8 +8,9 @@ Reference: MacKay, Neural Computation 4 (1992), on evidence; Chib, JASA 90 (1995
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -69,35 +70,44 @@ class Sums:
     trials: tuple[Raw, ...]
     constant: float = 0.0
     """Log density of all rows but for what models of one noise differ in."""
-    _totals: dict[frozenset[int], Raw] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def all(self) -> frozenset[int]:
         """Every trial."""
         return frozenset(range(len(self.trials)))
 
-    def total(self, which: frozenset[int]) -> Raw:
-        """Sums over some trials."""
-        if which not in self._totals:
-            left, some = self.all - which, which
-            gram, moment = (torch.zeros_like(x) for x in self.trials[0])
-            if 0 < len(left) < len(which):
-                # All but a few: what those say taken off.
-                gram, moment = (x.clone() for x in self.total(self.all))
-                some = left
-            sign = 1.0 if some is which else -1.0
-            for k in some:
-                gram.add_(self.trials[k][0], alpha=sign)
-                moment.add_(self.trials[k][1], alpha=sign)
-            self._totals[which] = gram, moment
-        return self._totals[which]
+    def block(
+        self, rows: slice | Tensor, columns: slice | Tensor, seen: frozenset[int]
+    ) -> Float[Tensor, "rows columns"]:
+        """Part of the Gram matrix, summed over some trials."""
+        # Symmetric: rows of a matrix lie together in memory, columns do not.
+        return self.summed(seen, lambda raw: raw[0][columns][:, rows]).mT
+
+    def moment(self, columns: slice | Tensor, seen: frozenset[int]) -> Float[Tensor, " columns"]:
+        """Part of the moment, summed over some trials."""
+        return self.summed(seen, lambda raw: raw[1][columns])
+
+    def summed(self, seen: frozenset[int], part: Callable[[Raw], Tensor]) -> Tensor:
+        """A linear part of what some trials say together."""
+        left = self.all - seen
+        if 0 < len(left) < len(seen):
+            # All but a few: what those say taken off.
+            return self.summed(self.all, part) - sum(part(self.trials[k]) for k in left)
+        if left or len(self.trials) == 1:
+            zero = torch.zeros_like(part(self.trials[0]))
+            return sum((part(self.trials[k]) for k in seen), start=zero)
+        return part(self._whole)
+
+    @cached_property
+    def _whole(self) -> Raw:
+        grams, moments = zip(*self.trials, strict=True)
+        return sum(grams[1:], start=grams[0]), sum(moments[1:], start=moments[0])
 
     def cross(self, chosen: Sequence[Candidate], columns: Tensor, seen: frozenset[int]) -> Tensor:
         """Rows of the base and of chosen candidates against columns, summed over the trials in which they act."""
-        rows = [self.total(seen)[0][: self.base, columns]]
+        rows = [self.block(slice(self.base), columns, seen)]
         for one, block in _blocks(chosen):
-            gram = self.total(block & seen)[0]
-            rows.append(one.relative.to(gram)[:, None] * gram[one.columns][:, columns])
+            rows.append(one.relative.to(rows[0])[:, None] * self.block(one.columns, columns, block & seen))
         return torch.cat(rows)
 
 
@@ -147,13 +157,12 @@ class Fitted:
 
 def assembled(sums: Sums, chosen: Sequence[Candidate], seen: frozenset[int]) -> Raw:
     """Gram matrix and moment of the base and these effects."""
-    gram, moment = sums.total(seen)
     blocks = [sums.cross(chosen, torch.arange(sums.base), seen)]
-    moments = [moment[: sums.base]]
+    moments = [sums.moment(slice(sums.base), seen)]
     for one, block in _blocks(chosen):
-        relative = one.relative.to(gram)
+        relative = one.relative.to(blocks[0])
         blocks.append(sums.cross(chosen, one.columns, block & seen) * relative)
-        moments.append(relative * sums.total(block & seen)[1][one.columns])
+        moments.append(relative * sums.moment(one.columns, block & seen))
     return torch.cat(blocks, 1), torch.cat(moments)
 
 
@@ -190,12 +199,13 @@ def _gains(
     relative = torch.stack([c.relative for c in some]).to(base.factor)
     parts, lefts, owns = [], [], []
     for block in blocks:
-        gram, moment = sums.total(block)
         cross = sums.cross(base.chosen, index.flatten(), block) * relative.flatten()
         shared = torch.linalg.solve_triangular(base.factor, cross, upper=False)
-        lefts.append((relative.flatten() * moment[index.flatten()] - shared.T @ base.whitened).view(index.shape))
+        moment = relative.flatten() * sums.moment(index.flatten(), block)
+        lefts.append((moment - shared.T @ base.whitened).view(index.shape))
         parts.append(shared.unflatten(1, index.shape).permute(1, 2, 0))
-        owns.append(gram[index[:, :, None], index[:, None, :]] * relative[:, :, None] * relative[:, None, :])
+        own = sums.summed(block, lambda raw: raw[0][index[:, :, None], index[:, None, :]])
+        owns.append(own * relative[:, :, None] * relative[:, None, :])
     part, left, n = torch.cat(parts, 1), torch.cat(lefts, 1), index.shape[1] * len(blocks)
     own = torch.stack([torch.block_diag(*(o[k] for o in owns)) for k in range(len(some))])
     told = own - part @ part.mT
@@ -203,11 +213,11 @@ def _gains(
     u = torch.linalg.solve_triangular(L, left[..., None], upper=False)[..., 0]
     energy = 0.5 * u.square().sum(1)
     gain = energy - L.diagonal(dim1=1, dim2=2).log().sum(1)
-    # A parameter known to be positive has half the prior space: twice the density, and only its upper side counts.
-    first = torch.linalg.solve_triangular(L.mT, u[..., None], upper=True)[:, 0, 0]
-    upper = math.log(2.0) + torch.special.log_ndtr(first / torch.cholesky_inverse(L)[:, 0, 0].sqrt())
-    positive = torch.tensor([c.effect.parameters[0].positive for c in some])
-    gain = torch.where(positive, gain + upper, gain)
+    if positive := [k for k, c in enumerate(some) if c.effect.parameters[0].positive]:
+        # A parameter known to be positive has half the prior space: twice the density, and only its upper side counts.
+        first = torch.linalg.solve_triangular(L.mT, u[..., None], upper=True)[positive, 0, 0]
+        sd = torch.cholesky_inverse(L[positive])[:, 0, 0].sqrt()
+        gain[positive] += math.log(2.0) + torch.special.log_ndtr(first / sd)
     # What is there in full or not at all has no other size to be averaged over.
     whole = torch.tensor([c.effect.whole for c in some])
     return torch.stack([torch.where(whole, left[:, 0] - 0.5 * told[:, 0, 0], gain), energy])

@@ -1,15 +1,16 @@
 """Noise of forces and markers under a model, and the sums that it weighs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.diagnosis.anew import told
 from torchid.diagnosis.cameras import BANDS
 from torchid.diagnosis.candidates import Candidate, Columns, Design, only
-from torchid.diagnosis.evidence import Prior, Raw, Sums, assembled, fit
+from torchid.diagnosis.evidence import Prior, Raw, Sums
 from torchid.diagnosis.late import without_beyond
 from torchid.diagnosis.watched import Watched
 from torchid.regressor.equations import NormalEquations
@@ -100,7 +101,17 @@ def initial_noise(whitening: Whitening) -> Noise:
 
 def summed(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -> Sums:
     """Forces and markers of every trial under their noise."""
-    return _summed(rows, [accumulate(own.forces, noise.forces) for own in rows], prior, design, noise)
+    return _summed(rows, [_accumulated(own, noise.forces) for own in rows], prior, design, noise)
+
+
+def _accumulated(rows: Rows, whitening: Whitening) -> NormalEquations:
+    """``accumulate`` for columns many of which are zero: what could happen in one trial has none in the others."""
+    live = torch.stack([(block.Y != 0.0).flatten(2).any(2).any(0) for block in rows.forces]).any(0).nonzero()[:, 0]
+    found = accumulate((replace(block, Y=block.Y[:, live]) for block in rows.forces), whitening)
+    n = rows.forces[0].Y.shape[1]
+    gram, moment = found.gram.new_zeros(n, n), found.gram.new_zeros(n)
+    gram[live[:, None], live], moment[live] = found.gram, found.moment
+    return NormalEquations(gram, moment, found.square, found.rows)
 
 
 def _summed(
@@ -116,7 +127,7 @@ def standardised(rows: Rows, forces: NormalEquations, prior: Prior, design: Desi
     volume = sum(noise.forces.log_determinant(block.band) for block in rows.forces)
     if rows.columns.markers is not None:
         weight, markers = noise.markers.reciprocal(), rows.columns.markers
-        gram[k[:, None], k] += torch.einsum("b,bij->ij", weight, markers.gram)
+        gram[k, k] += (weight @ markers.gram.flatten(1)).view_as(gram[k, k])
         moment[k] += weight @ markers.moment
         square += float(weight @ markers.energy)
         volume += float(markers.count @ noise.markers.log())
@@ -135,12 +146,12 @@ def estimate_noise(
     rows, prior, design, chosen = narrowed(rows, prior, design, chosen)
     noise = start
     for _ in range(ROUNDS - bool(chosen)):
-        whitened = [accumulate(own.forces, noise.forces) for own in rows]
-        found = fit(_summed(rows, whitened, prior, design, noise), chosen)
-        theta = [prior.theta(found.z(len(prior.mean), k)) for k in range(len(rows))]
-        told = Sums(design.base, tuple(prior.standard((both.gram, both.moment)) for both in whitened))
+        whitened = [_accumulated(own, noise.forces) for own in rows]
+        posterior = list(told(_summed(rows, whitened, prior, design, noise), chosen))
+        theta = [prior.theta(one.z(len(prior.mean))) for one in posterior]
         # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
-        lost = float((assembled(told, chosen, told.all)[0] * found.covariance).sum())
+        both = zip(posterior, whitened, strict=True)
+        lost = sum(one.lost(prior.standard((own.gram, own.moment))) for one, own in both)
         forces = estimate_whitening(
             ((block, x) for own, x in zip(rows, theta, strict=True) for block in own.forces), lost
         )

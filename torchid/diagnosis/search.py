@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
 from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced
@@ -57,11 +58,10 @@ def search(
     chosen: list[Candidate] = []
     rounds: list[Round] = []
     scan = _Scan(watched, _rows(watched, design), design, prior, limit)
+    noise, sums = scan.noise(chosen, noise)
     while True:
-        noise = estimate_noise(scan.rows, scan.prior, scan.design, chosen, noise)
-        sums, found = scan(noise, chosen)
-        noise, sums, found = scan.closer(noise, sums, found, chosen)
-        rounds.append(found)
+        noise, sums, seen = scan.closer(noise, sums, chosen)
+        rounds.append(found := _scan(sums, open_candidates(scan.design, chosen, limit), chosen))
         best = found.named
         if best is None:
             break
@@ -71,8 +71,9 @@ def search(
             noise, scan = scan.settled(noise, chosen)
         if best.candidate.effect.timed and not best.candidate.effect.kinematic:
             scan, chosen[-1] = scan.timed(noise, chosen)
-    chosen = _pruned(sums, chosen)
-    return reduced(scan.design, scan.prior, noise, chosen, rounds, sums)
+        if chosen[-1] is not seen or best.candidate.effect.late:
+            noise, sums = scan.noise(chosen, noise)
+    return _pruned(reduced(scan.design, scan.prior, noise, chosen, rounds, sums))
 
 
 def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:
@@ -94,9 +95,14 @@ class _Scan:
     prior: Prior
     limit: int
 
-    def __call__(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Sums, Round]:
-        sums = summed(self.rows, self.prior, self.design, noise)
-        return sums, _scan(sums, open_candidates(self.design, chosen, self.limit), chosen)
+    def noise(self, chosen: Sequence[Candidate], start: Noise) -> tuple[Noise, Sums]:
+        """That of what is left by the chosen effects, and the sums under it."""
+        noise = estimate_noise(self.rows, self.prior, self.design, chosen, start)
+        return noise, self.sums(noise)
+
+    def sums(self, noise: Noise) -> Sums:
+        """Of everything under a noise."""
+        return summed(self.rows, self.prior, self.design, noise)
 
     def settled(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Noise, "_Scan"]:
         """Late effects linearised where they are."""
@@ -114,40 +120,33 @@ class _Scan:
 
     def timed(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple["_Scan", Candidate]:
         """The last effect with its interval and course as they are best."""
-        noise = estimate_noise(self.rows, self.prior, self.design, chosen, noise)
-        sums = summed(self.rows, self.prior, self.design, noise)
+        noise, sums = self.noise(chosen, noise)
         rows, design, prior, best = timed(self.watched, self.rows, self.design, self.prior, noise, sums, chosen)
         return replace(self, rows=rows, design=design, prior=prior), best
 
-    def closer(self, noise: Noise, sums: Sums, found: Round, chosen: Sequence[Candidate]) -> tuple[Noise, Sums, Round]:
+    def closer(self, noise: Noise, sums: Sums, chosen: Sequence[Candidate]) -> tuple[Noise, Sums, Candidate | None]:
         """Where the residual is more than noise, likely candidates compete under the noise that each would leave.
 
         Whatever is not yet named is in the noise that was estimated without it: ground that shook at 37 times the noise
-        had no evidence, and two plates that were swapped had less than a tenth of the energy that they explain.
+        had no evidence, and two plates that were swapped had less than a tenth of the energy that they explain. Third
+        is the candidate whose noise it is.
         """
         rest = structure(self.watched, residuals(self.watched, self.design, self.prior, fit(sums, chosen)))
         if not rest.significant:
-            return noise, sums, found
-        best: dict[str, Rival] = {}
-        for rival in found.rivals:
-            if rival.explained > best.setdefault(rival.candidate.effect.name, rival).explained:
-                best[rival.candidate.effect.name] = rival
-        likely = sorted(best.values(), key=lambda r: -r.explained)[:SECOND]
-        likely = [rival for rival in likely if rival.explained > LIKELY * likely[0].explained]
-        if found.named is not None and [rival.candidate for rival in likely] == [found.named.candidate]:
-            return noise, sums, found
-        looks = [look for rival in likely if (look := self._look(noise, rival.candidate, chosen)) is not None]
+            return noise, sums, None
+        likely = _likely(sums, open_candidates(self.design, chosen, self.limit), chosen)
+        looks = [(*look, one) for one in likely if (look := self._look(noise, one, chosen)) is not None]
         if not looks:
-            return noise, sums, found
-        _, noise = max(looks, key=lambda look: look[0])
-        return noise, *self(noise, chosen)
+            return noise, sums, None
+        _, noise, best = max(looks, key=lambda look: look[0])
+        return noise, self.sums(noise), best
 
     def _look(self, noise: Noise, one: Candidate, chosen: Sequence[Candidate]) -> tuple[float, Noise] | None:
         """Log evidence with one more effect under the noise that it leaves; None where it is not supported there."""
         other = estimate_noise(self.rows, self.prior, self.design, [*chosen, one], noise)
         family = [c for c in open_candidates(self.design, chosen, self.limit) if c.effect is one.effect]
         rows, prior, design, own = narrowed(self.rows, self.prior, self.design, [*chosen, *family])
-        sums, base = summed(rows, prior, design, other), own[: len(chosen)]
+        sums, base = eliminated(summed(rows, prior, design, other), own[: len(chosen)])
         fitted, rest = fit(sums, base), own[len(chosen) :]
         gain = gains(sums, fitted, rest)[0] + torch.tensor([c.odds for c in rest]).log()
         if float(torch.logsumexp(gain, 0)) < NAMED:
@@ -178,16 +177,27 @@ def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> 
     return [c for c in design.candidates if c not in chosen and c.effect.bodily not in full]
 
 
+def _likely(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> list[Candidate]:
+    """Of the effects that would explain most, the places that do."""
+    sums, chosen = eliminated(sums, chosen)
+    explained = gains(sums, fit(sums, chosen), left)[1] - 0.5 * torch.tensor([c.size for c in left])
+    best: dict[str, tuple[float, Candidate]] = {}
+    for one, energy in zip(left, explained.tolist(), strict=True):
+        if one.effect.name not in best or energy > best[one.effect.name][0]:
+            best[one.effect.name] = energy, one
+    order = sorted(best.values(), key=lambda both: -both[0])[:SECOND]
+    return [one for energy, one in order if energy > LIKELY * order[0][0]]
+
+
 def _scan(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> Round:
     if not left:
         return Round((), {})
+    sums, chosen = eliminated(sums, chosen)
     gain, energy = gains(sums, fit(sums, chosen), left)
-    crossed = torch.zeros_like(gain)
-    for k in sums.all:
-        # The chain rule: what a trial says after the others is the evidence of all less that of the others.
-        crossed += gain - gains(sums, fit(sums, chosen, sums.all - {k}), left)[0]
-    if len(sums.all) == 1:
-        crossed = gain
+    crossed = gain.clone()
+    if len(sums.all) > 1:
+        # What all trials together do not support needs no consent of each.
+        crossed[gain > 0.0] = _crossed(sums, chosen, [c for c, g in zip(left, gain.tolist(), strict=True) if g > 0.0])
     both = zip(left, gain.tolist(), crossed.tolist(), energy.tolist(), strict=True)
     rivals = [Rival(c, g, x, e - 0.5 * c.size) for c, g, x, e in both]
     rivals.sort(key=lambda rival: -rival.weighed)
@@ -196,16 +206,27 @@ def _scan(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) ->
     return Round(tuple(rivals), families)
 
 
+def _crossed(sums: Sums, chosen: Sequence[Candidate], some: Sequence[Candidate]) -> Float[Tensor, " some"]:
+    """Log evidence that candidates add to what each trial says after the others, summed over the trials.
+
+    By the chain rule, that of a trial is the evidence of all less that of the others.
+    """
+    whole, found = gains(sums, fit(sums, chosen), some)[0], sums.trials[0][1].new_zeros(len(some))
+    for k in sums.all:
+        found += whole - gains(sums, fit(sums, chosen, sums.all - {k}), some)[0]
+    return found
+
+
 def _mean(rivals: Sequence[Rival]) -> float:
     """Log of the mean of exponentials, places weighed by their odds."""
     return float(torch.logsumexp(torch.tensor([r.weighed for r in rivals], dtype=torch.float64), 0))
 
 
-def _pruned(sums: Sums, chosen: Sequence[Candidate]) -> list[Candidate]:
+def _pruned(found: Search) -> Search:
     """Without those that the others have made superfluous."""
-    kept = list(chosen)
-    for one in chosen:
-        rest = [c for c in kept if c is not one]
+    kept = list(found.chosen)
+    for one in found.chosen:
+        sums, rest = eliminated(found.sums, [c for c in kept if c is not one])
         if float(gains(sums, fit(sums, rest), [one])[0]) < NAMED:
-            kept = rest
-    return kept
+            kept.remove(one)
+    return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))

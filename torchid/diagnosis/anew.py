@@ -1,0 +1,109 @@
+"""Effects whose parameters are others in every trial, taken trial by trial.
+
+Eight trials that each have 100 parameters of their own cost eight factors of 100, not one of 800: given what the trials
+share, theirs are independent, so that they are integrated out of each trial's sums alone (Schur complements).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.diagnosis.candidates import Candidate
+from torchid.diagnosis.evidence import Raw, Sums, fit
+
+
+@dataclass(frozen=True)
+class Told:
+    """What all trials together tell of one trial's parameters."""
+
+    columns: Int[Tensor, " acting"]
+    """Of the design; effects that share a source have the same ones."""
+    relative: Float[Tensor, " acting"]
+    """Prior standard deviations against those of the sources."""
+    mean: Float[Tensor, " acting"]
+    covariance: Float[Tensor, "acting acting"]
+
+    def z(self, columns: int) -> Float[Tensor, " all"]:
+        """Mean over all columns of the design."""
+        return self.mean.new_zeros(columns).index_add_(0, self.columns, self.relative * self.mean)
+
+    def lost(self, raw: Raw) -> float:
+        """Degrees of freedom that the trial's rows with these sums have given to the parameters."""
+        gram = raw[0][self.columns[:, None], self.columns]
+        return float((self.relative[:, None] * gram * self.relative * self.covariance).sum())
+
+
+@dataclass(frozen=True)
+class _Own:
+    """Of one trial: columns, and factor of what it says of them."""
+
+    columns: Int[Tensor, " own"]
+    relative: Float[Tensor, " own"]
+    factor: Float[Tensor, "own own"]
+
+    def cross(self, gram: Float[Tensor, "all all"]) -> Float[Tensor, "own all"]:
+        return self.relative[:, None] * gram[self.columns]
+
+
+def _own(raw: Raw, acting: Sequence[Candidate]) -> _Own:
+    columns, relative = torch.cat([c.columns for c in acting]), torch.cat([c.relative for c in acting]).to(raw[0])
+    gram = relative[:, None] * raw[0][columns[:, None], columns] * relative
+    return _Own(columns, relative, torch.linalg.cholesky(gram + torch.eye(len(columns)).to(gram)))
+
+
+def eliminated(sums: Sums, chosen: Sequence[Candidate]) -> tuple[Sums, list[Candidate]]:
+    """Sums in which effects that are anew in every trial are integrated out, and the other effects."""
+    anew, trials, constant = [c for c in chosen if c.effect.anew], [], sums.constant
+    for k, (gram, moment) in enumerate(sums.trials):
+        if acting := [c for c in anew if k in c.trials]:
+            own = _own((gram, moment), acting)
+            shared = torch.linalg.solve_triangular(own.factor, own.cross(gram), upper=False)
+            u = torch.linalg.solve_triangular(own.factor, (own.relative * moment[own.columns])[:, None], upper=False)
+            gram, moment = gram - shared.T @ shared, moment - shared.T @ u[:, 0]
+            constant += float(0.5 * u.square().sum() - own.factor.diagonal().log().sum())
+        trials.append((gram, moment))
+    return Sums(sums.base, tuple(trials), constant), [c for c in chosen if not c.effect.anew]
+
+
+def told(sums: Sums, chosen: Sequence[Candidate]) -> Iterator[Told]:
+    """Of every trial in turn."""
+    less, shared = eliminated(sums, chosen)
+    fitted = fit(less, shared)
+    mean, covariance = fitted.mean, fitted.covariance
+    for k, (gram, moment) in enumerate(sums.trials):
+        at, columns, relative = _acting(sums.base, shared, k)
+        relative = relative.to(gram)
+        here = Told(columns, relative, mean[at], covariance[at[:, None], at])
+        acting = [c for c in chosen if c.effect.anew and k in c.trials]
+        yield _joined(here, _own((gram, moment), acting), gram, moment) if acting else here
+
+
+def _acting(
+    base: int, shared: Sequence[Candidate], trial: int
+) -> tuple[Int[Tensor, " some"], Int[Tensor, " some"], Float[Tensor, " some"]]:
+    """Where parameters of a model without anew effects stand that act in a trial, their columns and scales."""
+    at, columns, relative = [torch.arange(base)], [torch.arange(base)], [torch.ones(base, dtype=torch.float64)]
+    first = base
+    for one in shared:
+        if trial in one.trials:
+            at.append(torch.arange(first, first + one.size))
+            columns.append(one.columns)
+            relative.append(one.relative)
+        first += one.size
+    return torch.cat(at), torch.cat(columns), torch.cat(relative)
+
+
+def _joined(here: Told, own: _Own, gram: Float[Tensor, "all all"], moment: Float[Tensor, " all"]) -> Told:
+    """With the trial's own parameters, which are linear in what it shares, plus what it leaves open."""
+    right = (own.relative * moment[own.columns])[:, None]
+    both = torch.cat([own.cross(gram)[:, here.columns] * here.relative, right], 1)
+    solved = torch.cholesky_solve(both, own.factor)
+    slope, n = -solved[:, :-1], len(here.mean)
+    J = torch.cat([torch.eye(n).to(gram), slope])
+    covariance = J @ here.covariance @ J.T
+    covariance[n:, n:] += torch.cholesky_inverse(own.factor)
+    mean = torch.cat([here.mean, solved[:, -1] + slope @ here.mean])
+    return Told(torch.cat([here.columns, own.columns]), torch.cat([here.relative, own.relative]), mean, covariance)
