@@ -40,7 +40,9 @@ def main() -> None:
     for seed in range(arguments.first, arguments.first + arguments.seeds):
         out = arguments.out / f"seed_{seed}"
         session = simulate_session(options, seed, out / "recordings")
-        outcome = run_experiment(load_config(session.config, [f"out={out.resolve() / 'result'}"]))
+        outcome = run_experiment(
+            load_config(session.config, [f"out={out.resolve() / 'result'}", "diagnosis.enabled=false"])
+        )
         rows.append({"seed": seed, **score(outcome, session)})
         print(
             "  ".join(f"{key} {value:.3g}" for key, value in rows[-1].items() if isinstance(value, int | float)),

@@ -101,7 +101,11 @@ def config() -> Path:
 
 def run_again() -> Outcome:
     """The whole experiment on the written session, into ``out`` beside it."""
-    overrides = [f"out={Path(folder().name) / 'out'}", f"geometry.max_frames={GEOMETRY.max_frames}"]
+    overrides = [
+        f"out={Path(folder().name) / 'out'}",
+        f"geometry.max_frames={GEOMETRY.max_frames}",
+        "diagnosis.enabled=false",
+    ]
     return run_experiment(load_config(config(), overrides))
 
 

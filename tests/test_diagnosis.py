@@ -223,7 +223,7 @@ def test_a_run_writes_its_diagnosis(tmp_path):
     session = simulate_session(options, SEED, tmp_path)
     assert session.config is not None
     config = load_config(session.config)
-    asked = config.diagnosis.model_copy(update={"enabled": True, "max_effects": 1})
+    asked = config.diagnosis.model_copy(update={"max_effects": 1})
     run_experiment(config.model_copy(update={"diagnosis": asked}))
     said = json.loads((config.out / "diagnosis.json").read_text())
     assert {"baseline", "causes", "extended", "not_testable", "plates"} <= set(said)

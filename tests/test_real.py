@@ -14,7 +14,13 @@ from torchid.motion import choose_cutoff
 from torchid.outcome import Outcome
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
-SHORT = ("geometry.max_frames=40", "geometry.iterations=8", "geometry.temporal=false", "geometry.tolerance=1e-3")
+SHORT = (
+    "geometry.max_frames=40",
+    "geometry.iterations=8",
+    "geometry.temporal=false",
+    "geometry.tolerance=1e-3",
+    "diagnosis.enabled=false",
+)
 
 pytestmark = pytest.mark.data
 

@@ -71,7 +71,9 @@ def run(tmp_path_factory) -> Run:
     text = config.read_text(encoding="utf-8").replace("name: S03", f"name: {json.dumps(SUBJECT)}")
     text = text.replace("name: sway_steps", f"name: {json.dumps(TRIAL)}")
     config.write_text(text, encoding="utf-8")
-    loaded = load_config(config, ["geometry.max_frames=60", "geometry.temporal=false", "motion.cutoff_hz=6.0"])
+    loaded = load_config(
+        config, ["geometry.max_frames=60", "geometry.temporal=false", "motion.cutoff_hz=6.0", "diagnosis.enabled=false"]
+    )
     return Run(run_experiment(loaded), loaded.out)
 
 

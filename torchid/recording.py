@@ -63,6 +63,10 @@ class Forces:
         """Samples per second."""
         return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
 
+    def samples(self, part: slice) -> "Forces":
+        """Some of the samples."""
+        return replace(self, time=self.time[part], wrench=self.wrench[part])
+
     @property
     def total(self) -> Float[Tensor, "samples 6"]:
         """Sum over the plates."""

@@ -116,7 +116,16 @@ def without_count(head: bytes, header: C3dHeader) -> bytes:
 
 def run_child(config: Path, out: Path, threads: int) -> dict[str, float]:
     """``torchid run`` as a process of its own: peak resident memory [MiB], wall and CPU time [s]."""
-    line = [sys.executable, "-m", "torchid.cli", "run", str(config), f"out={out}", f"threads={threads}"]
+    line = [
+        sys.executable,
+        "-m",
+        "torchid.cli",
+        "run",
+        str(config),
+        f"out={out}",
+        f"threads={threads}",
+        "diagnosis.enabled=false",
+    ]
     environment = os.environ | {"OMP_NUM_THREADS": str(threads)}
     start, peak = time.perf_counter(), 0.0
     child = subprocess.Popen(line, env=environment)  # noqa: S603

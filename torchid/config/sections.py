@@ -135,7 +135,7 @@ class Inertia(InertiaOptions):
 class Diagnosis(Section):
     """What the identified model still gets wrong."""
 
-    enabled: bool = False
+    enabled: bool = True
     max_effects: Annotated[int, Field(ge=0, le=20)] = 3
     include: tuple[Name, ...] = ()
     """Effects to try; empty means the whole catalogue."""

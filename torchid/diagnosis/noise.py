@@ -118,7 +118,7 @@ def _summed(
     rows: Sequence[Rows], forces: Sequence[NormalEquations], prior: Prior, design: Design, noise: Noise
 ) -> Sums:
     found = [standardised(own, both, prior, design, noise) for own, both in zip(rows, forces, strict=True)]
-    return Sums(design.base, tuple(raw for raw, _ in found), sum(constant for _, constant in found))
+    return Sums(design.base, tuple(raw for raw, _ in found), sum((constant for _, constant in found), start=0.0))
 
 
 def standardised(rows: Rows, forces: NormalEquations, prior: Prior, design: Design, noise: Noise) -> tuple[Raw, float]:

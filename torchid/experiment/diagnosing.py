@@ -1,10 +1,20 @@
 """What the diagnosis sees of an experiment."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 from torchid.config import Config
 from torchid.diagnosis.diagnose import Diagnosis, diagnose, wanted
 from torchid.diagnosis.plates import recognise
 from torchid.diagnosis.watched import Known, Watched, watch
+from torchid.effects.catalogue import CATALOGUE
 from torchid.outcome import Outcome
+from torchid.regressor.rows import WrenchTrial
+
+LONGEST_S = 40.0
+"""Of a trial is searched at most: columns of the whole catalogue take 13 MB per second at 100 Hz."""
+MOST = 12
+"""Trials of each role that are searched: those with most used frames."""
 
 
 def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
@@ -15,26 +25,61 @@ def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
     """
     effects, identified = wanted(config.diagnosis.include, config.diagnosis.exclude), outcome.identified
     plates, _ = recognise(_forces(outcome))
-    watched, heldout = (list(watch_outcome(outcome, role).values()) for role in ("fit", "heldout"))
+    trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
+    parts = {role: searched(some) for role, some in trials.items()}
+    watched, heldout = (list(watch_outcome(outcome, role, parts[role]).values()) for role in ("fit", "heldout"))
     if identified is None or not watched:
         return None
-    return diagnose(
+    found = diagnose(
         watched, heldout, plates, effects, outcome.prior,
         identified.fit.omega_2, identified.whitening, config.diagnosis.max_effects, outcome.fit,
     )  # fmt: skip
+    return replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
 
 
-def watch_outcome(outcome: Outcome, role: str) -> dict[str, Watched]:
-    """Trials of a role with forces, as the diagnosis sees them."""
+def forceful(outcome: Outcome, role: str) -> dict[str, WrenchTrial]:
+    """Rows of the trials of a role that have any."""
+    rows = {name: outcome.followed[name].wrench for name in outcome.session.part(role, "inertia")}
+    return {name: one for name, one in rows.items() if one is not None and any(True for _ in one.blocks())}
+
+
+def searched(trials: Mapping[str, WrenchTrial]) -> dict[str, slice]:
+    """The frames of each trial that are worth their memory: the stretch in which most are used."""
+    kept = sorted(trials, key=lambda name: -int(trials[name].used.sum()))[:MOST]
+    return {name: _stretch(rows) for name, rows in trials.items() if name in kept}
+
+
+def _stretch(rows: WrenchTrial) -> slice:
+    n = round(LONGEST_S * rows.rate)
+    if len(rows.used) <= n:
+        return slice(0, len(rows.used))
+    first = int(rows.used.long().unfold(0, n, 1).sum(1).argmax())
+    return slice(first, first + n)
+
+
+def _passed_over(trials: Mapping[str, WrenchTrial], parts: Mapping[str, slice]) -> dict[str, str]:
+    """What comes and goes is not found where nobody looks."""
+    said = [f"{name} was not searched" for name in trials if name not in parts]
+    for name, part in parts.items():
+        time = trials[name].motion.time
+        if part.stop - part.start < len(time):
+            said.append(f"of {name} only {float(time[part.start]):.1f} to {float(time[part.stop - 1]):.1f} s")
+    return {name: "; ".join(said) for name, one in CATALOGUE.items() if one.timed} if said else {}
+
+
+def watch_outcome(outcome: Outcome, role: str, parts: Mapping[str, slice] | None = None) -> dict[str, Watched]:
+    """Trials of a role with forces, as the diagnosis sees them; given parts, these alone."""
     forces = _forces(outcome)
     _, frames = recognise(forces)
     known = Known(outcome.prior.mean, outcome.phi, float(outcome.prior.mean[:, 0].sum()))
     found = {}
-    for name in outcome.session.part(role, "inertia"):
-        item = outcome.followed[name]
-        if item.wrench is not None and item.contact is not None and any(True for _ in item.wrench.blocks()):
-            seen = outcome.fit, outcome.session.trials[name].markers, item.tracked
-            found[name] = watch(item.wrench, forces[name], item.contact.measured, frames[name], known, seen)
+    for name, rows in forceful(outcome, role).items():
+        item, part = outcome.followed[name], slice(None) if parts is None else parts.get(name)
+        if part is not None and item.contact is not None:
+            markers = outcome.session.trials[name].markers.frames(part)
+            seen = outcome.fit, markers, item.tracked.frames(part)
+            own, measured = forces[name].samples(part), item.contact.measured[part]
+            found[name] = watch(rows.frames(part), own, measured, frames[name], known, seen)
     return found
 
 

@@ -34,6 +34,10 @@ class Tracked:
     observable: Bool[Tensor, " frames"]
     """The markers of the frame determine every coordinate."""
 
+    def frames(self, part: slice) -> "Tracked":
+        """Some of the frames."""
+        return Tracked(self.time[part], self.q[part], self.error[part], self.observable[part])
+
     @property
     def rmse(self) -> float:
         """Root mean square of the distances [m]."""

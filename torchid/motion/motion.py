@@ -5,7 +5,7 @@ normalised after the filter); only then are angles and their rates taken from th
 accelerations of the bodies, which is all that dynamics sees, therefore do not feel a pole of the angles.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import roma
 from jaxtyping import Bool, Float
@@ -26,6 +26,10 @@ class Motion:
     """Rates: base linear and angular velocity in W, then time derivatives of the joint coordinates."""
     a: Float[Tensor, "frames dofs"]
     smoother: Smoother
+
+    def frames(self, part: slice) -> "Motion":
+        """Some of the frames."""
+        return replace(self, time=self.time[part], q=self.q[part], v=self.v[part], a=self.a[part])
 
 
 def smooth_motion(

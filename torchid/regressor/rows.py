@@ -1,7 +1,7 @@
 """Rows of the base: regressor and measured wrench of a trial, about the pelvis' origin, in blocks of used frames."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -29,6 +29,10 @@ class WrenchTrial:
     wrench: Float[Tensor, "frames 6"]
     """Total on the subject about the world's origin, in W."""
     used: Bool[Tensor, " frames"]
+
+    def frames(self, part: slice) -> "WrenchTrial":
+        """Some of the frames."""
+        return replace(self, motion=self.motion.frames(part), wrench=self.wrench[part], used=self.used[part])
 
     @property
     def rate(self) -> float:
