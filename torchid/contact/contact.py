@@ -34,6 +34,11 @@ class Contact:
     belt: Float[Tensor, "feet 2"]
     """Horizontal velocity of the ground under each foot [m/s], zero where nothing moves: a treadmill's belts."""
 
+    def frames(self, part: slice) -> "Contact":
+        """Some of the frames."""
+        touching, supported, plate = self.touching[part], self.supported[part], self.plate[part]
+        return Contact(self.feet, touching, supported, plate, self.measured[part], self.used[part], self.belt)
+
     @property
     def excluded(self) -> int:
         """Number of frames taken out for a foot beside the plates."""

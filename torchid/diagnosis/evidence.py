@@ -100,7 +100,7 @@ class Sums:
 
     @cached_property
     def _whole(self) -> Raw:
-        grams, moments = zip(*self.trials, strict=True)
+        grams, moments = ([raw[k] for raw in self.trials] for k in (0, 1))
         return sum(grams[1:], start=grams[0]), sum(moments[1:], start=moments[0])
 
     def cross(self, chosen: Sequence[Candidate], columns: Tensor, seen: frozenset[int]) -> Tensor:

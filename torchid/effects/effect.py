@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.effects.momentum import displaced
@@ -263,6 +263,15 @@ def within(
             depth = depth / edge_s if edge_s > 0.0 else torch.where(depth >= -1e-9, 1.0, 0.0)
             inside = torch.maximum(inside, 0.5 - 0.5 * torch.cos(torch.pi * depth.clamp(0.0, 1.0)))
     return inside
+
+
+def inside_any(intervals: Sequence[Interval], trial: str, time: Float[Tensor, " frames"]) -> Bool[Tensor, " frames"]:
+    """Whether frames of a trial are in any of the intervals."""
+    found = torch.zeros_like(time, dtype=torch.bool)
+    for one in intervals:
+        if one.trial == trial:
+            found |= (time >= one.t0) & (time <= one.t1)
+    return found
 
 
 def mean_within(place: Place) -> float:

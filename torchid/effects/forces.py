@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.effect import Effect, Parameter, Place, anchor, mean_within, within
+from torchid.effects.effect import Effect, Interval, Parameter, Place, anchor, mean_within, within
 from torchid.effects.scene import Point, Scene, at_origin
 from torchid.effects.sight import View
 
@@ -109,10 +109,10 @@ class UnmeasuredContact(PointForce):
         return tuple(replace(place, grid={"knots": float(k)}) for k in sorted(knots))
 
     def size(self, place: Place) -> int:
-        return 3 * _knots(place)
+        return 3 * _knots(place) * (1 if _knots(place) == 1 else len(place.when or ()))
 
     def scale(self, place: Place) -> tuple[float, ...]:
-        return super().scale(place) * _knots(place)
+        return super().scale(place) * (self.size(place) // 3)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         if _knots(place) == 1:
@@ -125,12 +125,13 @@ class UnmeasuredContact(PointForce):
         return theta[:, None].expand(3, len(scene.time))
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        force = theta * mean_within(place)
+        force, length = theta * mean_within(place), theta.new_tensor([i.t1 - i.t0 for i in place.when or ()])
         if _knots(place) > 1:
             weight = torch.ones(_knots(place)).to(theta)
             weight[[0, -1]] = 0.5
-            force = weight @ theta.view(-1, 3) / weight.sum()
-        return {"force_N": force, "impulse_Ns": force * sum(own.t1 - own.t0 for own in place.when or ())}
+            each = torch.einsum("k,ikx->ix", weight / weight.sum(), theta.view(len(length), -1, 3))
+            force = length @ each / length.sum()
+        return {"force_N": force, "impulse_Ns": force * length.sum()}
 
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return super().internal(place, values) / mean_within(place)
@@ -145,10 +146,12 @@ def _knots(place: Place) -> int:
 
 
 def _hats(place: Place, scene: Scene) -> Float[Tensor, "knots frames"]:
-    """Each 1 at its knot and 0 at the others, straight between; zero outside the interval."""
+    """Each 1 at its knot and 0 at the others, straight between; zero outside its interval."""
     assert place.when is not None
-    (own,) = place.when
-    knots = _knots(place)
+    return torch.cat([_interval_hats(own, _knots(place), scene) for own in place.when])
+
+
+def _interval_hats(own: Interval, knots: int, scene: Scene) -> Float[Tensor, "knots frames"]:
     at = (scene.time - own.t0) / (own.t1 - own.t0) * (knots - 1)
     inside = (at >= 0.0) & (at <= knots - 1.0)
     return inside * (1.0 - (at - torch.arange(knots).to(at)[:, None]).abs()).clamp(min=0.0)

@@ -1,10 +1,11 @@
 """What the diagnosis sees of an experiment."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from torchid.config import Config
-from torchid.diagnosis.diagnose import Diagnosis, diagnose, wanted
+from torchid.diagnosis.diagnose import Diagnosis, diagnose, wanted, with_gross
+from torchid.diagnosis.gross import EFFECT, Gross, find_gross, set_aside
 from torchid.diagnosis.plates import recognise
 from torchid.diagnosis.watched import Known, Watched, watch
 from torchid.effects.catalogue import CATALOGUE
@@ -30,11 +31,26 @@ def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
     watched, heldout = (list(watch_outcome(outcome, role, parts[role]).values()) for role in ("fit", "heldout"))
     if identified is None or not watched:
         return None
+    gross = _gross(outcome, watched, parts["fit"]) if any(e.name == EFFECT.name for e in effects) else []
+    aside = [i for one in gross for i in one.aside]
+    left = [w for w in (set_aside(w, aside) for w in watched) if any(True for _ in w.rows.blocks())]
+    watched = left or watched
     found = diagnose(
         watched, heldout, plates, effects, outcome.prior,
         identified.fit.omega_2, identified.whitening, config.diagnosis.max_effects, outcome.fit,
     )  # fmt: skip
-    return replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
+    found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
+    return with_gross(found, gross)
+
+
+def _gross(outcome: Outcome, watched: Sequence[Watched], parts: Mapping[str, slice]) -> list[Gross]:
+    found = []
+    for w in watched:
+        item, part, forces = outcome.followed[w.rows.name], parts[w.rows.name], _forces(outcome)[w.rows.name]
+        assert item.contact is not None
+        observable = item.tracked.observable[part]
+        found.append(find_gross(w, forces.samples(part), item.contact.frames(part), observable))
+    return [one for one in found if one is not None]
 
 
 def forceful(outcome: Outcome, role: str) -> dict[str, WrenchTrial]:

@@ -11,7 +11,7 @@ from torchid.diagnosis.candidates import Source, answer_of
 from torchid.diagnosis.diagnose import Cause
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import effect
-from torchid.effects.effect import Planted, columns
+from torchid.effects.effect import Planted, columns, inside_any
 from torchid.effects.scene import make_scene
 from torchid.effects.sight import Sight
 from torchid.experiment.diagnosing import watch_outcome
@@ -70,11 +70,14 @@ def follow_extended(
     config: Config, base: Outcome, session: Session, fit: GeometryFit, tracked: dict[str, Tracked]
 ) -> dict[str, Followed]:
     """All trials followed by the extended model; wrenches are those that it has to explain by motion alone."""
+    assert base.diagnosis is not None
     found = {name: follow(fit, trial, tracked[name], base.cutoff_hz, config) for name, trial in session.trials.items()}
     for name, added in effect_wrenches(base).items():
         wrench = found[name].wrench
         if wrench is not None:
-            found[name] = replace(found[name], wrench=replace(wrench, wrench=wrench.wrench - added))
+            aside = inside_any(base.diagnosis.aside, name, wrench.motion.time)
+            left = replace(wrench, wrench=wrench.wrench - added, used=wrench.used & ~aside)
+            found[name] = replace(found[name], wrench=left)
     return found
 
 
