@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import small_session as small
 import torch
+from torch.testing import assert_close
 
 from torchid.diagnosis.gross import REACH_M, find_gross, set_aside
 from torchid.diagnosis.watched import Watched
@@ -69,7 +70,7 @@ def test_a_seat_is_found_where_and_when_it_bears(trial):
     (when,) = found.place.when
     assert abs(when.t0 - own.t0) < 0.15 and abs(when.t1 - own.t1) < 0.15
     named = sum(found.theta.view(-1, 3)[1:-1]) / (len(found.theta) // 3 - 2)
-    assert torch.allclose(named, force.to(named), atol=0.15 * weight * 0.67)
+    assert_close(named, force.to(named), rtol=0.0, atol=0.1 * weight)
     assert found.gain["force_rmse_pct"] > 50.0
     used = set_aside(trial, found.aside).rows.used
     inside = (scene.time >= own.t0) & (scene.time <= own.t1)

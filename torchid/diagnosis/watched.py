@@ -21,6 +21,9 @@ from torchid.recording import Forces, Markers
 from torchid.regressor.rows import WrenchTrial, runs
 from torchid.regressor.whitening import white_scatter
 
+ENDS = 0.6
+"""Periods of the cut-off from an end of the clock within which no column is trusted: those of displacements are second
+derivatives of what a filter knows from one side only. A landing's last frames made a filter's lag out of 13 kN."""
 ENOUGH = 50
 """Frames that tell the noise of a plate that bears nothing."""
 
@@ -73,6 +76,7 @@ def watch(
         known: inertia.
         seen: geometry, markers and how they were followed; None: nothing is asked of the markers.
     """
+    rows = _inner(rows)
     scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, known.prior)
     scene = replace(scene, recorded_kg=known.recorded_kg)
     raw = reading(rows.name, forces, frames)
@@ -87,6 +91,13 @@ def watch(
         return Watched(rows, view, known.phi, scatter, idle)
     cameras = _cameras(scene, *seen)
     return Watched(rows, replace(view, sight=cameras.sight), known.phi, scatter, idle, cameras)
+
+
+def _inner(rows: WrenchTrial) -> WrenchTrial:
+    margin = round(ENDS / rows.motion.smoother.cutoff_hz * rows.rate)
+    used = rows.used.clone()
+    used[:margin] = used[len(used) - margin :] = False
+    return replace(rows, used=used)
 
 
 def _cameras(scene: Scene, fit: GeometryFit, markers: Markers, tracked: Tracked) -> Cameras:

@@ -13,6 +13,10 @@ from torchid.kinematics.recursion import poses
 
 ASTRAY = 3.0
 """A frame whose cost is this many times that of the best fifth of all restarts from a neighbour."""
+CLIFF = 1.5
+"""One that stands out of the frame beside it so many times restarts from that one."""
+CLIMB = 200
+"""Frames in a row that are regained at most, from either side."""
 
 
 def initial_posture(problem: MarkerProblem, xi: Float[Tensor, " xi"], rest: Float[Tensor, " dofs"]) -> Tensor:
@@ -67,14 +71,44 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
     plain = replace(problem, robust=None)
     q, cost = solve_poses(plain, q, xi)
     for _ in range(rounds):
-        rating = cost / (problem.weight > 0).sum(0).clamp(min=1)
-        astray = rating > ASTRAY * rating.quantile(0.2)
+        astray = _astray(problem, cost)
         if not bool(astray.any()) or bool(astray.all()):
             break
         index = astray.nonzero()[:, 0]
-        again, new = solve_poses(plain.frames(index), hold(q, ~astray)[:, index], xi)
-        better = new < 0.99 * cost[index]
-        if not bool(better.any()):
+        if not _retried(plain, q, cost, xi, index, hold(q, ~astray)[:, index]):
             break
-        q[:, index[better]], cost[index[better]] = again[:, better], new[better]
+    _climb(plain, q, cost, xi)
     return q if problem.robust is None else solve_poses(problem, q, xi)[0]
+
+
+def _astray(problem: MarkerProblem, cost: Tensor) -> Tensor:
+    rating = _rating(problem, cost)
+    return rating > ASTRAY * rating.quantile(0.2)
+
+
+def _rating(problem: MarkerProblem, cost: Tensor) -> Tensor:
+    return cost / (problem.weight > 0).sum(0).clamp(min=1)
+
+
+def _climb(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> None:
+    """Frames that stand out of their neighbours again from the better one, for as long as that helps; in place.
+
+    Half a trial astray (a landing, in which skin moves) hid an arm that was lost overhead for 50 frames: no good frame
+    was near, but one beside it always was.
+    """
+    for _ in range(CLIMB):
+        rating = _rating(problem, cost)
+        wide = torch.nn.functional.pad(rating, (1, 1), value=torch.inf)
+        steep = rating > CLIFF * torch.minimum(wide[:-2], wide[2:])
+        index = (steep & _astray(problem, cost)).nonzero()[:, 0]
+        beside = torch.where(wide[index] < wide[index + 2], index - 1, index + 1)
+        if not len(index) or not _retried(problem, q, cost, xi, index, q[:, beside]):
+            break
+
+
+def _retried(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor, index: Tensor, start: Tensor) -> bool:
+    """Whether some frames fare better from other postures; kept in place where they do."""
+    again, new = solve_poses(problem.frames(index), start, xi)
+    better = new < 0.99 * cost[index]
+    q[:, index[better]], cost[index[better]] = again[:, better], new[better]
+    return bool(better.any())
