@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter, Place, value_of
-from torchid.effects.markers import bend, liveliest
+from torchid.effects.markers import bend, lively
 from torchid.effects.momentum import below
 from torchid.effects.scene import Scene
 from torchid.effects.sight import View
@@ -60,8 +60,9 @@ class JointCentreShift(Effect):
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         scenes = [v.scene for v in views]
-        joints = [(joint_name(scenes[0], k), liveliest(scenes, k)) for k in range(1, len(scenes[0].tree.names))]
-        return tuple(Place((joint,), follows=dof) for joint, dof in joints if dof is not None)
+        joints = [(joint_name(scenes[0], k), lively(scenes, k)) for k in range(1, len(scenes[0].tree.names))]
+        # One chance for each joint: forearms that turn more than elbows bend hid what the elbow's flexion did.
+        return tuple(Place((joint,), odds=1.0 / len(dofs), follows=dof) for joint, dofs in joints for dof in dofs)
 
     def move(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "bodies 6 frames"]:
         body = carried_by(scene, place.where[0])

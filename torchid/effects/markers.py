@@ -140,14 +140,14 @@ def _cues(scenes: Sequence[Scene], segment: str) -> tuple[str, ...]:
     """Of the joints at both ends of a segment, the coordinate that moves most."""
     tree = scenes[0].tree
     ends = [tree.index(segment), *(k for k, body in enumerate(tree.bodies) if body.parent == tree.index(segment))]
-    return tuple(dof for k in ends if (dof := liveliest(scenes, k)) is not None)
+    return tuple(dof for k in ends for dof in lively(scenes, k)[:1])
 
 
-def liveliest(scenes: Sequence[Scene], body: int) -> str | None:
-    """The coordinate of a body's joint that moves most, None for the root."""
+def lively(scenes: Sequence[Scene], body: int) -> tuple[str, ...]:
+    """Coordinates of a body's joint that move at least half as much as the one that moves most, and first; the root
+    has none."""
     tree = scenes[0].tree
     rows = [turn.row for turn in tree.bodies[body].turns if turn.moving]
-    if not rows:
-        return None
-    spread = [max(float(s.q[row].std()) for s in scenes) for row in rows]
-    return tree.dof_names[rows[spread.index(max(spread))]]
+    spread = {row: max(float(s.q[row].std()) for s in scenes) for row in rows}
+    order = sorted(rows, key=lambda row: -spread[row])
+    return tuple(tree.dof_names[row] for row in order if spread[row] >= 0.5 * spread[order[0]])
