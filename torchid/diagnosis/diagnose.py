@@ -145,9 +145,15 @@ def diagnose(
     if rest.significant:
         # A model that the data visibly contradict is sure of nothing that the contradicted forces told.
         trust = 1.0 - 0.5 * rest.share_of_residual
-        causes = [c if effect(c.effect).bodily else replace(c, confidence=trust * c.confidence) for c in causes]
+        causes = [c if _seen(c) else replace(c, confidence=trust * c.confidence) for c in causes]
     idle = _idle(watched, plates)
     return Diagnosis(plates, judge(())[0], extended[0], tuple(causes), rest, idle)
+
+
+def _seen(cause: Cause) -> bool:
+    """Told by markers alone, as bodies' are."""
+    own = effect(cause.effect)
+    return own.bodily and own.kinematic
 
 
 def with_gross(found: Diagnosis, some: Sequence[Gross]) -> Diagnosis:

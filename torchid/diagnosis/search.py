@@ -49,7 +49,7 @@ def search(
         inertia: prior of the inertial parameters.
         omega: weight of that prior.
         whitening: of the inertial fit, to begin with.
-        limit: number of effects at most, of bodies and of all else each.
+        limit: number of effects at most, of bodies, of markers and of forces each.
         geometry: with which the trials were followed.
     """
     design = make_design(watched, effects, geometry)
@@ -172,9 +172,13 @@ def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, t
 
 
 def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
-    """Those that may still be chosen: no laboratory's error is left out because bodies are as bodies are."""
-    full = {of for of in (False, True) if sum(c.effect.bodily == of for c in chosen) >= limit}
-    return [c for c in design.candidates if c not in chosen and c.effect.bodily not in full]
+    """Those that may still be chosen: no plate's error is left out because bodies are as bodies are, or for markers."""
+    kinds = [_kind(c.effect) for c in chosen]
+    return [c for c in design.candidates if c not in chosen and kinds.count(_kind(c.effect)) < limit]
+
+
+def _kind(effect: Effect) -> tuple[bool, bool]:
+    return effect.bodily, effect.kinematic
 
 
 def _likely(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> list[Candidate]:

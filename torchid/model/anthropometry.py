@@ -43,6 +43,14 @@ SCALE_SD = 0.02
 """Of the logarithm of one length scale common to all segments."""
 
 
+GROWN_M = 1.5
+"""Stature from which on adults' tables are taken at their word."""
+GROWTH, HEAD_GROWTH = 1.2, 3.0
+"""What a part of that stature that is missing adds to the scatter of the logarithm of a mass fraction, and the head's:
+at seven years it has more than twice an adult's share, and falls by 1.1 % of the body a year (Jensen 1986, J Biomech
+19:359)."""
+
+
 def inertial_prior(
     geometry: Geometry, height: float | None, mass: float | None, mass_sd: float | None, sex: str
 ) -> InertialPrior:
@@ -101,11 +109,12 @@ def _encode(table: list[Segment]) -> Float[Tensor, "bodies 10"]:
 
 
 def _scatter(height: float) -> Float[Tensor, "bodies 10"]:
-    rows = []
+    rows, missing = [], max(0.0, 1.0 - height / GROWN_M)
     for name in SEGMENTS:
         part = name[:-2] if name[-2:] in ("_l", "_r") else name
-        com = [sd * height / 1.74 for sd in COM_SD[part]]
-        rows.append([MASS_SD[part], *com, *[EXTENT_SD] * 3, *[PRODUCT_SD] * 3])
+        mass = math.hypot(MASS_SD[part], missing * (HEAD_GROWTH if part == "head" else GROWTH))
+        com = [sd * height / 1.74 * mass / MASS_SD[part] for sd in COM_SD[part]]
+        rows.append([mass, *com, *[EXTENT_SD * mass / MASS_SD[part]] * 3, *[PRODUCT_SD] * 3])
     return torch.tensor(rows, dtype=torch.float64)
 
 
