@@ -26,9 +26,15 @@ from batteries.sizes import SIZES
 from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.experiment import run_experiment
+from torchid.simulate.options import SimulateOptions
+from torchid.simulate.session import simulate_session
 
 KNOWN = tuple(name for name in SIZES if not name.startswith("offcat_"))
 FOREIGN = tuple(name for name in SIZES if name.startswith("offcat_"))
+
+OWN = "own"
+"""Of torchid's own simulator."""
+OPTIONS = SimulateOptions(fit=("squats", "arms", "trunk", "sway_steps"), heldout=("hip_rom",), skin_motion_mm=0.0)
 
 
 @dataclass(frozen=True)
@@ -50,7 +56,7 @@ class Job:
 def jobs(arguments: argparse.Namespace) -> Iterator[Job]:
     """In an order in which a battery that is stopped early has a little of everything."""
     seed = arguments.first
-    for k in range(max(arguments.each, arguments.nulls, arguments.pairs, arguments.foreign)):
+    for k in range(max(arguments.each, arguments.nulls, arguments.own, arguments.pairs, arguments.foreign)):
         for level in arguments.levels:
             for name in arguments.effects or KNOWN:
                 seed += 1
@@ -67,6 +73,8 @@ def jobs(arguments: argparse.Namespace) -> Iterator[Job]:
         seed += 1
         if k < arguments.nulls:
             yield Job("null", (), "none", seed)
+        if k < arguments.own:
+            yield Job("null", (), OWN, seed)
 
 
 def perform(job: Job, out: Path, keep: bool) -> dict:
@@ -75,14 +83,19 @@ def perform(job: Job, out: Path, keep: bool) -> dict:
     keep_memory()
     folder = out / job.key
     rng = np.random.default_rng((job.seed, 7))
-    config = load_config(simulate(folder, job.seed, [draw_effect(name, job.level, rng) for name in job.names]))
+    if job.level == OWN:
+        made = simulate_session(OPTIONS, job.seed, folder)
+        assert made.config is not None
+        config = load_config(made.config)
+    else:
+        config = load_config(simulate(folder, job.seed, [draw_effect(name, job.level, rng) for name in job.names]))
     begun = time.perf_counter()
     try:
         outcome = run_experiment(config)
         stages = {name: spent.seconds for name, spent in outcome.times.items()}
         said = json.loads((config.out / "diagnosis.json").read_text())
-        truth = json.loads((folder / "truth" / "truth.json").read_text())
-        row = judged(truth["effects"], said) | {"diagnosis_s": stages.get("diagnosis")}
+        hidden = json.loads((folder / "truth" / "truth.json").read_text())["effects"] if job.names else []
+        row = judged(hidden, said) | {"diagnosis_s": stages.get("diagnosis")}
     except Exception as failure:  # a battery goes on; the row says what happened
         row = {"failed": f"{type(failure).__name__}: {failure}"}
     if not keep:
@@ -97,6 +110,7 @@ def main() -> None:
     parser.add_argument("--levels", nargs="*", default=["medium"], choices=["small", "medium", "large"])
     parser.add_argument("--each", type=int, default=1, help="sessions per effect and level")
     parser.add_argument("--nulls", type=int, default=2, help="sessions with nothing hidden")
+    parser.add_argument("--own", type=int, default=0, help="the same, written by torchid's own simulator")
     parser.add_argument("--pairs", type=int, default=2, help="sessions with two effects, per level")
     parser.add_argument("--foreign", type=int, default=0, help="sessions per effect outside the catalogue and level")
     parser.add_argument("--first", type=int, default=int(time.time()) % 10**6, help="seed (default: the clock's)")
