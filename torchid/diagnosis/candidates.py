@@ -160,7 +160,7 @@ def make_design(watched: Sequence[Watched], effects: Sequence[Effect], fit: Geom
 
 def _kinematic(sources: Sequence[Source]) -> slice:
     own = [s.columns for s in sources if s.effect.kinematic]
-    return slice(own[0].start, own[-1].stop) if own else slice(0)
+    return slice(own[0].start, own[-1].stop) if own else slice(0, 0)
 
 
 def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:
