@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchid.effects.momentum import carriage, levers, wrench_of
 from torchid.effects.sight import Sight
-from torchid.regressor.whitening import cosine_matrix, white_scatter
+from torchid.regressor.whitening import QUIET, cosine_matrix, white_scatter
 
 COARSE_HZ = 10.0
 """Residuals are averaged to about this rate: postures and effects change slowly against it."""
@@ -24,6 +24,9 @@ EDGES = (0.15, 0.5, 1.5)
 """Upper edges of the bands [Hz] behind the mean of a block, which is a band of its own."""
 KEPT_HZ = 4.0
 """Of the cosine coefficients; faster, markers of a person have noise alone."""
+NEAR_HZ = (6.0, 10.0)
+"""Where noise is looked at as well: markers that were low-passed at 8 Hz showed a fiftieth of theirs at 20 Hz, and four
+false causes explained the rest."""
 CHUNK = 256
 """Frames whose Jacobians are made together."""
 BLOCK = 256
@@ -98,7 +101,9 @@ class Cameras:
     @cached_property
     def scatter(self) -> Float[Tensor, " markers"]:
         """White noise of each marker's coordinates [m]; gaps are bridged by nothing and count for little."""
-        own = white_scatter(self.error.permute(2, 0, 1)).square().mean(1).sqrt()
+        error, rate = self.error.permute(2, 0, 1), self.sight.scene.rate
+        band = (min(NEAR_HZ[0] / rate, QUIET[0]), min(NEAR_HZ[1] / rate, QUIET[1]))
+        own = torch.stack([white_scatter(error, x).square().mean(1).sqrt() for x in (QUIET, band)]).amax(0)
         part = (self.weight > 0.0).to(own).mean(1)
         # Postures have taken their share of the noise.
         left = self.coarse.free * self.coarse.rows.numel() / self.coarse.seen

@@ -48,9 +48,11 @@ QUIET = (0.2, 0.3)
 """Parts of the frame rate at which nobody moves and filters against aliases still let noise through."""
 
 
-def white_scatter(x: Float[Tensor, "frames *channels"]) -> Float[Tensor, "*channels"]:
-    """Standard deviation of the white noise of each channel, from where there is nothing else."""
-    first, last = (round(2.0 * f * len(x)) for f in QUIET)
+def white_scatter(
+    x: Float[Tensor, "frames *channels"], band: tuple[float, float] = QUIET
+) -> Float[Tensor, "*channels"]:
+    """Standard deviation of the white noise of each channel, from a band (parts of the frame rate) of nothing else."""
+    first, last = (round(2.0 * f * len(x)) for f in band)
     coefficients = cosine_matrix(len(x), last).to(x)[first:] @ x.flatten(1)
     return (coefficients.square().median(0).values / 0.4549).sqrt().view(x.shape[1:])
 
