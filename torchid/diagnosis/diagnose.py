@@ -151,7 +151,7 @@ def diagnose(
 
 
 def _seen(cause: Cause) -> bool:
-    """Told by markers alone, as bodies' are."""
+    """What bodies do and cameras see: no contradicted force had to tell it."""
     own = effect(cause.effect)
     return own.bodily and own.kinematic
 
