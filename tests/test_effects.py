@@ -185,6 +185,8 @@ def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed)
     """The column of filtered markers is the wrench that their motion lacks, however much the filter took."""
     fit, cameras = followed
     one, scene, smoother = planted(options("filter_lag")), cameras.sight.scene, Smoother(8.0, 100.0)
+    # At 2.5 Hz: of a squat, 5 Hz take less than the solver's stop leaves.
+    one = dataclasses.replace(one, theta=16.0 * one.theta)
     seen = cameras.sight.p + one.seen(cameras.sight)
     q = track(fit, Markers(subject.labels, scene.time, seen.permute(2, 0, 1))).q
     filtered = smooth_motion(scene.tree, scene.time, q, Smoother(50.0, 100.0))
@@ -195,7 +197,7 @@ def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed)
     lacks = smoother((scene.needed() - found.needed()).T)[40:-40]
     guess = smoother(known.wrench([answer_of(known, source)]).permute(2, 0, 1) @ one.theta)[40:-40]
     for part in (slice(0, 3), slice(3, 6)):
-        assert float((lacks - guess)[:, part].norm()) < 0.1 * float(lacks[:, part].norm()) + 0.05
+        assert float((lacks - guess)[:, part].norm()) < 0.1 * float(lacks[:, part].norm())
 
 
 def test_the_ground_carries_what_is_hidden(subject, plain):

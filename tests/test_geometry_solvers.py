@@ -129,11 +129,11 @@ def test_robust_loss_forgets_outliers(problem):
 
 
 def test_frames_do_not_mix_at_fixed_geometry(problem):
-    """Inverse kinematics of a few frames gives what it gives among others."""
+    """Inverse kinematics of a few frames gives what it gives among others, but for a step that rounding decides."""
     given, q, xi = problem
     index = torch.tensor([1, 4, 8])
     alone = solve_poses(given.frames(index), q[:, index] + 0.05, xi)[0]
-    assert_close(alone, solve_poses(given, q + 0.05, xi)[0][:, index], rtol=0, atol=1e-7)
+    assert_close(alone, solve_poses(given, q + 0.05, xi)[0][:, index], rtol=0, atol=1e-4)
 
 
 def test_a_missing_marker_has_no_say(problem):

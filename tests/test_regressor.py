@@ -17,9 +17,10 @@ from torchid.regressor.whitening import (
     Spectrum,
     Whitening,
     accumulate,
-    bands,
+    band_of,
     cosine_matrix,
     estimate_whitening,
+    frequencies,
     initial_whitening,
     spectra,
 )
@@ -117,10 +118,11 @@ def coloured(count: int, params: int) -> tuple[list[Spectrum], torch.Tensor, tor
     root = root * torch.linspace(12.0, 3.0, len(root), dtype=torch.float64)[:, None, None]
     phi, blocks = torch.randn(params, dtype=torch.float64), []
     for _ in range(count):
-        band = bands(500, 150, 100.0)
+        frequency = frequencies(500, 150, 100.0)
+        band = band_of(frequency)
         Y = 20.0 * torch.randn(6, params, len(band), dtype=torch.float64)
         noise = torch.einsum("kij,kj->ik", root[band], torch.randn(len(band), 6, dtype=torch.float64))
-        blocks.append(Spectrum(Y, torch.einsum("ipk,p->ik", Y, phi) + noise, band))
+        blocks.append(Spectrum(Y, torch.einsum("ipk,p->ik", Y, phi) + noise, frequency))
     return blocks, phi, root @ root.mT
 
 

@@ -12,11 +12,13 @@ from torchid.diagnosis.idle import IdleSums, idle_sums
 from torchid.diagnosis.nuisances import GeometryError, SkinSlide
 from torchid.diagnosis.proposals import suggested
 from torchid.diagnosis.rates import calibrated
+from torchid.diagnosis.shaken import covariation
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
 from torchid.effects.effect import STEP, Effect, Place, columns
 from torchid.effects.markers import MarkerShift
 from torchid.effects.plates import PlateDrift, PlateOffset
+from torchid.effects.sight import View
 from torchid.geometry.fitted import GeometryFit
 
 PLATES = ((PlateOffset(), 0.1), (PlateDrift(), 0.05))
@@ -84,6 +86,8 @@ class Columns:
     """Of zero errors."""
     beyond: Float[Tensor, "frames 6"] | None = None
     """What late effects do beyond their columns, about the origin of W, where those are linearised elsewhere."""
+    covariation: Float[Tensor, "bands 6 6 all"] | None = None
+    """Of the noise that markers leave in all columns, inertia first, with that of the total."""
 
 
 @dataclass(frozen=True)
@@ -176,16 +180,17 @@ def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candi
     own = tuple(replace(c, source=sources[c.source.columns.start]) for c in some)
     k = design.kinematic
     seen = which[(which >= k.start) & (which < k.stop)] - k.start
-    trials = tuple(_only(c, which[design.inertia :] - design.inertia, seen) for c in design.trials)
+    trials = tuple(_only(c, which, design.inertia, seen) for c in design.trials)
     return replace(design, sources=tuple(sources.values()), candidates=own, trials=trials), own, which
 
 
-def _only(columns: Columns, some: Int[Tensor, " kept"], seen: Int[Tensor, " fewer"]) -> Columns:
-    markers = columns.markers
+def _only(columns: Columns, which: Int[Tensor, " kept"], inertia: int, seen: Int[Tensor, " fewer"]) -> Columns:
+    markers, noise = columns.markers, columns.covariation
+    extra = columns.extra[:, which[inertia:] - inertia]
     if markers is not None:
         gram = markers.gram[:, seen[:, None], seen]
         markers = MarkerSums(gram, markers.moment[:, seen], markers.energy, markers.count)
-    return replace(columns, extra=columns.extra[:, some], markers=markers)
+    return replace(columns, extra=extra, markers=markers, covariation=None if noise is None else noise[..., which])
 
 
 def mass(effect: Effect, places: Sequence[Place]) -> float:
@@ -220,22 +225,50 @@ def _key(effect: Effect, place: Place) -> tuple:
 
 def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     """Of all sources in one trial."""
-    view, cameras, point = watched.view, watched.cameras, watched.rows.motion.q[:, :3]
-    wrench = view.reading.wrench.new_zeros(6, sum(len(s.scale) for s in sources), len(point))
-    first, answers, own = sources[0].columns.start if sources else 0, [], _kinematic(sources)
+    cameras, own, first = watched.cameras, _kinematic(sources), sources[0].columns.start if sources else 0
+    wrench = watched.rows.wrench.new_zeros(6, sum(len(s.scale) for s in sources), len(watched.rows.used))
     for source in sources:
         if not source.effect.kinematic:
-            part = slice(source.columns.start - first, source.columns.stop - first)
-            wrench[:, part] = columns(source.effect, view.scene, view.read(source.effect.inverted), source.place)
-        elif cameras is not None:
-            answers.append(answer_of(cameras, source))
+            wrench[:, source.columns.start - first : source.columns.stop - first] = _seen_by_plates(
+                watched.view, source
+            )
+    answers = [] if cameras is None else [answer_of(cameras, s) for s in sources if s.effect.kinematic]
     if cameras is not None and answers:
         wrench[:, own.start - first : own.stop - first] = cameras.wrench(answers)
-    extra = wrench_about(wrench.permute(1, 2, 0), point.expand(wrench.shape[1], -1, -1)).permute(2, 0, 1)
+    extra = _about_root(watched, wrench)
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
     sums = marker_sums(cameras.coarse, cameras.left(answers)) if cameras is not None and answers else None
-    return Columns(extra, sums, idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources]))
+    idle = idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources])
+    return Columns(extra, sums, idle, covariation=_covariation(watched, sources))
+
+
+def _seen_by_plates(view: View, source: Source) -> Float[Tensor, "6 columns frames"]:
+    return columns(source.effect, view.scene, view.read(source.effect.inverted), source.place)
+
+
+def _about_root(watched: Watched, wrench: Float[Tensor, "6 more frames"]) -> Float[Tensor, "6 more frames"]:
+    root = watched.rows.motion.q[:, :3].expand(wrench.shape[1], -1, -1)
+    return wrench_about(wrench.permute(1, 2, 0), root).permute(2, 0, 1)
+
+
+def _covariation(watched: Watched, sources: Sequence[Source]) -> Float[Tensor, "bands 6 6 all"] | None:
+    """See ``Columns``; zero for what no acceleration enters."""
+    if watched.expected is None:
+        return None
+    some = [s for s in sources if s.effect.accelerated]
+
+    def of(view: View) -> Float[Tensor, "6 some frames"]:
+        empty = view.reading.wrench.new_zeros(6, 0, len(view.scene.time))
+        return _about_root(watched, torch.cat([empty, *(_seen_by_plates(view, s) for s in some)], 1))
+
+    plain, n = of(watched.view), watched.phi.numel()
+    noise = ((torch.cat([one.inertia, of(one.view) - plain], 1), one.total) for one in watched.shaken)
+    found = covariation(watched.rows, watched.expected.believed, noise)
+    whole = found.new_zeros(*found.shape[:3], n + sum(len(s.scale) for s in sources))
+    which = [torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)]
+    whole[..., torch.cat(which)] = found
+    return whole
 
 
 def answer_of(cameras: Cameras, source: Source) -> Answer:

@@ -4,20 +4,16 @@ Plates' noise is what their unloaded channels show; markers' noise is what a lab
 beyond what a person can. Draws of both pass the same chain as the recording (postures, filter, inverse dynamics).
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.cameras import Cameras
-from torchid.dynamics import wrench_about
-from torchid.effects.momentum import wrench_of
+from torchid.diagnosis.belief import Belief, belief
 from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import EDGES, bands, coefficients, cosine_matrix
-
-DRAWS = 4
-"""Of the noise of each trial."""
+from torchid.regressor.whitening import EDGES, band_of, coefficients, cosine_matrix, frequencies
 
 
 @dataclass(frozen=True)
@@ -29,41 +25,53 @@ class Expected:
     plates: Float[Tensor, "bands 6"]
     """Of the plates' noise."""
     count: Float[Tensor, " bands"]
-    believed: Float[Tensor, "bands 6"]
+    believed: Belief
     """Part of the wrench needed by the found motion that the true motion needs."""
 
 
-def expected(rows: WrenchTrial, cameras: Cameras, scatter: Float[Tensor, " 6"]) -> Expected:
-    """Of one trial that cameras have seen; ``scatter`` is the plates' noise per frame [N, N m]."""
-    draws = [_draw(rows, cameras, scatter, k) for k in range(DRAWS)]
-    motion, plates = (torch.stack([energy(rows, d[k])[0] for d in draws]).mean(0) for k in (0, 1))
-    own, count = energy(rows, wrench_about(cameras.sight.scene.needed().T, rows.motion.q[:, :3]))
-    return Expected(motion, plates, count, (1.0 - motion / own.clamp(min=1e-300)).clamp(min=0.0))
+def expected(
+    rows: WrenchTrial,
+    needed: Float[Tensor, "frames 6"],
+    shaken: Sequence[Float[Tensor, "frames 6"]],
+    scatter: Float[Tensor, " 6"],
+) -> Expected:
+    """Of one trial that cameras have seen.
+
+    Args:
+        rows: of it.
+        needed: wrench that the found motion needs, about the root's origin [N, N m].
+        shaken: what draws of the markers' noise add to it.
+        scatter: the plates' noise per frame [N, N m].
+    """
+    plates = [_filtered(rows, scatter, k) for k in range(len(shaken))]
+    motion, read = (torch.stack([energy(rows, x)[0] for x in some]).mean(0) for some in (shaken, plates))
+    frequency, own, *noise = zip(*_squares(rows, needed, *shaken), strict=True)
+    mean = torch.stack([torch.cat(x) for x in noise]).mean(0)
+    believed = belief(torch.cat(frequency), torch.cat(own), mean)
+    return Expected(motion, read, energy(rows, needed)[1], believed)
+
+
+def _filtered(rows: WrenchTrial, scatter: Float[Tensor, " 6"], draw: int) -> Float[Tensor, "frames 6"]:
+    """What plates' noise would leave of a perfect model."""
+    generator = torch.Generator().manual_seed(draw)
+    white = torch.randn(len(rows.used), 6, generator=generator, dtype=torch.float64).to(rows.wrench)
+    return rows.motion.smoother(white * scatter)
+
+
+def _squares(rows: WrenchTrial, *several: Float[Tensor, "frames 6"]) -> Iterator[tuple[Tensor, ...]]:
+    """Frequencies of a block's cosine coefficients but for the mean, and squares of the coefficients of each."""
+    for part in rows.blocks():
+        frames = part.stop - part.start
+        kept = coefficients(rows, frames)
+        C = cosine_matrix(frames, kept).to(several[0])
+        yield frequencies(frames, kept, rows.rate)[1:].to(C), *((C @ x[part]).square()[1:] for x in several)
 
 
 def energy(rows: WrenchTrial, x: Float[Tensor, "frames 6"]) -> tuple[Float[Tensor, "bands 6"], Float[Tensor, " bands"]]:
     """Energy of the used frames' cosine coefficients, means of blocks left out, and their number."""
     found, count = x.new_zeros(len(EDGES) + 1, 6), x.new_zeros(len(EDGES) + 1)
-    for part in rows.blocks():
-        frames = part.stop - part.start
-        kept = coefficients(rows, frames)
-        square = (cosine_matrix(frames, kept).to(x) @ x[part]).square()[1:]
-        band = bands(frames, kept, rows.rate)[1:].to(x.device)
+    for frequency, square in _squares(rows, x):
+        band = band_of(frequency)
         found.index_add_(0, band, square)
         count.index_add_(0, band, torch.ones_like(square[:, 0]))
     return found, count
-
-
-def _draw(
-    rows: WrenchTrial, cameras: Cameras, scatter: Float[Tensor, " 6"], draw: int
-) -> tuple[Float[Tensor, "frames 6"], Float[Tensor, "frames 6"]]:
-    """What markers' noise, and plates' noise, would leave of a perfect model, about the root's origin."""
-    generator = torch.Generator().manual_seed(draw)
-
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(*shape, generator=generator, dtype=torch.float64).to(rows.wrench)
-
-    shaken = cameras.scatter.repeat_interleave(3) * normal(len(rows.used), 3 * len(cameras.scatter))
-    nine = (cameras.answer @ shaken[:, :, None])[:, :, 0]
-    motion = wrench_of(rows.motion.smoother(nine)[:, :, None], rows.rate)[:, :, 0]
-    return wrench_about(motion, rows.motion.q[:, :3]), rows.motion.smoother(normal(len(rows.used), 6) * scatter)

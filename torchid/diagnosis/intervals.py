@@ -72,7 +72,8 @@ def _with(design: Design, one: Candidate, places: Sequence[Place]) -> Design:
 
 def _columns(design: Design, trial: int, extra: Tensor) -> Columns:
     own = design.trials[trial]
-    return replace(own, extra=torch.cat([own.extra, extra], 1))
+    noise = None if own.covariation is None else torch.nn.functional.pad(own.covariation, (0, extra.shape[1]))
+    return replace(own, extra=torch.cat([own.extra, extra], 1), covariation=noise)
 
 
 def _extra(watched: Watched, design: Design) -> Float[Tensor, "6 more frames"]:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.anew import told
+from torchid.diagnosis.belief import Belief
 from torchid.diagnosis.cameras import BANDS
 from torchid.diagnosis.candidates import Candidate, Columns, Design, only
 from torchid.diagnosis.evidence import Prior, Raw, Sums
@@ -39,10 +40,6 @@ class Rows:
 def rows_of(watched: Watched, columns: Columns, late: Sequence[bool]) -> Rows:
     """Of one trial, columns shrunk to what is expected of the true motion.
 
-    Noise in what predicts makes it predict too much, the more the faster: a body mass that wobbles explained that in
-    sessions that hid nothing (regression calibration; Carroll et al. 2006, Measurement Error in Nonlinear Models,
-    chapter 4). The mean of a block is weight, and stays.
-
     Args:
         watched: the trial.
         columns: of it.
@@ -51,19 +48,17 @@ def rows_of(watched: Watched, columns: Columns, late: Sequence[bool]) -> Rows:
     found = tuple(spectra(without_beyond(watched.rows, columns), columns.extra))
     if watched.expected is None:
         return Rows(found, columns)
-    return Rows(tuple(_shrunk(block, watched.expected.believed, late) for block in found), columns)
+    believed, phi = watched.expected.believed, watched.phi.reshape(-1)
+    return Rows(tuple(_shrunk(block, believed, phi, late) for block in found), columns)
 
 
-def _shrunk(block: Spectrum, believed: Float[Tensor, "bands 6"], late: Sequence[bool]) -> Spectrum:
-    part = _part(block, believed)[:, None].repeat(1, block.Y.shape[1], 1)
+def _shrunk(block: Spectrum, believed: Belief, phi: Float[Tensor, " params"], late: Sequence[bool]) -> Spectrum:
+    """What the identified body needs is taken off unshrunk: its noise is accounted for, its shrinkage would not be."""
+    part = believed(block.frequency).T
+    rest = (1.0 - part) * torch.einsum("ipk,p->ik", block.Y[:, : len(phi)], phi)
+    part = part[:, None].repeat(1, block.Y.shape[1], 1)
     part[:, torch.tensor([False] * (block.Y.shape[1] - len(late)) + list(late))] = 1.0
-    return Spectrum(part * block.Y, block.F, block.band)
-
-
-def _part(block: Spectrum, believed: Float[Tensor, "bands 6"]) -> Float[Tensor, "6 kept"]:
-    part = believed[block.band].T.clone()
-    part[:, 0] = 1.0
-    return part
+    return Spectrum(part * block.Y, block.F - rest, block.frequency)
 
 
 def with_columns(rows: Rows, columns: Columns, watched: Watched, more: Float[Tensor, "6 more frames"]) -> Rows:
@@ -77,8 +72,8 @@ def with_columns(rows: Rows, columns: Columns, watched: Watched, more: Float[Ten
     """
     blocks = []
     for block, fresh in zip(rows.forces, column_spectra(watched.rows, more), strict=True):
-        own = fresh if watched.expected is None else _part(block, watched.expected.believed)[:, None] * fresh
-        blocks.append(Spectrum(torch.cat([block.Y, own], 1), block.F, block.band))
+        own = fresh if watched.expected is None else watched.expected.believed(block.frequency).T[:, None] * fresh
+        blocks.append(Spectrum(torch.cat([block.Y, own], 1), block.F, block.frequency))
     return Rows(tuple(blocks), columns)
 
 
@@ -89,7 +84,7 @@ def narrowed(
     small, own, which = only(design, some)
     less = []
     for k, one in enumerate(rows):
-        blocks = tuple(Spectrum(block.Y[:, which], block.F, block.band) for block in one.forces)
+        blocks = tuple(Spectrum(block.Y[:, which], block.F, block.frequency) for block in one.forces)
         less.append(Rows(blocks, small.trials[k]))
     return less, prior.widened(small), small, own
 
@@ -124,6 +119,8 @@ def _summed(
 def standardised(rows: Rows, forces: NormalEquations, prior: Prior, design: Design, noise: Noise) -> tuple[Raw, float]:
     """Sums of one trial, and the log density of its rows but for what models of one noise differ in."""
     gram, moment, k, square = forces.gram.clone(), forces.moment.clone(), design.kinematic, forces.square
+    if rows.columns.covariation is not None:
+        moment += torch.einsum("bij,bijc->c", torch.linalg.inv(noise.forces.covariance), rows.columns.covariation)
     volume = sum(noise.forces.log_determinant(block.band) for block in rows.forces)
     if rows.columns.markers is not None:
         weight, markers = noise.markers.reciprocal(), rows.columns.markers

@@ -6,18 +6,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.diagnosis.belief import belief
 from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import EDGES, bands, coefficients, cosine_matrix
+from torchid.regressor.whitening import coefficients, cosine_matrix, frequencies
 
 
 def calibrated(
     rate: Float[Tensor, "6 columns frames"], rows: WrenchTrial, scatter: Float[Tensor, " 6"]
 ) -> Float[Tensor, "6 columns frames"]:
-    """Each band of each channel shrunk by the part of its energy that is not the plates' noise; zero where not used.
+    """Each channel shrunk to the part of its energy that is not the plates' noise (``belief``); zero where not used.
 
-    A column with noise of its own finds too little (regression calibration; Carroll et al. 2006, Measurement Error in
-    Nonlinear Models, chapter 4): of 12 ms, 10 ms were found. Noise taken off the Gram matrix instead can leave less
-    than nothing in a trial that hardly moves.
+    Not shrunk, of 12 ms, 10 ms were found. Noise taken off the Gram matrix instead can leave less than nothing in a
+    trial that hardly moves.
 
     Args:
         rate: of the filtered wrench about the root's origin [N/s, N m/s].
@@ -25,18 +25,15 @@ def calibrated(
         scatter: of the wrench per frame, before the filter [N, N m].
     """
     parts, found = [], torch.zeros_like(rate)
-    energy, noise = rate.new_zeros(len(EDGES) + 1, *rate.shape[:2]), rate.new_zeros(len(EDGES) + 1, 6, 1)
     for part in rows.blocks():
         frames = part.stop - part.start
         kept = coefficients(rows, frames)
-        C, band = cosine_matrix(frames, kept).to(rate), bands(frames, kept, rows.rate).to(rate.device)
-        own = (rate[:, :, part] @ C.T).permute(2, 0, 1)
-        frequency = 0.5 * rows.rate * torch.arange(kept).to(rate) / frames
-        passed = 2.0 * math.pi * frequency * rows.motion.smoother.response(frequency)
-        energy.index_add_(0, band, own.square())
-        noise.index_add_(0, band, (passed[:, None] * scatter).square()[:, :, None])
-        parts.append((part, C, band, own))
-    true = (1.0 - noise / energy.clamp(min=1e-300)).clamp(min=0.0)
-    for part, C, band, own in parts:
-        found[:, :, part] = (true[band] * own).permute(1, 2, 0) @ C
+        C, frequency = cosine_matrix(frames, kept).to(rate), frequencies(frames, kept, rows.rate).to(rate)
+        parts.append((part, C, frequency, (rate[:, :, part] @ C.T).permute(2, 0, 1)))
+    every, own = torch.cat([p[2] for p in parts]), torch.cat([p[3] for p in parts])
+    passed = 2.0 * math.pi * every * rows.motion.smoother.response(every)
+    noise = (passed[:, None] * scatter).square()[:, :, None].expand(own.shape)
+    true = belief(every, own.square(), noise)
+    for part, C, frequency, own in parts:
+        found[:, :, part] = (true(frequency) * own).permute(1, 2, 0) @ C
     return found

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.expected import Expected, expected
 from torchid.diagnosis.idle import LOADED, Idle, find_idle
+from torchid.diagnosis.shaken import regressor, shaken
 from torchid.dynamics import wrench_about
 from torchid.effects.scene import PlateFrame, Scene, make_scene, reading
 from torchid.effects.sight import Sight, View
@@ -17,6 +18,7 @@ from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.tracking import Tracked, modelled
 from torchid.geometry.trials import posture_prior
 from torchid.kinematics.plan import plan_tree
+from torchid.motion import Motion
 from torchid.recording import Forces, Markers
 from torchid.regressor.rows import WrenchTrial, runs
 from torchid.regressor.whitening import white_scatter
@@ -26,6 +28,17 @@ ENDS = 0.6
 derivatives of what a filter knows from one side only. A landing's last frames made a filter's lag out of 13 kN."""
 ENOUGH = 50
 """Frames that tell the noise of a plate that bears nothing."""
+
+
+@dataclass(frozen=True)
+class Shaken:
+    """The same under another draw of the markers' noise."""
+
+    view: View
+    inertia: Float[Tensor, "6 params frames"]
+    """What the draw adds to the inertial columns, about the root's origin ..."""
+    total: Float[Tensor, "6 frames"]
+    """... and to the wrench that the identified body needs."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +55,20 @@ class Watched:
     cameras: Cameras | None = None
 
     @cached_property
+    def shaken(self) -> tuple[Shaken, ...]:
+        """Draw by draw; none where no camera shows the noise."""
+        if self.cameras is None:
+            return ()
+        plain = regressor(self.rows, self.rows.motion)
+        return tuple(_shaken(self, motion, plain) for motion in shaken(self.rows.motion, self.cameras))
+
+    @cached_property
     def expected(self) -> Expected | None:
         """What noise makes of the wrench; None where no camera shows that of the markers."""
-        return None if self.cameras is None else expected(self.rows, self.cameras, self.scatter)
+        if self.cameras is None:
+            return None
+        needed = wrench_about(self.view.scene.needed().T, self.rows.motion.q[:, :3])
+        return expected(self.rows, needed, [one.total.T for one in self.shaken], self.scatter)
 
 
 @dataclass(frozen=True)
@@ -91,6 +115,16 @@ def watch(
         return Watched(rows, view, known.phi, scatter, idle)
     cameras = _cameras(scene, *seen)
     return Watched(rows, replace(view, sight=cameras.sight), known.phi, scatter, idle, cameras)
+
+
+def _shaken(watched: Watched, motion: Motion, plain: Float[Tensor, "6 params frames"]) -> Shaken:
+    rows, view = watched.rows, watched.view
+    scene = make_scene(rows.name, rows.tree, rows.geometry, motion, view.scene.phi)
+    scene = replace(scene, recorded_kg=view.scene.recorded_kg)
+    bore = _borne(view.measured.wrench, replace(scene, phi=watched.phi).needed().T)
+    more = regressor(rows, motion) - plain
+    total = torch.einsum("ipt,p->it", more, watched.phi.reshape(-1))
+    return Shaken(replace(view, scene=scene, reading=replace(view.reading, wrench=bore)), more, total)
 
 
 def _inner(rows: WrenchTrial) -> WrenchTrial:

@@ -75,6 +75,8 @@ class Effect(ABC):
     """It changes what cameras see (``move``, ``slide``)."""
     anew: ClassVar[bool] = False
     """Its parameters are others in every trial."""
+    accelerated: ClassVar[bool] = False
+    """Its columns follow accelerations of the found motion, or the loads that they make: markers' noise shows."""
     late: ClassVar[bool] = False
     """It shifts the plates' readings in time."""
     inverted: ClassVar[bool] = False

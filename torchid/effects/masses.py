@@ -6,6 +6,7 @@ wobbling masses; Lemus, Berry, Jabeen et al., Sci Rep 10 (2020), on worn gyrosco
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ class BodyMass(Effect):
     """
 
     name = "body_mass"
+    accelerated = True
     parameters = (Parameter("excess_kg", 4.0),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -57,6 +59,7 @@ class Payload(Effect):
     """
 
     name = "payload"
+    accelerated = True
     parameters = (Parameter("mass_kg", 2.0, positive=True), Parameter("moment_seg_kgm", 0.3, 3))
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -115,6 +118,7 @@ class WobblingMass(Effect):
     """
 
     name = "wobbling_mass"
+    accelerated = True
     bodily = True
     parameters = (Parameter("mass_kg", 2.0, positive=True),)
 
@@ -140,10 +144,7 @@ def wobble(
 ) -> tuple[Float[Tensor, "3 frames"], Float[Tensor, "3 frames"]]:
     """Place and acceleration of a mass on a spring relative to its accelerated carrier, at rest before the start."""
     w = 2.0 * math.pi * frequency_hz
-    frames, fine = a.shape[1], FINE * rate_hz
-    spring = [-1.0], [1.0, 2.0 * damping_ratio * w, w * w]
-    discrete: Any = scipy.signal.cont2discrete(spring, 1.0 / fine, "foh")
-    ahead, back = np.ravel(discrete[0]), np.ravel(discrete[1])
+    frames, (ahead, back) = a.shape[1], _spring(FINE * rate_hz, w, damping_ratio)
     known = a.detach().cpu().numpy()
     lead = np.repeat(known[:, :1], frames, axis=1)
     both = np.concatenate([lead, known], axis=1)
@@ -153,6 +154,13 @@ def wobble(
     place = torch.as_tensor(x, dtype=a.dtype, device=a.device)
     speed = torch.as_tensor(np.gradient(x, 1.0 / rate_hz, axis=1), dtype=a.dtype, device=a.device)
     return place, -(a - a[:, :1]) - 2.0 * damping_ratio * w * speed - w * w * place
+
+
+@lru_cache(maxsize=64)
+def _spring(rate_hz: float, w: float, damping_ratio: float) -> tuple[np.ndarray, np.ndarray]:
+    """Filter that the spring is, forced along straight lines."""
+    discrete: Any = scipy.signal.cont2discrete(([-1.0], [1.0, 2.0 * damping_ratio * w, w * w]), 1.0 / rate_hz, "foh")
+    return np.ravel(discrete[0]), np.ravel(discrete[1])
 
 
 class Flywheel(Effect):

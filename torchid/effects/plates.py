@@ -35,6 +35,7 @@ def to_world(frame: PlateFrame, wrench: Float[Tensor, "samples 6"]) -> Float[Ten
 class PlateMap(Effect):
     """An effect on what single plates read, each alike."""
 
+    accelerated = True
     together = False
     """Could also sit on all plates alike."""
 
@@ -80,6 +81,7 @@ class PlateOffset(PlateMap):
     """A constant wrench on every sample of a plate, loaded or not: it was zeroed under load, or not at all."""
 
     name = "plate_offset"
+    accelerated = False
     parameters = (Parameter("force_plate_N", 5.0, 3), Parameter("moment_plate_Nm", 1.0, 3))
 
     def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
@@ -90,6 +92,7 @@ class PlateDrift(PlateMap):
     """An offset that grows with time since the recording began: charge amplifiers and warming bridges do."""
 
     name = "plate_drift"
+    accelerated = False
     parameters = (Parameter("rate_plate", 0.5, 6),)
 
     def scale(self, place: Place) -> tuple[float, ...]:
@@ -152,6 +155,7 @@ class PlateAssignment(PlateMap):
     """
 
     name = "plate_assignment"
+    accelerated = False
     parameters = (Parameter("share", 1.0, positive=True),)
     inverted = whole = True
 

@@ -10,7 +10,7 @@ residuals: it holds the plates' noise and what marker noise does to the regresso
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -63,7 +63,12 @@ class Spectrum:
 
     Y: Float[Tensor, "6 params kept"]
     F: Float[Tensor, "6 kept"]
-    band: Int[Tensor, " kept"]
+    frequency: Float[Tensor, " kept"]
+
+    @cached_property
+    def band(self) -> Int[Tensor, " kept"]:
+        """Of each coefficient."""
+        return band_of(self.frequency)
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,7 @@ def _spectrum(trial: WrenchTrial, part: slice, extra: Tensor | None) -> Spectrum
     frames = part.stop - part.start
     kept = coefficients(trial, frames)
     C = cosine_matrix(frames, kept).to(F)
-    return Spectrum(Y @ C.T, F @ C.T, bands(frames, kept, trial.rate).to(F.device))
+    return Spectrum(Y @ C.T, F @ C.T, frequencies(frames, kept, trial.rate).to(F.device))
 
 
 def column_spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"]) -> list[Float[Tensor, "6 more kept"]]:
@@ -127,10 +132,14 @@ def coefficients(trial: WrenchTrial, frames: int) -> int:
     return max(1, min(frames, math.ceil(2.0 * cutoff * frames / trial.rate)))
 
 
-def bands(frames: int, kept: int, rate: float) -> Int[Tensor, " kept"]:
-    """Band of each coefficient."""
-    frequency = 0.5 * rate * torch.arange(kept, dtype=torch.float64) / frames
-    return torch.bucketize(frequency, torch.tensor(EDGES, dtype=torch.float64))
+def frequencies(frames: int, kept: int, rate: float) -> Float[Tensor, " kept"]:
+    """Of the coefficients [Hz]."""
+    return 0.5 * rate * torch.arange(kept, dtype=torch.float64) / frames
+
+
+def band_of(frequency: Float[Tensor, " kept"]) -> Int[Tensor, " kept"]:
+    """Band of each frequency [Hz]."""
+    return torch.bucketize(frequency, torch.tensor(EDGES).to(frequency))
 
 
 def initial_whitening(like: Tensor) -> Whitening:

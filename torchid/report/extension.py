@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchid.outcome import Outcome
 from torchid.regressor.rows import WrenchTrial, measured, predict
-from torchid.regressor.whitening import BEYOND, EDGES, bands, cosine_matrix
+from torchid.regressor.whitening import BEYOND, EDGES, band_of, cosine_matrix, frequencies
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.report.following import marker_cells
 from torchid.report.text import clean, number
@@ -153,7 +153,7 @@ def spectrum(trials: list[tuple[WrenchTrial, Float[Tensor, "frames 6"]]]) -> Flo
             length = part.stop - part.start
             kept = max(1, min(length, int(2.0 * cutoff * length / trial.rate)))
             square = (cosine_matrix(length, kept) @ left[part].cpu()).square()
-            band = bands(length, kept, trial.rate).cpu()
+            band = band_of(frequencies(length, kept, trial.rate))
             energy.index_add_(1, band, torch.stack([square[:, axes].sum(1) for *_, axes in KINDS]))
             frames += length
     return (energy / max(frames, 1)).sqrt()
