@@ -18,9 +18,10 @@ from torchid.errors import ConfigError
 from torchid.filters import Smoother
 from torchid.geometry.attachment import Attachment
 from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.inverse import solve_poses
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.tracking import modelled, track
-from torchid.geometry.trials import posture_prior
+from torchid.geometry.trials import posture_prior, trial_problem
 from torchid.motion import smooth_motion
 from torchid.recording import Markers
 from torchid.simulate.options import PlantedOptions, SimulateOptions
@@ -185,10 +186,11 @@ def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed)
     """The column of filtered markers is the wrench that their motion lacks, however much the filter took."""
     fit, cameras = followed
     one, scene, smoother = planted(options("filter_lag")), cameras.sight.scene, Smoother(8.0, 100.0)
-    # At 2.5 Hz: of a squat, 5 Hz take less than the solver's stop leaves.
-    one = dataclasses.replace(one, theta=16.0 * one.theta)
     seen = cameras.sight.p + one.seen(cameras.sight)
-    q = track(fit, Markers(subject.labels, scene.time, seen.permute(2, 0, 1))).q
+    filtered_markers = Markers(subject.labels, scene.time, seen.permute(2, 0, 1))
+    # 5 Hz take less of a squat than the solver's usual stop leaves.
+    problem = trial_problem(fit, filtered_markers, posture_prior(fit))
+    q = solve_poses(problem, track(fit, filtered_markers).q.T, fit.xi, tolerance=1e-12)[0].T
     filtered = smooth_motion(scene.tree, scene.time, q, Smoother(50.0, 100.0))
     found = make_scene("squats", scene.tree, subject.geometry, filtered, subject.phi)
     sight = dataclasses.replace(cameras.sight, scene=found)
@@ -197,7 +199,7 @@ def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed)
     lacks = smoother((scene.needed() - found.needed()).T)[40:-40]
     guess = smoother(known.wrench([answer_of(known, source)]).permute(2, 0, 1) @ one.theta)[40:-40]
     for part in (slice(0, 3), slice(3, 6)):
-        assert float((lacks - guess)[:, part].norm()) < 0.1 * float(lacks[:, part].norm())
+        assert float((lacks - guess)[:, part].norm()) < 0.25 * float(lacks[:, part].norm())
 
 
 def test_the_ground_carries_what_is_hidden(subject, plain):

@@ -16,7 +16,8 @@ from torch import Tensor
 
 from torchid.effects.momentum import carriage, levers, wrench_of
 from torchid.effects.sight import Sight
-from torchid.regressor.whitening import QUIET, cosine_matrix, white_scatter
+from torchid.regressor.rows import runs
+from torchid.regressor.whitening import QUIET, cosine_matrix
 
 COARSE_HZ = 10.0
 """Residuals are averaged to about this rate: postures and effects change slowly against it."""
@@ -27,6 +28,8 @@ KEPT_HZ = 4.0
 NEAR_HZ = (6.0, 10.0)
 """Where noise is looked at as well: markers that were low-passed at 8 Hz showed a fiftieth of theirs at 20 Hz, and four
 false causes explained the rest."""
+SEEN_LONG = 25
+"""Frames in a row that tell a marker's noise: edges of gaps made 80 mm of 1 mm."""
 ALIKE = 1.5
 """Ratio of two estimates of a variance up to which they are of one."""
 CHUNK = 256
@@ -111,16 +114,26 @@ class Cameras:
 
     @cached_property
     def scatter(self) -> Float[Tensor, " markers"]:
-        """White noise of each marker's coordinates [m]; gaps are bridged by nothing and count for little."""
-        error, rate = self.error.permute(2, 0, 1), self.sight.scene.rate
-        band = (min(NEAR_HZ[0] / rate, QUIET[0]), min(NEAR_HZ[1] / rate, QUIET[1]))
-        quiet, near = (white_scatter(error, x).square().mean(1) for x in (QUIET, band))
+        """White noise of each marker's coordinates [m], from where it is seen longest; the middle one's if hardly."""
+        rate, seen = self.sight.scene.rate, self.weight > 0.0
+        bands = QUIET, (min(NEAR_HZ[0] / rate, QUIET[0]), min(NEAR_HZ[1] / rate, QUIET[1]))
+        found = self.error.new_full((len(seen), 2), float("nan"))
+        for k, own in enumerate(seen):
+            start, stop = max(runs(own), key=lambda run: run[1] - run[0], default=(0, 0))
+            if stop - start >= SEEN_LONG:
+                error = self.error[k, :, start:stop].T
+                found[k] = torch.stack([_usual(error, band).square().mean() for band in bands])
+        quiet, near = torch.where(found.isnan(), found.nanmedian(0).values, found).nan_to_num().unbind(1)
         # Means of both where they agree: the larger of two is 8 % too large.
         own = torch.where(near > ALIKE * quiet, near, 0.5 * (quiet + near)).sqrt()
-        part = (self.weight > 0.0).to(own).mean(1)
         # Postures have taken their share of the noise.
-        left = self.coarse.free * self.coarse.rows.numel() / self.coarse.seen
-        return own / (left * part.clamp(min=0.1)).sqrt()
+        return own / math.sqrt(self.coarse.free * self.coarse.rows.numel() / self.coarse.seen)
+
+    @cached_property
+    def least(self) -> float:
+        """Variance of the white noise against the weights of the rows: mean over what is seen."""
+        energy = (self.weight * self.scatter.square()[:, None]).sum()
+        return max(1e-6, float(energy / (self.weight > 0.0).sum().clamp(min=1)))
 
     @cached_property
     def coarse(self) -> "Coarse":
@@ -163,6 +176,17 @@ class Cameras:
         """What cameras show of displacements beyond postures, weighed; the last column is what they do show."""
         coarse = self.coarse
         return coarse.left(torch.cat([*(a.shift for a in answers), coarse.error[:, :, None]], 2))
+
+
+def _usual(x: Float[Tensor, "frames 3"], band: tuple[float, float]) -> Float[Tensor, " 3"]:
+    """Standard deviation of white noise that has in a band (parts of the frame rate) what is there most of the time.
+
+    Where an arm is lost for some frames, no band is quiet, and 80 mm were found.
+    """
+    first, last = (round(2.0 * f * len(x)) for f in band)
+    C = cosine_matrix(len(x), last).to(x)[first:]
+    passed = C.T @ (C @ x)
+    return passed.abs().median(0).values / 0.6745 * math.sqrt(len(x) / (last - first))
 
 
 @dataclass(frozen=True)
@@ -218,14 +242,16 @@ class MarkerSums:
     energy: Float[Tensor, " bands"]
     count: Float[Tensor, " bands"]
     """Degrees of freedom."""
+    least: float = 1e-6
+    """Energy of each that white noise leaves, whatever a model explains."""
 
     def left(self, theta: Float[Tensor, " columns"]) -> Float[Tensor, " bands"]:
         """Energy of the residual at theta."""
         return self.energy - 2.0 * self.moment @ theta + torch.einsum("bij,i,j->b", self.gram, theta, theta)
 
 
-def marker_sums(coarse: Coarse, left: Float[Tensor, "bins rows columns"]) -> MarkerSums:
-    """Of the last column against the others, see ``Cameras.left``."""
+def marker_sums(coarse: Coarse, left: Float[Tensor, "bins rows columns"], least: float) -> MarkerSums:
+    """Of the last column against the others, see ``Cameras.left``; ``least`` as in ``MarkerSums``."""
     n = left.shape[2] - 1
     gram, count = left.new_zeros(BANDS, n + 1, n + 1), left.new_zeros(BANDS)
     for rows, band in coarse.spectrum(left):
@@ -233,4 +259,4 @@ def marker_sums(coarse: Coarse, left: Float[Tensor, "bins rows columns"]) -> Mar
             flat = rows[band == b].flatten(0, 1)
             gram[b] += flat.T @ flat
             count[b] += len(flat) * coarse.free
-    return MarkerSums(gram[:, :n, :n], gram[:, :n, n], gram[:, n, n], count)
+    return MarkerSums(gram[:, :n, :n], gram[:, :n, n], gram[:, n, n], count, least)

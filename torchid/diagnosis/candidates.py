@@ -189,7 +189,7 @@ def _only(columns: Columns, which: Int[Tensor, " kept"], inertia: int, seen: Int
     extra = columns.extra[:, which[inertia:] - inertia]
     if markers is not None:
         gram = markers.gram[:, seen[:, None], seen]
-        markers = MarkerSums(gram, markers.moment[:, seen], markers.energy, markers.count)
+        markers = replace(markers, gram=gram, moment=markers.moment[:, seen])
     return replace(columns, extra=extra, markers=markers, covariation=None if noise is None else noise[..., which])
 
 
@@ -232,13 +232,16 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
             wrench[:, source.columns.start - first : source.columns.stop - first] = _seen_by_plates(
                 watched.view, source
             )
-    answers = [] if cameras is None else [answer_of(cameras, s) for s in sources if s.effect.kinematic]
+    answers, sums = [] if cameras is None else [answer_of(cameras, s) for s in sources if s.effect.kinematic], None
     if cameras is not None and answers:
         wrench[:, own.start - first : own.stop - first] = cameras.wrench(answers)
+        sums = marker_sums(cameras.coarse, cameras.left(answers), cameras.least)
     extra = _about_root(watched, wrench)
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
-    sums = marker_sums(cameras.coarse, cameras.left(answers)) if cameras is not None and answers else None
+    sums = (
+        marker_sums(cameras.coarse, cameras.left(answers), cameras.least) if cameras is not None and answers else None
+    )
     idle = idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources])
     return Columns(extra, sums, idle, covariation=_covariation(watched, sources))
 
@@ -264,7 +267,7 @@ def _covariation(watched: Watched, sources: Sequence[Source]) -> Float[Tensor, "
 
     plain, n = of(watched.view), watched.phi.numel()
     noise = ((torch.cat([one.inertia, of(one.view) - plain], 1), one.total) for one in watched.shaken)
-    found = covariation(watched.rows, watched.expected.believed, noise)
+    found = covariation(watched.rows, watched.expected, noise)
     whole = found.new_zeros(*found.shape[:3], n + sum(len(s.scale) for s in sources))
     which = [torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)]
     whole[..., torch.cat(which)] = found

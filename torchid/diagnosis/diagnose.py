@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import Candidate, Columns, trial_columns
+from torchid.diagnosis.doubtful import relevant, without_opposed
 from torchid.diagnosis.evidence import Sums, fit
 from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal
 from torchid.diagnosis.gross import EFFECT, Gross
@@ -28,8 +29,6 @@ from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
 from torchid.regressor.whitening import Whitening
 
-RELEVANT = 0.01
-"""Part of the residual force or moment that a cause must take away where the residual is more than noise."""
 RIVALS = 4
 """Alternatives that are listed at most."""
 
@@ -134,7 +133,7 @@ def diagnose(
     found = search(watched, effects, inertia, omega, whitening, limit, geometry)
     rest = structure(watched, residuals(watched, found.design, found.prior, found.fitted))
     if rest.significant:
-        found = _relevant(found, watched)
+        found = without_opposed(relevant(found, watched))
     judge, everything, causes = _Judge(found, heldout), found.chosen, []
     extended = judge(everything)
     for k, one in enumerate(everything):
@@ -177,32 +176,6 @@ def _plain(one: Gross) -> Cause:
         EFFECT.name, one.place.where, one.place.when, parameters, confidence, alternatives, twins, one.gain,
         one.place, one.theta[None], (one.place.when[0].trial,), False,
     )  # fmt: skip
-
-
-def _relevant(found: Search, watched: Sequence[Watched]) -> Search:
-    """Where noise does not explain the residual, evidence alone is cheap: forces must also be seen to gain.
-
-    Judged without courses that are anew in every trial: what markers draw there can double the residual of the forces,
-    beside which 32 N of a plate went unseen.
-    """
-    kept = list(found.chosen)
-    for one in found.chosen:
-        if one.effect.kinematic or one.effect.timed:
-            continue
-        others = [c for c in kept if c is not one and not c.effect.anew]
-        with_, without = (
-            _sizes(watched, residuals(watched, found.design, found.prior, fit(found.sums, some)))
-            for some in ([*others, one], others)
-        )
-        if bool((with_ > math.log(1.0 - RELEVANT) + without).all()):
-            kept.remove(one)
-    return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))
-
-
-def _sizes(watched: Sequence[Watched], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:
-    """Logarithms of the RMS of forces and moments, averaged over trials: a landing must not drown what squats show."""
-    parts = [x[w.rows.used].unflatten(1, (2, 3)) for w, x in zip(watched, left, strict=True)]
-    return torch.stack([0.5 * part.square().mean((0, 2)).log() for part in parts]).mean(0)
 
 
 def _same(scanned: Candidate, one: Candidate) -> bool:

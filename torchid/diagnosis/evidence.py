@@ -142,16 +142,21 @@ class Fitted:
 
     def z(self, columns: int, trial: int) -> Float[Tensor, " all"]:
         """Mean over all columns of the design in one trial."""
+        found = self.shares(columns, trial).sum(0)
+        base = len(self.factor) - sum(c.size for c in self.chosen)
+        found[:base] = self.mean[:base]
+        return found
+
+    def shares(self, columns: int, trial: int) -> Float[Tensor, "chosen all"]:
+        """Of it, each chosen effect's."""
         mean = self.mean
-        base = len(mean) - sum(c.size for c in self.chosen)
-        found = mean.new_zeros(columns)
-        found[:base] = mean[:base]
-        at = base
-        for one, block in _blocks(self.chosen):
-            size = len(one.columns)
-            if trial in block:
-                found[one.columns] += one.relative.to(mean) * mean[at : at + size]
-            at += size
+        found = mean.new_zeros(len(self.chosen), columns)
+        at = len(mean) - sum(c.size for c in self.chosen)
+        for k, one in enumerate(self.chosen):
+            for block in one.blocks:
+                if trial in block:
+                    found[k, one.columns] = one.relative.to(mean) * mean[at : at + len(one.columns)]
+                at += len(one.columns)
         return found
 
 

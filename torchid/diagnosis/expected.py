@@ -27,6 +27,8 @@ class Expected:
     count: Float[Tensor, " bands"]
     believed: Belief
     """Part of the wrench needed by the found motion that the true motion needs."""
+    there: Float[Tensor, "bands 6"]
+    """Part of the noise that the residual of the identified body has room for: markers that slide are no noise."""
 
 
 def expected(
@@ -34,6 +36,7 @@ def expected(
     needed: Float[Tensor, "frames 6"],
     shaken: Sequence[Float[Tensor, "frames 6"]],
     scatter: Float[Tensor, " 6"],
+    left: Float[Tensor, "frames 6"],
 ) -> Expected:
     """Of one trial that cameras have seen.
 
@@ -42,13 +45,15 @@ def expected(
         needed: wrench that the found motion needs, about the root's origin [N, N m].
         shaken: what draws of the markers' noise add to it.
         scatter: the plates' noise per frame [N, N m].
+        left: residual of the identified body.
     """
     plates = [_filtered(rows, scatter, k) for k in range(len(shaken))]
     motion, read = (torch.stack([energy(rows, x)[0] for x in some]).mean(0) for some in (shaken, plates))
     frequency, own, *noise = zip(*_squares(rows, needed, *shaken), strict=True)
     mean = torch.stack([torch.cat(x) for x in noise]).mean(0)
     believed = belief(torch.cat(frequency), torch.cat(own), mean)
-    return Expected(motion, read, energy(rows, needed)[1], believed)
+    own, count = energy(rows, left)
+    return Expected(motion, read, count, believed, (own / (motion + read).clamp(min=1e-300)).clamp(max=1.0))
 
 
 def _filtered(rows: WrenchTrial, scatter: Float[Tensor, " 6"], draw: int) -> Float[Tensor, "frames 6"]:

@@ -12,6 +12,7 @@ from torchid.diagnosis.belief import Belief
 from torchid.diagnosis.cameras import BANDS
 from torchid.diagnosis.candidates import Candidate, Columns, Design, only
 from torchid.diagnosis.evidence import Prior, Raw, Sums
+from torchid.diagnosis.expected import Expected
 from torchid.diagnosis.late import without_beyond
 from torchid.diagnosis.watched import Watched
 from torchid.regressor.equations import NormalEquations
@@ -35,6 +36,8 @@ class Rows:
 
     forces: tuple[Spectrum, ...]
     columns: Columns
+    expected: Expected | None = None
+    """Energy that plates' and markers' noise have in them; None where nobody knows."""
 
 
 def rows_of(watched: Watched, columns: Columns, late: Sequence[bool]) -> Rows:
@@ -49,7 +52,7 @@ def rows_of(watched: Watched, columns: Columns, late: Sequence[bool]) -> Rows:
     if watched.expected is None:
         return Rows(found, columns)
     believed, phi = watched.expected.believed, watched.phi.reshape(-1)
-    return Rows(tuple(_shrunk(block, believed, phi, late) for block in found), columns)
+    return Rows(tuple(_shrunk(block, believed, phi, late) for block in found), columns, watched.expected)
 
 
 def _shrunk(block: Spectrum, believed: Belief, phi: Float[Tensor, " params"], late: Sequence[bool]) -> Spectrum:
@@ -74,7 +77,7 @@ def with_columns(rows: Rows, columns: Columns, watched: Watched, more: Float[Ten
     for block, fresh in zip(rows.forces, column_spectra(watched.rows, more), strict=True):
         own = fresh if watched.expected is None else watched.expected.believed(block.frequency).T[:, None] * fresh
         blocks.append(Spectrum(torch.cat([block.Y, own], 1), block.F, block.frequency))
-    return Rows(tuple(blocks), columns)
+    return Rows(tuple(blocks), columns, rows.expected)
 
 
 def narrowed(
@@ -85,7 +88,7 @@ def narrowed(
     less = []
     for k, one in enumerate(rows):
         blocks = tuple(Spectrum(block.Y[:, which], block.F, block.frequency) for block in one.forces)
-        less.append(Rows(blocks, small.trials[k]))
+        less.append(Rows(blocks, small.trials[k], one.expected))
     return less, prior.widened(small), small, own
 
 
@@ -152,15 +155,31 @@ def estimate_noise(
         forces = estimate_whitening(
             ((block, x) for own, x in zip(rows, theta, strict=True) for block in own.forces), lost
         )
-        noise = Noise(forces, _dispersion(rows, design, theta))
+        noise = Noise(_at_least(forces, rows), _dispersion(rows, design, theta))
     return noise
+
+
+def _at_least(forces: Whitening, rows: Sequence[Rows]) -> Whitening:
+    """No band is quieter than plates and markers are.
+
+    A short walk has fewer rows than the model has parameters: left with nothing, its noise fell a thousandfold below
+    that of the markers, and a tether had a million nats.
+    """
+    some = [own.expected for own in rows if own.expected is not None]
+    if not some:
+        return forces
+    count = torch.stack([one.count for one in some]).sum(0).clamp(min=1.0)
+    energy = torch.stack([one.motion + one.plates for one in some]).sum(0)
+    lacks = energy / count[:, None] - torch.diagonal(forces.covariance, dim1=1, dim2=2)
+    return Whitening(forces.covariance + torch.diag_embed(lacks.clamp(min=0.0)))
 
 
 def _dispersion(rows: Sequence[Rows], design: Design, theta: Sequence[Tensor]) -> Float[Tensor, " bands"]:
     """Of markers against the scatter that weighs them; one where none are at hand."""
-    energy = count = torch.zeros(BANDS, dtype=theta[0].dtype)
+    energy = count = least = torch.zeros(BANDS, dtype=theta[0].dtype)
     for own, x in zip(rows, theta, strict=True):
         if own.columns.markers is not None:
             energy = energy + own.columns.markers.left(x[design.kinematic])
             count = count + own.columns.markers.count
-    return torch.where(count > 0.0, energy / count.clamp(min=1.0), 1.0).clamp(min=1e-6)
+            least = least + own.columns.markers.count * own.columns.markers.least
+    return torch.where(count > 0.0, torch.maximum(energy, least) / count.clamp(min=1.0), 1.0).clamp(min=1e-6)

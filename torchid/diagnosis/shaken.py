@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.belief import Belief
 from torchid.diagnosis.cameras import Cameras
+from torchid.diagnosis.expected import Expected
 from torchid.dynamics import wrench_about
 from torchid.filters import differentiate
 from torchid.geometry.problem import retract
@@ -56,14 +56,14 @@ def regressor(rows: WrenchTrial, motion: Motion) -> Float[Tensor, "6 params fram
 
 def covariation(
     rows: WrenchTrial,
-    believed: Belief,
+    expected: Expected,
     draws: Iterable[tuple[Float[Tensor, "6 some frames"], Float[Tensor, "6 frames"]]],
 ) -> Float[Tensor, "bands 6 6 some"]:
     """Products of the noise of each channel of the total with that of each channel of the columns, band by band.
 
     Args:
         rows: whose blocks they are.
-        believed: part to which columns are shrunk.
+        expected: of the trial: what columns are shrunk to, and how much of the noise is there.
         draws: noise of the columns before that, and of the wrench that the model needs.
     """
     parts = []
@@ -73,9 +73,9 @@ def covariation(
             frames = part.stop - part.start
             kept = coefficients(rows, frames)
             C, frequency = cosine_matrix(frames, kept).to(found)[1:], frequencies(frames, kept, rows.rate).to(found)
-            own = believed(frequency)[1:].T[:, None] * (columns[:, :, part] @ C.T)
+            own = expected.believed(frequency)[1:].T[:, None] * (columns[:, :, part] @ C.T)
             other, band = total[:, part] @ C.T, band_of(frequency[1:])
             for b in band.unique().tolist():
                 found[b] += torch.einsum("ik,jck->ijc", other[:, band == b], own[:, :, band == b])
         parts.append(found)
-    return torch.stack(parts).mean(0)
+    return torch.stack(parts).mean(0) * expected.there[:, :, None, None]

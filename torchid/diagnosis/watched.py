@@ -20,7 +20,7 @@ from torchid.geometry.trials import posture_prior
 from torchid.kinematics.plan import plan_tree
 from torchid.motion import Motion
 from torchid.recording import Forces, Markers
-from torchid.regressor.rows import WrenchTrial, runs
+from torchid.regressor.rows import WrenchTrial, measured, predict, runs
 from torchid.regressor.whitening import white_scatter
 
 ENDS = 0.6
@@ -68,7 +68,8 @@ class Watched:
         if self.cameras is None:
             return None
         needed = wrench_about(self.view.scene.needed().T, self.rows.motion.q[:, :3])
-        return expected(self.rows, needed, [one.total.T for one in self.shaken], self.scatter)
+        left = measured(self.rows) - predict(self.rows, self.phi)
+        return expected(self.rows, needed, [one.total.T for one in self.shaken], self.scatter, left)
 
 
 @dataclass(frozen=True)

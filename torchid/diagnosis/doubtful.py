@@ -1,0 +1,69 @@
+"""Causes that evidence supports and that are none: where noise does not explain the residual, evidence is cheap."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.diagnosis.evidence import fit
+from torchid.diagnosis.found import Search
+from torchid.diagnosis.search import residuals
+from torchid.diagnosis.watched import Watched
+
+RELEVANT = 0.01
+"""Part of the residual force or moment that a cause must take away."""
+OPPOSED = 0.5
+"""Of the energy of the larger of two causes: what is left where they undo each other."""
+
+
+def relevant(found: Search, watched: Sequence[Watched]) -> Search:
+    """Where noise does not explain the residual, evidence alone is cheap: forces must also be seen to gain.
+
+    Judged without courses that are anew in every trial: what markers draw there can double the residual of the forces,
+    beside which 32 N of a plate went unseen.
+    """
+    kept = list(found.chosen)
+    for one in found.chosen:
+        if one.effect.kinematic or one.effect.timed:
+            continue
+        others = [c for c in kept if c is not one and not c.effect.anew]
+        with_, without = (
+            _sizes(watched, residuals(watched, found.design, found.prior, fit(found.sums, some)))
+            for some in ([*others, one], others)
+        )
+        if bool((with_ > math.log(1.0 - RELEVANT) + without).all()):
+            kept.remove(one)
+    return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))
+
+
+def _sizes(watched: Sequence[Watched], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:
+    """Logarithms of the RMS of forces and moments, averaged over trials: a landing must not drown what squats show."""
+    parts = [x[w.rows.used].unflatten(1, (2, 3)) for w, x in zip(watched, left, strict=True)]
+    return torch.stack([0.5 * part.square().mean((0, 2)).log() for part in parts]).mean(0)
+
+
+def without_opposed(found: Search) -> Search:
+    """Without causes on forces that mostly undo each other: what is left of such a pair has another name, or none.
+
+    A runner's trunk that moved less than its markers was 9 kg less of mass and a tether that pulled down by as much.
+    """
+    energy = _energies(found)
+    own = [k for k, one in enumerate(found.chosen) if not one.effect.kinematic]
+    pairs = [(i, k) for i, k in combinations(own, 2)
+             if energy[[i, k]][:, [i, k]].sum() < OPPOSED * max(energy[i, i], energy[k, k])]  # fmt: skip
+    out = {k for pair in pairs for k in pair}
+    kept = tuple(one for k, one in enumerate(found.chosen) if k not in out)
+    return replace(found, chosen=kept, fitted=fit(found.sums, kept))
+
+
+def _energies(found: Search) -> Float[Tensor, "chosen chosen"]:
+    """Products of what the chosen effects do to the whitened rows."""
+    total = torch.zeros(len(found.chosen), len(found.chosen)).to(found.prior.mean)
+    for trial, (gram, _) in enumerate(found.sums.trials):
+        share = found.fitted.shares(len(gram), trial)
+        total += share @ gram @ share.T
+    return total
