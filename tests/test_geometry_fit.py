@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 from torchid.errors import DataError
-from torchid.geometry import tracking
+from torchid.geometry import bridge, tracking
 from torchid.geometry.fit import fit_geometry
 from torchid.geometry.fitted import parameters
 from torchid.geometry.options import GeometryOptions
@@ -126,6 +126,22 @@ def test_gaps_are_bridged_better_with_the_temporal_prior():
     assert errors[0] < errors[1]
     assert not bool(plain.observable[gap].any()) and bool(plain.observable[:100].all())
     assert bool(torch.isnan(bridged.error[gap][:, [fit.attachment.labels.index(x) for x in lost]]).all())
+
+
+def test_a_course_is_not_drawn_where_seen_markers_would_pay(monkeypatch):
+    """A marker that no frame shows makes no gap; a course that leads astray leaves the frames as they were."""
+    fit, held = small.fit(), small.markers("fit")["arms"]
+    never, some = small.without(held, ("LELB",)), small.without(held, ("LELB",), slice(150, 170))
+    assert_close(track(fit, never).q, track(fit, never, bridge=False).q)
+    course = bridge.smooth_course
+
+    def astray(problem, q, xi, typical=None):
+        prior = course(problem, q, xi, typical)
+        drawn = prior.precision > problem.posture.precision
+        return replace(prior, mean=torch.where(drawn, prior.mean + 0.5, prior.mean), precision=prior.precision + 1e6)
+
+    monkeypatch.setattr(bridge, "smooth_course", astray)
+    assert_close(track(fit, some).q, track(fit, some, bridge=False).q)
 
 
 def test_tracking_a_part_is_tracking_the_whole():

@@ -28,6 +28,8 @@ KEPT_HZ = 4.0
 NEAR_HZ = (6.0, 10.0)
 """Where noise is looked at as well: markers that were low-passed at 8 Hz showed a fiftieth of theirs at 20 Hz, and four
 false causes explained the rest."""
+WINDOW = 64
+"""Frames whose energy is one piece of evidence on the noise."""
 SEEN_LONG = 25
 """Frames in a row that tell a marker's noise: edges of gaps made 80 mm of 1 mm."""
 ALIKE = 1.5
@@ -122,7 +124,7 @@ class Cameras:
             start, stop = max(runs(own), key=lambda run: run[1] - run[0], default=(0, 0))
             if stop - start >= SEEN_LONG:
                 error = self.error[k, :, start:stop].T
-                found[k] = torch.stack([_usual(error, band).square().mean() for band in bands])
+                found[k] = found.new_tensor([_usual(error, band) for band in bands])
         quiet, near = torch.where(found.isnan(), found.nanmedian(0).values, found).nan_to_num().unbind(1)
         # Means of both where they agree: the larger of two is 8 % too large.
         own = torch.where(near > ALIKE * quiet, near, 0.5 * (quiet + near)).sqrt()
@@ -178,15 +180,17 @@ class Cameras:
         return coarse.left(torch.cat([*(a.shift for a in answers), coarse.error[:, :, None]], 2))
 
 
-def _usual(x: Float[Tensor, "frames 3"], band: tuple[float, float]) -> Float[Tensor, " 3"]:
-    """Standard deviation of white noise that has in a band (parts of the frame rate) what is there most of the time.
+def _usual(x: Float[Tensor, "frames 3"], band: tuple[float, float]) -> float:
+    """Variance of white noise that has in a band (parts of the frame rate) what is there most of the time.
 
-    Where an arm is lost for some frames, no band is quiet, and 80 mm were found.
+    Where an arm is lost for some frames, no band of the whole is quiet, and 80 mm were found.
     """
-    first, last = (round(2.0 * f * len(x)) for f in band)
-    C = cosine_matrix(len(x), last).to(x)[first:]
-    passed = C.T @ (C @ x)
-    return passed.abs().median(0).values / 0.6745 * math.sqrt(len(x) / (last - first))
+    length = min(WINDOW, len(x))
+    first, last = round(2.0 * band[0] * length), round(2.0 * band[1] * length)
+    C = cosine_matrix(length, last).to(x)[first:]
+    energy = (C @ x.unfold(0, length, length).mT).square().flatten(1).mean(1)
+    # Median of chi-square over its mean (Wilson and Hilferty, PNAS 17 (1931)).
+    return float(energy.median()) / (1.0 - 2.0 / (9.0 * 3.0 * (last - first))) ** 3
 
 
 @dataclass(frozen=True)

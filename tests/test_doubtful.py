@@ -1,0 +1,41 @@
+"""Causes that evidence supports and that are none."""
+
+import pytest
+import torch
+
+from torchid.diagnosis.candidates import Candidate, Design, Source
+from torchid.diagnosis.doubtful import without_opposed
+from torchid.diagnosis.evidence import Prior, Sums, fit
+from torchid.diagnosis.found import Search
+from torchid.diagnosis.noise import initial_noise
+from torchid.effects.catalogue import effect
+from torchid.effects.effect import Place
+from torchid.regressor.whitening import initial_whitening
+
+
+def found(columns: torch.Tensor, rows: torch.Tensor) -> Search:
+    """Three drags, each with a column of its own, fitted to two trials of the same rows."""
+    drag, n = effect("drag"), columns.shape[1]
+    sources = [Source(drag, Place((name,)), slice(k + 1, k + 2), (0.0,), (1.0,)) for k, name in enumerate("abc")]
+    chosen = tuple(
+        Candidate(drag, s.place, Source(drag, s.place, s.columns, (0.0,), drag.scale(s.place)), frozenset({0, 1}))
+        for s in sources
+    )
+    every = torch.cat([torch.zeros(len(columns), 1).double(), columns], 1)
+    raw = every.T @ every, every.T @ rows
+    sums = Sums(1, (raw, raw))
+    prior = Prior(torch.zeros(n + 1).double(), torch.eye(1).double(), torch.ones(n).double())
+    noise = initial_noise(initial_whitening(columns))
+    return Search(Design(1, 1, tuple(sources), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
+
+
+@pytest.mark.parametrize("opposed", [True, False])
+def test_causes_that_undo_each_other_are_none(opposed):
+    """Of three causes, two that nearly cancel are left out; those that add up, however alike, are kept."""
+    generator = torch.Generator().manual_seed(5)
+    one, other, third = torch.randn(3, 400, generator=generator, dtype=torch.float64)
+    near = one + 0.1 * other
+    rows = 30.0 * one - 28.0 * near if opposed else 30.0 * one + 28.0 * near
+    search = found(torch.stack([one, near, third], 1), rows + 9.0 * third)
+    kept = [c.place.where[0] for c in without_opposed(search).chosen]
+    assert kept == (["c"] if opposed else ["a", "b", "c"])
