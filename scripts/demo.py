@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from torchid.config import Config, load_config
-from torchid.diagnosis.diagnose import Cause
+from torchid.diagnosis.verdict import Cause
 from torchid.experiment import run_experiment, run_simulation
 from torchid.outcome import Outcome
 from torchid.report.story import chance, told

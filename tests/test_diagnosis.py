@@ -12,9 +12,10 @@ from torch.testing import assert_close
 
 from torchid.config import load_config
 from torchid.diagnosis.candidates import make_design
-from torchid.diagnosis.diagnose import Diagnosis, diagnose, wanted
+from torchid.diagnosis.diagnose import diagnose, wanted
 from torchid.diagnosis.evidence import Sums, fit, gains, make_prior
 from torchid.diagnosis.plates import recognise
+from torchid.diagnosis.verdict import Diagnosis
 from torchid.diagnosis.watched import Known, Watched, watch
 from torchid.effects.catalogue import BODILY
 from torchid.errors import ConfigError

@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from torchid.config import load_config
-from torchid.diagnosis.diagnose import Alternative, Cause, Diagnosis, Errors
 from torchid.diagnosis.unexplained import Structure
+from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors
 from torchid.effects.apart import APART, RECORD, tell_apart
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Interval, Place

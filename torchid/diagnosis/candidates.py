@@ -24,6 +24,10 @@ from torchid.geometry.fitted import GeometryFit
 PLATES = ((PlateOffset(), 0.1), (PlateDrift(), 0.05))
 """Small errors that every plate has, part of their priors as effects: 0.5 N and 0.025 N/s are nobody's discovery."""
 
+PERIODS = 2.0
+"""Of what repeats itself that a trial must show: a walk of a second takes slow ground for an offset of its own. Walks
+and squats that weigh 34 N differently agreed by that."""
+
 
 @dataclass(frozen=True)
 class Source:
@@ -156,10 +160,17 @@ def make_design(watched: Sequence[Watched], effects: Sequence[Effect], fit: Geom
                 known[_key(effect, own)] = sources[-1]
                 at += len(scale)
             which = range(len(names)) if trials is None else [names.index(t) for t in trials]
+            told = frozenset(k for k in which if _longest_s(watched[k]) >= PERIODS * effect.period_s(place))
             odds = place.odds / mass(effect, places)
-            candidates.append(Candidate(effect, place, known[_key(effect, own)], frozenset(which), odds))
+            if told:
+                candidates.append(Candidate(effect, place, known[_key(effect, own)], told, odds))
     trials = tuple(trial_columns(w, sources) for w in watched)
     return Design(inertia, base, tuple(sources), tuple(candidates), trials)
+
+
+def _longest_s(watched: Watched) -> float:
+    """Of the blocks of used frames."""
+    return max((part.stop - part.start for part in watched.rows.blocks()), default=0) / watched.rows.rate
 
 
 def _kinematic(sources: Sequence[Source]) -> slice:

@@ -1,99 +1,28 @@
-"""The verdict: causes with their parameters, rivals and confidence, and what they gain on motion that was not used."""
+"""From a search to a verdict: what is kept of it, how sure, and what it gains on motion that was not used."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import Candidate, Columns, trial_columns
 from torchid.diagnosis.doubtful import relevant, without_opposed
 from torchid.diagnosis.evidence import Sums, fit
 from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal
-from torchid.diagnosis.gross import EFFECT, Gross
 from torchid.diagnosis.late import linearised
 from torchid.diagnosis.noise import rows_of, summed
 from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import residual, residuals, search
-from torchid.diagnosis.unexplained import Structure, structure
+from torchid.diagnosis.unexplained import structure
+from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Errors
 from torchid.diagnosis.watched import Watched
-from torchid.effects.apart import tell_apart
 from torchid.effects.catalogue import CATALOGUE, effect
-from torchid.effects.effect import Effect, Interval, Place, Planted
+from torchid.effects.effect import Effect
 from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
 from torchid.regressor.whitening import Whitening
-
-RIVALS = 4
-"""Alternatives that are listed at most."""
-
-
-@dataclass(frozen=True)
-class Alternative:
-    """Another explanation."""
-
-    effect: str
-    where: tuple[str, ...]
-    confidence: float
-
-
-@dataclass(frozen=True)
-class Cause:
-    """An effect that the data support."""
-
-    effect: str
-    where: tuple[str, ...]
-    when: tuple[Interval, ...] | None
-    parameters: dict[str, dict[str, Tensor]]
-    """``value`` and ``sd`` by key."""
-    confidence: float
-    """Probability that it, or one that cannot be told from it, is there."""
-    alternatives: tuple[Alternative, ...]
-    indistinguishable: tuple[Alternative, ...]
-    gain: dict[str, float]
-    """Held-out, of this cause on top of the others."""
-    place: Place
-    theta: Float[Tensor, "blocks params"]
-    """Internal parameters, see ``Effect``; one row, or one for each of the trials."""
-    trials: tuple[str, ...]
-    """Fit trials in which it acts."""
-    everywhere: bool
-    """In all of them, and therefore in others too."""
-
-    def on(self, trial: str) -> Planted | None:
-        """As it acts in a trial, None where it does not or nobody knows."""
-        own = effect(self.effect)
-        if trial in self.trials:
-            return Planted(own, self.place, self.theta[self.trials.index(trial) if own.anew else 0])
-        return Planted(own, self.place, self.theta[0]) if self.everywhere and not own.anew else None
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Held-out residual; RMS of 3-vectors over used frames, moments about the root's origin."""
-
-    force_rmse_N: float
-    moment_rmse_Nm: float
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """What the model gets wrong, and why."""
-
-    plates: tuple[SessionPlate, ...]
-    baseline: Errors
-    extended: Errors
-    causes: tuple[Cause, ...]
-    unexplained: Structure
-    not_testable: dict[str, str] = field(default_factory=dict)
-    """Why, by effect."""
-    aside: tuple[Interval, ...] = ()
-    """What no model was fitted to, or should be: something unmeasured bears a good part of the weight."""
 
 
 def wanted(include: Sequence[str], exclude: Sequence[str]) -> tuple[Effect, ...]:
@@ -133,7 +62,7 @@ def diagnose(
     found = search(watched, effects, inertia, omega, whitening, limit, geometry)
     rest = structure(watched, residuals(watched, found.design, found.prior, found.fitted))
     if rest.significant:
-        found = without_opposed(relevant(found, watched))
+        found = relevant(without_opposed(found), watched)
     judge, everything, causes = _Judge(found, heldout), found.chosen, []
     extended = judge(everything)
     for k, one in enumerate(everything):
@@ -153,29 +82,6 @@ def _seen(cause: Cause) -> bool:
     """What bodies do and cameras see: no contradicted force had to tell it."""
     own = effect(cause.effect)
     return own.bodily and own.kinematic
-
-
-def with_gross(found: Diagnosis, some: Sequence[Gross]) -> Diagnosis:
-    """The verdict with contacts that were plain before anything was searched, first."""
-    causes = tuple(_plain(one) for one in some)
-    return replace(found, causes=(*causes, *found.causes), aside=tuple(i for one in some for i in one.aside))
-
-
-def _plain(one: Gross) -> Cause:
-    assert one.place.when is not None
-    order = sorted(one.odds.items(), key=lambda both: -both[1])
-    listed = tuple(Alternative(EFFECT.name, (name,), odds) for name, odds in order if name not in one.place.where)
-    twins = tuple(a for a in listed if a.confidence > math.exp(-ALIKE) * order[0][1])[:2]
-    values = EFFECT.named(one.place, one.theta)
-    slopes = {key: torch.func.jacrev(lambda x, key=key: EFFECT.named(one.place, x)[key])(one.theta) for key in values}
-    sd = {key: (slope * one.sd).square().sum(-1).sqrt() for key, slope in slopes.items()}
-    parameters = {key: {"value": value, "sd": sd[key]} for key, value in values.items()}
-    confidence = min(1.0, order[0][1] + sum(t.confidence for t in twins))
-    alternatives = tuple(a for a in listed if a.confidence > 1e-3)[:RIVALS]
-    return Cause(
-        EFFECT.name, one.place.where, one.place.when, parameters, confidence, alternatives, twins, one.gain,
-        one.place, one.theta[None], (one.place.when[0].trial,), False,
-    )  # fmt: skip
 
 
 def _same(scanned: Candidate, one: Candidate) -> bool:
@@ -269,23 +175,3 @@ def _gain(before: tuple[Errors, float], after: tuple[Errors, float]) -> dict[str
         "force_rmse_pct": 100.0 * (1.0 - more.force_rmse_N / less.force_rmse_N),
         "moment_rmse_pct": 100.0 * (1.0 - more.moment_rmse_Nm / less.moment_rmse_Nm),
     }
-
-
-def verdict(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Content of ``diagnosis.json`` but for what the extended model makes of markers."""
-    return {
-        "baseline": {"heldout": dataclasses.asdict(diagnosis.baseline)},
-        "causes": [_listed(cause) for cause in diagnosis.causes],
-        "unexplained": diagnosis.unexplained,
-        "extended": {"heldout": dataclasses.asdict(diagnosis.extended)},
-        "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
-        "plates": {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in diagnosis.plates},
-    }
-
-
-def _listed(cause: Cause) -> dict[str, Any]:
-    names = ("effect", "where", "when", "parameters", "confidence", "alternatives", "indistinguishable", "gain")
-    found = {name: getattr(cause, name) for name in names}
-    twins = [dataclasses.asdict(t) | {"motion": tell_apart(cause.effect, t.effect)} for t in cause.indistinguishable]
-    found["indistinguishable"] = twins
-    return found | {"follows": cause.place.follows, "markers": cause.place.markers or None}

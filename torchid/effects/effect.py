@@ -95,6 +95,10 @@ class Effect(ABC):
         """The place with a finer course in time, worth its columns only where the effect is known to be."""
         return ()
 
+    def period_s(self, place: Place) -> float:
+        """Time after which it repeats itself; zero where it does not."""
+        return 0.0
+
     def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
         """Where its columns are those of ``place``, and the trials they are cut down to; None: all."""
         return place, None if place.when is None else tuple(dict.fromkeys(own.trial for own in place.when))

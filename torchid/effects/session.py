@@ -53,6 +53,9 @@ class MovingGround(Effect):
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return tuple(Place(("session",), grid={"frequency_hz": f}) for f in SHAKES)
 
+    def period_s(self, place: Place) -> float:
+        return 1.0 / place.grid["frequency_hz"]
+
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         sine, cosine = self.split(theta)
         phase = 2.0 * math.pi * place.grid["frequency_hz"] * scene.time

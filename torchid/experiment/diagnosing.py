@@ -4,9 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from torchid.config import Config
-from torchid.diagnosis.diagnose import Diagnosis, diagnose, wanted, with_gross
+from torchid.diagnosis.diagnose import diagnose, wanted
 from torchid.diagnosis.gross import EFFECT, Gross, find_gross, set_aside
+from torchid.diagnosis.plain import with_gross
 from torchid.diagnosis.plates import recognise
+from torchid.diagnosis.verdict import Diagnosis
 from torchid.diagnosis.watched import Known, Watched, watch
 from torchid.effects.catalogue import CATALOGUE
 from torchid.outcome import Outcome

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.diagnosis.candidates import Source, answer_of
-from torchid.diagnosis.diagnose import Cause
+from torchid.diagnosis.verdict import Cause
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Planted, columns, inside_any

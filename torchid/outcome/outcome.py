@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.contact import Contact
-from torchid.diagnosis.diagnose import Diagnosis
+from torchid.diagnosis.verdict import Diagnosis
 from torchid.errors import Note
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.tracking import Tracked

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchid.conventions import INERTIAL_NAMES
-from torchid.diagnosis.diagnose import verdict
+from torchid.diagnosis.verdict import verdict
 from torchid.effects.catalogue import effect
 from torchid.geometry.fitted import GeometryFit
 from torchid.outcome.outcome import Outcome

@@ -7,8 +7,9 @@ from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 from torch import Tensor
 
-from torchid.diagnosis.diagnose import Cause, Diagnosis, wanted
+from torchid.diagnosis.diagnose import wanted
 from torchid.diagnosis.unexplained import Structure
+from torchid.diagnosis.verdict import Cause, Diagnosis
 from torchid.outcome import Outcome
 from torchid.outcome.tables import heldout_errors
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table

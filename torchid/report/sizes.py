@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from torchid.diagnosis.diagnose import Cause
+from torchid.diagnosis.verdict import Cause
 from torchid.report.text import decimals, listing, number, stated
 
 BODY = (("forward", "back"), ("left", "right"), ("up", "down"))

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import torch
 
 from torchid.conventions import GRAVITY
-from torchid.diagnosis.diagnose import Alternative, Cause
 from torchid.diagnosis.unexplained import Structure
+from torchid.diagnosis.verdict import Alternative, Cause
 from torchid.effects.apart import tell_apart
 from torchid.effects.effect import Interval
 from torchid.report.sizes import BODY, ROOM, length, much, of, parts, size, vector

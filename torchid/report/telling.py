@@ -1,6 +1,6 @@
 """What effects are called in a sentence."""
 
-from torchid.diagnosis.diagnose import Alternative, Cause
+from torchid.diagnosis.verdict import Alternative, Cause
 from torchid.report.text import clean, listing, segment
 
 NOUN = {

@@ -1,0 +1,34 @@
+"""Contacts that were plain before anything was searched, as causes."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from torchid.diagnosis.found import ALIKE
+from torchid.diagnosis.gross import EFFECT, Gross
+from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis
+
+
+def with_gross(found: Diagnosis, some: Sequence[Gross]) -> Diagnosis:
+    """The verdict with contacts that were plain before anything was searched, first."""
+    causes = tuple(_plain(one) for one in some)
+    return replace(found, causes=(*causes, *found.causes), aside=tuple(i for one in some for i in one.aside))
+
+
+def _plain(one: Gross) -> Cause:
+    assert one.place.when is not None
+    order = sorted(one.odds.items(), key=lambda both: -both[1])
+    listed = tuple(Alternative(EFFECT.name, (name,), odds) for name, odds in order if name not in one.place.where)
+    twins = tuple(a for a in listed if a.confidence > math.exp(-ALIKE) * order[0][1])[:2]
+    values = EFFECT.named(one.place, one.theta)
+    slopes = {key: torch.func.jacrev(lambda x, key=key: EFFECT.named(one.place, x)[key])(one.theta) for key in values}
+    sd = {key: (slope * one.sd).square().sum(-1).sqrt() for key, slope in slopes.items()}
+    parameters = {key: {"value": value, "sd": sd[key]} for key, value in values.items()}
+    confidence = min(1.0, order[0][1] + sum(t.confidence for t in twins))
+    alternatives = tuple(a for a in listed if a.confidence > 1e-3)[:RIVALS]
+    return Cause(
+        EFFECT.name, one.place.where, one.place.when, parameters, confidence, alternatives, twins, one.gain,
+        one.place, one.theta[None], (one.place.when[0].trial,), False,
+    )  # fmt: skip

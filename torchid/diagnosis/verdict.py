@@ -1,0 +1,100 @@
+"""What a diagnosis says: causes with their parameters, rivals and confidence, and what they gain."""
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.diagnosis.plates import SessionPlate
+from torchid.diagnosis.unexplained import Structure
+from torchid.effects.apart import tell_apart
+from torchid.effects.catalogue import effect
+from torchid.effects.effect import Interval, Place, Planted
+
+RIVALS = 4
+"""Alternatives that are listed at most."""
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another explanation."""
+
+    effect: str
+    where: tuple[str, ...]
+    confidence: float
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect that the data support."""
+
+    effect: str
+    where: tuple[str, ...]
+    when: tuple[Interval, ...] | None
+    parameters: dict[str, dict[str, Tensor]]
+    """``value`` and ``sd`` by key."""
+    confidence: float
+    """Probability that it, or one that cannot be told from it, is there."""
+    alternatives: tuple[Alternative, ...]
+    indistinguishable: tuple[Alternative, ...]
+    gain: dict[str, float]
+    """Held-out, of this cause on top of the others."""
+    place: Place
+    theta: Float[Tensor, "blocks params"]
+    """Internal parameters, see ``Effect``; one row, or one for each of the trials."""
+    trials: tuple[str, ...]
+    """Fit trials in which it acts."""
+    everywhere: bool
+    """In all of them, and therefore in others too."""
+
+    def on(self, trial: str) -> Planted | None:
+        """As it acts in a trial, None where it does not or nobody knows."""
+        own = effect(self.effect)
+        if trial in self.trials:
+            return Planted(own, self.place, self.theta[self.trials.index(trial) if own.anew else 0])
+        return Planted(own, self.place, self.theta[0]) if self.everywhere and not own.anew else None
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Held-out residual; RMS of 3-vectors over used frames, moments about the root's origin."""
+
+    force_rmse_N: float
+    moment_rmse_Nm: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the model gets wrong, and why."""
+
+    plates: tuple[SessionPlate, ...]
+    baseline: Errors
+    extended: Errors
+    causes: tuple[Cause, ...]
+    unexplained: Structure
+    not_testable: dict[str, str] = field(default_factory=dict)
+    """Why, by effect."""
+    aside: tuple[Interval, ...] = ()
+    """What no model was fitted to, or should be: something unmeasured bears a good part of the weight."""
+
+
+def verdict(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Content of ``diagnosis.json`` but for what the extended model makes of markers."""
+    return {
+        "baseline": {"heldout": dataclasses.asdict(diagnosis.baseline)},
+        "causes": [_listed(cause) for cause in diagnosis.causes],
+        "unexplained": diagnosis.unexplained,
+        "extended": {"heldout": dataclasses.asdict(diagnosis.extended)},
+        "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
+        "plates": {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in diagnosis.plates},
+    }
+
+
+def _listed(cause: Cause) -> dict[str, Any]:
+    names = ("effect", "where", "when", "parameters", "confidence", "alternatives", "indistinguishable", "gain")
+    found = {name: getattr(cause, name) for name in names}
+    twins = [dataclasses.asdict(t) | {"motion": tell_apart(cause.effect, t.effect)} for t in cause.indistinguishable]
+    found["indistinguishable"] = twins
+    return found | {"follows": cause.place.follows, "markers": cause.place.markers or None}
