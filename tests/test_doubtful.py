@@ -39,3 +39,13 @@ def test_causes_that_undo_each_other_are_none(opposed):
     search = found(torch.stack([one, near, third], 1), rows + 9.0 * third)
     kept = [c.place.where[0] for c in without_opposed(search).chosen]
     assert kept == (["c"] if opposed else ["a", "b", "c"])
+
+
+def test_what_shares_a_column_with_a_nuisance_adds_to_it():
+    """The mean over a design's columns holds a plate's usual offset and the one that was found, both."""
+    generator = torch.Generator().manual_seed(6)
+    column = torch.randn(400, 1, generator=generator, dtype=torch.float64)
+    raw = column.T @ column, column.T @ (9.0 * column[:, 0])
+    source = Source(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
+    found = fit(Sums(1, (raw,)), [Candidate(effect("drag"), source.place, source, frozenset({0}))])
+    assert float(found.z(1, 0)[0]) == pytest.approx(9.0, rel=0.01)

@@ -144,7 +144,8 @@ class Fitted:
         """Mean over all columns of the design in one trial."""
         found = self.shares(columns, trial).sum(0)
         base = len(self.factor) - sum(c.size for c in self.chosen)
-        found[:base] = self.mean[:base]
+        # Candidates may share the columns of nuisances.
+        found[:base] += self.mean[:base]
         return found
 
     def shares(self, columns: int, trial: int) -> Float[Tensor, "chosen all"]:
