@@ -16,8 +16,9 @@ LOADED = 20.0
 """Vertical force beyond a plate's lowest below which it bears nothing [N]."""
 ZERO = 100.0
 """No plate's zero is that far off [N]: one that never reads less was stood on all the time."""
-LEAST_S = 0.5
-"""Length of a run that counts."""
+LEAST_S, EDGE_S = 0.2, 0.04
+"""Length of a run that counts, and what is cut off at its ends: filters carry a stance into the swing. With half a
+second as the least, a runner's plates were never idle, and one was 39 N off that read 0.1 N in every swing."""
 SCATTER = (0.2, 0.2, 0.2, 0.05, 0.05, 0.05)
 """Of a run's mean [N, N m]: zeros wander within a trial, whatever the noise."""
 
@@ -28,7 +29,8 @@ class Idle:
 
     reading: Reading
     """Its clock and frames; bears nothing."""
-    runs: tuple[tuple[int, slice, Float[Tensor, " 6"]], ...]
+    runs: tuple[tuple[int, slice, Float[Tensor, " 6"], Float[Tensor, " 6"]], ...]
+    """Plate, frames, mean and its error."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,11 @@ def find_idle(raw: Reading, rate: float) -> Idle:
         quiet = ((load - low).abs() < LOADED) & (raw.wrench[:, k] != 0.0).any(1) & (abs(low) < ZERO)
         start, stop = max(runs(quiet), key=lambda run: run[1] - run[0], default=(0, 0))
         if stop - start >= LEAST_S * rate:
-            part = slice(start, stop)
-            found.append((k, part, to_plate(frame, raw.wrench[part, k]).mean(0)))
+            edge = round(EDGE_S * rate)
+            part = slice(start + edge, stop - edge)
+            read = to_plate(frame, raw.wrench[part, k])
+            error = (read.new_tensor(SCATTER).square() + read.var(0) / len(read)).sqrt()
+            found.append((k, part, read.mean(0), error))
     return Idle(replace(raw, wrench=torch.zeros_like(raw.wrench)), tuple(found))
 
 
@@ -61,13 +66,11 @@ def idle_sums(idle: Idle, sources: Sequence[tuple[Effect, Place, slice]]) -> Idl
     if not idle.runs or not len(columns):
         return None
     responses = [r for effect, place, _ in own for r in _responses(idle.reading, effect, place)]
-    weight = idle.reading.wrench.new_tensor(SCATTER).reciprocal()
     X, y = [], []
-    for k, part, mean in idle.runs:
-        X.append(
-            weight[:, None] * torch.stack([to_plate(r.frames[k], r.wrench[part, k]).mean(0) for r in responses], 1)
-        )
-        y.append(weight * mean)
+    for k, part, mean, error in idle.runs:
+        own = torch.stack([to_plate(r.frames[k], r.wrench[part, k]).mean(0) for r in responses], 1)
+        X.append(own / error[:, None])
+        y.append(mean / error)
     rows = torch.cat(X)
     return IdleSums(columns, rows.T @ rows, rows.T @ torch.cat(y))
 
