@@ -15,8 +15,8 @@ from torchid.diagnosis.expected import Expected, energy
 from torchid.diagnosis.watched import Watched
 from torchid.regressor.whitening import EDGES
 
-SHARE = 0.35
-"""Part of a band's residual that noise does not explain, from which on it matters: half as much again as the noise.
+SHARE = 0.4
+"""Part of a band's residual that noise does not explain, from which on it matters: two thirds as much as the noise.
 Below, fits to other people's models and slightly coloured noise go as far."""
 P_VALUE = 0.01
 ENOUGH = 30
