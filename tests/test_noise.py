@@ -7,7 +7,7 @@ import torch
 from torch.testing import assert_close
 
 from torchid.diagnosis.belief import belief
-from torchid.diagnosis.cameras import Cameras
+from torchid.diagnosis.cameras import Cameras, _usual
 from torchid.diagnosis.shaken import regressor, shaken
 from torchid.dynamics import wrench_about
 from torchid.effects.scene import make_scene
@@ -73,6 +73,14 @@ def test_noise_is_what_markers_do_most_of_the_time(cameras):
     """
     share = cameras.coarse.free * cameras.coarse.rows.numel() / cameras.coarse.seen
     assert_close(cameras.scatter * share**0.5, torch.full_like(cameras.scatter, NOISE), rtol=0.35, atol=0.0)
+
+
+def test_noise_is_told_by_short_runs_of_fast_cameras():
+    """A band narrower than one coefficient still tells white noise of 1 from none, within a factor of a few."""
+    generator = torch.Generator().manual_seed(small.SEED)
+    for frames, band in ((64 * 40, (0.006, 0.010)), (25, (0.03, 0.05))):
+        found = [_usual(torch.randn(frames, 3, generator=generator, dtype=torch.float64), band) for _ in range(20)]
+        assert 0.4 < float(np.mean(found)) < 2.5
 
 
 def test_a_shaken_motion_is_a_motion(rows, cameras):

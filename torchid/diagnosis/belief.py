@@ -1,9 +1,8 @@
 """What of a noisy column is to be believed: at each frequency, the part of its energy that is not noise.
 
 A column with noise of its own predicts too much, the more the faster, and is found too small (regression calibration;
-Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 4). The part is smooth in frequency: shrunk band by
-band, too little was left in the lower half of a band and too much in the upper one, which a mass that wobbles in the
-middle of it explained with 8 to 23 nats in three sessions of three that hid nothing.
+Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 4). The part is smooth in frequency: band
+by band, too little would be left in the lower half of a band and too much in the upper one.
 """
 
 from dataclasses import dataclass

@@ -31,7 +31,7 @@ false causes explained the rest."""
 WINDOW = 64
 """Frames whose energy is one piece of evidence on the noise."""
 SEEN_LONG = 25
-"""Frames in a row that tell a marker's noise: edges of gaps made 80 mm of 1 mm."""
+"""Frames in a row that tell a marker's noise: the edges of gaps are none."""
 ALIKE = 1.5
 """Ratio of two estimates of a variance up to which they are of one."""
 CHUNK = 256
@@ -186,7 +186,9 @@ def _usual(x: Float[Tensor, "frames 3"], band: tuple[float, float]) -> float:
     Where an arm is lost for some frames, no band of the whole is quiet, and 80 mm were found.
     """
     length = min(WINDOW, len(x))
-    first, last = round(2.0 * band[0] * length), round(2.0 * band[1] * length)
+    first = round(2.0 * band[0] * length)
+    # Of fast cameras, or a short run, a narrow band may hold less than one coefficient.
+    last = max(first + 1, round(2.0 * band[1] * length))
     C = cosine_matrix(length, last).to(x)[first:]
     energy = (C @ x.unfold(0, length, length).mT).square().flatten(1).mean(1)
     # Median of chi-square over its mean (Wilson and Hilferty, PNAS 17 (1931)).
