@@ -177,8 +177,8 @@ def test_evidence_is_that_of_the_marginal_likelihood():
     trials = []
     for own, columns in zip(watched, design.trials, strict=True):
         both = accumulate(spectra(own.rows, columns.extra), initial_whitening(prior.mean))
-        trials.append(prior.standard((both.gram, both.moment)))
-    sums = Sums(design.base, tuple(trials))
+        trials.append(prior.standard(both.gram, both.moment, columns.beside.live))
+    sums = Sums(design.base, design.shared, tuple(trials))
     base = fit(sums)
     for one, found in zip(design.candidates, gains(sums, base, design.candidates)[0], strict=True):
         more = fit(sums, (one,))

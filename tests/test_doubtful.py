@@ -22,9 +22,9 @@ def found(columns: torch.Tensor, rows: torch.Tensor) -> Search:
         for s in sources
     )
     every = torch.cat([torch.zeros(len(columns), 1).double(), columns], 1)
-    raw = every.T @ every, every.T @ rows
-    sums = Sums(1, (raw, raw))
     prior = Prior(torch.zeros(n + 1).double(), torch.eye(1).double(), torch.ones(n).double())
+    raw = prior.standard(every.T @ every, every.T @ rows, torch.arange(n + 1))
+    sums = Sums(1, n + 1, (raw, raw))
     noise = initial_noise(initial_whitening(columns))
     return Search(Design(1, 1, tuple(sources), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
 
@@ -45,7 +45,8 @@ def test_what_shares_a_column_with_a_nuisance_adds_to_it():
     """The mean over a design's columns holds a plate's usual offset and the one that was found, both."""
     generator = torch.Generator().manual_seed(6)
     column = torch.randn(400, 1, generator=generator, dtype=torch.float64)
-    raw = column.T @ column, column.T @ (9.0 * column[:, 0])
+    unit = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double())
+    raw = unit.standard(column.T @ column, column.T @ (9.0 * column[:, 0]), torch.arange(1))
     source = Source(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
-    found = fit(Sums(1, (raw,)), [Candidate(effect("drag"), source.place, source, frozenset({0}))])
+    found = fit(Sums(1, 1, (raw,)), [Candidate(effect("drag"), source.place, source, frozenset({0}))])
     assert float(found.z(1, 0)[0]) == pytest.approx(9.0, rel=0.01)

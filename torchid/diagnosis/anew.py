@@ -5,7 +5,7 @@ share, theirs are independent, so that they are integrated out of each trial's s
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -32,7 +32,8 @@ class Told:
 
     def lost(self, raw: Raw) -> float:
         """Degrees of freedom that the trial's rows with these sums have given to the parameters."""
-        gram = raw[0][self.columns[:, None], self.columns]
+        at = raw.at(self.columns)
+        gram = raw.gram[at][:, at]
         return float((self.relative[:, None] * gram * self.relative * self.covariance).sum())
 
 
@@ -41,31 +42,40 @@ class _Own:
     """Of one trial: columns, and factor of what it says of them."""
 
     columns: Int[Tensor, " own"]
+    at: Int[Tensor, " own"]
+    """Where they stand in the trial."""
     relative: Float[Tensor, " own"]
     factor: Float[Tensor, "own own"]
 
-    def cross(self, gram: Float[Tensor, "all all"]) -> Float[Tensor, "own all"]:
-        return self.relative[:, None] * gram[self.columns]
+    def cross(self, raw: Raw) -> Float[Tensor, "own live+1"]:
+        return self.relative[:, None] * raw.gram[self.at]
+
+    def moment(self, raw: Raw) -> Float[Tensor, "own 1"]:
+        return (self.relative * raw.moment[self.at])[:, None]
 
 
 def _own(raw: Raw, acting: Sequence[Candidate]) -> _Own:
-    columns, relative = torch.cat([c.columns for c in acting]), torch.cat([c.relative for c in acting]).to(raw[0])
-    gram = relative[:, None] * raw[0][columns[:, None], columns] * relative
-    return _Own(columns, relative, torch.linalg.cholesky(gram + torch.eye(len(columns)).to(gram)))
+    columns, relative = torch.cat([c.columns for c in acting]), torch.cat([c.relative for c in acting]).to(raw.gram)
+    at = raw.at(columns)
+    gram = relative[:, None] * raw.gram[at][:, at] * relative
+    return _Own(columns, at, relative, torch.linalg.cholesky(gram + torch.eye(len(columns)).to(gram)))
 
 
 def eliminated(sums: Sums, chosen: Sequence[Candidate]) -> tuple[Sums, list[Candidate]]:
     """Sums in which effects that are anew in every trial are integrated out, and the other effects."""
     anew, trials, constant = [c for c in chosen if c.effect.anew], [], sums.constant
-    for k, (gram, moment) in enumerate(sums.trials):
+    if not anew:
+        return sums, list(chosen)
+    for k, raw in enumerate(sums.trials):
         if acting := [c for c in anew if k in c.trials]:
-            own = _own((gram, moment), acting)
-            shared = torch.linalg.solve_triangular(own.factor, own.cross(gram), upper=False)
-            u = torch.linalg.solve_triangular(own.factor, (own.relative * moment[own.columns])[:, None], upper=False)
-            gram, moment = gram - shared.T @ shared, moment - shared.T @ u[:, 0]
+            own = _own(raw, acting)
+            shared = torch.linalg.solve_triangular(own.factor, own.cross(raw), upper=False)
+            u = torch.linalg.solve_triangular(own.factor, own.moment(raw), upper=False)
+            left = torch.addmm(raw.gram, shared.T, shared, alpha=-1.0)
+            raw = Raw(raw.live, left, raw.moment - shared.T @ u[:, 0])
             constant += float(0.5 * u.square().sum() - own.factor.diagonal().log().sum())
-        trials.append((gram, moment))
-    return Sums(sums.base, tuple(trials), constant), [c for c in chosen if not c.effect.anew]
+        trials.append(raw)
+    return replace(sums, trials=tuple(trials), constant=constant), [c for c in chosen if not c.effect.anew]
 
 
 def told(sums: Sums, chosen: Sequence[Candidate]) -> Iterator[Told]:
@@ -73,12 +83,11 @@ def told(sums: Sums, chosen: Sequence[Candidate]) -> Iterator[Told]:
     less, shared = eliminated(sums, chosen)
     fitted = fit(less, shared)
     mean, covariance = fitted.mean, fitted.covariance
-    for k, (gram, moment) in enumerate(sums.trials):
+    for k, raw in enumerate(sums.trials):
         at, columns, relative = _acting(sums.base, shared, k)
-        relative = relative.to(gram)
-        here = Told(columns, relative, mean[at], covariance[at[:, None], at])
+        here = Told(columns, relative.to(mean), mean[at], covariance[at][:, at])
         acting = [c for c in chosen if c.effect.anew and k in c.trials]
-        yield _joined(here, _own((gram, moment), acting), gram, moment) if acting else here
+        yield _joined(here, _own(raw, acting), raw) if acting else here
 
 
 def _acting(
@@ -96,14 +105,14 @@ def _acting(
     return torch.cat(at), torch.cat(columns), torch.cat(relative)
 
 
-def _joined(here: Told, own: _Own, gram: Float[Tensor, "all all"], moment: Float[Tensor, " all"]) -> Told:
+def _joined(here: Told, own: _Own, raw: Raw) -> Told:
     """With the trial's own parameters, which are linear in what it shares, plus what it leaves open."""
-    right = (own.relative * moment[own.columns])[:, None]
-    both = torch.cat([own.cross(gram)[:, here.columns] * here.relative, right], 1)
+    both = torch.cat([own.cross(raw)[:, raw.at(here.columns)] * here.relative, own.moment(raw)], 1)
     solved = torch.cholesky_solve(both, own.factor)
     slope, n = -solved[:, :-1], len(here.mean)
-    J = torch.cat([torch.eye(n).to(gram), slope])
-    covariance = J @ here.covariance @ J.T
-    covariance[n:, n:] += torch.cholesky_inverse(own.factor)
+    cross = slope @ here.covariance
+    covariance = cross.new_empty(n + len(cross), n + len(cross))
+    covariance[:n, :n], covariance[n:, :n], covariance[:n, n:] = here.covariance, cross, cross.T
+    covariance[n:, n:] = cross @ slope.T + torch.cholesky_inverse(own.factor)
     mean = torch.cat([here.mean, solved[:, -1] + slope @ here.mean])
     return Told(torch.cat([here.columns, own.columns]), torch.cat([here.relative, own.relative]), mean, covariance)

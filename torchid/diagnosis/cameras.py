@@ -251,6 +251,10 @@ class MarkerSums:
     least: float = 1e-6
     """Energy of each that white noise leaves, whatever a model explains."""
 
+    def only(self, some: Int[Tensor, " fewer"]) -> "MarkerSums":
+        """Of some columns."""
+        return replace(self, gram=self.gram[:, some[:, None], some], moment=self.moment[:, some])
+
     def left(self, theta: Float[Tensor, " columns"]) -> Float[Tensor, " bands"]:
         """Energy of the residual at theta."""
         return self.energy - 2.0 * self.moment @ theta + torch.einsum("bij,i,j->b", self.gram, theta, theta)

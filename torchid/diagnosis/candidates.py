@@ -39,6 +39,8 @@ class Source:
     mean: tuple[float, ...]
     scale: tuple[float, ...]
     """Of the prior of its parameters."""
+    trial: str | None = None
+    """The only one that has its columns; None: every one does."""
 
 
 @dataclass(frozen=True)
@@ -79,24 +81,48 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Columns:
-    """Of all sources, in one trial."""
+class Kept:
+    """Columns of a design that a narrower one has."""
 
-    extra: Float[Tensor, "6 more frames"]
-    """About the root's origin."""
+    all: Int[Tensor, " kept"]
+    kinematic: Int[Tensor, " some"]
+    """Those among the kinematic ones, from the first of these on."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What one trial knows of its columns beside their rows of forces."""
+
+    live: Int[Tensor, " live"]
+    """Columns of the design that the trial has: those of the inertia, and of sources that could act in it."""
     markers: MarkerSums | None
     """Of the kinematic ones."""
     idle: IdleSums | None = None
     """Of zero errors."""
+    covariation: Float[Tensor, "bands 6 6 live"] | None = None
+    """Of the noise that markers leave in the columns with that of the total."""
+
+    def only(self, some: "Kept") -> "Beside":
+        """Of a narrower design, in which nuisances stand where they did."""
+        at, live = kept(self.live, some.all)
+        noise = None if self.covariation is None else self.covariation[..., at]
+        return Beside(live, None if self.markers is None else self.markers.only(some.kinematic), self.idle, noise)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Of those sources that could act in one trial."""
+
+    extra: Float[Tensor, "6 more frames"]
+    """Behind those of the inertia, about the root's origin."""
+    beside: Beside
     beyond: Float[Tensor, "frames 6"] | None = None
     """What late effects do beyond their columns, about the origin of W, where those are linearised elsewhere."""
-    covariation: Float[Tensor, "bands 6 6 all"] | None = None
-    """Of the noise that markers leave in all columns, inertia first, with that of the total."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """Columns of nuisances and candidates, behind the inertia's."""
+    """Columns of nuisances and candidates, behind the inertia's; those of one trial stand last."""
 
     inertia: int
     """Number of inertial parameters."""
@@ -110,6 +136,11 @@ class Design:
     def kinematic(self) -> slice:
         """Columns that have rows of markers."""
         return _kinematic(self.sources)
+
+    @property
+    def shared(self) -> int:
+        """Number of columns that every trial has."""
+        return next((s.columns.start for s in self.sources if s.trial is not None), self.width)
 
     @property
     def width(self) -> int:
@@ -142,30 +173,36 @@ def make_design(watched: Sequence[Watched], effects: Sequence[Effect], fit: Geom
     """
     names = [w.rows.name for w in watched]
     inertia = watched[0].view.scene.phi.numel()
-    sources, known = [], {}
-    at = inertia
+    known, at = {}, inertia
     for effect, place, mean, scale in nuisances(watched, fit):
-        sources.append(Source(effect, place, slice(at, at + len(scale)), mean, scale))
-        known[_key(effect, place)] = sources[-1]
+        known[_key(effect, place)] = Source(effect, place, slice(at, at + len(scale)), mean, scale)
         at += len(scale)
     base, candidates = at, []
-    # Those that markers show stand together, behind the nuisances that markers show.
-    for effect in sorted(effects, key=lambda e: not e.kinematic):
-        places = suggested(effect, watched)
+    offered = {effect: suggested(effect, watched) for effect in effects}
+    wanted = [(effect, effect.source(place)[0]) for effect, places in offered.items() for place in places]
+    # Those that markers show stand together, behind the nuisances that markers show; those of one trial stand last.
+    for effect, own in sorted(wanted, key=lambda both: (not both[0].kinematic, confined(*both) is not None)):
+        if _key(effect, own) not in known:
+            scale = effect.scale(own)
+            part = slice(at, at + len(scale))
+            known[_key(effect, own)] = Source(effect, own, part, (0.0,) * len(scale), scale, confined(effect, own))
+            at = part.stop
+    for effect, places in offered.items():
         for place in places:
             own, trials = effect.source(place)
-            if _key(effect, own) not in known:
-                scale = effect.scale(own)
-                sources.append(Source(effect, own, slice(at, at + len(scale)), (0.0,) * len(scale), scale))
-                known[_key(effect, own)] = sources[-1]
-                at += len(scale)
             which = range(len(names)) if trials is None else [names.index(t) for t in trials]
             told = frozenset(k for k in which if _longest_s(watched[k]) >= PERIODS * effect.period_s(place))
             odds = place.odds / mass(effect, places)
             if told:
                 candidates.append(Candidate(effect, place, known[_key(effect, own)], told, odds))
-    trials = tuple(trial_columns(w, sources) for w in watched)
-    return Design(inertia, base, tuple(sources), tuple(candidates), trials)
+    sources = tuple(known.values())
+    return Design(inertia, base, sources, tuple(candidates), tuple(trial_columns(w, sources) for w in watched))
+
+
+def confined(effect: Effect, place: Place) -> str | None:
+    """The only trial in which something can be seen there; markers' rows are kept of all effects."""
+    trials = {own.trial for own in place.when or ()}
+    return None if effect.kinematic or len(trials) != 1 else next(iter(trials))
 
 
 def _longest_s(watched: Watched) -> float:
@@ -178,8 +215,8 @@ def _kinematic(sources: Sequence[Source]) -> slice:
     return slice(own[0].start, own[-1].stop) if own else slice(0, 0)
 
 
-def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:
-    """A design of the base and some candidates, these in it, and which columns of all it keeps."""
+def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Kept]:
+    """As ``only``, without columns of its own."""
     wanted = {c.source.columns.start for c in some}
     kept = [s for s in design.sources if s.columns.start < design.base or s.columns.start in wanted]
     sources, at, index = {}, design.inertia, [torch.arange(design.inertia)]
@@ -190,18 +227,26 @@ def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candi
     which = torch.cat(index)
     own = tuple(replace(c, source=sources[c.source.columns.start]) for c in some)
     k = design.kinematic
-    seen = which[(which >= k.start) & (which < k.stop)] - k.start
-    trials = tuple(_only(c, which, design.inertia, seen) for c in design.trials)
-    return replace(design, sources=tuple(sources.values()), candidates=own, trials=trials), own, which
+    small = replace(design, sources=tuple(sources.values()), candidates=own, trials=())
+    return small, own, Kept(which, which[(which >= k.start) & (which < k.stop)] - k.start)
 
 
-def _only(columns: Columns, which: Int[Tensor, " kept"], inertia: int, seen: Int[Tensor, " fewer"]) -> Columns:
-    markers, noise = columns.markers, columns.covariation
-    extra = columns.extra[:, which[inertia:] - inertia]
-    if markers is not None:
-        gram = markers.gram[:, seen[:, None], seen]
-        markers = replace(markers, gram=gram, moment=markers.moment[:, seen])
-    return replace(columns, extra=extra, markers=markers, covariation=None if noise is None else noise[..., which])
+def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:
+    """A design of the base and some candidates, these in it, and which columns of all it keeps."""
+    small, own, which = narrower(design, some)
+    trials = []
+    for one in design.trials:
+        at, _ = kept(one.beside.live, which.all)
+        extra = one.extra[:, at[design.inertia :] - design.inertia]
+        trials.append(replace(one, extra=extra, beside=one.beside.only(which)))
+    return replace(small, trials=tuple(trials)), own, which.all
+
+
+def kept(live: Int[Tensor, " live"], some: Int[Tensor, " some"]) -> tuple[Int[Tensor, " kept"], Int[Tensor, " kept"]]:
+    """Where those of some columns that live stand among all that do, and which of the some they are."""
+    at = torch.searchsorted(live, some).clamp(max=len(live) - 1)
+    there = (live[at] == some).nonzero()[:, 0]
+    return at[there], there
 
 
 def mass(effect: Effect, places: Sequence[Place]) -> float:
@@ -235,14 +280,16 @@ def _key(effect: Effect, place: Place) -> tuple:
 
 
 def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
-    """Of all sources in one trial."""
-    cameras, own, first = watched.cameras, _kinematic(sources), sources[0].columns.start if sources else 0
-    wrench = watched.rows.wrench.new_zeros(6, sum(len(s.scale) for s in sources), len(watched.rows.used))
+    """Of the sources that could act in one trial."""
+    sources = [s for s in sources if s.trial in (None, watched.rows.name)]
+    cameras, own, first = watched.cameras, _kinematic(sources), watched.phi.numel()
+    live = torch.cat([torch.arange(first), *(torch.arange(s.columns.start, s.columns.stop) for s in sources)])
+    wrench, at = watched.rows.wrench.new_zeros(6, len(live) - first, len(watched.rows.used)), 0
     for source in sources:
+        part = slice(at, at + len(source.scale))
         if not source.effect.kinematic:
-            wrench[:, source.columns.start - first : source.columns.stop - first] = _seen_by_plates(
-                watched.view, source
-            )
+            wrench[:, part] = _seen_by_plates(watched.view, source)
+        at = part.stop
     answers, sums = [] if cameras is None else [answer_of(cameras, s) for s in sources if s.effect.kinematic], None
     if cameras is not None and answers:
         wrench[:, own.start - first : own.stop - first] = cameras.wrench(answers)
@@ -250,11 +297,8 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     extra = _about_root(watched, wrench)
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
-    sums = (
-        marker_sums(cameras.coarse, cameras.left(answers), cameras.least) if cameras is not None and answers else None
-    )
     idle = idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources])
-    return Columns(extra, sums, idle, covariation=_covariation(watched, sources))
+    return Columns(extra, Beside(live, sums, idle, _covariation(watched, sources, live)))
 
 
 def _seen_by_plates(view: View, source: Source) -> Float[Tensor, "6 columns frames"]:
@@ -266,7 +310,9 @@ def _about_root(watched: Watched, wrench: Float[Tensor, "6 more frames"]) -> Flo
     return wrench_about(wrench.permute(1, 2, 0), root).permute(2, 0, 1)
 
 
-def _covariation(watched: Watched, sources: Sequence[Source]) -> Float[Tensor, "bands 6 6 all"] | None:
+def _covariation(
+    watched: Watched, sources: Sequence[Source], live: Int[Tensor, " live"]
+) -> Float[Tensor, "bands 6 6 live"] | None:
     """See ``Columns``; zero for what no acceleration enters."""
     if watched.expected is None:
         return None
@@ -279,9 +325,9 @@ def _covariation(watched: Watched, sources: Sequence[Source]) -> Float[Tensor, "
     plain, n = of(watched.view), watched.phi.numel()
     noise = ((torch.cat([one.inertia, of(one.view) - plain], 1), one.total) for one in watched.shaken)
     found = covariation(watched.rows, watched.expected, noise)
-    whole = found.new_zeros(*found.shape[:3], n + sum(len(s.scale) for s in sources))
+    whole = found.new_zeros(*found.shape[:3], len(live))
     which = [torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)]
-    whole[..., torch.cat(which)] = found
+    whole[..., kept(live, torch.cat(which))[0]] = found
     return whole
 
 

@@ -9,7 +9,7 @@ import torch
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import Candidate, Columns, trial_columns
 from torchid.diagnosis.doubtful import relevant, without_opposed
-from torchid.diagnosis.evidence import Sums, fit
+from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal
 from torchid.diagnosis.late import linearised
 from torchid.diagnosis.noise import rows_of, summed
@@ -138,7 +138,7 @@ class _Judge:
             self.columns = self._settled()
         rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
         more = summed(rows, found.prior, found.design, found.noise)
-        self.both = Sums(found.sums.base, (*found.sums.trials, *more.trials), found.sums.constant)
+        self.both = replace(found.sums, trials=(*found.sums.trials, *more.trials))
 
     def __call__(self, chosen: Sequence[Candidate]) -> tuple[Errors, float]:
         """Held-out residual, and log density of the held-out rows after the fit trials but for what models share."""

@@ -63,7 +63,7 @@ def without_opposed(found: Search) -> Search:
 def _energies(found: Search) -> Float[Tensor, "chosen chosen"]:
     """Products of what the chosen effects do to the whitened rows."""
     total = torch.zeros(len(found.chosen), len(found.chosen)).to(found.prior.mean)
-    for trial, (gram, _) in enumerate(found.sums.trials):
-        share = found.fitted.shares(len(gram), trial)
-        total += share @ gram @ share.T
+    for trial, raw in enumerate(found.sums.trials):
+        share = found.fitted.shares(len(found.prior.mean), trial)[:, raw.live]
+        total += share @ raw.gram[:-1, :-1] @ share.T
     return total

@@ -13,14 +13,33 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Candidate, Design
+from torchid.diagnosis.candidates import Candidate, Design, kept
 from torchid.model.model import InertialPrior
 
-Raw = tuple[Float[Tensor, "all all"], Float[Tensor, " all"]]
-"""Gram matrix and moment of whitened rows."""
+
+@dataclass(frozen=True)
+class Raw:
+    """What one trial's whitened rows say of z: what could happen in another trial alone has no columns in them."""
+
+    live: Int[Tensor, " live"]
+    """Columns of the design that this trial has, in order."""
+    gram: Float[Tensor, "live+1 live+1"]
+    """Its last row and column, zero, are those of all columns that do not live."""
+    moment: Float[Tensor, " live+1"]
+
+    def at(self, columns: Int[Tensor, "*some"]) -> Int[Tensor, "*some"]:
+        """Where columns of the design stand."""
+        at = torch.searchsorted(self.live, columns)
+        return torch.where(self.live[at.clamp(max=len(self.live) - 1)] == columns, at, len(self.live))
+
+    def only(self, some: Int[Tensor, " fewer"]) -> "Raw":
+        """Of a design that kept these columns of this one."""
+        at, live = kept(self.live, some)
+        where = torch.cat([at, at.new_tensor([len(self.live)])])
+        return Raw(live, self.gram[where][:, where], self.moment[where])
 
 
 @dataclass(frozen=True)
@@ -32,16 +51,18 @@ class Prior:
     """Lower Cholesky factor of the inertial parameters."""
     scale: Float[Tensor, " more"]
 
-    def standard(self, sums: Raw) -> tuple[Float[Tensor, "all all"], Float[Tensor, " all"]]:
-        """Gram matrix and moment of z."""
-        n, (gram, moment) = len(self.inertia), sums
-        moment = moment - gram @ self.mean
-        gram = gram.clone()
-        gram[:n] = self.inertia.T @ gram[:n]
-        gram[:, :n] = gram[:, :n] @ self.inertia
-        gram[n:] *= self.scale[:, None]
-        gram[:, n:] *= self.scale
-        return gram, torch.cat([self.inertia.T @ moment[:n], self.scale * moment[n:]])
+    def standard(
+        self, gram: Float[Tensor, "live live"], moment: Float[Tensor, " live"], live: Int[Tensor, " live"]
+    ) -> Raw:
+        """Sums over theta in terms of z."""
+        n, L = len(self.inertia), len(live)
+        scale, left = self.scale[live[n:] - n], moment - gram @ self.mean[live]
+        both = gram.new_zeros(L + 1, L + 1)
+        both[n:L, n:L] = (scale[:, None] * gram[n:, n:]).mul_(scale)
+        both[:n, :n] = self.inertia.T @ gram[:n, :n] @ self.inertia
+        both[:n, n:L] = (self.inertia.T @ gram[:n, n:]).mul_(scale)
+        both[n:L, :n] = both[:n, n:L].T
+        return Raw(live, both, torch.cat([self.inertia.T @ left[:n], scale * left[n:], left.new_zeros(1)]))
 
     def widened(self, design: Design) -> "Prior":
         """The same of inertia, for another design."""
@@ -66,7 +87,9 @@ class Sums:
     """Gram matrices and moments of z, trial by trial."""
 
     base: int
-    """Columns of inertia and nuisances; those of the candidates' sources follow."""
+    """Columns of inertia and nuisances, which every trial has; those of the candidates' sources follow."""
+    shared: int
+    """Columns that every trial has; those follow that are one trial's."""
     trials: tuple[Raw, ...]
     constant: float = 0.0
     """Log density of all rows but for what models of one noise differ in."""
@@ -76,16 +99,14 @@ class Sums:
         """Every trial."""
         return frozenset(range(len(self.trials)))
 
-    def block(
-        self, rows: slice | Tensor, columns: slice | Tensor, seen: frozenset[int]
-    ) -> Float[Tensor, "rows columns"]:
+    def block(self, rows: slice | Tensor, columns: Tensor, seen: frozenset[int]) -> Float[Tensor, "rows columns"]:
         """Part of the Gram matrix, summed over some trials."""
         # Symmetric: rows of a matrix lie together in memory, columns do not.
-        return self.summed(seen, lambda raw: raw[0][columns][:, rows]).mT
+        return self.summed(seen, lambda raw: raw.gram[raw.at(columns)][:, _of(raw, rows)]).mT
 
     def moment(self, columns: slice | Tensor, seen: frozenset[int]) -> Float[Tensor, " columns"]:
         """Part of the moment, summed over some trials."""
-        return self.summed(seen, lambda raw: raw[1][columns])
+        return self.summed(seen, lambda raw: raw.moment[_of(raw, columns)])
 
     def summed(self, seen: frozenset[int], part: Callable[[Raw], Tensor]) -> Tensor:
         """A linear part of what some trials say together."""
@@ -100,8 +121,13 @@ class Sums:
 
     @cached_property
     def _whole(self) -> Raw:
-        grams, moments = ([raw[k] for raw in self.trials] for k in (0, 1))
-        return sum(grams[1:], start=grams[0]), sum(moments[1:], start=moments[0])
+        """Of the shared columns: what is one trial's is never summed."""
+        n, first = self.shared, self.trials[0]
+        gram, moment = first.gram.new_zeros(n + 1, n + 1), first.moment.new_zeros(n + 1)
+        for raw in self.trials:
+            gram[:n, :n] += raw.gram[:n, :n]
+            moment[:n] += raw.moment[:n]
+        return Raw(first.live[:n], gram, moment)
 
     def cross(self, chosen: Sequence[Candidate], columns: Tensor, seen: frozenset[int]) -> Tensor:
         """Rows of the base and of chosen candidates against columns, summed over the trials in which they act."""
@@ -109,6 +135,11 @@ class Sums:
         for one, block in _blocks(chosen):
             rows.append(one.relative.to(rows[0])[:, None] * self.block(one.columns, columns, block & seen))
         return torch.cat(rows)
+
+
+def _of(raw: Raw, some: slice | Tensor) -> slice | Tensor:
+    """Slices are of columns that every trial has."""
+    return some if isinstance(some, slice) else raw.at(some)
 
 
 def _blocks(chosen: Sequence[Candidate]) -> Iterator[tuple[Candidate, frozenset[int]]]:
@@ -161,7 +192,9 @@ class Fitted:
         return found
 
 
-def assembled(sums: Sums, chosen: Sequence[Candidate], seen: frozenset[int]) -> Raw:
+def assembled(
+    sums: Sums, chosen: Sequence[Candidate], seen: frozenset[int]
+) -> tuple[Float[Tensor, "n n"], Float[Tensor, " n"]]:
     """Gram matrix and moment of the base and these effects."""
     blocks = [sums.cross(chosen, torch.arange(sums.base), seen)]
     moments = [sums.moment(slice(sums.base), seen)]
@@ -197,6 +230,11 @@ def gains(sums: Sums, base: Fitted, candidates: Sequence[Candidate]) -> Float[Te
     return found
 
 
+def _blocks_of(raw: Raw, index: Int[Tensor, "some columns"]) -> Float[Tensor, "some columns columns"]:
+    at = raw.at(index)
+    return raw.gram[at[:, :, None], at[:, None, :]]
+
+
 def _gains(
     sums: Sums, base: Fitted, some: Sequence[Candidate], blocks: tuple[frozenset[int], ...]
 ) -> Float[Tensor, "2 some"]:
@@ -210,7 +248,7 @@ def _gains(
         moment = relative.flatten() * sums.moment(index.flatten(), block)
         lefts.append((moment - shared.T @ base.whitened).view(index.shape))
         parts.append(shared.unflatten(1, index.shape).permute(1, 2, 0))
-        own = sums.summed(block, lambda raw: raw[0][index[:, :, None], index[:, None, :]])
+        own = sums.summed(block, lambda raw: _blocks_of(raw, index))
         owns.append(own * relative[:, :, None] * relative[:, None, :])
     part, left, n = torch.cat(parts, 1), torch.cat(lefts, 1), index.shape[1] * len(blocks)
     own = torch.stack([torch.block_diag(*(o[k] for o in owns)) for k in range(len(some))])

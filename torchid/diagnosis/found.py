@@ -82,8 +82,7 @@ def reduced(
 ) -> Search:
     """What a search ended with, without the columns that nobody chose."""
     small, own, some = only(design, chosen)
-    raws = tuple((gram[some[:, None], some], moment[some]) for gram, moment in sums.trials)
-    less = Sums(sums.base, raws, sums.constant)
+    less = Sums(sums.base, small.shared, tuple(raw.only(some) for raw in sums.trials), sums.constant)
     return Search(small, prior.widened(small), noise, own, tuple(rounds), less, fit(less, own))
 
 

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Candidate, Columns, Design, Source
-from torchid.diagnosis.evidence import Prior, Raw, Sums, fit, gains
+from torchid.diagnosis.candidates import Beside, Candidate, Design, Source, confined
+from torchid.diagnosis.evidence import Prior, Sums, fit, gains
 from torchid.diagnosis.noise import Noise, Rows, standardised, with_columns
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
@@ -35,15 +35,16 @@ def timed(
             break
         tried = _with(design, best, (best.place, *some))
         extra, wide = _extra(watched[trial], tried), prior.widened(tried)
-        own = with_columns(rows[trial], _columns(tried, trial, extra), watched[trial], extra)
-        raws = [_padded(raw, len(wide.mean)) for raw in sums.trials]
+        own = with_columns(rows[trial], _beside(tried, trial, extra), watched[trial], extra)
+        raws = list(sums.trials)
         raws[trial] = standardised(own, accumulate(own.forces, noise.forces), wide, tried, noise)[0]
-        gain = gains(Sums(sums.base, tuple(raws)), base, tried.candidates)[0]
+        gain = gains(replace(sums, trials=tuple(raws)), base, tried.candidates)[0]
         best = tried.candidates[int(gain.argmax())]
     final = _with(design, best, (best.place,))
-    extra = [_extra(w, final) for w in watched]
-    trials = [_columns(final, k, x) for k, x in enumerate(extra)]
-    found = [with_columns(*each) for each in zip(rows, trials, watched, extra, strict=True)]
+    extra, trials, found = _extra(watched[trial], final), list(design.trials), list(rows)
+    beside, before = _beside(final, trial, extra), trials[trial]
+    trials[trial] = replace(before, extra=torch.cat([before.extra, extra], 1), beside=beside)
+    found[trial] = with_columns(rows[trial], beside, watched[trial], extra)
     (best,) = final.candidates
     whole = replace(final, candidates=(*design.candidates, best), trials=tuple(trials))
     return found, whole, prior.widened(whole), best
@@ -64,16 +65,19 @@ def _with(design: Design, one: Candidate, places: Sequence[Place]) -> Design:
     at, sources = design.width, []
     for place in places:
         scale = one.effect.scale(place)
-        sources.append(Source(one.effect, place, slice(at, at + len(scale)), (0.0,) * len(scale), scale))
+        part, trial = slice(at, at + len(scale)), confined(one.effect, place)
+        sources.append(Source(one.effect, place, part, (0.0,) * len(scale), scale, trial))
         at += len(scale)
     fresh = tuple(replace(one, place=s.place, source=s, proposed=one.proposed or one.place) for s in sources)
     return replace(design, sources=(*design.sources, *sources), candidates=fresh)
 
 
-def _columns(design: Design, trial: int, extra: Tensor) -> Columns:
-    own = design.trials[trial]
-    noise = None if own.covariation is None else torch.nn.functional.pad(own.covariation, (0, extra.shape[1]))
-    return replace(own, extra=torch.cat([own.extra, extra], 1), covariation=noise)
+def _beside(design: Design, trial: int, extra: Tensor) -> Beside:
+    """With columns of further places behind the others."""
+    own, n = design.trials[trial].beside, extra.shape[1]
+    live = torch.cat([own.live, torch.arange(design.width - n, design.width)])
+    noise = None if own.covariation is None else torch.nn.functional.pad(own.covariation, (0, n))
+    return replace(own, live=live, covariation=noise)
 
 
 def _extra(watched: Watched, design: Design) -> Float[Tensor, "6 more frames"]:
@@ -82,9 +86,3 @@ def _extra(watched: Watched, design: Design) -> Float[Tensor, "6 more frames"]:
     some = [columns(c.effect, view.scene, view.reading, c.place) for c in design.candidates]
     found = torch.cat(some, 1).permute(1, 2, 0)
     return wrench_about(found, root.expand(len(found), -1, -1)).permute(2, 0, 1)
-
-
-def _padded(raw: Raw, size: int) -> Raw:
-    gram, moment = raw
-    more = size - len(moment)
-    return torch.nn.functional.pad(gram, (0, more, 0, more)), torch.nn.functional.pad(moment, (0, more))

@@ -28,13 +28,13 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
         sources: of all columns.
         theta: parameters of all columns.
     """
-    extra, beyond, at = own.extra.clone(), torch.zeros_like(watched.rows.wrench), 0
+    extra, beyond, first = own.extra.clone(), torch.zeros_like(watched.rows.wrench), watched.phi.numel()
     measured, root = watched.view.measured, watched.rows.motion.q[:, :3]
     for source in sources:
-        part = slice(at, at + len(source.scale))
-        at = part.stop
         if not source.effect.late:
             continue
+        # No trial lacks them: they stand where they do in the design.
+        part = slice(source.columns.start - first, source.columns.stop - first)
         back = source.effect.undone(measured, source.place, theta[part])
         slope = columns(source.effect, watched.view.scene, back, source.place).permute(1, 2, 0)
         slope = wrench_about(slope, root.expand(len(slope), -1, -1)).permute(2, 0, 1)

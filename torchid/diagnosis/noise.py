@@ -1,7 +1,7 @@
 """Noise of forces and markers under a model, and the sums that it weighs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.diagnosis.anew import told
 from torchid.diagnosis.belief import Belief
 from torchid.diagnosis.cameras import BANDS
-from torchid.diagnosis.candidates import Candidate, Columns, Design, only
+from torchid.diagnosis.candidates import Beside, Candidate, Columns, Design, kept, narrower
 from torchid.diagnosis.evidence import Prior, Raw, Sums
 from torchid.diagnosis.expected import Expected
 from torchid.diagnosis.late import without_beyond
@@ -35,7 +35,7 @@ class Rows:
     """One trial's rows of forces in the frequency domain, and its columns."""
 
     forces: tuple[Spectrum, ...]
-    columns: Columns
+    beside: Beside
     expected: Expected | None = None
     """Energy that plates' and markers' noise have in them; None where nobody knows."""
 
@@ -50,9 +50,10 @@ def rows_of(watched: Watched, columns: Columns, late: Sequence[bool]) -> Rows:
     """
     found = tuple(spectra(without_beyond(watched.rows, columns), columns.extra))
     if watched.expected is None:
-        return Rows(found, columns)
+        return Rows(found, columns.beside)
     believed, phi = watched.expected.believed, watched.phi.reshape(-1)
-    return Rows(tuple(_shrunk(block, believed, phi, late) for block in found), columns, watched.expected)
+    late = [late[k - len(phi)] for k in columns.beside.live[len(phi) :].tolist()]
+    return Rows(tuple(_shrunk(block, believed, phi, late) for block in found), columns.beside, watched.expected)
 
 
 def _shrunk(block: Spectrum, believed: Belief, phi: Float[Tensor, " params"], late: Sequence[bool]) -> Spectrum:
@@ -64,12 +65,12 @@ def _shrunk(block: Spectrum, believed: Belief, phi: Float[Tensor, " params"], la
     return Spectrum(part * block.Y, block.F - rest, block.frequency)
 
 
-def with_columns(rows: Rows, columns: Columns, watched: Watched, more: Float[Tensor, "6 more frames"]) -> Rows:
+def with_columns(rows: Rows, beside: Beside, watched: Watched, more: Float[Tensor, "6 more frames"]) -> Rows:
     """Rows with further columns that come from the motion.
 
     Args:
         rows: as they are.
-        columns: of the trial, further ones behind.
+        beside: of all columns, further ones behind.
         watched: the trial.
         more: the further ones about the root's origin.
     """
@@ -77,18 +78,19 @@ def with_columns(rows: Rows, columns: Columns, watched: Watched, more: Float[Ten
     for block, fresh in zip(rows.forces, column_spectra(watched.rows, more), strict=True):
         own = fresh if watched.expected is None else watched.expected.believed(block.frequency).T[:, None] * fresh
         blocks.append(Spectrum(torch.cat([block.Y, own], 1), block.F, block.frequency))
-    return Rows(tuple(blocks), columns, rows.expected)
+    return Rows(tuple(blocks), beside, rows.expected)
 
 
 def narrowed(
     rows: Sequence[Rows], prior: Prior, design: Design, some: Sequence[Candidate]
 ) -> tuple[list[Rows], Prior, Design, tuple[Candidate, ...]]:
     """Everything without the columns of all other candidates."""
-    small, own, which = only(design, some)
+    small, own, which = narrower(design, some)
     less = []
-    for k, one in enumerate(rows):
-        blocks = tuple(Spectrum(block.Y[:, which], block.F, block.frequency) for block in one.forces)
-        less.append(Rows(blocks, small.trials[k], one.expected))
+    for one in rows:
+        at, _ = kept(one.beside.live, which.all)
+        blocks = tuple(Spectrum(block.Y[:, at], block.F, block.frequency) for block in one.forces)
+        less.append(Rows(blocks, one.beside.only(which), one.expected))
     return less, prior.widened(small), small, own
 
 
@@ -99,44 +101,37 @@ def initial_noise(whitening: Whitening) -> Noise:
 
 def summed(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -> Sums:
     """Forces and markers of every trial under their noise."""
-    return _summed(rows, [_accumulated(own, noise.forces) for own in rows], prior, design, noise)
-
-
-def _accumulated(rows: Rows, whitening: Whitening) -> NormalEquations:
-    """``accumulate`` for columns many of which are zero: what could happen in one trial has none in the others."""
-    live = torch.stack([(block.Y != 0.0).flatten(2).any(2).any(0) for block in rows.forces]).any(0).nonzero()[:, 0]
-    found = accumulate((replace(block, Y=block.Y[:, live]) for block in rows.forces), whitening)
-    n = rows.forces[0].Y.shape[1]
-    gram, moment = found.gram.new_zeros(n, n), found.gram.new_zeros(n)
-    gram[live[:, None], live], moment[live] = found.gram, found.moment
-    return NormalEquations(gram, moment, found.square, found.rows)
+    return _summed(rows, [accumulate(own.forces, noise.forces) for own in rows], prior, design, noise)
 
 
 def _summed(
     rows: Sequence[Rows], forces: Sequence[NormalEquations], prior: Prior, design: Design, noise: Noise
 ) -> Sums:
     found = [standardised(own, both, prior, design, noise) for own, both in zip(rows, forces, strict=True)]
-    return Sums(design.base, tuple(raw for raw, _ in found), sum((constant for _, constant in found), start=0.0))
+    constant = sum((constant for _, constant in found), start=0.0)
+    return Sums(design.base, design.shared, tuple(raw for raw, _ in found), constant)
 
 
 def standardised(rows: Rows, forces: NormalEquations, prior: Prior, design: Design, noise: Noise) -> tuple[Raw, float]:
     """Sums of one trial, and the log density of its rows but for what models of one noise differ in."""
     gram, moment, k, square = forces.gram.clone(), forces.moment.clone(), design.kinematic, forces.square
-    if rows.columns.covariation is not None:
-        moment += torch.einsum("bij,bijc->c", torch.linalg.inv(noise.forces.covariance), rows.columns.covariation)
+    if rows.beside.covariation is not None:
+        moment += torch.einsum("bij,bijc->c", torch.linalg.inv(noise.forces.covariance), rows.beside.covariation)
     volume = sum(noise.forces.log_determinant(block.band) for block in rows.forces)
-    if rows.columns.markers is not None:
-        weight, markers = noise.markers.reciprocal(), rows.columns.markers
+    if rows.beside.markers is not None:
+        weight, markers = noise.markers.reciprocal(), rows.beside.markers
         gram[k, k] += (weight @ markers.gram.flatten(1)).view_as(gram[k, k])
         moment[k] += weight @ markers.moment
         square += float(weight @ markers.energy)
         volume += float(markers.count @ noise.markers.log())
-    if rows.columns.idle is not None:
-        k = rows.columns.idle.columns
-        gram[k[:, None], k] += rows.columns.idle.gram
-        moment[k] += rows.columns.idle.moment
-    away = square - 2.0 * float(moment @ prior.mean) + float(prior.mean @ gram @ prior.mean)
-    return prior.standard((gram, moment)), -0.5 * (away + volume)
+    if rows.beside.idle is not None:
+        k = rows.beside.idle.columns
+        gram[k[:, None], k] += rows.beside.idle.gram
+        moment[k] += rows.beside.idle.moment
+    live = rows.beside.live
+    mean = prior.mean[live]
+    away = square - 2.0 * float(moment @ mean) + float(mean @ gram @ mean)
+    return prior.standard(gram, moment, live), -0.5 * (away + volume)
 
 
 def estimate_noise(
@@ -146,15 +141,15 @@ def estimate_noise(
     rows, prior, design, chosen = narrowed(rows, prior, design, chosen)
     noise = start
     for _ in range(ROUNDS - bool(chosen)):
-        whitened = [_accumulated(own, noise.forces) for own in rows]
+        whitened = [accumulate(own.forces, noise.forces) for own in rows]
         posterior = list(told(_summed(rows, whitened, prior, design, noise), chosen))
         theta = [prior.theta(one.z(len(prior.mean))) for one in posterior]
         # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
-        both = zip(posterior, whitened, strict=True)
-        lost = sum(one.lost(prior.standard((own.gram, own.moment))) for one, own in both)
-        forces = estimate_whitening(
-            ((block, x) for own, x in zip(rows, theta, strict=True) for block in own.forces), lost
-        )
+        live = [own.beside.live for own in rows]
+        each = zip(posterior, whitened, live, strict=True)
+        lost = sum(one.lost(prior.standard(own.gram, own.moment, which)) for one, own, which in each)
+        each = zip(rows, theta, live, strict=True)
+        forces = estimate_whitening(((block, x[which]) for own, x, which in each for block in own.forces), lost)
         noise = Noise(_at_least(forces, rows), _dispersion(rows, design, theta))
     return noise
 
@@ -178,8 +173,8 @@ def _dispersion(rows: Sequence[Rows], design: Design, theta: Sequence[Tensor]) -
     """Of markers against the scatter that weighs them; one where none are at hand."""
     energy = count = least = torch.zeros(BANDS, dtype=theta[0].dtype)
     for own, x in zip(rows, theta, strict=True):
-        if own.columns.markers is not None:
-            energy = energy + own.columns.markers.left(x[design.kinematic])
-            count = count + own.columns.markers.count
-            least = least + own.columns.markers.count * own.columns.markers.least
+        if own.beside.markers is not None:
+            energy = energy + own.beside.markers.left(x[design.kinematic])
+            count = count + own.beside.markers.count
+            least = least + own.beside.markers.count * own.beside.markers.least
     return torch.where(count > 0.0, torch.maximum(energy, least) / count.clamp(min=1.0), 1.0).clamp(min=1e-6)

@@ -1,6 +1,7 @@
 """Which effects the data support: add the best, estimate the noise again, scan again, try to remove each."""
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -28,6 +29,8 @@ NEWTON = 2
 """Steps by which effects that no column is linear in are found."""
 SECOND = 4
 """Effects that are tried under the noise that they would leave, at most."""
+OUT_OF_SIGHT = 10.0
+"""Nats behind the best at which nothing matters to it."""
 LIKELY = 0.2
 """Part of what the likeliest explains that another must explain to be tried."""
 
@@ -167,7 +170,8 @@ def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, t
     theta, n = prior.theta(fitted.z(len(prior.mean), trial)), len(prior.inertia)
     late = any(one.effect.late for one in fitted.chosen)
     rows = without_beyond(watched.rows, columns) if late else watched.rows
-    known = predict(rows, theta[:n].reshape(-1, 10)) + torch.einsum("ipt,p->ti", columns.extra, theta[n:])
+    own = theta[columns.beside.live[n:]]
+    known = predict(rows, theta[:n].reshape(-1, 10)) + torch.einsum("ipt,p->ti", columns.extra, own)
     return measured(rows) - known
 
 
@@ -197,28 +201,38 @@ def _scan(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) ->
     if not left:
         return Round((), {})
     sums, chosen = eliminated(sums, chosen)
-    gain, energy = gains(sums, fit(sums, chosen), left)
-    crossed = gain.clone()
-    if len(sums.all) > 1:
-        # What all trials together do not support needs no consent of each.
-        crossed[gain > 0.0] = _crossed(sums, chosen, [c for c, g in zip(left, gain.tolist(), strict=True) if g > 0.0])
-    both = zip(left, gain.tolist(), crossed.tolist(), energy.tolist(), strict=True)
-    rivals = [Rival(c, g, x, e - 0.5 * c.size) for c, g, x, e in both]
+    gain, energy = (x.tolist() for x in gains(sums, fit(sums, chosen), left))
+    rivals = [Rival(c, g, g, e - 0.5 * c.size) for c, g, e in zip(left, gain, energy, strict=True)]
+    rivals = _consented(sums, chosen, rivals) if len(sums.all) > 1 else rivals
     rivals.sort(key=lambda rival: -rival.weighed)
     names = dict.fromkeys(c.effect.name for c in left)
     families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
     return Round(tuple(rivals), families)
 
 
-def _crossed(sums: Sums, chosen: Sequence[Candidate], some: Sequence[Candidate]) -> Float[Tensor, " some"]:
+def _consented(sums: Sums, chosen: Sequence[Candidate], rivals: Sequence[Rival]) -> list[Rival]:
+    """With the consent of each trial to those that may come out best, or near."""
+    base = [fit(sums, chosen, sums.all - {k}) for k in sums.all]
+    asked, best = [], -math.inf
+    # What all trials together do not support needs no consent of each.
+    silent, waiting = [r for r in rivals if r.evidence <= 0.0], [r for r in rivals if r.evidence > 0.0]
+    while waiting and (top := max(r.weighed for r in waiting)) > best - OUT_OF_SIGHT:
+        fresh = [r for r in waiting if r.weighed >= top - OUT_OF_SIGHT]
+        waiting = [r for r in waiting if r.weighed < top - OUT_OF_SIGHT]
+        crossed = _crossed(sums, base, fresh).tolist()
+        asked += [replace(r, crossed=x) for r, x in zip(fresh, crossed, strict=True)]
+        best = max(r.weighed for r in asked)
+    return asked + waiting + silent
+
+
+def _crossed(sums: Sums, base: Sequence[Fitted], some: Sequence[Rival]) -> Float[Tensor, " some"]:
     """Log evidence that candidates add to what each trial says after the others, summed over the trials.
 
-    By the chain rule, that of a trial is the evidence of all less that of the others.
+    By the chain rule, that of a trial is the evidence of all less that of the others, to which ``base`` was fitted.
     """
-    whole, found = gains(sums, fit(sums, chosen), some)[0], sums.trials[0][1].new_zeros(len(some))
-    for k in sums.all:
-        found += whole - gains(sums, fit(sums, chosen, sums.all - {k}), some)[0]
-    return found
+    candidates = [r.candidate for r in some]
+    whole = torch.tensor([r.evidence for r in some]).to(sums.trials[0].moment)
+    return sum((whole - gains(sums, without, candidates)[0] for without in base), start=torch.zeros_like(whole))
 
 
 def _mean(rivals: Sequence[Rival]) -> float:
