@@ -28,6 +28,7 @@ def judged(truth: Sequence[dict], said: dict) -> dict:
         "wrong": [[c["effect"], c["where"], round(c["confidence"], 3)] for c in wrong],
         "unexplained": said.get("unexplained", {}).get("significant"),
         "heldout": [said["baseline"]["heldout"]["force_rmse_N"], said["extended"]["heldout"]["force_rmse_N"]],
+        "nearest": [[n["effect"], n["where"], round(n["evidence_nats"], 2)] for n in said["nearest"]],
         "gain": [c["gain"]["heldout_log_likelihood"] for c in causes],
         "told": f"{'+'.join(t['effect'] + '@' + ','.join(t['where']) for t in truth) or 'nothing'} -> "
         + ("; ".join(f"{c['effect']}@{','.join(c['where'])}" for c in causes) or "nothing"),

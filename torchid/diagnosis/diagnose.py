@@ -16,7 +16,7 @@ from torchid.diagnosis.noise import rows_of, summed
 from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import residual, residuals, search
 from torchid.diagnosis.unexplained import structure
-from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Errors
+from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Errors, Near
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
@@ -74,8 +74,15 @@ def diagnose(
         # A model that the data visibly contradict is sure of nothing that the contradicted forces told.
         trust = 1.0 - 0.5 * rest.share_of_residual
         causes = [c if _seen(c) else replace(c, confidence=trust * c.confidence) for c in causes]
-    idle = _idle(watched, plates)
-    return Diagnosis(plates, judge(())[0], extended[0], tuple(causes), rest, idle)
+    idle, near = _idle(watched, plates), _nearest(found.rounds[-1])
+    return Diagnosis(plates, judge(())[0], extended[0], tuple(causes), rest, idle, near)
+
+
+def _nearest(scan: Round) -> tuple[Near, ...]:
+    """Of the last scan, which named nothing."""
+    best = sorted(scan.families.items(), key=lambda both: -both[1])[:RIVALS]
+    first = {name: next(r.candidate for r in scan.rivals if r.candidate.effect.name == name) for name, _ in best}
+    return tuple(Near(name, first[name].place.where, score) for name, score in best)
 
 
 def _seen(cause: Cause) -> bool:

@@ -12,8 +12,8 @@ from torchid.diagnosis.candidates import Candidate, Design, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit
 from torchid.diagnosis.noise import Noise
 
-NAMED = 3.5
-"""Nats that name an effect: odds of 33 to one. In sessions that hid nothing the best of all effects had 0.3 at most."""
+NAMED = 2.5
+"""Nats that name an effect: odds of 12 to one. In sessions that hid nothing the best of all effects had 0.3 at most."""
 ALIKE = 3.0
 """Nats within which a rival cannot be told apart."""
 CHANCE, PART = 1.0, 0.1

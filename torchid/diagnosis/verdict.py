@@ -58,6 +58,16 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class Near:
+    """An effect that was not named, at its best place."""
+
+    effect: str
+    where: tuple[str, ...]
+    evidence_nats: float
+    """Of the effect, averaged over its places; ``NAMED`` would name it."""
+
+
+@dataclass(frozen=True)
 class Errors:
     """Held-out residual; RMS of 3-vectors over used frames, moments about the root's origin."""
 
@@ -76,6 +86,8 @@ class Diagnosis:
     unexplained: Structure
     not_testable: dict[str, str] = field(default_factory=dict)
     """Why, by effect."""
+    nearest: tuple["Near", ...] = ()
+    """What came closest to being named beside the causes, best first."""
     aside: tuple[Interval, ...] = ()
     """What no model was fitted to, or should be: something unmeasured bears a good part of the weight."""
 
@@ -88,6 +100,7 @@ def verdict(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": diagnosis.unexplained,
         "extended": {"heldout": dataclasses.asdict(diagnosis.extended)},
         "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
+        "nearest": [dataclasses.asdict(near) for near in diagnosis.nearest],
         "plates": {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in diagnosis.plates},
     }
 

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure as Canvas
 from torch import Tensor
 
 from torchid.diagnosis.diagnose import wanted
+from torchid.diagnosis.found import NAMED
 from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Cause, Diagnosis
 from torchid.outcome import Outcome
@@ -58,8 +59,18 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
     if not found.causes:
         options = outcome.config.diagnosis
         tried = len(wanted(options.include, options.exclude))
-        return f"None of the {tried} effects that were tried is supported by the recordings: nothing was corrected."
+        silent = f"None of the {tried} effects that were tried is supported by the recordings: nothing was corrected."
+        return " ".join([silent, *_nearest(found)])
     return " ".join([*(told(cause) for cause in found.causes), *_gains(outcome, found)])
+
+
+def _nearest(found: Diagnosis) -> list[str]:
+    """Of a diagnosis that names nothing, what is likelier than nothing."""
+    some = [near for near in found.nearest[:1] if near.evidence_nats > 0.0]
+    said = "The nearest is {} ({}), {} times as likely as none; what is {} times as likely is named."
+    odds = (math.exp(NAMED), *(math.exp(near.evidence_nats) for near in some))
+    return [said.format(_noun(n.effect), listing([clean(w) for w in n.where]), number(odds[1], 1), number(odds[0], 0))
+            for n in some]  # fmt: skip
 
 
 def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
