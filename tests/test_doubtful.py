@@ -25,7 +25,7 @@ def found(columns: torch.Tensor, rows: torch.Tensor) -> Search:
     prior = Prior(torch.zeros(n + 1).double(), torch.eye(1).double(), torch.ones(n).double())
     raw = prior.standard(every.T @ every, every.T @ rows, torch.arange(n + 1))
     sums = Sums(1, n + 1, (raw, raw))
-    noise = initial_noise(initial_whitening(columns))
+    noise = initial_noise(initial_whitening(columns), 2)
     return Search(Design(1, 1, tuple(sources), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
 
 

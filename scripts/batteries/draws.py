@@ -1,5 +1,6 @@
 """Random effects of a size: place, sign and direction."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -13,6 +14,8 @@ CARRIERS = ("pelvis", "abdomen", "thorax", "head", "upper_arm_l", "upper_arm_r",
 SKIN = {"thigh": ("hip", ("?THI", "?THF", "?KNE", "?KNM")), "shank": ("knee", ("?TIB", "?TIF")),
         "upper_arm": ("shoulder", ("?UPA", "?ELB", "?ELM"))}  # fmt: skip
 """Joint whose flexion moves the skin, and the markers on it."""
+ONE_TRIAL_S = 0.004
+"""Lag of a single trial that is just detectable."""
 Drawn = tuple[list[str], list[dict] | None, dict]
 
 
@@ -79,8 +82,12 @@ def _plates_of_gain(rng: np.random.Generator) -> list[str]:
 
 
 def _time_offset(rng: np.random.Generator, size: dict) -> Drawn:
-    where = "session" if rng.random() < 0.7 else _pick(rng, FIT)
-    return [where], None, {"lag_s": _sign(rng) * size["lag_s"]}
+    """Of one trial, just detectable is larger: of 10 s of slow motion, the lag has a standard deviation of 1-2 ms."""
+    if rng.random() < 0.7:
+        return ["session"], None, {"lag_s": _sign(rng) * size["lag_s"]}
+    small, large = SIZES["time_offset"]["lag_s"]
+    level = math.log(size["lag_s"] / small) / math.log(large / small)
+    return [_pick(rng, FIT)], None, {"lag_s": _sign(rng) * ONE_TRIAL_S * (large / ONE_TRIAL_S) ** level}
 
 
 def _pair(first: str, second: str) -> Callable[..., Drawn]:

@@ -144,7 +144,7 @@ class _Judge:
         if any(one.effect.late for one in found.chosen):
             self.columns = self._settled()
         rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
-        more = summed(rows, found.prior, found.design, found.noise)
+        more = summed(rows, found.prior, found.design, found.noise.typical(len(heldout)))
         self.both = replace(found.sums, trials=(*found.sums.trials, *more.trials))
 
     def __call__(self, chosen: Sequence[Candidate]) -> tuple[Errors, float]:

@@ -27,7 +27,8 @@ def relevant(found: Search, watched: Sequence[Watched]) -> Search:
     beside which 32 N of a plate went unseen.
     """
     kept = list(found.chosen)
-    for one in found.chosen:
+    # The last that were named, which explain least, are asked first: of two that can stand for each other, they go.
+    for one in reversed(found.chosen):
         if one.effect.kinematic or one.effect.timed:
             continue
         others = [c for c in kept if c is not one and not c.effect.anew]

@@ -37,7 +37,7 @@ def timed(
         extra, wide = _extra(watched[trial], tried), prior.widened(tried)
         own = with_columns(rows[trial], _beside(tried, trial, extra), watched[trial], extra)
         raws = list(sums.trials)
-        raws[trial] = standardised(own, accumulate(own.forces, noise.forces), wide, tried, noise)[0]
+        raws[trial] = standardised(own, accumulate(own.forces, noise.of(trial)), wide, tried, noise, trial)[0]
         gain = gains(replace(sums, trials=tuple(raws)), base, tried.candidates)[0]
         best = tried.candidates[int(gain.argmax())]
     final = _with(design, best, (best.place,))

@@ -1,7 +1,7 @@
 """Noise of forces and markers under a model, and the sums that it weighs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -20,6 +20,8 @@ from torchid.regressor.whitening import Spectrum, Whitening, accumulate, column_
 
 ROUNDS = 2
 """Estimates of the noise before any effect is chosen; one less afterwards."""
+COMMON = 60.0
+"""Values of all trials that speak for the noise of each: a second of walking tells little of its own."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,18 @@ class Noise:
     """Of forces: a covariance in each band; of markers: a factor of their variance in each of theirs."""
 
     forces: Whitening
+    """Of a typical trial."""
     markers: Float[Tensor, " bands"]
+    trials: Float[Tensor, " trials"]
+    """Variance of each trial's forces against that: what a landing leaves must not hide what squats show."""
+
+    def of(self, trial: int) -> Whitening:
+        """Of the forces of one trial."""
+        return Whitening(self.trials[trial] * self.forces.covariance)
+
+    def typical(self, trials: int) -> "Noise":
+        """Of trials that nobody has seen yet."""
+        return replace(self, trials=self.trials.new_ones(trials))
 
 
 @dataclass(frozen=True)
@@ -94,30 +107,35 @@ def narrowed(
     return less, prior.widened(small), small, own
 
 
-def initial_noise(whitening: Whitening) -> Noise:
-    """Of the inertial fit; markers as they scatter."""
-    return Noise(whitening, torch.ones(BANDS, dtype=whitening.covariance.dtype))
+def initial_noise(whitening: Whitening, trials: int) -> Noise:
+    """Of the inertial fit, the same in all trials; markers as they scatter."""
+    one = whitening.covariance.new_ones(())
+    return Noise(whitening, one.expand(BANDS), one.expand(trials))
 
 
 def summed(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -> Sums:
     """Forces and markers of every trial under their noise."""
-    return _summed(rows, [accumulate(own.forces, noise.forces) for own in rows], prior, design, noise)
+    return _summed(rows, [accumulate(own.forces, noise.of(k)) for k, own in enumerate(rows)], prior, design, noise)
 
 
 def _summed(
     rows: Sequence[Rows], forces: Sequence[NormalEquations], prior: Prior, design: Design, noise: Noise
 ) -> Sums:
-    found = [standardised(own, both, prior, design, noise) for own, both in zip(rows, forces, strict=True)]
+    both = enumerate(zip(rows, forces, strict=True))
+    found = [standardised(own, sums, prior, design, noise, k) for k, (own, sums) in both]
     constant = sum((constant for _, constant in found), start=0.0)
     return Sums(design.base, design.shared, tuple(raw for raw, _ in found), constant)
 
 
-def standardised(rows: Rows, forces: NormalEquations, prior: Prior, design: Design, noise: Noise) -> tuple[Raw, float]:
+def standardised(
+    rows: Rows, forces: NormalEquations, prior: Prior, design: Design, noise: Noise, trial: int
+) -> tuple[Raw, float]:
     """Sums of one trial, and the log density of its rows but for what models of one noise differ in."""
     gram, moment, k, square = forces.gram.clone(), forces.moment.clone(), design.kinematic, forces.square
+    whitening = noise.of(trial)
     if rows.beside.covariation is not None:
-        moment += torch.einsum("bij,bijc->c", torch.linalg.inv(noise.forces.covariance), rows.beside.covariation)
-    volume = sum(noise.forces.log_determinant(block.band) for block in rows.forces)
+        moment += torch.einsum("bij,bijc->c", torch.linalg.inv(whitening.covariance), rows.beside.covariation)
+    volume = sum(whitening.log_determinant(block.band) for block in rows.forces)
     if rows.beside.markers is not None:
         weight, markers = noise.markers.reciprocal(), rows.beside.markers
         gram[k, k] += (weight @ markers.gram.flatten(1)).view_as(gram[k, k])
@@ -141,30 +159,75 @@ def estimate_noise(
     rows, prior, design, chosen = narrowed(rows, prior, design, chosen)
     noise = start
     for _ in range(ROUNDS - bool(chosen)):
-        whitened = [accumulate(own.forces, noise.forces) for own in rows]
+        whitened = [accumulate(own.forces, noise.of(k)) for k, own in enumerate(rows)]
         posterior = list(told(_summed(rows, whitened, prior, design, noise), chosen))
         theta = [prior.theta(one.z(len(prior.mean))) for one in posterior]
         # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
         live = [own.beside.live for own in rows]
         each = zip(posterior, whitened, live, strict=True)
-        lost = sum(one.lost(prior.standard(own.gram, own.moment, which)) for one, own, which in each)
+        lost = [one.lost(prior.standard(own.gram, own.moment, which)) for one, own, which in each]
         each = zip(rows, theta, live, strict=True)
-        forces = estimate_whitening(((block, x[which]) for own, x, which in each for block in own.forces), lost)
-        noise = Noise(_at_least(forces, rows), _dispersion(rows, design, theta))
+        left = [[_left(block, x[which]) for block in own.forces] for own, x, which in each]
+        trials = _relative(left, lost, rows, noise.forces)
+        scaled = [(_scaled(b, s.rsqrt()), s[:0]) for some, s in zip(left, trials[:, None], strict=True) for b in some]
+        forces = _at_least(estimate_whitening(scaled, sum(lost)), rows, trials)
+        noise = Noise(forces, _dispersion(rows, design, theta), trials)
     return noise
 
 
-def _at_least(forces: Whitening, rows: Sequence[Rows]) -> Whitening:
+def _left(block: Spectrum, theta: Float[Tensor, " params"]) -> Spectrum:
+    """Residual of a block, which no column is to explain further."""
+    return Spectrum(block.Y[:, :0], block.F - torch.einsum("ipk,p->ik", block.Y, theta), block.frequency)
+
+
+def _scaled(block: Spectrum, by: Tensor) -> Spectrum:
+    return replace(block, F=by * block.F)
+
+
+def _relative(
+    left: Sequence[Sequence[Spectrum]], lost: Sequence[float], rows: Sequence[Rows], forces: Whitening
+) -> Float[Tensor, " trials"]:
+    """Variance of each trial against ``forces``, one in their middle, drawn to what they have in common.
+
+    Args:
+        left: residuals, means included.
+        lost: degrees of freedom that the fit took from each trial.
+        rows: of the trials.
+        forces: some noise of all of them.
+    """
+    precision = torch.linalg.inv(forces.covariance)
+    energy, free = precision.new_zeros(len(left)), precision.new_zeros(len(left))
+    for k, blocks in enumerate(left):
+        for block in blocks:
+            F = block.F[:, 1:]
+            energy[k] += torch.einsum("ik,kij,jk->", F, precision[block.band[1:]], F)
+            free[k] += F.numel()
+    least = torch.stack([_expected(own, forces, n) for own, n in zip(rows, free, strict=True)])
+    free = (free - free.new_tensor(lost)).clamp(min=1.0)
+    found = (energy + COMMON * energy.sum() / free.sum()) / (free + COMMON)
+    found = torch.maximum(found, least)
+    return found / torch.exp((free * found.log()).sum() / free.sum())
+
+
+def _expected(rows: Rows, forces: Whitening, free: Float[Tensor, ""]) -> Float[Tensor, ""]:
+    """Variance against ``forces`` of what plates' and markers' noise alone would leave."""
+    if rows.expected is None:
+        return torch.zeros_like(free)
+    noise = rows.expected.motion + rows.expected.plates
+    return (noise / torch.diagonal(forces.covariance, dim1=1, dim2=2)).sum() / free.clamp(min=1.0)
+
+
+def _at_least(forces: Whitening, rows: Sequence[Rows], trials: Float[Tensor, " trials"]) -> Whitening:
     """No band is quieter than plates and markers are.
 
     A short walk has fewer rows than the model has parameters: left with nothing, its noise fell a thousandfold below
     that of the markers, and a tether had a million nats.
     """
-    some = [own.expected for own in rows if own.expected is not None]
+    some = [(own.expected, s) for own, s in zip(rows, trials, strict=True) if own.expected is not None]
     if not some:
         return forces
-    count = torch.stack([one.count for one in some]).sum(0).clamp(min=1.0)
-    energy = torch.stack([one.motion + one.plates for one in some]).sum(0)
+    count = torch.stack([one.count for one, _ in some]).sum(0).clamp(min=1.0)
+    energy = torch.stack([(one.motion + one.plates) / s for one, s in some]).sum(0)
     lacks = energy / count[:, None] - torch.diagonal(forces.covariance, dim1=1, dim2=2)
     return Whitening(forces.covariance + torch.diag_embed(lacks.clamp(min=0.0)))
 

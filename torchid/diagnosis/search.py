@@ -57,7 +57,7 @@ def search(
     """
     design = make_design(watched, effects, geometry)
     prior = make_prior(inertia, omega, design)
-    noise = initial_noise(whitening)
+    noise = initial_noise(whitening, len(watched))
     chosen: list[Candidate] = []
     rounds: list[Round] = []
     scan = _Scan(watched, _rows(watched, design), design, prior, limit)
@@ -243,7 +243,7 @@ def _mean(rivals: Sequence[Rival]) -> float:
 def _pruned(found: Search) -> Search:
     """Without those that the others have made superfluous."""
     kept = list(found.chosen)
-    for one in found.chosen:
+    for one in reversed(found.chosen):
         sums, rest = eliminated(found.sums, [c for c in kept if c is not one])
         if float(gains(sums, fit(sums, rest), [one])[0]) < NAMED:
             kept.remove(one)
