@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.anew import eliminated
-from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design, only
+from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design, narrower, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
 from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced
 from torchid.diagnosis.intervals import timed
@@ -76,6 +76,7 @@ def search(
             scan, chosen[-1] = scan.timed(noise, chosen)
         if chosen[-1] is not seen or best.candidate.effect.late:
             noise, sums = scan.noise(chosen, noise)
+        scan, sums, chosen = scan.opened(sums, chosen)
     return _pruned(reduced(scan.design, scan.prior, noise, chosen, rounds, sums))
 
 
@@ -106,6 +107,16 @@ class _Scan:
     def sums(self, noise: Noise) -> Sums:
         """Of everything under a noise."""
         return summed(self.rows, self.prior, self.design, noise)
+
+    def opened(self, sums: Sums, chosen: Sequence[Candidate]) -> tuple["_Scan", Sums, list[Candidate]]:
+        """Without the columns of effects of which as many are named as may be."""
+        some = [*chosen, *open_candidates(self.design, chosen, self.limit)]
+        if narrower(self.design, some)[0].width == self.design.width:
+            return self, sums, list(chosen)
+        rows, prior, _, _ = narrowed(self.rows, self.prior, self.design, some)
+        design, own, which = only(self.design, some)
+        less = replace(sums, shared=design.shared, trials=tuple(raw.only(which) for raw in sums.trials))
+        return replace(self, rows=rows, prior=prior, design=design), less, list(own[: len(chosen)])
 
     def settled(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Noise, "_Scan"]:
         """Late effects linearised where they are."""

@@ -13,6 +13,24 @@ _ROUNDING = 1e-9
 """Relative error that sums of float64 rows may show; sums of float32 rows show 1e-6 and more."""
 
 
+_BLOCK = 384
+"""Columns whose products are taken together."""
+
+
+def _gram(Y: Float[Tensor, "rows params"]) -> Float[Tensor, "params params"]:
+    """Y' Y, of which only one half is computed."""
+    n = Y.shape[1]
+    if n < 2 * _BLOCK:
+        return Y.mT @ Y
+    found = Y.new_empty(n, n)
+    for start in range(0, n, _BLOCK):
+        stop = min(start + _BLOCK, n)
+        part = Y[:, start:stop].mT @ Y[:, start:]
+        found[start:stop, start:] = part
+        found[stop:, start:stop] = part[:, stop - start :].mT
+    return found
+
+
 @dataclass(frozen=True)
 class NormalEquations:
     """Sums of whitened rows Y phi = F (each row divided by the standard deviation of its noise)."""
@@ -29,7 +47,7 @@ class NormalEquations:
     @staticmethod
     def from_rows(Y: Float[Tensor, "rows params"], F: Float[Tensor, " rows"]) -> "NormalEquations":
         """Sums of the whitened rows ``Y`` and right-hand sides ``F``, in their dtype (float64 wanted)."""
-        return NormalEquations(Y.mT @ Y, Y.mT @ F, float(F @ F), len(F))
+        return NormalEquations(_gram(Y), Y.mT @ F, float(F @ F), len(F))
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
         """Sums of both sets of rows."""

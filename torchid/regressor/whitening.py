@@ -27,6 +27,8 @@ FLOOR = (0.5, 0.1)
 """Least noise of a force [N] and moment [N m] channel per coefficient: no plate is better."""
 KEPT = 30_000
 """Frames of a trial up to which its spectra are kept in memory."""
+TOGETHER = 1000
+"""Rows whose products are summed at once."""
 SHRINK = 10.0
 """Equivalent observations by which a band's covariance is drawn to its diagonal and to its neighbours."""
 NEARNESS = 0.1
@@ -180,8 +182,21 @@ def _shrunk(scatter: Tensor, n: Tensor) -> Tensor:
 def accumulate(blocks: Iterable[Spectrum], whitening: Whitening) -> NormalEquations:
     """Whitened sums of all blocks."""
     total: NormalEquations | None = None
-    for block in blocks:
-        own = NormalEquations.from_rows(*whitening(block))
+    for some in _together(whitening(block) for block in blocks):
+        own = NormalEquations.from_rows(*(torch.cat(rows) for rows in zip(*some, strict=True)))
         total = own if total is None else total + own
     assert total is not None, "the caller makes sure that some frames are used"
     return total
+
+
+def _together(blocks: Iterable[tuple[Tensor, Tensor]]) -> Iterator[list[tuple[Tensor, Tensor]]]:
+    """Rows of several blocks, as many as make a product quick."""
+    some, rows = [], 0
+    for block in blocks:
+        some.append(block)
+        rows += len(block[1])
+        if rows >= TOGETHER:
+            yield some
+            some, rows = [], 0
+    if some:
+        yield some
