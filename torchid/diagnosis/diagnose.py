@@ -5,16 +5,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import Candidate, Columns, trial_columns
 from torchid.diagnosis.doubtful import relevant, without_opposed
-from torchid.diagnosis.evidence import fit
+from torchid.diagnosis.evidence import Fitted, fit
 from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal
 from torchid.diagnosis.late import linearised
 from torchid.diagnosis.noise import rows_of, summed
 from torchid.diagnosis.plates import SessionPlate
-from torchid.diagnosis.search import residual, residuals, search
+from torchid.diagnosis.search import residual, residuals, search, trusted
 from torchid.diagnosis.unexplained import structure
 from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Errors, Near
 from torchid.diagnosis.watched import Watched
@@ -153,12 +155,24 @@ class _Judge:
         (sums, some), (whole, _) = (eliminated(x, chosen) for x in (self.found.sums, self.both))
         fitted = fit(sums, some)
         both = enumerate(zip(self.heldout, self.columns, strict=True), first)
-        left = [residual(w, c, self.found.prior, fitted, k)[w.rows.used] for k, (w, c) in both]
+        left = [(residual(w, c, self.found.prior, fitted, k) + self._untrusted(w, c, fitted, k))[w.rows.used]
+                for k, (w, c) in both]  # fmt: skip
         if not left:
             return Errors(float("nan"), float("nan")), float("nan")
         both = torch.cat(left)
         errors = Errors(*(float(x.square().sum(1).mean().sqrt()) for x in (both[:, :3], both[:, 3:])))
         return errors, fit(whole, some).log_evidence + whole.constant - fitted.log_evidence - sums.constant
+
+    def _untrusted(self, watched: Watched, columns: Columns, fitted: Fitted, trial: int) -> Float[Tensor, "frames 6"]:
+        """What chosen effects take off beyond the frequencies at which that is believed."""
+        found, n = torch.zeros_like(watched.rows.wrench), self.found.design.inertia
+        for one, share in zip(fitted.chosen, fitted.shares(len(self.found.prior.mean), trial), strict=True):
+            theta = self.found.prior.scale * share[n:]
+            limit = one.effect.trusted_hz(one.place, theta[one.columns - n])
+            if limit is not None:
+                added = torch.einsum("ipt,p->ti", columns.extra, theta[columns.beside.live[n:] - n])
+                found += added - trusted(added, watched.rows.rate, limit)
+        return found
 
     def _settled(self) -> list[Columns]:
         """Columns with those of late effects where the fit trials found them."""

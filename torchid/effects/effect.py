@@ -99,6 +99,10 @@ class Effect(ABC):
         """Time after which it repeats itself; zero where it does not."""
         return 0.0
 
+    def trusted_hz(self, place: Place, theta: Float[Tensor, " params"]) -> float | None:
+        """Frequency up to which the forces that it explains are believed in motion that nobody tested; None: any."""
+        return None
+
     def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
         """Where its columns are those of ``place``, and the trials they are cut down to; None: all."""
         return place, None if place.when is None else tuple(dict.fromkeys(own.trial for own in place.when))
