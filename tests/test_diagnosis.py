@@ -228,7 +228,7 @@ def test_a_run_writes_its_diagnosis(tmp_path):
     asked = config.diagnosis.model_copy(update={"max_effects": 1})
     run_experiment(config.model_copy(update={"diagnosis": asked}))
     said = json.loads((config.out / "diagnosis.json").read_text())
-    assert {"baseline", "causes", "extended", "not_testable", "plates"} <= set(said)
+    assert {"baseline", "causes", "extended", "nearest", "not_testable", "plates"} <= set(said)
     (cause,) = [cause for cause in said["causes"] if cause["effect"] not in BODILY]
     assert cause["effect"] == "time_offset"
     assert cause["where"] == ["session"]

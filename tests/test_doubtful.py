@@ -50,3 +50,28 @@ def test_what_shares_a_column_with_a_nuisance_adds_to_it():
     source = Source(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
     found = fit(Sums(1, 1, (raw,)), [Candidate(effect("drag"), source.place, source, frozenset({0}))])
     assert float(found.z(1, 0)[0]) == pytest.approx(9.0, rel=0.01)
+
+
+def test_columns_of_one_trial_are_nothing_in_the_others():
+    """Sums over trials of which one alone has some columns are those of matrices with zeros in their place."""
+    generator, n, shared = torch.Generator().manual_seed(7), 6, 3
+    prior = Prior(torch.zeros(n).double(), torch.eye(1).double(), torch.ones(n - 1).double())
+    lives, whole, trials = ([0, 1, 2, 3, 5], [0, 1, 2, 4]), [], []
+    for live in lives:
+        rows, right = torch.randn(40, n, generator=generator).double(), torch.randn(40, generator=generator).double()
+        dense = torch.zeros_like(rows)
+        dense[:, live] = rows[:, live]
+        whole.append((dense.T @ dense, dense.T @ right))
+        own = rows[:, live]
+        trials.append(prior.standard(own.T @ own, own.T @ right, torch.tensor(live)))
+    sums = Sums(shared, shared, tuple(trials))
+    which = torch.tensor([1, 3, 4])
+    for seen in (frozenset({0}), frozenset({1})):
+        (k,) = seen
+        torch.testing.assert_close(sums.block(which, which, seen), whole[k][0][which][:, which])
+        torch.testing.assert_close(sums.moment(which, seen), whole[k][1][which])
+    both = torch.tensor([2, 0])
+    torch.testing.assert_close(sums.block(slice(3), both, sums.all), (whole[0][0] + whole[1][0])[:3][:, both])
+    less = trials[0].only(torch.tensor([0, 2, 4, 5]))
+    assert less.live.tolist() == [0, 1, 3]
+    torch.testing.assert_close(less.gram[:-1, :-1], whole[0][0][[0, 2, 5]][:, [0, 2, 5]])

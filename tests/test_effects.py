@@ -261,3 +261,18 @@ def test_a_column_per_parameter_is_finite(subject, plain):
         for place in one.places((View(scene, measured, measured),))[:4]:
             C = columns(one, scene, measured, place)
             assert C.shape == (6, one.size(place), len(scene.time)) and bool(torch.isfinite(C).all())
+
+
+def test_a_trial_that_ends_in_motion_is_smoothed_like_any_other(followed):
+    """What the filter takes of an oscillation is as much of it to the last frames: no end of a trial rings."""
+    _, cameras = followed
+    lag, sight = CATALOGUE["filter_lag"], dataclasses.replace(cameras.sight)
+    time, (place,) = sight.scene.time, lag.places([])
+    wave = torch.sin(2.0 * torch.pi * 1.3 * time + 0.7)
+    sight.__dict__["p"] = wave.expand(len(sight.labels), 3, -1)
+    theta = torch.tensor([1e-6], dtype=torch.float64)
+    slid = lag.slide(sight, place, theta)
+    assert slid is not None
+    wanted = -float(theta[0]) * 1.3**4 * wave
+    assert float((slid.by - wanted)[..., 5:-5].abs().max()) < 0.05 * float(wanted.abs().max())
+    assert float(slid.by.abs().max()) < 1.05 * float(wanted.abs().max())

@@ -8,6 +8,9 @@ from torch.testing import assert_close
 
 from torchid.diagnosis.belief import belief
 from torchid.diagnosis.cameras import Cameras, _usual
+from torchid.diagnosis.candidates import Beside, Design
+from torchid.diagnosis.evidence import Prior
+from torchid.diagnosis.noise import Rows, estimate_noise, initial_noise
 from torchid.diagnosis.shaken import regressor, shaken
 from torchid.dynamics import wrench_about
 from torchid.effects.scene import make_scene
@@ -17,6 +20,7 @@ from torchid.geometry.trials import posture_prior
 from torchid.kinematics.plan import plan_tree
 from torchid.motion import smooth_motion
 from torchid.regressor.rows import WrenchTrial
+from torchid.regressor.whitening import Spectrum, frequencies, initial_whitening
 
 NOISE = 1e-3
 """Of the markers [m]."""
@@ -94,3 +98,23 @@ def test_a_shaken_motion_is_a_motion(rows, cameras):
         true, was = (wrench_about(wrench, motion.q[:, :3]) for wrench in needed)
         more = torch.einsum("ipt,p->ti", regressor(rows, drawn) - regressor(rows, motion), phi.reshape(-1))
         assert_close(more, true - was, rtol=1e-6, atol=1e-6)
+
+
+def test_every_trial_has_its_own_noise():
+    """A trial whose forces are left five times as large counts a twenty-fifth: it hides nothing of the other."""
+    generator, kept, sizes = torch.Generator().manual_seed(small.SEED % 2**31), 64, (2.0, 10.0)
+    trials = []
+    for size in sizes:
+        blocks = []
+        for _ in range(4):
+            Y = torch.randn(6, 1, kept, generator=generator, dtype=torch.float64)
+            noise = size * torch.randn(6, kept, generator=generator, dtype=torch.float64)
+            blocks.append(Spectrum(Y, 3.0 * Y[:, 0] + noise, frequencies(2 * kept, kept, 12.0)))
+        trials.append(Rows(tuple(blocks), Beside(torch.arange(1), None)))
+    prior = Prior(torch.zeros(1).double(), torch.eye(1).double(), torch.zeros(0).double())
+    start = initial_noise(initial_whitening(torch.zeros(()).double()), 2)
+    noise = estimate_noise(trials, prior, Design(1, 1, (), (), ()), (), start)
+    assert float(noise.trials[1] / noise.trials[0]) == pytest.approx(25.0, rel=0.25)
+    for k, size in enumerate(sizes):
+        own = torch.diagonal(noise.of(k).covariance, dim1=1, dim2=2)
+        assert float(own.mean().sqrt()) == pytest.approx(size, rel=0.1)

@@ -204,9 +204,10 @@ def _relative(
             free[k] += F.numel()
     least = torch.stack([_expected(own, forces, n) for own, n in zip(rows, free, strict=True)])
     free = (free - free.new_tensor(lost)).clamp(min=1.0)
-    found = (energy + COMMON * energy.sum() / free.sum()) / (free + COMMON)
-    found = torch.maximum(found, least)
-    return found / torch.exp((free * found.log()).sum() / free.sum())
+    # By their logarithms: a landing's ten thousandfold energy must not stand for half of what a walk leaves.
+    own = torch.maximum(energy / free, least).clamp(min=1e-12).log()
+    found = torch.lerp(own, (free * own).sum() / free.sum(), COMMON / (free + COMMON))
+    return torch.exp(found - (free * found).sum() / free.sum())
 
 
 def _expected(rows: Rows, forces: Whitening, free: Float[Tensor, ""]) -> Float[Tensor, ""]:
