@@ -85,3 +85,10 @@ def test_shell_scripts_parse(name):
     """bash reads them without executing; those that are called are executable."""
     subprocess.run(["bash", "-n", str(SCRIPTS / name)], check=True)
     assert name == "environment" or os.access(SCRIPTS / name, os.X_OK)
+
+
+def test_delayed_forces_are_the_same_later():
+    """Header and labels stay, times are later, values are untouched."""
+    text = "forces\nversion=1\nendheader\ntime\tvx\tvy\n0.000\t1.5\t-2\n0.010\t2.5\t-3\n"
+    found = script("delay_forces").delayed(text, 0.0125).splitlines()
+    assert found == ["forces", "version=1", "endheader", "time\tvx\tvy", "0.012500\t1.5\t-2", "0.022500\t2.5\t-3"]
