@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchid.diagnosis.candidates import Candidate, Design, Source
+from torchid.diagnosis.design import Candidate, Design, Source
 from torchid.diagnosis.doubtful import without_opposed
 from torchid.diagnosis.evidence import Prior, Sums, fit
 from torchid.diagnosis.found import Search

@@ -9,7 +9,8 @@ import torch
 from torch.testing import assert_close
 
 from torchid.diagnosis.cameras import Cameras
-from torchid.diagnosis.candidates import Source, answer_of
+from torchid.diagnosis.candidates import answer_of
+from torchid.diagnosis.design import Source
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Interval, Place, Planted, columns, mean_within, within
 from torchid.effects.scene import Reading, Scene, make_scene

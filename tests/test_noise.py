@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 from torchid.diagnosis.belief import belief
 from torchid.diagnosis.cameras import Cameras, _usual
-from torchid.diagnosis.candidates import Beside, Design
+from torchid.diagnosis.design import Beside, Design
 from torchid.diagnosis.evidence import Prior
 from torchid.diagnosis.noise import Rows, estimate_noise, initial_noise
 from torchid.diagnosis.shaken import regressor, shaken

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Candidate
+from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.evidence import Raw, Sums, fit
 
 

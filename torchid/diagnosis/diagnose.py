@@ -9,7 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.anew import eliminated
-from torchid.diagnosis.candidates import Candidate, Columns, trial_columns
+from torchid.diagnosis.candidates import trial_columns
+from torchid.diagnosis.design import Candidate, Columns
 from torchid.diagnosis.doubtful import relevant, without_opposed
 from torchid.diagnosis.evidence import Fitted, fit
 from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal

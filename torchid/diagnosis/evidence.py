@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Candidate, Design, kept
+from torchid.diagnosis.design import Candidate, Design, kept
 from torchid.model.model import InertialPrior
 
 

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Candidate, Design, only
+from torchid.diagnosis.design import Candidate, Design, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit
 from torchid.diagnosis.noise import Noise
 

@@ -7,7 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Beside, Candidate, Design, Source, confined
+from torchid.diagnosis.candidates import confined
+from torchid.diagnosis.design import Beside, Candidate, Design, Source
 from torchid.diagnosis.evidence import Prior, Sums, fit, gains
 from torchid.diagnosis.noise import Noise, Rows, standardised, with_columns
 from torchid.diagnosis.watched import Watched

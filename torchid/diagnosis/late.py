@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates import Columns, Source
+from torchid.diagnosis.design import Columns, Source
 from torchid.diagnosis.rates import calibrated
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.diagnosis.anew import told
 from torchid.diagnosis.belief import Belief
 from torchid.diagnosis.cameras import BANDS
-from torchid.diagnosis.candidates import Beside, Candidate, Columns, Design, kept, narrower
+from torchid.diagnosis.design import Beside, Candidate, Columns, Design, kept, narrower
 from torchid.diagnosis.evidence import Prior, Raw, Sums
 from torchid.diagnosis.expected import Expected
 from torchid.diagnosis.late import without_beyond

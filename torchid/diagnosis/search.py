@@ -10,7 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.anew import eliminated
-from torchid.diagnosis.candidates import Candidate, Columns, Design, make_design, narrower, only
+from torchid.diagnosis.candidates import make_design
+from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
 from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced
 from torchid.diagnosis.intervals import timed

@@ -7,7 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.diagnosis.candidates import Source, answer_of
+from torchid.diagnosis.candidates import answer_of
+from torchid.diagnosis.design import Source
 from torchid.diagnosis.search import trusted
 from torchid.diagnosis.verdict import Cause
 from torchid.diagnosis.watched import Watched

@@ -1,0 +1,186 @@
+"""Columns of everything that could be hidden, beside those of the inertia, and designs that hold fewer of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.diagnosis.cameras import MarkerSums
+from torchid.diagnosis.idle import IdleSums
+from torchid.effects.effect import Effect, Place
+
+
+@dataclass(frozen=True)
+class Source:
+    """Columns that a nuisance or candidates share."""
+
+    effect: Effect
+    place: Place
+    columns: slice
+    mean: tuple[float, ...]
+    scale: tuple[float, ...]
+    """Of the prior of its parameters."""
+    trial: str | None = None
+    """The only one that has its columns; None: every one does."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a place."""
+
+    effect: Effect
+    place: Place
+    source: Source
+    trials: frozenset[int]
+    """In which it could act, by their order."""
+
+    odds: float = 1.0
+    """Of the place among all places of the effect."""
+    proposed: Place | None = None
+    """Before the ends of its interval were moved."""
+
+    @property
+    def blocks(self) -> tuple[frozenset[int], ...]:
+        """Trials that share parameters."""
+        return tuple(frozenset({k}) for k in sorted(self.trials)) if self.effect.anew else (self.trials,)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return len(self.columns) * len(self.blocks)
+
+    @property
+    def columns(self) -> Int[Tensor, " columns"]:
+        """In the design."""
+        return torch.arange(self.source.columns.start, self.source.columns.stop)
+
+    @property
+    def relative(self) -> Float[Tensor, " columns"]:
+        """Prior standard deviations against those of the source."""
+        own = torch.tensor(self.effect.scale(self.place), dtype=torch.float64)
+        return own / torch.tensor(self.source.scale, dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Columns of a design that a narrower one has."""
+
+    all: Int[Tensor, " kept"]
+    kinematic: Int[Tensor, " some"]
+    """Those among the kinematic ones, from the first of these on."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What one trial knows of its columns beside their rows of forces."""
+
+    live: Int[Tensor, " live"]
+    """Columns of the design that the trial has: those of the inertia, and of sources that could act in it."""
+    markers: MarkerSums | None
+    """Of the kinematic ones."""
+    idle: IdleSums | None = None
+    """Of zero errors."""
+    covariation: Float[Tensor, "bands 6 6 live"] | None = None
+    """Of the noise that markers leave in the columns with that of the total."""
+
+    def only(self, some: "Kept") -> "Beside":
+        """Of a narrower design, in which nuisances stand where they did."""
+        at, live = kept(self.live, some.all)
+        noise = None if self.covariation is None else self.covariation[..., at]
+        return Beside(live, None if self.markers is None else self.markers.only(some.kinematic), self.idle, noise)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Of those sources that could act in one trial."""
+
+    extra: Float[Tensor, "6 more frames"]
+    """Behind those of the inertia, about the root's origin."""
+    beside: Beside
+    beyond: Float[Tensor, "frames 6"] | None = None
+    """What late effects do beyond their columns, about the origin of W, where those are linearised elsewhere."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """Columns of nuisances and candidates, behind the inertia's; those of one trial stand last."""
+
+    inertia: int
+    """Number of inertial parameters."""
+    base: int
+    """Number of columns of inertia and nuisances."""
+    sources: tuple[Source, ...]
+    candidates: tuple[Candidate, ...]
+    trials: tuple[Columns, ...]
+
+    @property
+    def kinematic(self) -> slice:
+    """Columns of those that markers show, which stand together."""
+        """Columns that have rows of markers."""
+        return kinematic(self.sources)
+
+    @property
+    def shared(self) -> int:
+        """Number of columns that every trial has."""
+        return next((s.columns.start for s in self.sources if s.trial is not None), self.width)
+
+    @property
+    def width(self) -> int:
+        """Number of all columns."""
+        return self.sources[-1].columns.stop if self.sources else self.inertia
+
+    @property
+    def late(self) -> list[bool]:
+        """Which columns behind the inertia are rates of what plates read."""
+        return [s.effect.late for s in self.sources for _ in s.scale]
+
+    @property
+    def mean(self) -> Float[Tensor, " more"]:
+        """Of the prior of everything behind the inertia."""
+        return torch.tensor([x for s in self.sources for x in s.mean], dtype=torch.float64)
+
+    @property
+    def scale(self) -> Float[Tensor, " more"]:
+        """Its standard deviations."""
+        return torch.tensor([x for s in self.sources for x in s.scale], dtype=torch.float64)
+
+
+def kinematic(sources: Sequence[Source]) -> slice:
+    own = [s.columns for s in sources if s.effect.kinematic]
+    return slice(own[0].start, own[-1].stop) if own else slice(0, 0)
+
+
+def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Kept]:
+    """As ``only``, without columns of its own."""
+    wanted = {c.source.columns.start for c in some}
+    kept = [s for s in design.sources if s.columns.start < design.base or s.columns.start in wanted]
+    sources, at, index = {}, design.inertia, [torch.arange(design.inertia)]
+    for source in kept:
+        index.append(torch.arange(source.columns.start, source.columns.stop))
+        sources[source.columns.start] = replace(source, columns=slice(at, at + len(source.scale)))
+        at += len(source.scale)
+    which = torch.cat(index)
+    own = tuple(replace(c, source=sources[c.source.columns.start]) for c in some)
+    k = design.kinematic
+    small = replace(design, sources=tuple(sources.values()), candidates=own, trials=())
+    return small, own, Kept(which, which[(which >= k.start) & (which < k.stop)] - k.start)
+
+
+def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:
+    """A design of the base and some candidates, these in it, and which columns of all it keeps."""
+    small, own, which = narrower(design, some)
+    trials = []
+    for one in design.trials:
+        at, _ = kept(one.beside.live, which.all)
+        extra = one.extra[:, at[design.inertia :] - design.inertia]
+        trials.append(replace(one, extra=extra, beside=one.beside.only(which)))
+    return replace(small, trials=tuple(trials)), own, which.all
+
+
+def kept(live: Int[Tensor, " live"], some: Int[Tensor, " some"]) -> tuple[Int[Tensor, " kept"], Int[Tensor, " kept"]]:
+    """Where those of some columns that live stand among all that do, and which of the some they are."""
+    at = torch.searchsorted(live, some).clamp(max=len(live) - 1)
+    there = (live[at] == some).nonzero()[:, 0]
+    return at[there], there
