@@ -117,7 +117,6 @@ class Design:
 
     @property
     def kinematic(self) -> slice:
-    """Columns of those that markers show, which stand together."""
         """Columns that have rows of markers."""
         return kinematic(self.sources)
 
@@ -148,6 +147,7 @@ class Design:
 
 
 def kinematic(sources: Sequence[Source]) -> slice:
+    """Columns of those that markers show, which stand together."""
     own = [s.columns for s in sources if s.effect.kinematic]
     return slice(own[0].start, own[-1].stop) if own else slice(0, 0)
 
