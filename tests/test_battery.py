@@ -49,7 +49,7 @@ def test_a_verdict_is_judged_by_effect_place_and_size():
         "indistinguishable": [{"effect": "drag", "where": ["pelvis"]}], "gain": gain,
     }  # fmt: skip
     held = {"heldout": {"force_rmse_N": 2.0}}
-    said = {"causes": [cause], "baseline": held, "extended": held}
+    said = {"causes": [cause], "baseline": held, "extended": held, "nearest": []}
     planted = [{"effect": "time_offset", "where": ["session"], "parameters": {"lag_s": 0.010}}]
     row = judged(planted, said)
     assert row["found"] == [True] and row["first"] and row["sizes"][0]["lag_s"]["right"] and not row["wrong"]
