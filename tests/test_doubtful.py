@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from torchid.diagnosis.anew import eliminated, told
 from torchid.diagnosis.design import Candidate, Design, Source
 from torchid.diagnosis.doubtful import without_opposed
 from torchid.diagnosis.evidence import Prior, Sums, fit
@@ -75,3 +76,25 @@ def test_columns_of_one_trial_are_nothing_in_the_others():
     less = trials[0].only(torch.tensor([0, 2, 4, 5]))
     assert less.live.tolist() == [0, 1, 3]
     torch.testing.assert_close(less.gram[:-1, :-1], whole[0][0][[0, 2, 5]][:, [0, 2, 5]])
+
+
+def test_what_is_anew_in_every_trial_may_be_left_out_first():
+    """Integrated out trial by trial or fitted jointly: the same evidence, the same mean, in every trial."""
+
+    class Gust(type(effect("drag"))):
+        anew = True
+
+    gust, generator, n = Gust(), torch.Generator().manual_seed(8), 6
+    prior = Prior(torch.zeros(n).double(), torch.eye(2).double(), torch.ones(n - 2).double())
+    trials = []
+    for live in ([0, 1, 2, 3, 4], [0, 1, 2, 3, 5]):
+        rows, right = torch.randn(50, 5, generator=generator).double(), torch.randn(50, generator=generator).double()
+        trials.append(prior.standard(rows.T @ rows, rows.T @ right, torch.tensor(live)))
+    sums, place = Sums(3, 4, tuple(trials)), Place(("a",))
+    one = Candidate(gust, place, Source(gust, place, slice(3, 4), (0.0,), gust.scale(place)), frozenset({0, 1}))
+    less, rest = eliminated(sums, [one])
+    jointly = fit(sums, [one])
+    assert not rest
+    assert fit(less).log_evidence + less.constant == pytest.approx(jointly.log_evidence)
+    for k, each in enumerate(told(sums, [one])):
+        torch.testing.assert_close(each.z(n), jointly.z(n, k))

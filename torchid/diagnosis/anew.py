@@ -47,7 +47,7 @@ class _Own:
     relative: Float[Tensor, " own"]
     factor: Float[Tensor, "own own"]
 
-    def cross(self, raw: Raw) -> Float[Tensor, "own live+1"]:
+    def cross(self, raw: Raw) -> Float[Tensor, "own padded"]:
         return self.relative[:, None] * raw.gram[self.at]
 
     def moment(self, raw: Raw) -> Float[Tensor, "own 1"]:
