@@ -177,7 +177,7 @@ def test_evidence_is_that_of_the_marginal_likelihood():
     trials = []
     for own, columns in zip(watched, design.trials, strict=True):
         both = accumulate(spectra(own.rows, columns.extra), initial_whitening(prior.mean))
-        trials.append(prior.standard(both.gram, both.moment, columns.beside.live))
+        trials.append(prior.standard(both.gram, both.moment, columns.terms.live))
     sums = Sums(design.base, design.shared, tuple(trials))
     base = fit(sums)
     for one, found in zip(design.candidates, gains(sums, base, design.candidates)[0], strict=True):

@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 from torchid.diagnosis.belief import belief
 from torchid.diagnosis.cameras import Cameras, _usual
-from torchid.diagnosis.design import Beside, Design
+from torchid.diagnosis.design import Design, Terms
 from torchid.diagnosis.evidence import Prior
 from torchid.diagnosis.noise import Rows, estimate_noise, initial_noise
 from torchid.diagnosis.shaken import regressor, shaken
@@ -110,7 +110,7 @@ def test_every_trial_has_its_own_noise():
             Y = torch.randn(6, 1, kept, generator=generator, dtype=torch.float64)
             noise = size * torch.randn(6, kept, generator=generator, dtype=torch.float64)
             blocks.append(Spectrum(Y, 3.0 * Y[:, 0] + noise, frequencies(2 * kept, kept, 12.0)))
-        trials.append(Rows(tuple(blocks), Beside(torch.arange(1), None)))
+        trials.append(Rows(tuple(blocks), Terms(torch.arange(1), None)))
     prior = Prior(torch.zeros(1).double(), torch.eye(1).double(), torch.zeros(0).double())
     start = initial_noise(initial_whitening(torch.zeros(()).double()), 2)
     noise = estimate_noise(trials, prior, Design(1, 1, (), (), ()), (), start)

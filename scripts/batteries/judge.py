@@ -93,8 +93,11 @@ def tables(rows: Sequence[dict]) -> dict:
         figures[level] = {"sessions": len(own), "first": _share(own, "first"), "sizes": _sizes(own)}
     nulls = [r for r in good if r["kind"] == "null"]
     loud = [r for r in nulls if any(e not in BODILY for e, *_ in r["named"])]
-    figures["null"] = {"sessions": len(nulls), "named": sum(bool(r["named"]) for r in nulls), "laboratory": len(loud)}
-    text = "\nnothing hidden: {sessions} sessions, {named} with a cause named, {laboratory} beside bodies'"
+    best = max((score for r in nulls for _, _, score in r.get("nearest", ())), default=None)
+    figures["null"] = {"sessions": len(nulls), "named": sum(bool(r["named"]) for r in nulls), "laboratory": len(loud),
+                       "flagged": sum(bool(r["unexplained"]) for r in nulls), "best_nats": best}  # fmt: skip
+    text = "\nnothing hidden: {sessions} sessions, {named} with a cause named, {laboratory} beside bodies', "
+    text += "{flagged} flagged; best score of what was not named: {best_nats} nats"
     lines.append(text.format(**figures["null"]))
     doubles = [r for r in good if r["kind"] == "double"]
     figures["double"] = {"sessions": len(doubles), "both": sum(all(r["found"]) for r in doubles),

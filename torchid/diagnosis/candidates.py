@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.diagnosis.cameras import Answer, Cameras, marker_sums
-from torchid.diagnosis.design import Beside, Candidate, Columns, Design, Source, kept, kinematic
+from torchid.diagnosis.design import Candidate, Columns, Design, Source, Terms, kinematic, positions
 from torchid.diagnosis.idle import idle_sums
 from torchid.diagnosis.nuisances import GeometryError, SkinSlide
 from torchid.diagnosis.proposals import suggested
@@ -125,7 +125,7 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
     idle = idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources])
-    return Columns(extra, Beside(live, sums, idle, _covariation(watched, sources, live)))
+    return Columns(extra, Terms(live, sums, idle, _covariation(watched, sources, live)))
 
 
 def _seen_by_plates(view: View, source: Source) -> Float[Tensor, "6 columns frames"]:
@@ -154,7 +154,7 @@ def _covariation(
     found = covariation(watched.rows, watched.expected, noise)
     whole = found.new_zeros(*found.shape[:3], len(live))
     which = [torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)]
-    whole[..., kept(live, torch.cat(which))[0]] = found
+    whole[..., positions(live, torch.cat(which))[0]] = found
     return whole
 
 

@@ -64,7 +64,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Kept:
+class Selection:
     """Columns of a design that a narrower one has."""
 
     all: Int[Tensor, " kept"]
@@ -73,8 +73,8 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """What one trial knows of its columns beside their rows of forces."""
+class Terms:
+    """Terms of one trial's normal equations that do not come from its rows of forces."""
 
     live: Int[Tensor, " live"]
     """Columns of the design that the trial has: those of the inertia, and of sources that could act in it."""
@@ -85,11 +85,11 @@ class Beside:
     covariation: Float[Tensor, "bands 6 6 live"] | None = None
     """Of the noise that markers leave in the columns with that of the total."""
 
-    def only(self, some: "Kept") -> "Beside":
+    def only(self, some: "Selection") -> "Terms":
         """Of a narrower design, in which nuisances stand where they did."""
-        at, live = kept(self.live, some.all)
+        at, live = positions(self.live, some.all)
         noise = None if self.covariation is None else self.covariation[..., at]
-        return Beside(live, None if self.markers is None else self.markers.only(some.kinematic), self.idle, noise)
+        return Terms(live, None if self.markers is None else self.markers.only(some.kinematic), self.idle, noise)
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Columns:
 
     extra: Float[Tensor, "6 more frames"]
     """Behind those of the inertia, about the root's origin."""
-    beside: Beside
+    terms: Terms
     beyond: Float[Tensor, "frames 6"] | None = None
     """What late effects do beyond their columns, about the origin of W, where those are linearised elsewhere."""
 
@@ -152,7 +152,7 @@ def kinematic(sources: Sequence[Source]) -> slice:
     return slice(own[0].start, own[-1].stop) if own else slice(0, 0)
 
 
-def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Kept]:
+def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Selection]:
     """As ``only``, without columns of its own."""
     wanted = {c.source.columns.start for c in some}
     kept = [s for s in design.sources if s.columns.start < design.base or s.columns.start in wanted]
@@ -165,7 +165,7 @@ def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[C
     own = tuple(replace(c, source=sources[c.source.columns.start]) for c in some)
     k = design.kinematic
     small = replace(design, sources=tuple(sources.values()), candidates=own, trials=())
-    return small, own, Kept(which, which[(which >= k.start) & (which < k.stop)] - k.start)
+    return small, own, Selection(which, which[(which >= k.start) & (which < k.stop)] - k.start)
 
 
 def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:
@@ -173,13 +173,15 @@ def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candi
     small, own, which = narrower(design, some)
     trials = []
     for one in design.trials:
-        at, _ = kept(one.beside.live, which.all)
+        at, _ = positions(one.terms.live, which.all)
         extra = one.extra[:, at[design.inertia :] - design.inertia]
-        trials.append(replace(one, extra=extra, beside=one.beside.only(which)))
+        trials.append(replace(one, extra=extra, terms=one.terms.only(which)))
     return replace(small, trials=tuple(trials)), own, which.all
 
 
-def kept(live: Int[Tensor, " live"], some: Int[Tensor, " some"]) -> tuple[Int[Tensor, " kept"], Int[Tensor, " kept"]]:
+def positions(
+    live: Int[Tensor, " live"], some: Int[Tensor, " some"]
+) -> tuple[Int[Tensor, " kept"], Int[Tensor, " kept"]]:
     """Where those of some columns that live stand among all that do, and which of the some they are."""
     at = torch.searchsorted(live, some).clamp(max=len(live) - 1)
     there = (live[at] == some).nonzero()[:, 0]

@@ -17,7 +17,7 @@ from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal
 from torchid.diagnosis.late import linearised
 from torchid.diagnosis.noise import rows_of, summed
 from torchid.diagnosis.plates import SessionPlate
-from torchid.diagnosis.search import residual, residuals, search, trusted
+from torchid.diagnosis.search import residual, residuals, search
 from torchid.diagnosis.unexplained import structure
 from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Errors, Near
 from torchid.diagnosis.watched import Watched
@@ -165,14 +165,12 @@ class _Judge:
         return errors, fit(whole, some).log_evidence + whole.constant - fitted.log_evidence - sums.constant
 
     def _untrusted(self, watched: Watched, columns: Columns, fitted: Fitted, trial: int) -> Float[Tensor, "frames 6"]:
-        """What chosen effects take off beyond the frequencies at which that is believed."""
+        """What chosen effects take off and nobody believes (``Effect.trusted``)."""
         found, n = torch.zeros_like(watched.rows.wrench), self.found.design.inertia
         for one, share in zip(fitted.chosen, fitted.shares(len(self.found.prior.mean), trial), strict=True):
             theta = self.found.prior.scale * share[n:]
-            limit = one.effect.trusted_hz(one.place, theta[one.columns - n])
-            if limit is not None:
-                added = torch.einsum("ipt,p->ti", columns.extra, theta[columns.beside.live[n:] - n])
-                found += added - trusted(added, watched.rows.rate, limit)
+            added = torch.einsum("ipt,p->ti", columns.extra, theta[columns.terms.live[n:] - n])
+            found += added - one.effect.trusted(added, watched.rows.rate, one.place, theta[one.columns - n])
         return found
 
     def _settled(self) -> list[Columns]:

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.design import Candidate, Design, kept
+from torchid.diagnosis.design import Candidate, Design, positions
 from torchid.model.model import InertialPrior
 
 
@@ -37,7 +37,7 @@ class Raw:
 
     def only(self, some: Int[Tensor, " fewer"]) -> "Raw":
         """Of a design that kept these columns of this one."""
-        at, live = kept(self.live, some)
+        at, live = positions(self.live, some)
         where = torch.cat([at, at.new_tensor([len(self.live)])])
         return Raw(live, self.gram[where][:, where], self.moment[where])
 

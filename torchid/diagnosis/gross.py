@@ -37,7 +37,7 @@ REST_M = 0.1
 BLOCK_S = 0.1
 """Frames that a filter leaves independent, about."""
 SPREAD_S = 0.1
-"""Beside an interval, that the filters carry it."""
+"""Terms an interval, that the filters carry it."""
 SCALE_NM = 2.0
 """Least error of a moment."""
 
@@ -121,7 +121,7 @@ def _clear(flag: Bool[Tensor, " frames"], frames: int) -> Bool[Tensor, " frames"
 def _underfoot(watched: Watched, contact: Contact, missing: Float[Tensor, "frames 6"]) -> Bool[Tensor, " frames"]:
     """Frames in which the missing force goes through feet on the floor, or between them.
 
-    Beside the plates that is the floor; on a plate, it is the plate that reads too little.
+    Terms the plates that is the floor; on a plate, it is the plate that reads too little.
     """
     centre = torch.stack([-missing[:, 4], missing[:, 3]], 1) / missing[:, 2:3]
     at = torch.stack([_centre(watched, foot) for foot in contact.feet])

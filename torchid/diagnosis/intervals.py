@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.candidates import confined
-from torchid.diagnosis.design import Beside, Candidate, Design, Source
+from torchid.diagnosis.design import Candidate, Design, Source, Terms
 from torchid.diagnosis.evidence import Prior, Sums, fit, gains
 from torchid.diagnosis.noise import Noise, Rows, standardised, with_columns
 from torchid.diagnosis.watched import Watched
@@ -36,16 +36,16 @@ def timed(
             break
         tried = _with(design, best, (best.place, *some))
         extra, wide = _extra(watched[trial], tried), prior.widened(tried)
-        own = with_columns(rows[trial], _beside(tried, trial, extra), watched[trial], extra)
+        own = with_columns(rows[trial], _terms(tried, trial, extra), watched[trial], extra)
         raws = list(sums.trials)
         raws[trial] = standardised(own, accumulate(own.forces, noise.of(trial)), wide, tried, noise, trial)[0]
         gain = gains(replace(sums, trials=tuple(raws)), base, tried.candidates)[0]
         best = tried.candidates[int(gain.argmax())]
     final = _with(design, best, (best.place,))
     extra, trials, found = _extra(watched[trial], final), list(design.trials), list(rows)
-    beside, before = _beside(final, trial, extra), trials[trial]
-    trials[trial] = replace(before, extra=torch.cat([before.extra, extra], 1), beside=beside)
-    found[trial] = with_columns(rows[trial], beside, watched[trial], extra)
+    terms, before = _terms(final, trial, extra), trials[trial]
+    trials[trial] = replace(before, extra=torch.cat([before.extra, extra], 1), terms=terms)
+    found[trial] = with_columns(rows[trial], terms, watched[trial], extra)
     (best,) = final.candidates
     whole = replace(final, candidates=(*design.candidates, best), trials=tuple(trials))
     return found, whole, prior.widened(whole), best
@@ -73,9 +73,9 @@ def _with(design: Design, one: Candidate, places: Sequence[Place]) -> Design:
     return replace(design, sources=(*design.sources, *sources), candidates=fresh)
 
 
-def _beside(design: Design, trial: int, extra: Tensor) -> Beside:
+def _terms(design: Design, trial: int, extra: Tensor) -> Terms:
     """With columns of further places behind the others."""
-    own, n = design.trials[trial].beside, extra.shape[1]
+    own, n = design.trials[trial].terms, extra.shape[1]
     live = torch.cat([own.live, torch.arange(design.width - n, design.width)])
     noise = None if own.covariation is None else torch.nn.functional.pad(own.covariation, (0, n))
     return replace(own, live=live, covariation=noise)

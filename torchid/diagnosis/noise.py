@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.diagnosis.anew import told
 from torchid.diagnosis.belief import Belief
 from torchid.diagnosis.cameras import BANDS
-from torchid.diagnosis.design import Beside, Candidate, Columns, Design, kept, narrower
+from torchid.diagnosis.design import Candidate, Columns, Design, Terms, narrower, positions
 from torchid.diagnosis.evidence import Prior, Raw, Sums
 from torchid.diagnosis.expected import Expected
 from torchid.diagnosis.late import without_beyond
@@ -48,7 +48,7 @@ class Rows:
     """One trial's rows of forces in the frequency domain, and its columns."""
 
     forces: tuple[Spectrum, ...]
-    beside: Beside
+    terms: Terms
     expected: Expected | None = None
     """Energy that plates' and markers' noise have in them; None where nobody knows."""
 
@@ -63,10 +63,10 @@ def rows_of(watched: Watched, columns: Columns, late: Sequence[bool]) -> Rows:
     """
     found = tuple(spectra(without_beyond(watched.rows, columns), columns.extra))
     if watched.expected is None:
-        return Rows(found, columns.beside)
+        return Rows(found, columns.terms)
     believed, phi = watched.expected.believed, watched.phi.reshape(-1)
-    late = [late[k - len(phi)] for k in columns.beside.live[len(phi) :].tolist()]
-    return Rows(tuple(_shrunk(block, believed, phi, late) for block in found), columns.beside, watched.expected)
+    late = [late[k - len(phi)] for k in columns.terms.live[len(phi) :].tolist()]
+    return Rows(tuple(_shrunk(block, believed, phi, late) for block in found), columns.terms, watched.expected)
 
 
 def _shrunk(block: Spectrum, believed: Belief, phi: Float[Tensor, " params"], late: Sequence[bool]) -> Spectrum:
@@ -78,12 +78,12 @@ def _shrunk(block: Spectrum, believed: Belief, phi: Float[Tensor, " params"], la
     return Spectrum(part * block.Y, block.F - rest, block.frequency)
 
 
-def with_columns(rows: Rows, beside: Beside, watched: Watched, more: Float[Tensor, "6 more frames"]) -> Rows:
+def with_columns(rows: Rows, terms: Terms, watched: Watched, more: Float[Tensor, "6 more frames"]) -> Rows:
     """Rows with further columns that come from the motion.
 
     Args:
         rows: as they are.
-        beside: of all columns, further ones behind.
+        terms: of all columns, further ones behind.
         watched: the trial.
         more: the further ones about the root's origin.
     """
@@ -91,7 +91,7 @@ def with_columns(rows: Rows, beside: Beside, watched: Watched, more: Float[Tenso
     for block, fresh in zip(rows.forces, column_spectra(watched.rows, more), strict=True):
         own = fresh if watched.expected is None else watched.expected.believed(block.frequency).T[:, None] * fresh
         blocks.append(Spectrum(torch.cat([block.Y, own], 1), block.F, block.frequency))
-    return Rows(tuple(blocks), beside, rows.expected)
+    return Rows(tuple(blocks), terms, rows.expected)
 
 
 def narrowed(
@@ -101,9 +101,9 @@ def narrowed(
     small, own, which = narrower(design, some)
     less = []
     for one in rows:
-        at, _ = kept(one.beside.live, which.all)
+        at, _ = positions(one.terms.live, which.all)
         blocks = tuple(Spectrum(block.Y[:, at], block.F, block.frequency) for block in one.forces)
-        less.append(Rows(blocks, one.beside.only(which), one.expected))
+        less.append(Rows(blocks, one.terms.only(which), one.expected))
     return less, prior.widened(small), small, own
 
 
@@ -133,20 +133,20 @@ def standardised(
     """Sums of one trial, and the log density of its rows but for what models of one noise differ in."""
     gram, moment, k, square = forces.gram.clone(), forces.moment.clone(), design.kinematic, forces.square
     whitening = noise.of(trial)
-    if rows.beside.covariation is not None:
-        moment += torch.einsum("bij,bijc->c", torch.linalg.inv(whitening.covariance), rows.beside.covariation)
+    if rows.terms.covariation is not None:
+        moment += torch.einsum("bij,bijc->c", torch.linalg.inv(whitening.covariance), rows.terms.covariation)
     volume = sum(whitening.log_determinant(block.band) for block in rows.forces)
-    if rows.beside.markers is not None:
-        weight, markers = noise.markers.reciprocal(), rows.beside.markers
+    if rows.terms.markers is not None:
+        weight, markers = noise.markers.reciprocal(), rows.terms.markers
         gram[k, k] += (weight @ markers.gram.flatten(1)).view_as(gram[k, k])
         moment[k] += weight @ markers.moment
         square += float(weight @ markers.energy)
         volume += float(markers.count @ noise.markers.log())
-    if rows.beside.idle is not None:
-        k = rows.beside.idle.columns
-        gram[k[:, None], k] += rows.beside.idle.gram
-        moment[k] += rows.beside.idle.moment
-    live = rows.beside.live
+    if rows.terms.idle is not None:
+        k = rows.terms.idle.columns
+        gram[k[:, None], k] += rows.terms.idle.gram
+        moment[k] += rows.terms.idle.moment
+    live = rows.terms.live
     mean = prior.mean[live]
     away = square - 2.0 * float(moment @ mean) + float(mean @ gram @ mean)
     return prior.standard(gram, moment, live), -0.5 * (away + volume)
@@ -163,7 +163,7 @@ def estimate_noise(
         posterior = list(told(_summed(rows, whitened, prior, design, noise), chosen))
         theta = [prior.theta(one.z(len(prior.mean))) for one in posterior]
         # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
-        live = [own.beside.live for own in rows]
+        live = [own.terms.live for own in rows]
         each = zip(posterior, whitened, live, strict=True)
         lost = [one.lost(prior.standard(own.gram, own.moment, which)) for one, own, which in each]
         each = zip(rows, theta, live, strict=True)
@@ -237,8 +237,8 @@ def _dispersion(rows: Sequence[Rows], design: Design, theta: Sequence[Tensor]) -
     """Of markers against the scatter that weighs them; one where none are at hand."""
     energy = count = least = torch.zeros(BANDS, dtype=theta[0].dtype)
     for own, x in zip(rows, theta, strict=True):
-        if own.beside.markers is not None:
-            energy = energy + own.beside.markers.left(x[design.kinematic])
-            count = count + own.beside.markers.count
-            least = least + own.beside.markers.count * own.beside.markers.least
+        if own.terms.markers is not None:
+            energy = energy + own.terms.markers.left(x[design.kinematic])
+            count = count + own.terms.markers.count
+            least = least + own.terms.markers.count * own.terms.markers.least
     return torch.where(count > 0.0, torch.maximum(energy, least) / count.clamp(min=1.0), 1.0).clamp(min=1e-6)

@@ -20,7 +20,6 @@ from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, 
 from torchid.diagnosis.unexplained import structure
 from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect
-from torchid.filters import Smoother
 from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
 from torchid.regressor.rows import measured, predict
@@ -183,14 +182,9 @@ def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, t
     theta, n = prior.theta(fitted.z(len(prior.mean), trial)), len(prior.inertia)
     late = any(one.effect.late for one in fitted.chosen)
     rows = without_beyond(watched.rows, columns) if late else watched.rows
-    own = theta[columns.beside.live[n:]]
+    own = theta[columns.terms.live[n:]]
     known = predict(rows, theta[:n].reshape(-1, 10)) + torch.einsum("ipt,p->ti", columns.extra, own)
     return measured(rows) - known
-
-
-def trusted(added: Float[Tensor, "frames 6"], rate_hz: float, limit_hz: float | None) -> Float[Tensor, "frames 6"]:
-    """Of what an effect adds to forces, what is believed (``Effect.trusted_hz``)."""
-    return added if limit_hz is None else Smoother(limit_hz, rate_hz)(added)
 
 
 def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:

@@ -99,9 +99,11 @@ class Effect(ABC):
         """Time after which it repeats itself; zero where it does not."""
         return 0.0
 
-    def trusted_hz(self, place: Place, theta: Float[Tensor, " params"]) -> float | None:
-        """Frequency up to which the forces that it explains are believed in motion that nobody tested; None: any."""
-        return None
+    def trusted(
+        self, added: Float[Tensor, "frames 6"], rate_hz: float, place: Place, theta: Float[Tensor, " params"]
+    ) -> Float[Tensor, "frames 6"]:
+        """Of the wrench that it explains, what is believed of motion that it was not fitted to."""
+        return added
 
     def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
         """Where its columns are those of ``place``, and the trials they are cut down to; None: all."""

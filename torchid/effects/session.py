@@ -14,6 +14,7 @@ from torchid.conventions import GRAVITY
 from torchid.effects.effect import Effect, Parameter, Place, covers, value_of
 from torchid.effects.scene import Reading, Scene, at_origin
 from torchid.effects.sight import Sight, Slid, View
+from torchid.filters import Smoother
 
 SESSION = Place(("session",))
 SHAKES = tuple(0.3 + 0.02 * k for k in range(286))
@@ -96,7 +97,7 @@ class FilterLag(Effect):
         """The filter as (1 + theta D^4)^-1 with D^4 a stencil of five frames, places and slopes at the ends held.
 
         Local, so that ends matter near the ends only: as a series of sines, a trial that ends in motion had columns
-        of thousands of newtons there, which rang through all of it and made 10 N of a held-out error of 4 N.
+        of thousands of newtons there, and of 20 N half a second before.
         """
         p = sight.p
         flat, n = p.flatten(0, 1).T.cpu().numpy(), p.shape[2]
@@ -116,8 +117,10 @@ class FilterLag(Effect):
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return value_of(values, self.name, "cutoff_hz", 1) ** -4
 
-    def trusted_hz(self, place: Place, theta: Float[Tensor, " params"]) -> float:
-        return TRUSTED * float(self.named(place, theta)["cutoff_hz"])
+    def trusted(
+        self, added: Float[Tensor, "frames 6"], rate_hz: float, place: Place, theta: Float[Tensor, " params"]
+    ) -> Float[Tensor, "frames 6"]:
+        return Smoother(TRUSTED * float(self.named(place, theta)["cutoff_hz"]), rate_hz)(added)
 
 
 TRUSTED = 0.6

@@ -9,7 +9,6 @@ from torch import Tensor
 from torchid.config import Config
 from torchid.diagnosis.candidates import answer_of
 from torchid.diagnosis.design import Source
-from torchid.diagnosis.search import trusted
 from torchid.diagnosis.verdict import Cause
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import effect
@@ -101,7 +100,7 @@ def _added(watched: Watched, one: Planted) -> Float[Tensor, "frames 6"]:
         assert watched.cameras is not None
         source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
         added = torch.einsum("ipt,p->ti", watched.cameras.wrench([answer_of(watched.cameras, source)]), one.theta)
-        return trusted(added, watched.rows.rate, one.effect.trusted_hz(one.place, one.theta))
+        return one.effect.trusted(added, watched.rows.rate, one.place, one.theta)
     view = watched.view
     if one.effect.inverted:
         back = one.effect.undone(view.measured, one.place, one.theta)
