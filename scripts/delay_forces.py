@@ -17,7 +17,9 @@ from torchid.config import load_config
 def delayed(text: str, lag_s: float) -> str:
     """A motion file whose times, the first column behind the line of labels, are later by a lag."""
     lines = text.splitlines()
-    (labels,) = [k for k, line in enumerate(lines) if line.split()[:1] == ["time"]]
+    labels = next((k for k, line in enumerate(lines) if line.split()[:1] == ["time"]), None)
+    if labels is None:
+        raise SystemExit("no line of labels that begins with `time`: give a config whose forces are .mot files")
     rows = [line.split(None, 1) for line in lines[labels + 1 :] if line.strip()]
     return "\n".join([*lines[: labels + 1], *(f"{float(time) + lag_s:.6f}\t{rest}" for time, rest in rows)]) + "\n"
 

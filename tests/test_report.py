@@ -13,7 +13,7 @@ import torch
 
 from torchid.config import load_config
 from torchid.diagnosis.unexplained import Structure
-from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors
+from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors, Near
 from torchid.effects.apart import APART, RECORD, tell_apart
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Interval, Place
@@ -424,6 +424,16 @@ def test_what_remains_is_said(run, rest, said):
     assert section is not None and f"None of the {len(CATALOGUE)} effects" in section.finding
     assert said in " ".join(block.text for block in section.blocks if isinstance(block, Paragraph))
     assert not any(isinstance(block, Figure) for block in section.blocks)
+
+
+@pytest.mark.parametrize(("nats", "said"), [(1.0, "left upper arm, 2.7 times as likely as none"), (-1.0, None)])
+def test_what_came_nearest_is_said(run, nats, said):
+    """In words, where nothing is named and something is likelier than nothing; else not a word."""
+    none, near = Errors(math.nan, math.nan), Near("wobbling_mass", ("upper_arm_l",), nats)
+    found = Diagnosis((), none, none, (), Structure(False, 0.4, 0.1, ""), nearest=(near,))
+    section = diagnosis_section(replace(run.outcome, diagnosis=found))
+    assert section is not None
+    assert said in section.finding if said else "nearest" not in section.finding
 
 
 def test_gains_are_said_as_they_are():

@@ -77,6 +77,8 @@ def diagnose(
         # A model that the data visibly contradict is sure of nothing that the contradicted forces told.
         trust = 1.0 - 0.5 * rest.share_of_residual
         causes = [c if _seen(c) else replace(c, confidence=trust * c.confidence) for c in causes]
+    # What a laboratory did to forces is read first, and what markers and bodies are like after it.
+    causes.sort(key=lambda c: effect(c.effect).kinematic or effect(c.effect).bodily)
     idle, near = _idle(watched, plates), _nearest(found.rounds[-1])
     return Diagnosis(plates, judge(())[0], extended[0], tuple(causes), rest, idle, near)
 

@@ -18,7 +18,7 @@ from torchid.report.extension import Sides, draw_curves, draw_spectrum, sides, t
 from torchid.report.figure import IDENTIFIED, MUTED, draw, tidy
 from torchid.report.following import draw_markers, marker_error
 from torchid.report.story import WORTH, name, rivals, surely, told
-from torchid.report.telling import LABELLED, NOUN, place
+from torchid.report.telling import LABELLED, NOUN, called, place
 from torchid.report.text import clean, listing, number, percent, scientific
 
 SAME = 0.005
@@ -66,11 +66,13 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
 
 def _nearest(found: Diagnosis) -> list[str]:
     """Of a diagnosis that names nothing, what is likelier than nothing."""
-    some = [near for near in found.nearest[:1] if near.evidence_nats > 0.0]
-    said = "The nearest is {} ({}), {} times as likely as none; what is {} times as likely is named."
-    odds = (math.exp(NAMED), *(math.exp(near.evidence_nats) for near in some))
-    return [said.format(_noun(n.effect), listing([clean(w) for w in n.where]), number(odds[1], 1), number(odds[0], 0))
-            for n in some]  # fmt: skip
+    said = "The nearest is {}, {} times as likely as none; what is {} times as likely is named."
+    bar = number(math.exp(NAMED), 0)
+    return [
+        said.format(called(near), number(math.exp(near.evidence_nats), 1), bar)
+        for near in found.nearest[:1]
+        if near.evidence_nats > 0.0
+    ]
 
 
 def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
