@@ -13,7 +13,7 @@ import torch
 
 from torchid.config import load_config
 from torchid.diagnosis.unexplained import Structure
-from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors, Near
+from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors, Near, Refuted
 from torchid.effects.apart import APART, RECORD, tell_apart
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Interval, Place
@@ -434,6 +434,15 @@ def test_what_came_nearest_is_said(run, nats, said):
     section = diagnosis_section(replace(run.outcome, diagnosis=found))
     assert section is not None
     assert said in section.finding if said else "nearest" not in section.finding
+
+
+def test_what_held_out_motion_contradicts_is_said(run):
+    """In words, with what it says against it."""
+    none, against = Errors(math.nan, math.nan), Refuted("wobbling_mass", ("upper_arm_l",), -20.2)
+    found = Diagnosis((), none, none, (), Structure(False, 0.4, 0.1, ""), refuted=(against,))
+    section = diagnosis_section(replace(run.outcome, diagnosis=found))
+    assert section is not None
+    assert "mass of the left upper arm, but held-out motion speaks against it by 20 nats" in section.finding
 
 
 def test_gains_are_said_as_they_are():

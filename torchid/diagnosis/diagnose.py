@@ -5,21 +5,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
-from torchid.diagnosis.anew import eliminated
-from torchid.diagnosis.candidates import trial_columns
-from torchid.diagnosis.design import Candidate, Columns
+from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.doubtful import relevant, without_opposed
-from torchid.diagnosis.evidence import Fitted, fit
-from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal
-from torchid.diagnosis.late import linearised
-from torchid.diagnosis.noise import rows_of, summed
+from torchid.diagnosis.evidence import fit
+from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, without
+from torchid.diagnosis.heldout import HeldOut
 from torchid.diagnosis.plates import SessionPlate
-from torchid.diagnosis.search import residual, residuals, search
+from torchid.diagnosis.search import residuals, search
 from torchid.diagnosis.unexplained import structure
-from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Errors, Near
+from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Near, Refuted
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
@@ -66,13 +61,17 @@ def diagnose(
     rest = structure(watched, residuals(watched, found.design, found.prior, found.fitted))
     if rest.significant:
         found = relevant(without_opposed(found), watched)
-    judge, everything, causes = _Judge(found, heldout), found.chosen, []
-    extended = judge(everything)
-    for k, one in enumerate(everything):
+    unseen = HeldOut(found, watched, heldout)
+    chosen, refuted = unseen.upheld(unseen.acting())
+    found = replace(found, chosen=chosen, fitted=fit(found.sums, chosen))
+    if refuted:
+        rest = structure(watched, residuals(watched, found.design, found.prior, found.fitted))
+    extended, names = unseen.judged(chosen), [w.rows.name for w in (*watched, *heldout)]
+    causes = []
+    for k, one in enumerate(chosen):
         scan = next(r for r in found.rounds if r.rivals and _same(r.rivals[0].candidate, one))
-        others = tuple(c for c in everything if c is not one)
-        names = [w.rows.name for w in watched]
-        causes.append(_cause(found, k, scan, _gain(judge(others), extended), names))
+        gain = extended.over(unseen.judged(without(chosen, one)))
+        causes.append(_cause(found, k, scan, gain, names))
     if rest.significant:
         # A model that the data visibly contradict is sure of nothing that the contradicted forces told.
         trust = 1.0 - 0.5 * rest.share_of_residual
@@ -80,7 +79,8 @@ def diagnose(
     # What a laboratory did to forces is read first, and what markers and bodies are like after it.
     causes.sort(key=lambda c: effect(c.effect).kinematic or effect(c.effect).bodily)
     idle, near = _idle(watched, plates), _nearest(found.rounds[-1])
-    return Diagnosis(plates, judge(())[0], extended[0], tuple(causes), rest, idle, near)
+    against = tuple(Refuted(one.effect.name, one.place.where, says) for one, says in refuted)
+    return Diagnosis(plates, unseen.judged(()).errors, extended.errors, tuple(causes), rest, idle, near, against)
 
 
 def _nearest(scan: Round) -> tuple[Near, ...]:
@@ -119,7 +119,7 @@ def _cause(found: Search, k: int, scan: Round, gain: dict[str, float], names: Se
     acting = tuple(names[j] for j in sorted(one.trials))
     return Cause(
         one.effect.name, one.place.where, one.place.when, values, confidence, listed, twins, gain,
-        one.place, internal(found, k).view(len(one.blocks), -1), acting, len(acting) == len(names),
+        one.place, internal(found, k).view(len(one.blocks), -1), acting, one.trials == found.sums.all,
     )  # fmt: skip
 
 
@@ -138,62 +138,3 @@ def _idle(watched: Sequence[Watched], plates: Sequence[SessionPlate]) -> dict[st
     if silent:
         out["plate_gain"] = f"not of {', '.join(silent)}: nobody steps there in a fit trial"
     return out
-
-
-class _Judge:
-    """Base and extended models, fitted to the fit trials, on the held-out ones."""
-
-    def __init__(self, found: Search, heldout: Sequence[Watched]) -> None:
-        self.found, self.heldout = found, heldout
-        self.columns = [trial_columns(w, found.design.sources) for w in heldout]
-        if any(one.effect.late for one in found.chosen):
-            self.columns = self._settled()
-        rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
-        more = summed(rows, found.prior, found.design, found.noise.typical(len(heldout)))
-        self.both = replace(found.sums, trials=(*found.sums.trials, *more.trials))
-
-    def __call__(self, chosen: Sequence[Candidate]) -> tuple[Errors, float]:
-        """Held-out residual, and log density of the held-out rows after the fit trials but for what models share."""
-        chosen, first = self._everywhere(chosen), len(self.found.sums.trials)
-        (sums, some), (whole, _) = (eliminated(x, chosen) for x in (self.found.sums, self.both))
-        fitted = fit(sums, some)
-        both = enumerate(zip(self.heldout, self.columns, strict=True), first)
-        left = [(residual(w, c, self.found.prior, fitted, k) + self._untrusted(w, c, fitted, k))[w.rows.used]
-                for k, (w, c) in both]  # fmt: skip
-        if not left:
-            return Errors(float("nan"), float("nan")), float("nan")
-        both = torch.cat(left)
-        errors = Errors(*(float(x.square().sum(1).mean().sqrt()) for x in (both[:, :3], both[:, 3:])))
-        return errors, fit(whole, some).log_evidence + whole.constant - fitted.log_evidence - sums.constant
-
-    def _untrusted(self, watched: Watched, columns: Columns, fitted: Fitted, trial: int) -> Float[Tensor, "frames 6"]:
-        """What chosen effects take off and nobody believes (``Effect.trusted``)."""
-        found, n = torch.zeros_like(watched.rows.wrench), self.found.design.inertia
-        for one, share in zip(fitted.chosen, fitted.shares(len(self.found.prior.mean), trial), strict=True):
-            theta = self.found.prior.scale * share[n:]
-            added = torch.einsum("ipt,p->ti", columns.extra, theta[columns.terms.live[n:] - n])
-            found += added - one.effect.trusted(added, watched.rows.rate, one.place, theta[one.columns - n])
-        return found
-
-    def _settled(self) -> list[Columns]:
-        """Columns with those of late effects where the fit trials found them."""
-        found, first = self.found, len(self.found.sums.trials)
-        fitted, n = fit(found.sums, self._everywhere(found.chosen)), found.design.inertia
-        theta = [found.prior.theta(fitted.z(len(found.prior.mean), first + k))[n:] for k in range(len(self.heldout))]
-        trials = zip(self.heldout, self.columns, theta, strict=True)
-        return [linearised(w, c, found.design.sources, x) for w, c, x in trials]
-
-    def _everywhere(self, chosen: Sequence[Candidate]) -> list[Candidate]:
-        """What acts in all fit trials acts in the held-out ones too."""
-        whole = frozenset(range(len(self.found.sums.trials) + len(self.heldout)))
-        return [replace(c, trials=whole) if c.trials == self.found.sums.all else c for c in chosen]
-
-
-def _gain(before: tuple[Errors, float], after: tuple[Errors, float]) -> dict[str, float]:
-    """Of the larger model over the smaller one."""
-    (less, low), (more, high) = before, after
-    return {
-        "heldout_log_likelihood": high - low,
-        "force_rmse_pct": 100.0 * (1.0 - more.force_rmse_N / less.force_rmse_N),
-        "moment_rmse_pct": 100.0 * (1.0 - more.moment_rmse_Nm / less.moment_rmse_Nm),
-    }

@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.design import Candidate, Design, only
-from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit
+from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains
 from torchid.diagnosis.noise import Noise
 
 NAMED = 2.5
@@ -85,6 +86,17 @@ def reduced(
     small, own, some = only(design, chosen)
     less = Sums(sums.base, small.shared, tuple(raw.only(some) for raw in sums.trials), sums.constant)
     return Search(small, prior.widened(small), noise, own, tuple(rounds), less, fit(less, own))
+
+
+def without(chosen: Sequence[Candidate], one: Candidate) -> list[Candidate]:
+    """The others."""
+    return [c for c in chosen if c is not one]
+
+
+def support(sums: Sums, chosen: Sequence[Candidate], one: Candidate) -> float:
+    """Log evidence of one of the chosen effects over the others alone."""
+    less, rest = eliminated(sums, without(chosen, one))
+    return float(gains(less, fit(less, rest), [one])[0])
 
 
 def internal(found: Search, k: int) -> Float[Tensor, " params"]:

@@ -13,7 +13,7 @@ from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
-from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced
+from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced, support
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.late import linearised, without_beyond
 from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, narrowed, rows_of, summed
@@ -256,7 +256,6 @@ def _pruned(found: Search) -> Search:
     """Without those that the others have made superfluous."""
     kept = list(found.chosen)
     for one in reversed(found.chosen):
-        sums, rest = eliminated(found.sums, [c for c in kept if c is not one])
-        if float(gains(sums, fit(sums, rest), [one])[0]) < NAMED:
+        if support(found.sums, kept, one) < NAMED:
             kept.remove(one)
     return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))

@@ -45,9 +45,9 @@ class Cause:
     theta: Float[Tensor, "blocks params"]
     """Internal parameters, see ``Effect``; one row, or one for each of the trials."""
     trials: tuple[str, ...]
-    """Fit trials in which it acts."""
+    """In which it acts."""
     everywhere: bool
-    """In all of them, and therefore in others too."""
+    """In all fit trials, and therefore in others too."""
 
     def on(self, trial: str) -> Planted | None:
         """As it acts in a trial, None where it does not or nobody knows."""
@@ -65,6 +65,16 @@ class Near:
     where: tuple[str, ...]
     evidence_nats: float
     """Of the effect, averaged over its places; ``NAMED`` would name it."""
+
+
+@dataclass(frozen=True)
+class Refuted:
+    """A cause that fit trials named and held-out motion speaks against; the model was not extended by it."""
+
+    effect: str
+    where: tuple[str, ...]
+    heldout_log_likelihood: float
+    """What it gained there, negative."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +98,7 @@ class Diagnosis:
     """Why, by effect."""
     nearest: tuple["Near", ...] = ()
     """What came closest to being named beside the causes, best first."""
+    refuted: tuple["Refuted", ...] = ()
     aside: tuple[Interval, ...] = ()
     """What no model was fitted to, or should be: something unmeasured bears a good part of the weight."""
 
@@ -101,6 +112,7 @@ def verdict(diagnosis: Diagnosis) -> dict[str, Any]:
         "extended": {"heldout": dataclasses.asdict(diagnosis.extended)},
         "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
         "nearest": [dataclasses.asdict(near) for near in diagnosis.nearest],
+        "refuted": [dataclasses.asdict(one) for one in diagnosis.refuted],
         "plates": {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in diagnosis.plates},
     }
 

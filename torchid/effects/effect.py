@@ -81,6 +81,8 @@ class Effect(ABC):
     """It shifts the plates' readings in time."""
     inverted: ClassVar[bool] = False
     """Its columns are what taking it out of the plates' readings takes away (``undone``)."""
+    lasting: ClassVar[bool] = False
+    """A state of single recordings: where it is in some, only another recording itself says whether it is there."""
     timed: ClassVar[bool] = False
     """It comes and goes: its places need intervals."""
 

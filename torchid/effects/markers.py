@@ -25,6 +25,7 @@ class MarkerShift(MarkerEffect):
     """A marker was knocked or stuck on again: in some trials it sits elsewhere on its segment."""
 
     name = "marker_shift"
+    lasting = True
     parameters = (Parameter("shift_seg_m", 0.015, 3),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:

@@ -60,8 +60,14 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
         options = outcome.config.diagnosis
         tried = len(wanted(options.include, options.exclude))
         silent = f"None of the {tried} effects that were tried is supported by the recordings: nothing was corrected."
-        return " ".join([silent, *_nearest(found)])
-    return " ".join([*(told(cause) for cause in found.causes), *_gains(outcome, found)])
+        return " ".join([silent, *_refuted(found), *_nearest(found)])
+    return " ".join([*(told(cause) for cause in found.causes), *_gains(outcome, found), *_refuted(found)])
+
+
+def _refuted(found: Diagnosis) -> list[str]:
+    """What was not believed."""
+    said = "Fit trials suggest {}, but held-out motion speaks against it by {} nats: the model was not extended by it."
+    return [said.format(called(one), number(-one.heldout_log_likelihood, 0)) for one in found.refuted]
 
 
 def _nearest(found: Diagnosis) -> list[str]:

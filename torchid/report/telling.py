@@ -1,6 +1,6 @@
 """What effects are called in a sentence."""
 
-from torchid.diagnosis.verdict import Alternative, Cause, Near
+from torchid.diagnosis.verdict import Alternative, Cause, Near, Refuted
 from torchid.report.text import clean, listing, segment
 
 NOUN = {
@@ -41,7 +41,7 @@ LABELLED = frozenset({"marker_shift", "marker_swap"})
 """Effects whose places are marker labels."""
 
 
-def called(one: Cause | Alternative | Near) -> str:
+def called(one: Cause | Alternative | Near | Refuted) -> str:
     """An effect and where it sits, as part of a sentence."""
     noun = NOUN.get(one.effect, one.effect.replace("_", " "))
     if one.effect in LABELLED:
@@ -49,7 +49,7 @@ def called(one: Cause | Alternative | Near) -> str:
     return noun if one.where == ("session",) else f"{noun} {LINK.get(one.effect, 'on')} {place(one)}"
 
 
-def place(one: Cause | Alternative | Near) -> str:
+def place(one: Cause | Alternative | Near | Refuted) -> str:
     """Where an effect sits: segments and joints with their article, plates, trials and markers by name."""
     if one.where == ("session",):
         return "the whole session"

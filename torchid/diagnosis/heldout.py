@@ -1,0 +1,144 @@
+"""Base and extended models, fitted to the fit trials, on motion that they were not fitted to."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.diagnosis.anew import eliminated
+from torchid.diagnosis.candidates import trial_columns
+from torchid.diagnosis.design import Candidate, Columns
+from torchid.diagnosis.evidence import Fitted, fit
+from torchid.diagnosis.found import Search, support, without
+from torchid.diagnosis.late import linearised
+from torchid.diagnosis.noise import rows_of, summed
+from torchid.diagnosis.search import residual
+from torchid.diagnosis.verdict import Errors
+from torchid.diagnosis.watched import Watched
+from torchid.effects.effect import Interval
+
+REFUTED = 3.0
+"""Nats by which held-out motion must speak against a cause, beyond one standard deviation of what it should say: that
+of a log likelihood ratio with mean m is (2 m)^0.5."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A model on the held-out trials."""
+
+    errors: Errors
+    log_density: float
+    """Of the held-out rows after the fit trials, up to what all models share."""
+
+    def over(self, less: "Judged") -> dict[str, float]:
+        """What it gains over a smaller model."""
+        before, after = less.errors, self.errors
+        return {
+            "heldout_log_likelihood": self.log_density - less.log_density,
+            "force_rmse_pct": 100.0 * (1.0 - after.force_rmse_N / before.force_rmse_N),
+            "moment_rmse_pct": 100.0 * (1.0 - after.moment_rmse_Nm / before.moment_rmse_Nm),
+        }
+
+
+class HeldOut:
+    """The held-out trials of a search."""
+
+    def __init__(self, found: Search, watched: Sequence[Watched], heldout: Sequence[Watched]) -> None:
+        self.found, self.trials, self.first = found, heldout, len(found.sums.trials)
+        self.share = _used(heldout) / max(_used(watched), 1)
+        self.columns = [trial_columns(w, found.design.sources) for w in heldout]
+        if any(one.effect.late for one in found.chosen):
+            self.columns = self._settled()
+        rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
+        more = summed(rows, found.prior, found.design, found.noise.typical(len(heldout)))
+        self.both = replace(found.sums, trials=(*found.sums.trials, *more.trials))
+
+    def judged(self, chosen: Sequence[Candidate]) -> Judged:
+        """Held-out residual and density under a model with these effects."""
+        if not self.trials:
+            return Judged(Errors(math.nan, math.nan), math.nan)
+        everywhere = self._everywhere(chosen)
+        (sums, some), (whole, _) = (eliminated(x, everywhere) for x in (self.found.sums, self.both))
+        fitted = fit(sums, some)
+        density = fit(whole, some).log_evidence + whole.constant - fitted.log_evidence - sums.constant
+        return Judged(self._errors(fitted), density - self._asked(chosen) * math.log(2.0))
+
+    def acting(self) -> tuple[Candidate, ...]:
+        """The chosen effects; what is a state of single recordings also in those of the held-out ones that show it.
+
+        Where a marker sat in a recording only that recording tells. Each is asked for one bit, at the price of one.
+        """
+        found = list(self.found.chosen)
+        for k, one in enumerate(found):
+            if one.effect.lasting and not self._whole(one):
+                for j in range(len(self.trials)):
+                    more = [*found[:k], self._also(found[k], j), *found[k + 1 :]]
+                    if self.judged(more).log_density > self.judged(found).log_density:
+                        found = more
+        return tuple(found)
+
+    def upheld(self, chosen: Sequence[Candidate]) -> tuple[tuple[Candidate, ...], tuple[tuple[Candidate, float], ...]]:
+        """The effects that held-out motion does not refute, and the others with what it says for them [nat]."""
+        kept, refuted = list(chosen), []
+        while kept and self.trials:
+            whole = self.judged(kept).log_density
+            says = [whole - self.judged(without(kept, one)).log_density for one in kept]
+            worst = min(range(len(kept)), key=says.__getitem__)
+            promised = self.share * max(support(self.found.sums, kept, kept[worst]), 0.0)
+            if says[worst] > -REFUTED - math.sqrt(2.0 * promised):
+                break
+            refuted.append((kept.pop(worst), says[worst]))
+        return tuple(kept), tuple(refuted)
+
+    def _errors(self, fitted: Fitted) -> Errors:
+        trials = enumerate(zip(self.trials, self.columns, strict=True), self.first)
+        left = [(residual(w, c, self.found.prior, fitted, k) + self._untrusted(w, c, fitted, k))[w.rows.used]
+                for k, (w, c) in trials]  # fmt: skip
+        both = torch.cat(left)
+        return Errors(*(float(x.square().sum(1).mean().sqrt()) for x in (both[:, :3], both[:, 3:])))
+
+    def _untrusted(self, watched: Watched, columns: Columns, fitted: Fitted, trial: int) -> Float[Tensor, "frames 6"]:
+        """What chosen effects take off and nobody believes (``Effect.trusted``)."""
+        found, n = torch.zeros_like(watched.rows.wrench), self.found.design.inertia
+        for one, share in zip(fitted.chosen, fitted.shares(len(self.found.prior.mean), trial), strict=True):
+            theta = self.found.prior.scale * share[n:]
+            added = torch.einsum("ipt,p->ti", columns.extra, theta[columns.terms.live[n:] - n])
+            found += added - one.effect.trusted(added, watched.rows.rate, one.place, theta[one.columns - n])
+        return found
+
+    def _settled(self) -> list[Columns]:
+        """Columns with those of late effects where the fit trials found them."""
+        found = self.found
+        fitted, n = fit(found.sums, self._everywhere(found.chosen)), found.design.inertia
+        theta = [
+            found.prior.theta(fitted.z(len(found.prior.mean), self.first + k))[n:] for k in range(len(self.trials))
+        ]
+        trials = zip(self.trials, self.columns, theta, strict=True)
+        return [linearised(w, c, found.design.sources, x) for w, c, x in trials]
+
+    def _whole(self, one: Candidate) -> bool:
+        return one.trials == self.found.sums.all
+
+    def _everywhere(self, chosen: Sequence[Candidate]) -> list[Candidate]:
+        """What acts in all fit trials acts in the held-out ones too."""
+        every = frozenset(range(self.first + len(self.trials)))
+        return [replace(c, trials=every) if self._whole(c) else c for c in chosen]
+
+    def _asked(self, chosen: Sequence[Candidate]) -> int:
+        """Questions that held-out trials answered themselves."""
+        return len(self.trials) * sum(one.effect.lasting and not self._whole(one) for one in chosen)
+
+    def _also(self, one: Candidate, trial: int) -> Candidate:
+        """The same acting in one of the held-out trials too."""
+        name, time = self.trials[trial].rows.name, self.trials[trial].rows.motion.time
+        own = Interval(name, float(time[0]), float(time[-1]))
+        place = replace(one.place, when=(*(one.place.when or ()), own))
+        trials = one.trials | {self.first + trial}
+        return replace(one, place=place, trials=trials, proposed=one.proposed or one.place)
+
+
+def _used(trials: Sequence[Watched]) -> int:
+    return sum(int(w.rows.used.sum()) for w in trials)
