@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import torch
 from jaxtyping import Float
@@ -11,7 +12,7 @@ from torch import Tensor
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import trial_columns
 from torchid.diagnosis.design import Candidate, Columns
-from torchid.diagnosis.evidence import Fitted, fit
+from torchid.diagnosis.evidence import Fitted, Sums, fit
 from torchid.diagnosis.found import Search, support, without
 from torchid.diagnosis.late import linearised
 from torchid.diagnosis.noise import rows_of, summed
@@ -55,16 +56,31 @@ class HeldOut:
         rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
         more = summed(rows, found.prior, found.design, found.noise.typical(len(heldout)))
         self.both = replace(found.sums, trials=(*found.sums.trials, *more.trials))
+        self._known: dict[tuple[int, ...], tuple[Sums, Sums]] = {}
 
     def judged(self, chosen: Sequence[Candidate]) -> Judged:
         """Held-out residual and density under a model with these effects."""
         if not self.trials:
             return Judged(Errors(math.nan, math.nan), math.nan)
+        (sums, _), some = self._without_anew(chosen)
+        return Judged(self._errors(fit(sums, some)), self.density(chosen))
+
+    def density(self, chosen: Sequence[Candidate]) -> float:
+        """Log density of the held-out rows after the fit trials, see ``Judged``."""
+        (sums, whole), some = self._without_anew(chosen)
+        fitted, both = fit(sums, some), fit(whole, some)
+        found = both.log_evidence + whole.constant - fitted.log_evidence - sums.constant
+        return found - self._asked(chosen) * math.log(2.0)
+
+    def _without_anew(self, chosen: Sequence[Candidate]) -> tuple[tuple[Sums, Sums], list[Candidate]]:
+        """Sums of fit and of all trials, effects that are anew in every trial integrated out, and the other effects."""
         everywhere = self._everywhere(chosen)
-        (sums, some), (whole, _) = (eliminated(x, everywhere) for x in (self.found.sums, self.both))
-        fitted = fit(sums, some)
-        density = fit(whole, some).log_evidence + whole.constant - fitted.log_evidence - sums.constant
-        return Judged(self._errors(fitted), density - self._asked(chosen) * math.log(2.0))
+        anew = [k for k, one in enumerate(everywhere) if one.effect.anew]
+        key = tuple(id(chosen[k]) for k in anew)
+        if key not in self._known:
+            some = [everywhere[k] for k in anew]
+            self._known[key] = eliminated(self.found.sums, some)[0], eliminated(self.both, some)[0]
+        return self._known[key], [one for one in everywhere if not one.effect.anew]
 
     def acting(self) -> tuple[Candidate, ...]:
         """The chosen effects; what is a state of single recordings also in those of the held-out ones that show it.
@@ -72,20 +88,20 @@ class HeldOut:
         Where a marker sat in a recording only that recording tells. Each is asked for one bit, at the price of one.
         """
         found = list(self.found.chosen)
-        for k, one in enumerate(found):
-            if one.effect.lasting and not self._whole(one):
-                for j in range(len(self.trials)):
-                    more = [*found[:k], self._also(found[k], j), *found[k + 1 :]]
-                    if self.judged(more).log_density > self.judged(found).log_density:
-                        found = more
+        asked = [k for k, one in enumerate(found) if one.effect.lasting and not self._whole(one)]
+        best = self.density(found) if asked and self.trials else 0.0
+        for k, j in product(asked, range(len(self.trials))):
+            more = [*found[:k], self._also(found[k], j), *found[k + 1 :]]
+            if (density := self.density(more)) > best:
+                found, best = more, density
         return tuple(found)
 
     def upheld(self, chosen: Sequence[Candidate]) -> tuple[tuple[Candidate, ...], tuple[tuple[Candidate, float], ...]]:
         """The effects that held-out motion does not refute, and the others with what it says for them [nat]."""
         kept, refuted = list(chosen), []
         while kept and self.trials:
-            whole = self.judged(kept).log_density
-            says = [whole - self.judged(without(kept, one)).log_density for one in kept]
+            whole = self.density(kept)
+            says = [whole - self.density(without(kept, one)) for one in kept]
             worst = min(range(len(kept)), key=says.__getitem__)
             promised = self.share * max(support(self.found.sums, kept, kept[worst]), 0.0)
             if says[worst] > -REFUTED - math.sqrt(2.0 * promised):

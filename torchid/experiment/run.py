@@ -115,12 +115,19 @@ def _compute(
         outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(config, outcome)))
         progress("diagnosis", 1.0)
         if outcome.diagnosis is not None and outcome.diagnosis.causes:
-            outcome = _extended(outcome, folder, key, progress)
+            outcome = extend_outcome(outcome, folder, key, progress)
     return _with_torques(outcome, folder), None
 
 
-def _extended(base: Outcome, folder: OutputFolder, key: str, progress: Progress) -> Outcome:
-    """Everything fitted again with the named causes taken out of the recordings."""
+def extend_outcome(base: Outcome, folder: OutputFolder, key: str, progress: Progress) -> Outcome:
+    """Everything fitted again with the named causes taken out of the recordings.
+
+    Args:
+        base: with the verdict on it.
+        folder: for stages.
+        key: of all that these depend on.
+        progress: called with stages and fractions.
+    """
     assert base.diagnosis is not None
     causes, fit = base.diagnosis.causes, base.fit
     config, session = corrected_config(base.config, causes), base.session
