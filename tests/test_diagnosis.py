@@ -14,16 +14,19 @@ from torchid.config import load_config
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.diagnose import diagnose, wanted
 from torchid.diagnosis.evidence import Sums, fit, gains, make_prior
-from torchid.diagnosis.plates import recognise
+from torchid.diagnosis.plates import SessionPlate, recognise
+from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Diagnosis
+from torchid.diagnosis.vibration import with_vibration
 from torchid.diagnosis.watched import Known, Watched, watch
 from torchid.effects.catalogue import BODILY
 from torchid.effects.effect import Interval
 from torchid.errors import ConfigError
 from torchid.experiment import run_experiment
 from torchid.filters import Smoother
-from torchid.inertia.identify import identify_inertia
+from torchid.inertia.identify import Identified, identify_inertia
 from torchid.io.resample import synchronise
+from torchid.model.model import InertialPrior
 from torchid.motion import smooth_motion
 from torchid.recording import Forces, Plate
 from torchid.regressor.rows import WrenchTrial
@@ -108,8 +111,16 @@ def simulated(effects: tuple[PlantedOptions, ...], seed: int) -> Session:
     pytest.fail("none of six subjects keeps balance")
 
 
-def verdict(session: Session) -> tuple[Diagnosis, list[Watched]]:
+def verdict(session: Session) -> Diagnosis:
     """Of a session whose motion and geometry are known, forces noisy: the rest of the chain is tested elsewhere."""
+    watched, plates, prior, found = seen(session)
+    fits, held = [watched[n] for n in FIT], [watched[n] for n in HELDOUT]
+    effects = wanted((), ())
+    return diagnose(fits, held, plates, effects, prior, found.fit.omega_2, found.whitening, 2)
+
+
+def seen(session: Session) -> tuple[dict[str, Watched], tuple[SessionPlate, ...], InertialPrior, Identified]:
+    """Its trials, plates, prior and inertial fit."""
     subject = session.subject
     tree, geometry, prior = subject.model.tree, subject.geometry, subject.model.inertia
     forces, rows = {}, {}
@@ -128,11 +139,7 @@ def verdict(session: Session) -> tuple[Diagnosis, list[Watched]]:
     found = identify_inertia([rows[n] for n in FIT], prior)
     plates, frames = recognise(forces)
     known = Known(prior.mean, found.fit.phi, subject.recorded_mass)
-    watched = {n: watch(r, forces[n], r.used, frames[n], known) for n, r in rows.items()}
-    fits, held = [watched[n] for n in FIT], [watched[n] for n in HELDOUT]
-    effects = wanted((), ())
-    said = diagnose(fits, held, plates, effects, prior, found.fit.omega_2, found.whitening, 2)
-    return said, fits
+    return {n: watch(r, forces[n], r.used, frames[n], known) for n, r in rows.items()}, plates, prior, found
 
 
 @pytest.mark.slow
@@ -141,7 +148,7 @@ def test_what_is_hidden_is_found(family):
     """The first cause is the planted one, or cannot be told from it, with its size, and it helps on unseen motion."""
     rng = np.random.default_rng([SEED, sorted(FAMILIES).index(family)])
     planted = FAMILIES[family](rng)
-    said, _ = verdict(simulated((planted,), int(rng.integers(2**31))))
+    said = verdict(simulated((planted,), int(rng.integers(2**31))))
     print(planted, [(c.effect, c.where, c.confidence) for c in said.causes])  # noqa: T201
     assert said.causes, "nothing was named"
     first = said.causes[0]
@@ -161,7 +168,7 @@ def test_what_is_hidden_is_found(family):
 @pytest.mark.slow
 def test_nothing_is_found_where_nothing_is():
     """Plates, time, mass and contacts stay silent."""
-    said, _ = verdict(simulated((), SEED % 2**31))
+    said = verdict(simulated((), SEED % 2**31))
     assert {cause.effect for cause in said.causes} <= BODILY
     if not said.causes:
         assert said.baseline == said.extended
@@ -174,19 +181,37 @@ def test_what_held_out_motion_contradicts_is_refuted():
     lag, seed = draw(rng, 0.008, 0.02), int(rng.integers(2**31))
     late, early = (simulated((PlantedOptions("time_offset", ("session",), None, {"lag_s": s * lag}),), seed)
                    for s in (1.0, -1.0))  # fmt: skip
-    said, _ = verdict(dataclasses.replace(late, trials=(*late.trials[:-1], early.trials[-1])))
+    said = verdict(dataclasses.replace(late, trials=(*late.trials[:-1], early.trials[-1])))
     found = [(c.effect, c.where, c.gain) for c in said.causes]
     assert ("time_offset", ("session",)) in {(r.effect, r.where) for r in said.refuted}, (found, said.refuted)
     assert all(r.heldout_log_likelihood < 0.0 for r in said.refuted)
     assert not {c.effect for c in said.causes} & {r.effect for r in said.refuted}
 
 
+@pytest.mark.parametrize("where", [FIT, FIT[:-1]])
+def test_a_vibration_above_the_filter_is_no_secret(where):
+    """A motor that runs in every trial is flagged, with its frequency; one that rests in one of them is not."""
+    rng = np.random.default_rng([SEED, 9])
+    hz, clean = float(rng.uniform(13.5, 18.0)), Structure(False, 0.5, 0.1, "")
+    watched = seen(simulated((), int(rng.integers(2**31))))[0]
+    some = []
+    for name in FIT:
+        phase = 2.0 * np.pi * (hz * watched[name].rows.motion.time + rng.uniform())
+        motor = 6.0 * torch.stack([torch.cos(phase), 0.0 * phase, torch.sin(phase)], 1)
+        raw = watched[name].raw + (motor if name in where else 0.0)
+        some.append(dataclasses.replace(watched[name], raw=raw))
+    said = with_vibration(clean, some)
+    assert said.significant == (where == FIT)
+    if said.significant:
+        found = float(said.description.split("a vibration of ")[1].split(" Hz")[0])
+        assert found == pytest.approx(hz, abs=0.25)
+
+
 @pytest.mark.slow
 def test_evidence_is_that_of_the_marginal_likelihood():
     """Gains by Schur complements equal differences of log densities of the whitened data under each model."""
     session = simulated((), SEED % 2**31)
-    _, watched = verdict(session)
-    watched = watched[:2]
+    watched = [seen(session)[0][name] for name in FIT[:2]]
     design = make_design(watched, wanted(("time_offset", "drag", "payload"), ()))
     prior = make_prior(session.subject.model.inertia, 1.0, design)
     trials = []

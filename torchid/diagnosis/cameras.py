@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchid.effects.momentum import carriage, levers, wrench_of
 from torchid.effects.sight import Sight
+from torchid.regressor.equations import half_product
 from torchid.regressor.rows import runs
 from torchid.regressor.whitening import QUIET, cosine_matrix
 
@@ -267,6 +268,6 @@ def marker_sums(coarse: Coarse, left: Float[Tensor, "bins rows columns"], least:
     for rows, band in coarse.spectrum(left):
         for b in band.unique().tolist():
             flat = rows[band == b].flatten(0, 1)
-            gram[b] += flat.T @ flat
+            gram[b] += half_product(flat)
             count[b] += len(flat) * coarse.free
     return MarkerSums(gram[:, :n, :n], gram[:, :n, n], gram[:, n, n], count, least)

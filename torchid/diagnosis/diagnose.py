@@ -15,6 +15,7 @@ from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import residuals, search
 from torchid.diagnosis.unexplained import structure
 from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Near, Refuted
+from torchid.diagnosis.vibration import with_vibration
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
@@ -76,6 +77,7 @@ def diagnose(
         # A model that the data visibly contradict is sure of nothing that the contradicted forces told.
         trust = 1.0 - 0.5 * rest.share_of_residual
         causes = [c if _seen(c) else replace(c, confidence=trust * c.confidence) for c in causes]
+    rest = with_vibration(rest, watched)
     # What a laboratory did to forces is read first, and what markers and bodies are like after it.
     causes.sort(key=lambda c: effect(c.effect).kinematic or effect(c.effect).bodily)
     idle, near = _idle(watched, plates), _nearest(found.rounds[-1])

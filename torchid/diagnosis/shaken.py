@@ -70,12 +70,23 @@ def covariation(
     for columns, total in draws:
         found = columns.new_zeros(len(EDGES) + 1, 6, 6, columns.shape[1])
         for part in rows.blocks():
-            frames = part.stop - part.start
-            kept = coefficients(rows, frames)
-            C, frequency = cosine_matrix(frames, kept).to(found)[1:], frequencies(frames, kept, rows.rate).to(found)
-            own = expected.believed(frequency)[1:].T[:, None] * (columns[:, :, part] @ C.T)
-            other, band = total[:, part] @ C.T, band_of(frequency[1:])
-            for b in band.unique().tolist():
-                found[b] += torch.einsum("ik,jck->ijc", other[:, band == b], own[:, :, band == b])
+            # What multiplies the columns is transformed back: it has fewer rows than they have coefficients.
+            paired = _paired(rows, expected, total[:, part])
+            found += torch.einsum("jcf,bijf->bijc", columns[:, :, part], paired)
         parts.append(found)
     return torch.stack(parts).mean(0) * expected.there[:, :, None, None]
+
+
+def _paired(
+    rows: WrenchTrial, expected: Expected, total: Float[Tensor, "6 frames"]
+) -> Float[Tensor, "bands 6 6 frames"]:
+    """Each channel of a total as each channel of a column believes it, by band."""
+    frames = total.shape[1]
+    kept = coefficients(rows, frames)
+    C, frequency = cosine_matrix(frames, kept).to(total)[1:], frequencies(frames, kept, rows.rate).to(total)
+    believed, band = expected.believed(frequency)[1:].T, band_of(frequency[1:])
+    other, found = total @ C.T, total.new_zeros(len(EDGES) + 1, 6, 6, frames)
+    for b in band.unique().tolist():
+        own = band == b
+        found[b] = torch.einsum("ik,jk->ijk", other[:, own], believed[:, own]) @ C[own]
+    return found

@@ -52,6 +52,8 @@ class Watched:
     scatter: Float[Tensor, " 6"]
     """Noise of the plates' total per frame about the root's origin [N, N m], before the filter."""
     idle: Idle
+    raw: Float[Tensor, "frames 3"]
+    """The plates' total force before the filter [N]."""
     cameras: Cameras | None = None
 
     @cached_property
@@ -112,10 +114,11 @@ def watch(
     root = rows.motion.q[:, None, :3].expand(*raw.wrench.shape[:2], 3)
     scatter = _scatter(wrench_about(raw.wrench, root), raw.wrench[..., 2])
     idle = find_idle(replace(raw, time=rows.motion.time), rows.rate)
+    force = raw.wrench.sum(1)[:, :3]
     if seen is None:
-        return Watched(rows, view, known.phi, scatter, idle)
+        return Watched(rows, view, known.phi, scatter, idle, force)
     cameras = _cameras(scene, *seen)
-    return Watched(rows, replace(view, sight=cameras.sight), known.phi, scatter, idle, cameras)
+    return Watched(rows, replace(view, sight=cameras.sight), known.phi, scatter, idle, force, cameras)
 
 
 def _shaken(watched: Watched, motion: Motion, plain: Float[Tensor, "6 params frames"]) -> Shaken:

@@ -17,7 +17,7 @@ _BLOCK = 384
 """Columns whose products are taken together."""
 
 
-def _gram(Y: Float[Tensor, "rows params"]) -> Float[Tensor, "params params"]:
+def half_product(Y: Float[Tensor, "rows params"]) -> Float[Tensor, "params params"]:
     """Y' Y, of which only one half is computed."""
     n = Y.shape[1]
     if n < 2 * _BLOCK:
@@ -47,7 +47,7 @@ class NormalEquations:
     @staticmethod
     def from_rows(Y: Float[Tensor, "rows params"], F: Float[Tensor, " rows"]) -> "NormalEquations":
         """Sums of the whitened rows ``Y`` and right-hand sides ``F``, in their dtype (float64 wanted)."""
-        return NormalEquations(_gram(Y), Y.mT @ F, float(F @ F), len(F))
+        return NormalEquations(half_product(Y), Y.mT @ F, float(F @ F), len(F))
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
         """Sums of both sets of rows."""
