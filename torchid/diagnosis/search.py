@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float
@@ -32,6 +32,8 @@ SECOND = 4
 """Effects that are tried under the noise that they would leave, at most."""
 OUT_OF_SIGHT = 10.0
 """Nats behind the best at which nothing matters to it."""
+GROWN = 1.5
+"""Times what it would have explained then that such an effect must explain to be tried once more."""
 LIKELY = 0.2
 """Part of what the likeliest explains that another must explain to be tried."""
 
@@ -99,6 +101,8 @@ class _Scan:
     design: Design
     prior: Prior
     limit: int
+    silent: dict[tuple[str, int], float] = field(default_factory=dict)
+    """What effects would explain at places at which the noise that they leave did not support them [nat]."""
 
     def noise(self, chosen: Sequence[Candidate], start: Noise) -> tuple[Noise, Sums]:
         """That of what is left by the chosen effects, and the sums under it."""
@@ -149,8 +153,14 @@ class _Scan:
         rest = structure(self.watched, residuals(self.watched, self.design, self.prior, fit(sums, chosen)))
         if not rest.significant:
             return noise, sums, None
-        likely = _likely(sums, open_candidates(self.design, chosen, self.limit), chosen)
-        looks = [(*look, one) for one in likely if (look := self._look(noise, one, chosen)) is not None]
+        looks = []
+        for energy, one in _likely(sums, open_candidates(self.design, chosen, self.limit), chosen):
+            if energy > GROWN * self.silent.get((one.effect.name, id(one.place)), 0.0):
+                look = self._look(noise, one, chosen)
+                if look is None:
+                    self.silent[one.effect.name, id(one.place)] = energy
+                else:
+                    looks.append((*look, one))
         if not looks:
             return noise, sums, None
         _, noise, best = max(looks, key=lambda look: look[0])
@@ -158,15 +168,12 @@ class _Scan:
 
     def _look(self, noise: Noise, one: Candidate, chosen: Sequence[Candidate]) -> tuple[float, Noise] | None:
         """Log evidence with one more effect under the noise that it leaves; None where it is not supported there."""
-        other = estimate_noise(self.rows, self.prior, self.design, [*chosen, one], noise)
-        family = [c for c in open_candidates(self.design, chosen, self.limit) if c.effect is one.effect]
-        rows, prior, design, own = narrowed(self.rows, self.prior, self.design, [*chosen, *family])
-        sums, base = eliminated(summed(rows, prior, design, other), own[: len(chosen)])
-        fitted, rest = fit(sums, base), own[len(chosen) :]
-        gain = gains(sums, fitted, rest)[0] + torch.tensor([c.odds for c in rest]).log()
-        if float(torch.logsumexp(gain, 0)) < NAMED:
-            return None
-        return fitted.log_evidence + float(gain.max()) + sums.constant, other
+        rows, prior, design, own = narrowed(self.rows, self.prior, self.design, [*chosen, one])
+        other = estimate_noise(rows, prior, design, own, noise)
+        sums, base = eliminated(summed(rows, prior, design, other), own[:-1])
+        fitted = fit(sums, base)
+        gain = float(gains(sums, fitted, own[-1:])[0]) + math.log(one.odds)
+        return None if gain < NAMED else (fitted.log_evidence + gain + sums.constant, other)
 
 
 def residuals(
@@ -197,8 +204,8 @@ def _kind(effect: Effect) -> tuple[bool, bool]:
     return effect.bodily, effect.kinematic
 
 
-def _likely(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> list[Candidate]:
-    """Of the effects that would explain most, the places that do."""
+def _likely(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> list[tuple[float, Candidate]]:
+    """Of the effects that would explain most, the places that do, and how much [nat]."""
     sums, chosen = eliminated(sums, chosen)
     explained = gains(sums, fit(sums, chosen), left)[1] - 0.5 * torch.tensor([c.size for c in left])
     best: dict[str, tuple[float, Candidate]] = {}
@@ -206,7 +213,7 @@ def _likely(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) 
         if one.effect.name not in best or energy > best[one.effect.name][0]:
             best[one.effect.name] = energy, one
     order = sorted(best.values(), key=lambda both: -both[0])[:SECOND]
-    return [one for energy, one in order if energy > LIKELY * order[0][0]]
+    return [(energy, one) for energy, one in order if energy > LIKELY * order[0][0]]
 
 
 def _scan(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> Round:
