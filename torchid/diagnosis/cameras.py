@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise, product
 
 import torch
 from jaxtyping import Float, Int
@@ -238,6 +239,8 @@ class Coarse:
 
 
 BANDS = len(EDGES) + 2
+STRETCHES = 12
+"""Of columns that lie together, up to which they are copied stretch by stretch."""
 
 
 @dataclass(frozen=True)
@@ -254,11 +257,23 @@ class MarkerSums:
 
     def only(self, some: Int[Tensor, " fewer"]) -> "MarkerSums":
         """Of some columns."""
-        return replace(self, gram=self.gram[:, some[:, None], some], moment=self.moment[:, some])
+        return replace(self, gram=_some(self.gram, some), moment=self.moment[:, some])
 
     def left(self, theta: Float[Tensor, " columns"]) -> Float[Tensor, " bands"]:
         """Energy of the residual at theta."""
         return self.energy - 2.0 * self.moment @ theta + torch.einsum("bij,i,j->b", self.gram, theta, theta)
+
+
+def _some(gram: Float[Tensor, "bands all all"], some: Int[Tensor, " fewer"]) -> Float[Tensor, "bands fewer fewer"]:
+    """Rows and columns of matrices, in stretches: nuisances lie together, and gathered one by one they took 20 ms."""
+    ends = ((some.diff() != 1).nonzero()[:, 0] + 1).tolist()
+    if len(ends) > STRETCHES:
+        return gram[:, some[:, None], some]
+    spans = list(pairwise([0, *ends, len(some)]))
+    found = gram.new_empty(len(gram), len(some), len(some))
+    for (a, b), (c, d) in product(spans, spans):
+        found[:, a:b, c:d] = gram[:, some[a] : some[a] + b - a, some[c] : some[c] + d - c]
+    return found
 
 
 def marker_sums(coarse: Coarse, left: Float[Tensor, "bins rows columns"], least: float) -> MarkerSums:

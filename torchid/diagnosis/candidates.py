@@ -125,7 +125,7 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
     idle = idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources])
-    return Columns(extra, Terms(live, sums, idle, _covariation(watched, sources, live)))
+    return Columns(extra, Terms(live, sums, idle, _covariation(watched, sources, live, extra)))
 
 
 def _seen_by_plates(view: View, source: Source) -> Float[Tensor, "6 columns frames"]:
@@ -138,23 +138,24 @@ def _about_root(watched: Watched, wrench: Float[Tensor, "6 more frames"]) -> Flo
 
 
 def _covariation(
-    watched: Watched, sources: Sequence[Source], live: Int[Tensor, " live"]
+    watched: Watched, sources: Sequence[Source], live: Int[Tensor, " live"], extra: Float[Tensor, "6 more frames"]
 ) -> Float[Tensor, "bands 6 6 live"] | None:
     """See ``Columns``; zero for what no acceleration enters."""
     if watched.expected is None:
         return None
-    some = [s for s in sources if s.effect.accelerated]
+    some, n = [s for s in sources if s.effect.accelerated], watched.phi.numel()
+    which = torch.cat([torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)])
+    at = positions(live, which)[0]
+    plain = extra[:, at[n:] - n]
 
     def of(view: View) -> Float[Tensor, "6 some frames"]:
         empty = view.reading.wrench.new_zeros(6, 0, len(view.scene.time))
         return _about_root(watched, torch.cat([empty, *(_seen_by_plates(view, s) for s in some)], 1))
 
-    plain, n = of(watched.view), watched.phi.numel()
     noise = ((torch.cat([one.inertia, of(one.view) - plain], 1), one.total) for one in watched.shaken)
     found = covariation(watched.rows, watched.expected, noise)
     whole = found.new_zeros(*found.shape[:3], len(live))
-    which = [torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)]
-    whole[..., positions(live, torch.cat(which))[0]] = found
+    whole[..., at] = found
     return whole
 
 
