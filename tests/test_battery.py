@@ -12,8 +12,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 pytest.importorskip("mujoco", reason="the battery's physics is MuJoCo's")
 
+from batteries.gain import heldout_gains
 from batteries.judge import judged, tables
 from batteries.mujoco_session import draw_effect, simulate
+from batteries.power import draw_reliability, half_sizes, reliability
+from batteries.sizes import SIZES
 
 from torchid.config import load_config
 from torchid.experiment import run_experiment
@@ -30,7 +33,7 @@ def test_what_another_simulator_hides_is_found(tmp_path):
     rng = np.random.default_rng(SEED)
     hidden = draw_effect(str(rng.choice(HIDDEN)), "large", rng)
     config = load_config(simulate(tmp_path, int(rng.integers(10**6)), [hidden]))
-    run_experiment(config)
+    outcome = run_experiment(config)
     said = json.loads((config.out / "diagnosis.json").read_text())
     truth = json.loads((tmp_path / "truth" / "truth.json").read_text())["effects"]
     row = judged(truth, said)
@@ -38,6 +41,11 @@ def test_what_another_simulator_hides_is_found(tmp_path):
     assert row["first"], row["told"]
     before, after = row["heldout"]
     assert after < 1.02 * before
+    gained = heldout_gains(outcome, truth, tmp_path / "perfect")
+    assert gained is not None
+    reached, possible = gained
+    print(f"reached {reached:.1f} of {possible:.1f} nats")  # noqa: T201
+    assert reached > 0.5 * possible or possible < 10.0
 
 
 def test_a_verdict_is_judged_by_effect_place_and_size():
@@ -49,7 +57,7 @@ def test_a_verdict_is_judged_by_effect_place_and_size():
         "indistinguishable": [{"effect": "drag", "where": ["pelvis"]}], "gain": gain,
     }  # fmt: skip
     held = {"heldout": {"force_rmse_N": 2.0}}
-    said = {"causes": [cause], "baseline": held, "extended": held, "nearest": []}
+    said = {"causes": [cause], "baseline": held, "extended": held, "nearest": [], "refuted": []}
     planted = [{"effect": "time_offset", "where": ["session"], "parameters": {"lag_s": 0.010}}]
     row = judged(planted, said)
     assert row["found"] == [True] and row["first"] and row["sizes"][0]["lag_s"]["right"] and not row["wrong"]
@@ -58,3 +66,27 @@ def test_a_verdict_is_judged_by_effect_place_and_size():
     assert elsewhere["found"] == [False] and len(elsewhere["wrong"]) == 1
     rows = [{"kind": "single", "names": ["time_offset"], "level": "medium", "seed": 1} | row]
     assert tables(rows)["figures"]["medium"] == {"sessions": 1, "first": 1.0, "sizes": (1, 1)}
+
+
+def test_power_is_the_size_at_which_half_are_found():
+    """Between the level at which nothing is found and the one at which all is; whichever way sizes grow."""
+    rows = [
+        {"kind": "single", "names": [name], "level": level, "first": level != "small"}
+        for name in ("drag", "filter_lag") for level in ("small", "medium", "large") for _ in range(8)
+    ]  # fmt: skip
+    found = half_sizes(rows)
+    (small, large), (fast, slow) = SIZES["drag"]["coefficient_Ns_m"], SIZES["filter_lag"]["cutoff_hz"]
+    assert small < found["drag"]["half"] < (small * large) ** 0.5
+    assert (fast * slow) ** 0.5 < found["filter_lag"]["half"] < fast
+    low, high = found["drag"]["interval"]
+    assert low < found["drag"]["half"] < high
+
+
+def test_reliability_counts_each_verdict_once(tmp_path):
+    """Named causes of the laboratory by stated confidence, wrong ones apart."""
+    good, bad = ["drag", ["pelvis"], 0.95], ["tether", ["thorax"], 0.95]
+    rows = [{"kind": "single", "named": [good, bad, ["soft_tissue", ["thorax"], 1.0]], "wrong": [bad]},
+            {"kind": "double", "named": [["drag", ["pelvis"], 1.0]], "wrong": []}]  # fmt: skip
+    assert [(n, right) for *_, n, right in reliability(rows) if n] == [(2, 1), (1, 1)]
+    draw_reliability(rows, tmp_path / "reliability.png")
+    assert (tmp_path / "reliability.png").stat().st_size > 1000

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from batteries.power import half_sizes, reliability
 from batteries.sizes import SIZES
 from torchid.effects.catalogue import BODILY
 
@@ -11,6 +12,8 @@ WITHIN, SIGMAS, VAGUE = 0.15, 2.0, 0.25
 """A parameter is right within this part of it or so many stated standard deviations, unless those exceed a quarter."""
 UNNAMED = {"gain": "gain", "scale": "scale"}
 SURE = 0.9
+WORTH, PART = 10.0, 0.8
+"""Nats of held-out density that matter, and the part of what can be had that must be."""
 
 
 def judged(truth: Sequence[dict], said: dict) -> dict:
@@ -29,6 +32,7 @@ def judged(truth: Sequence[dict], said: dict) -> dict:
         "unexplained": said.get("unexplained", {}).get("significant"),
         "heldout": [said["baseline"]["heldout"]["force_rmse_N"], said["extended"]["heldout"]["force_rmse_N"]],
         "nearest": [[n["effect"], n["where"], round(n["evidence_nats"], 2)] for n in said["nearest"]],
+        "refuted": [[r["effect"], r["where"], round(r["heldout_log_likelihood"], 2)] for r in said["refuted"]],
         "gain": [c["gain"]["heldout_log_likelihood"] for c in causes],
         "told": f"{'+'.join(t['effect'] + '@' + ','.join(t['where']) for t in truth) or 'nothing'} -> "
         + ("; ".join(f"{c['effect']}@{','.join(c['where'])}" for c in causes) or "nothing"),
@@ -110,8 +114,17 @@ def tables(rows: Sequence[dict]) -> dict:
                           "fooled": sum(_fooled(r) for r in foreign)}  # fmt: skip
     lines.append("outside the catalogue: {sessions} sessions, {flagged} flagged, {fooled} wrongly named without a flag"
                  .format(**figures["foreign"]))  # fmt: skip
-    figures["calibration"] = _calibration(good)
-    lines += [f"confidence {a}: {n} verdicts, {r} right" for a, n, r in figures["calibration"]]
+    figures["calibration"] = reliability(good)
+    lines += [f"confidence {a:.2f}-{b:.2f}: {n} verdicts, {r} right" for a, b, n, r in figures["calibration"] if n]
+    figures["power"] = half_sizes(good)
+    for name, own in figures["power"].items():
+        low, high = own["interval"]
+        text = f"half of {name} found from {own['half']:.3g} ({low:.3g} to {high:.3g}) {own['parameter']}"
+        lines.append(f"{text}, ideal {own['ideal']:.3g}; {own['sessions']} sessions")
+    known = [r["gained"] for r in good if r.get("gained") and r["gained"][1] >= WORTH]
+    figures["gain"] = {"sessions": len(known), "reached": sum(some >= PART * all_ for some, all_ in known)}
+    said = "gain: of {sessions} sessions with {worth:.0f} nats to gain on held-out motion, {reached} gained {part:.0%}"
+    lines.append(said.format(**figures["gain"], worth=WORTH, part=PART))
     lines.append(f"failed: {len(rows) - len(good)}")
     return {"figures": figures, "text": "\n".join(lines)}
 
@@ -135,13 +148,3 @@ def _sizes(rows: Sequence[dict]) -> tuple[int, int]:
 
 def _fooled(row: dict) -> bool:
     return not row["unexplained"] and any(confidence > SURE for _, _, confidence in row["named"])
-
-
-def _calibration(rows: Sequence[dict]) -> list[tuple[str, int, int]]:
-    """Of laboratory causes, by stated confidence."""
-    found = []
-    for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.01)):
-        said = [(c, c in r["wrong"]) for r in rows if r["kind"] != "foreign" for c in r["named"]]
-        some = [bad for (effect, _, confidence), bad in said if low <= confidence < high and effect not in BODILY]
-        found.append((f"{low:.1f}-{min(high, 1.0):.1f}", len(some), len(some) - sum(some)))
-    return found

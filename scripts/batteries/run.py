@@ -4,7 +4,7 @@
 
 Every session is written by the MuJoCo simulator, run from its files alone, and judged by its truth only then. A row per
 session goes to ``rows.jsonl``, so that a battery that was stopped goes on; tables are printed and written to
-``battery.json`` with seeds and date.
+``battery.json`` with seeds and date, beside ``reliability.png``.
 """
 
 import argparse
@@ -20,8 +20,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from batteries.gain import heldout_gains
 from batteries.judge import judged, tables
 from batteries.mujoco_session import draw_effect, simulate
+from batteries.power import draw_reliability
 from batteries.sizes import SIZES
 from torchid.allocator import keep_memory
 from torchid.config import load_config
@@ -96,6 +98,7 @@ def perform(job: Job, out: Path, keep: bool) -> dict:
         said = json.loads((config.out / "diagnosis.json").read_text())
         hidden = json.loads((folder / "truth" / "truth.json").read_text())["effects"] if job.names else []
         row = judged(hidden, said) | {"diagnosis_s": stages.get("diagnosis")}
+        row["gained"] = heldout_gains(outcome, hidden, folder / "perfect") if hidden else None
     except Exception as failure:  # a battery goes on; the row says what happened
         row = {"failed": f"{type(failure).__name__}: {failure}"}
     if not keep:
@@ -141,6 +144,7 @@ def written(out: Path, first: int, rows: list[dict]) -> str:
     text = found.pop("text")
     report = {"date": datetime.date.today().isoformat(), "first_seed": first, **found, "rows": rows}
     (out / "battery.json").write_text(json.dumps(report, indent=1))
+    draw_reliability([r for r in rows if "failed" not in r], out / "reliability.png")
     return text
 
 
