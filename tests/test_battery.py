@@ -71,7 +71,7 @@ def test_a_verdict_is_judged_by_effect_place_and_size():
 def test_power_is_the_size_at_which_half_are_found():
     """Between the level at which nothing is found and the one at which all is; whichever way sizes grow."""
     rows = [
-        {"kind": "single", "names": [name], "level": level, "first": level != "small"}
+        {"kind": "single", "names": (name,), "level": level, "first": level != "small"}
         for name in ("drag", "filter_lag") for level in ("small", "medium", "large") for _ in range(8)
     ]  # fmt: skip
     found = half_sizes(rows)
@@ -80,6 +80,9 @@ def test_power_is_the_size_at_which_half_are_found():
     assert (fast * slow) ** 0.5 < found["filter_lag"]["half"] < fast
     low, high = found["drag"]["interval"]
     assert low < found["drag"]["half"] < high
+    always = half_sizes([r | {"first": True} for r in rows])
+    assert always["drag"]["half"] < small
+    assert always["filter_lag"]["half"] > fast
 
 
 def test_reliability_counts_each_verdict_once(tmp_path):

@@ -194,6 +194,7 @@ def test_a_vibration_above_the_filter_is_no_secret(where):
     rng = np.random.default_rng([SEED, 9])
     hz, clean = float(rng.uniform(13.5, 18.0)), Structure(False, 0.5, 0.1, "")
     watched = seen(simulated((), int(rng.integers(2**31))))[0]
+    assert with_vibration(clean, [watched[name] for name in FIT]) == clean
     some = []
     for name in FIT:
         phase = 2.0 * np.pi * (hz * watched[name].rows.motion.time + rng.uniform())
@@ -203,6 +204,7 @@ def test_a_vibration_above_the_filter_is_no_secret(where):
     said = with_vibration(clean, some)
     assert said.significant == (where == FIT)
     if said.significant:
+        assert said.beyond
         found = float(said.description.split("a vibration of ")[1].split(" Hz")[0])
         assert found == pytest.approx(hz, abs=0.25)
 

@@ -9,6 +9,7 @@ residuals of forces and markers under one noise: that which perfect knowledge le
 
 import argparse
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -41,17 +42,25 @@ def heldout_gains(outcome: Outcome, truth: Sequence[dict], scratch: Path) -> tup
         truth: effects as in ``truth.json``.
         scratch: folder for the fits of the second.
     """
-    if any(one["effect"] in UNTOLD or one["effect"].startswith("offcat_") for one in truth):
+    if any(_untold(one) for one in truth):
         return None
     base = outcome if outcome.base is None else outcome.base
     assert base.diagnosis is not None
     causes = tuple(_known(base, one) for one in truth)
     perfect = replace(base, diagnosis=replace(base.diagnosis, causes=causes))
+    # Stages of another day were made by other code.
+    shutil.rmtree(scratch, ignore_errors=True)
     with OutputFolder(scratch) as folder:
         perfect = extend_outcome(perfect, folder, json.dumps(truth), lambda stage, fraction: None)
         noise, scatter = _noise(perfect)
         whole, some, none = (_density(one, noise, scatter) for one in (perfect, outcome, base))
     return some - none, whole - none
+
+
+def _untold(one: dict) -> bool:
+    """A spring that is slack up to some length is none of the catalogue's either."""
+    name = one["effect"]
+    return name in UNTOLD or name.startswith("offcat_") or one["parameters"].get("rest_m", 0.0) > 0.0
 
 
 def _known(base: Outcome, truth: dict) -> Cause:
@@ -64,6 +73,8 @@ def _known(base: Outcome, truth: dict) -> Cause:
         shifts = parameters["shift_90_m"]
         place = replace(place, follows=parameters.pop("joint"), markers=tuple(shifts))
         parameters["shift_90_m"] = list(shifts.values())
+    if "point_seg_m" in parameters:
+        place = replace(place, point=tuple(parameters["point_seg_m"]))
     if own.name == "joint_centre_shift":
         place = replace(place, follows=f"{truth['where'][0]}_flexion")
     values = {key: torch.as_tensor(value, dtype=torch.float64) for key, value in parameters.items()}

@@ -22,13 +22,14 @@ def half_sizes(rows: Sequence[dict]) -> dict[str, dict]:
     """By effect: size found in half the sessions with a 68 % interval, beside the smallest that the ideal finds."""
     found = {}
     for name, sizes in SIZES.items():
-        own = [r for r in rows if r["kind"] == "single" and r["names"] == [name]]
+        own = [r for r in rows if r["kind"] == "single" and list(r["names"]) == [name]]
         if sizes and len({r["level"] for r in own}) > 1:
             key, (small, large) = next(iter(sizes.items()))
             step = math.log(large / small)
             at = np.array([LEVELS[r["level"]] * abs(step) for r in own])
             hit = np.array([bool(r["first"]) for r in own])
-            low, middle, high = (small * math.exp(math.copysign(x, step)) for x in _middle(at, hit, abs(step)))
+            way = math.copysign(1.0, step)
+            low, middle, high = (small * math.exp(way * x) for x in _middle(at, hit, abs(step)))
             found[name] = {"parameter": key, "half": middle, "interval": sorted((low, high)), "ideal": small,
                            "sessions": len(own)}  # fmt: skip
     return found

@@ -28,6 +28,7 @@ from batteries.sizes import SIZES
 from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.experiment import run_experiment
+from torchid.outcome import Outcome
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 
@@ -98,12 +99,21 @@ def perform(job: Job, out: Path, keep: bool) -> dict:
         said = json.loads((config.out / "diagnosis.json").read_text())
         hidden = json.loads((folder / "truth" / "truth.json").read_text())["effects"] if job.names else []
         row = judged(hidden, said) | {"diagnosis_s": stages.get("diagnosis")}
-        row["gained"] = heldout_gains(outcome, hidden, folder / "perfect") if hidden else None
+        row["gained"] = _gained(outcome, hidden, folder / "perfect") if hidden else None
     except Exception as failure:  # a battery goes on; the row says what happened
         row = {"failed": f"{type(failure).__name__}: {failure}"}
     if not keep:
         shutil.rmtree(folder)
     return asdict(job) | row | {"seconds": time.perf_counter() - begun}
+
+
+def _gained(outcome: Outcome, truth: list[dict], scratch: Path) -> tuple[float, float] | None:
+    """A verdict is not lost with what knowing better would have gained."""
+    try:
+        return heldout_gains(outcome, truth, scratch)
+    except Exception as failure:
+        print(f"no gain: {type(failure).__name__}: {failure}", flush=True)
+        return None
 
 
 def main() -> None:

@@ -266,6 +266,8 @@ class MarkerSums:
 
 def _some(gram: Float[Tensor, "bands all all"], some: Int[Tensor, " fewer"]) -> Float[Tensor, "bands fewer fewer"]:
     """Rows and columns of matrices, in stretches: nuisances lie together, and gathered one by one they took 20 ms."""
+    if not len(some):
+        return gram[:, :0, :0]
     ends = ((some.diff() != 1).nonzero()[:, 0] + 1).tolist()
     if len(ends) > STRETCHES:
         return gram[:, some[:, None], some]

@@ -49,7 +49,7 @@ def diagnose(
 
     Args:
         watched: fit trials.
-        heldout: trials that nothing was fitted on.
+        heldout: trials that nothing was fitted on; they may refute a cause.
         plates: of the session.
         effects: to try.
         inertia: prior of the inertial parameters.

@@ -17,7 +17,7 @@ from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect, Interval, Place
 from torchid.effects.joints import MissingDof
 from torchid.effects.session import MovingGround
-from torchid.regressor.rows import measured, predict, runs
+from torchid.regressor.rows import measured, runs
 
 WINDOWS = 2
 """Intervals proposed for each trial."""
@@ -57,7 +57,7 @@ def suggested(effect: Effect, watched: Sequence[Watched]) -> tuple[Place, ...]:
 def unexplained(watched: Watched) -> Float[Tensor, "frames 6"]:
     """Residual of the identified model, zero where frames are not used."""
     rows = watched.rows
-    return torch.where(rows.used[:, None], measured(rows) - predict(rows, watched.phi), 0.0)
+    return torch.where(rows.used[:, None], measured(rows) - watched.needed(watched.phi.reshape(-1)), 0.0)
 
 
 def _shakes(effect: MovingGround, watched: Sequence[Watched]) -> tuple[Place, ...]:

@@ -22,7 +22,7 @@ from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect
 from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
-from torchid.regressor.rows import measured, predict
+from torchid.regressor.rows import measured
 from torchid.regressor.whitening import Whitening
 
 log = logging.getLogger(__name__)
@@ -102,7 +102,8 @@ class _Scan:
     prior: Prior
     limit: int
     silent: dict[tuple[str, int], float] = field(default_factory=dict)
-    """What effects would explain at places at which the noise that they leave did not support them [nat]."""
+    """What effects would explain at places at which the noise that they leave did not support them [nat]; places by
+    identity, which rounds keep alive."""
 
     def noise(self, chosen: Sequence[Candidate], start: Noise) -> tuple[Noise, Sums]:
         """That of what is left by the chosen effects, and the sums under it."""
@@ -167,7 +168,8 @@ class _Scan:
         return noise, self.sums(noise), best
 
     def _look(self, noise: Noise, one: Candidate, chosen: Sequence[Candidate]) -> tuple[float, Noise] | None:
-        """Log evidence with one more effect under the noise that it leaves; None where it is not supported there."""
+        """Log evidence with one more effect under the noise that it leaves; None where this place of it has no support
+        there."""
         rows, prior, design, own = narrowed(self.rows, self.prior, self.design, [*chosen, one])
         other = estimate_noise(rows, prior, design, own, noise)
         sums, base = eliminated(summed(rows, prior, design, other), own[:-1])
@@ -190,7 +192,7 @@ def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, t
     late = any(one.effect.late for one in fitted.chosen)
     rows = without_beyond(watched.rows, columns) if late else watched.rows
     own = theta[columns.terms.live[n:]]
-    known = predict(rows, theta[:n].reshape(-1, 10)) + torch.einsum("ipt,p->ti", columns.extra, own)
+    known = watched.needed(theta[:n]) + torch.einsum("ipt,p->ti", columns.extra, own)
     return measured(rows) - known
 
 

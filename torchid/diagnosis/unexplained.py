@@ -32,6 +32,8 @@ class Structure:
     p_value: float
     share_of_residual: float
     description: str
+    beyond: bool = False
+    """It lies above the filter alone, where no cause was told: none is less certain for it."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """What a diagnosis says: causes with their parameters, rivals and confidence, and what they gain."""
 
 import dataclasses
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from jaxtyping import Float
@@ -51,10 +52,13 @@ class Cause:
 
     def on(self, trial: str) -> Planted | None:
         """As it acts in a trial, None where it does not or nobody knows."""
-        own = effect(self.effect)
+        own, place = effect(self.effect), self.place
+        if own.lasting and place.when is not None:
+            # Of a long recording a part was searched; what was knocked stayed so in all of it.
+            place = replace(place, when=tuple(Interval(i.trial, -math.inf, math.inf) for i in place.when))
         if trial in self.trials:
-            return Planted(own, self.place, self.theta[self.trials.index(trial) if own.anew else 0])
-        return Planted(own, self.place, self.theta[0]) if self.everywhere and not own.anew else None
+            return Planted(own, place, self.theta[self.trials.index(trial) if own.anew else 0])
+        return Planted(own, place, self.theta[0]) if self.everywhere and not own.anew else None
 
 
 @dataclass(frozen=True)

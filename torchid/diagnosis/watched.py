@@ -20,7 +20,7 @@ from torchid.geometry.trials import posture_prior
 from torchid.kinematics.plan import plan_tree
 from torchid.motion import Motion
 from torchid.recording import Forces, Markers
-from torchid.regressor.rows import WrenchTrial, measured, predict, runs
+from torchid.regressor.rows import WrenchTrial, measured, runs
 from torchid.regressor.whitening import white_scatter
 
 ENDS = 0.6
@@ -57,12 +57,20 @@ class Watched:
     cameras: Cameras | None = None
 
     @cached_property
+    def inertial(self) -> Float[Tensor, "6 params frames"]:
+        """Columns of the inertia about the root's origin; made anew in every round they took a tenth of the search."""
+        return self.rows.rows(slice(None))[0]
+
+    def needed(self, phi: Float[Tensor, " params"]) -> Float[Tensor, "frames 6"]:
+        """Wrench about the root's origin that a body needs."""
+        return torch.einsum("ipt,p->ti", self.inertial, phi)
+
+    @cached_property
     def shaken(self) -> tuple[Shaken, ...]:
         """Draw by draw; none where no camera shows the noise."""
         if self.cameras is None:
             return ()
-        plain = regressor(self.rows, self.rows.motion)
-        return tuple(_shaken(self, motion, plain) for motion in shaken(self.rows.motion, self.cameras))
+        return tuple(_shaken(self, motion) for motion in shaken(self.rows.motion, self.cameras))
 
     @cached_property
     def expected(self) -> Expected | None:
@@ -70,7 +78,7 @@ class Watched:
         if self.cameras is None:
             return None
         needed = wrench_about(self.view.scene.needed().T, self.rows.motion.q[:, :3])
-        left = measured(self.rows) - predict(self.rows, self.phi)
+        left = measured(self.rows) - self.needed(self.phi.reshape(-1))
         return expected(self.rows, needed, [one.total.T for one in self.shaken], self.scatter, left)
 
 
@@ -121,12 +129,12 @@ def watch(
     return Watched(rows, replace(view, sight=cameras.sight), known.phi, scatter, idle, force, cameras)
 
 
-def _shaken(watched: Watched, motion: Motion, plain: Float[Tensor, "6 params frames"]) -> Shaken:
+def _shaken(watched: Watched, motion: Motion) -> Shaken:
     rows, view = watched.rows, watched.view
     scene = make_scene(rows.name, rows.tree, rows.geometry, motion, view.scene.phi)
     scene = replace(scene, recorded_kg=view.scene.recorded_kg)
     bore = _borne(view.measured.wrench, replace(scene, phi=watched.phi).needed().T)
-    more = regressor(rows, motion) - plain
+    more = regressor(rows, motion) - watched.inertial
     total = torch.einsum("ipt,p->it", more, watched.phi.reshape(-1))
     return Shaken(replace(view, scene=scene, reading=replace(view.reading, wrench=bore)), more, total)
 

@@ -59,7 +59,7 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
     if not found.causes:
         options = outcome.config.diagnosis
         tried = len(wanted(options.include, options.exclude))
-        silent = f"None of the {tried} effects that were tried is supported by the recordings: nothing was corrected."
+        silent = f"None of the {tried} effects that were tried is supported by all recordings: nothing was corrected."
         return " ".join([silent, *_refuted(found), *_nearest(found)])
     return " ".join([*(told(cause) for cause in found.causes), *_gains(outcome, found), *_refuted(found)])
 
@@ -180,7 +180,7 @@ def _rivals(found: Diagnosis) -> list[Block]:
     caption = "How probable each explanation is, given catalogue and recordings."
     if any(cause.indistinguishable for cause in contested):
         caption += " Hatched: what these recordings cannot tell from the cause that is named."
-    if found.unexplained.significant:
+    if found.unexplained.significant and not found.unexplained.beyond:
         caption += " What remains unexplained has been taken off the confidence of the named causes."
     return [Figure(_draw_rivals(contested), caption)]
 

@@ -44,7 +44,7 @@ def surely(cause: Cause, rest: Structure) -> str:
         )
     elif not twins:
         said.append(f"No other entry of the catalogue reaches {percent(WORTH)}")
-    if rest.significant:
+    if rest.significant and not rest.beyond:
         said.append("The confidence is lowered by what remains unexplained, see below")
     for twin in cause.indistinguishable:
         record = tell_apart(cause.effect, twin.effect)
