@@ -184,3 +184,10 @@ def test_spectra_keep_the_linear_model(seed):
     trial, phi = moving(seed, frames=80)
     for block in spectra(trial):
         assert_close(torch.einsum("ipk,p->ik", block.Y, phi.flatten()), block.F, rtol=1e-8, atol=1e-7)
+
+
+@pytest.mark.parametrize("columns", [5, 256, 257, 900])
+def test_half_a_product_is_all_of_it(columns):
+    """Whatever blocks it is taken in."""
+    Y = torch.randn(40, columns, dtype=torch.float64, generator=torch.Generator().manual_seed(columns))
+    torch.testing.assert_close(half_product(Y), Y.mT @ Y)

@@ -25,7 +25,8 @@ LONG_S = 3.0
 TRIALS = 3
 """That must show a line, and all that are as long must: two trials of walking share one of theirs by chance."""
 LINE = 3.0
-"""Times what is beside it that a line must have in every trial: two thirds of it are then not noise."""
+"""Times what is beside it that a line must have in every trial: two thirds of it are then not noise. In 50 sessions
+without any the highest was 1.6; two with a motor of 9 N had 18 and 75."""
 COMB = 2
 """Lines up to which they are a machine's and one of its harmonics; more are a gait's."""
 

@@ -13,18 +13,18 @@ _ROUNDING = 1e-9
 """Relative error that sums of float64 rows may show; sums of float32 rows show 1e-6 and more."""
 
 
-_BLOCK = 384
-"""Columns whose products are taken together."""
+_BLOCK, _FEW = 384, 256
+"""Columns whose products are taken together, and up to which all are."""
 
 
 def half_product(Y: Float[Tensor, "rows params"]) -> Float[Tensor, "params params"]:
     """Y' Y, of which only one half is computed."""
     n = Y.shape[1]
-    if n < 2 * _BLOCK:
+    if n <= _FEW:
         return Y.mT @ Y
-    found = Y.new_empty(n, n)
-    for start in range(0, n, _BLOCK):
-        stop = min(start + _BLOCK, n)
+    found, size = Y.new_empty(n, n), min(_BLOCK, -(-n // 2))
+    for start in range(0, n, size):
+        stop = min(start + size, n)
         part = Y[:, start:stop].mT @ Y[:, start:]
         found[start:stop, start:] = part
         found[stop:, start:stop] = part[:, stop - start :].mT
