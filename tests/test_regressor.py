@@ -10,7 +10,7 @@ from trees import random_inertia, random_motion, random_tree
 from torchid.dynamics import inverse_dynamics, wrench_about
 from torchid.filters import Smoother
 from torchid.motion import Motion
-from torchid.regressor.equations import NormalEquations
+from torchid.regressor.equations import NormalEquations, half_product
 from torchid.regressor.rows import BLOCK, SHORTEST, WrenchTrial, measured, predict, residual_rms, runs
 from torchid.regressor.whitening import (
     EDGES,
