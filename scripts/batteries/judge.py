@@ -95,38 +95,50 @@ def tables(rows: Sequence[dict]) -> dict:
                 lines.append(_line(name, some))
         lines.append(_line("all", own))
         figures[level] = {"sessions": len(own), "first": _share(own, "first"), "sizes": _sizes(own)}
-    nulls = [r for r in good if r["kind"] == "null"]
+    for part in (_silent(good), _calibrated(good), _gained(good)):
+        figures |= part[0]
+        lines += part[1]
+    lines.append(f"failed: {len(rows) - len(good)}")
+    return {"figures": figures, "text": "\n".join(lines)}
+
+
+def _silent(rows: Sequence[dict]) -> tuple[dict, list[str]]:
+    """Sessions that hide nothing, two effects, or what no catalogue has."""
+    nulls, doubles, foreign = ([r for r in rows if r["kind"] == kind] for kind in ("null", "double", "foreign"))
     loud = [r for r in nulls if any(e not in BODILY for e, *_ in r["named"])]
     best = max((score for r in nulls for _, _, score in r.get("nearest", ())), default=None)
-    figures["null"] = {"sessions": len(nulls), "named": sum(bool(r["named"]) for r in nulls), "laboratory": len(loud),
-                       "flagged": sum(bool(r["unexplained"]) for r in nulls), "best_nats": best}  # fmt: skip
-    text = "\nnothing hidden: {sessions} sessions, {named} with a cause named, {laboratory} beside bodies', "
-    text += "{flagged} flagged; best score of what was not named: {best_nats} nats"
-    lines.append(text.format(**figures["null"]))
-    doubles = [r for r in good if r["kind"] == "double"]
-    figures["double"] = {"sessions": len(doubles), "both": sum(all(r["found"]) for r in doubles),
-                         "one": sum(any(r["found"]) for r in doubles)}  # fmt: skip
-    lines.append(
-        "two hidden: {sessions} sessions, both named in {both}, at least one in {one}".format(**figures["double"])
-    )
-    foreign = [r for r in good if r["kind"] == "foreign"]
-    figures["foreign"] = {"sessions": len(foreign), "flagged": sum(bool(r["unexplained"]) for r in foreign),
-                          "fooled": sum(_fooled(r) for r in foreign)}  # fmt: skip
-    lines.append("outside the catalogue: {sessions} sessions, {flagged} flagged, {fooled} wrongly named without a flag"
-                 .format(**figures["foreign"]))  # fmt: skip
-    figures["calibration"] = reliability(good)
-    lines += [f"confidence {a:.2f}-{b:.2f}: {n} verdicts, {r} right" for a, b, n, r in figures["calibration"] if n]
-    figures["power"] = half_sizes(good)
-    for name, own in figures["power"].items():
+    found = {
+        "null": {"sessions": len(nulls), "named": sum(bool(r["named"]) for r in nulls), "laboratory": len(loud),
+                 "flagged": sum(bool(r["unexplained"]) for r in nulls), "best_nats": best},
+        "double": {"sessions": len(doubles), "both": sum(all(r["found"]) for r in doubles),
+                   "one": sum(any(r["found"]) for r in doubles)},
+        "foreign": {"sessions": len(foreign), "flagged": sum(bool(r["unexplained"]) for r in foreign),
+                    "fooled": sum(_fooled(r) for r in foreign)},
+    }  # fmt: skip
+    said = {
+        "null": "\nnothing hidden: {sessions} sessions, {named} with a cause named, {laboratory} beside bodies', "
+        "{flagged} flagged; best score of what was not named: {best_nats} nats",
+        "double": "two hidden: {sessions} sessions, both named in {both}, at least one in {one}",
+        "foreign": "outside the catalogue: {sessions} sessions, {flagged} flagged, {fooled} wrongly named without one",
+    }
+    return found, [said[kind].format(**figures) for kind, figures in found.items()]
+
+
+def _calibrated(rows: Sequence[dict]) -> tuple[dict, list[str]]:
+    bins, power = reliability(rows), half_sizes(rows)
+    lines = [f"confidence {a:.2f}-{b:.2f}: {n} verdicts, {right} right" for a, b, n, right in bins if n]
+    for name, own in power.items():
         low, high = own["interval"]
         text = f"half of {name} found from {own['half']:.3g} ({low:.3g} to {high:.3g}) {own['parameter']}"
         lines.append(f"{text}, ideal {own['ideal']:.3g}; {own['sessions']} sessions")
-    known = [r["gained"] for r in good if r.get("gained") and r["gained"][1] >= WORTH]
-    figures["gain"] = {"sessions": len(known), "reached": sum(some >= PART * all_ for some, all_ in known)}
+    return {"calibration": bins, "power": power}, lines
+
+
+def _gained(rows: Sequence[dict]) -> tuple[dict, list[str]]:
+    known = [r["gained"] for r in rows if r.get("gained") and r["gained"][1] >= WORTH]
+    found = {"sessions": len(known), "reached": sum(some >= PART * whole for some, whole in known)}
     said = "gain: of {sessions} sessions with {worth:.0f} nats to gain on held-out motion, {reached} gained {part:.0%}"
-    lines.append(said.format(**figures["gain"], worth=WORTH, part=PART))
-    lines.append(f"failed: {len(rows) - len(good)}")
-    return {"figures": figures, "text": "\n".join(lines)}
+    return {"gain": found}, [said.format(**found, worth=WORTH, part=PART)]
 
 
 def _line(name: str, rows: Sequence[dict]) -> str:

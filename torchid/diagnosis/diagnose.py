@@ -1,7 +1,7 @@
 """From a search to a verdict: what is kept of it, how sure, and what it gains on motion that was not used."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import torch
@@ -10,10 +10,10 @@ from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.doubtful import relevant, without_opposed
 from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, without
-from torchid.diagnosis.heldout import HeldOut
+from torchid.diagnosis.heldout import HeldOut, Judged
 from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import residuals, search
-from torchid.diagnosis.unexplained import structure
+from torchid.diagnosis.unexplained import Structure, structure
 from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Near, Refuted
 from torchid.diagnosis.vibration import with_vibration
 from torchid.diagnosis.watched import Watched
@@ -59,30 +59,33 @@ def diagnose(
         geometry: with which the trials were followed.
     """
     found = search(watched, effects, inertia, omega, whitening, limit, geometry)
-    rest = structure(watched, residuals(watched, found.design, found.prior, found.fitted))
+    rest = _remains(found, watched)
     if rest.significant:
         found = relevant(without_opposed(found), watched)
     unseen = HeldOut(found, watched, heldout)
     chosen, refuted = unseen.upheld(unseen.acting())
     found = replace(found, chosen=chosen, fitted=fit(found.sums, chosen))
     if refuted:
-        rest = structure(watched, residuals(watched, found.design, found.prior, found.fitted))
-    extended, names = unseen.judged(chosen), [w.rows.name for w in (*watched, *heldout)]
-    causes = []
-    for k, one in enumerate(chosen):
-        scan = next(r for r in found.rounds if r.rivals and _same(r.rivals[0].candidate, one))
-        gain = extended.over(unseen.judged(without(chosen, one)))
-        causes.append(_cause(found, k, scan, gain, names))
-    if rest.significant:
-        # A model that the data visibly contradict is sure of nothing that the contradicted forces told.
-        trust = 1.0 - 0.5 * rest.share_of_residual
-        causes = [c if _seen(c) else replace(c, confidence=trust * c.confidence) for c in causes]
-    rest = with_vibration(rest, watched)
+        rest = _remains(found, watched)
+    extended = unseen.judged(chosen)
+    causes = _trusted(_causes(found, unseen, extended, [w.rows.name for w in (*watched, *heldout)]), rest)
     # What a laboratory did to forces is read first, and what markers and bodies are like after it.
     causes.sort(key=lambda c: effect(c.effect).kinematic or effect(c.effect).bodily)
-    idle, near = _idle(watched, plates), _nearest(found.rounds[-1])
+    rest, idle, near = with_vibration(rest, watched), _idle(watched, plates), _nearest(found.rounds[-1])
     against = tuple(Refuted(one.effect.name, one.place.where, says) for one, says in refuted)
     return Diagnosis(plates, unseen.judged(()).errors, extended.errors, tuple(causes), rest, idle, near, against)
+
+
+def _remains(found: Search, watched: Sequence[Watched]) -> Structure:
+    return structure(watched, residuals(watched, found.design, found.prior, found.fitted))
+
+
+def _trusted(causes: Iterable[Cause], rest: Structure) -> list[Cause]:
+    """A model that the data visibly contradict is sure of nothing that the contradicted forces told."""
+    if not rest.significant:
+        return list(causes)
+    trust = 1.0 - 0.5 * rest.share_of_residual
+    return [c if _seen(c) else replace(c, confidence=trust * c.confidence) for c in causes]
 
 
 def _nearest(scan: Round) -> tuple[Near, ...]:
@@ -100,6 +103,14 @@ def _seen(cause: Cause) -> bool:
 
 def _same(scanned: Candidate, one: Candidate) -> bool:
     return scanned.place is (one.proposed or one.place)
+
+
+def _causes(found: Search, unseen: HeldOut, extended: Judged, names: Sequence[str]) -> Iterator[Cause]:
+    """The chosen effects, each with what it gains on top of the others."""
+    for k, one in enumerate(found.chosen):
+        scan = next(r for r in found.rounds if r.rivals and _same(r.rivals[0].candidate, one))
+        gain = extended.over(unseen.judged(without(found.chosen, one)))
+        yield _cause(found, k, scan, gain, names)
 
 
 def _cause(found: Search, k: int, scan: Round, gain: dict[str, float], names: Sequence[str]) -> Cause:
