@@ -283,11 +283,11 @@ def test_a_run_writes_its_diagnosis(tmp_path):
 def test_a_marker_that_stays_knocked_is_seen_so_on_held_out_motion(tmp_path):
     """From the second of two fit trials on, held-out ones too: those are corrected, and gain by it."""
     rng = np.random.default_rng([SEED, 8])
-    label = str(rng.choice(["LTIB", "RTHI", "T10", "LFRA"]))
-    when = tuple(Interval(name, 0.0, 6.0) for name in ("arms", "trunk"))
+    label = str(rng.choice(["LTIB", "RTHI", "T10"]))
+    when = tuple(Interval(name, 0.0, 6.0) for name in ("trunk", "arms"))
     shift = PlantedOptions("marker_shift", (label,), when, {"shift_seg_m": draw(rng, 0.008, 0.02, 3)})
     options = SimulateOptions(
-        fit=("squats", "arms"), heldout=("trunk", "hip_rom"), duration_s=6.0, effects=(shift,), skin_motion_mm=0.0
+        fit=("squats", "trunk"), heldout=("arms", "hip_rom"), duration_s=6.0, effects=(shift,), skin_motion_mm=0.0
     )
     session = simulate_session(options, SEED, tmp_path)
     assert session.config is not None
@@ -295,10 +295,11 @@ def test_a_marker_that_stays_knocked_is_seen_so_on_held_out_motion(tmp_path):
     asked = config.diagnosis.model_copy(update={"include": ("marker_shift",)})
     run_experiment(config.model_copy(update={"diagnosis": asked}))
     said = json.loads((config.out / "diagnosis.json").read_text())
+    print(label, [(c["effect"], c["where"], c["gain"]) for c in said["causes"]])  # noqa: T201
     (cause,) = [c for c in said["causes"] if c["where"] == [label]]
     acting = {own["trial"] for own in cause["when"]}
     # Of two trials, either may be the one in which it sits where it belongs; held-out ones go with theirs.
-    assert acting in ({"arms", "trunk"}, {"squats", "hip_rom"})
+    assert acting in ({"trunk", "arms"}, {"squats", "hip_rom"})
     assert cause["gain"]["heldout_log_likelihood"] > 10.0
     before, after = (said[key]["heldout"]["marker_rmse_mm"] for key in ("baseline", "extended"))
     assert after < before
