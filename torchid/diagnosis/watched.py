@@ -58,7 +58,7 @@ class Watched:
 
     @cached_property
     def inertial(self) -> Float[Tensor, "6 params frames"]:
-        """Columns of the inertia about the root's origin; made anew in every round they took a tenth of the search."""
+        """Columns of the inertia about the root's origin."""
         return self.rows.rows(slice(None))[0]
 
     def needed(self, phi: Float[Tensor, " params"]) -> Float[Tensor, "frames 6"]:
