@@ -9,14 +9,15 @@ Reference: MacKay, Neural Computation 4 (1992), on evidence; Chib, JASA 90 (1995
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.design import Candidate, Design, positions
+from torchid.diagnosis.design import Candidate, Design, narrower, positions
 from torchid.model.model import InertialPrior
 
 
@@ -99,10 +100,17 @@ class Sums:
         """Every trial."""
         return frozenset(range(len(self.trials)))
 
-    def block(self, rows: slice | Tensor, columns: Tensor, seen: frozenset[int]) -> Float[Tensor, "rows columns"]:
+    def only(self, design: Design, some: Sequence[Candidate]) -> "Sums":
+        """Of a design of these candidates alone."""
+        small, _, which = narrower(design, some)
+        return replace(self, shared=small.shared, trials=tuple(raw.only(which.all) for raw in self.trials))
+
+    def block(
+        self, rows: slice | Tensor, columns: slice | Tensor, seen: frozenset[int]
+    ) -> Float[Tensor, "rows columns"]:
         """Part of the Gram matrix, summed over some trials."""
         # Symmetric: rows of a matrix lie together in memory, columns do not.
-        return self.summed(seen, lambda raw: raw.gram[raw.at(columns)][:, _of(raw, rows)]).mT
+        return self.summed(seen, lambda raw: raw.gram[_of(raw, columns)][:, _of(raw, rows)]).mT
 
     def moment(self, columns: slice | Tensor, seen: frozenset[int]) -> Float[Tensor, " columns"]:
         """Part of the moment, summed over some trials."""
@@ -129,11 +137,11 @@ class Sums:
             moment[:n] += raw.moment[:n]
         return Raw(first.live[:n], gram, moment)
 
-    def cross(self, chosen: Sequence[Candidate], columns: Tensor, seen: frozenset[int]) -> Tensor:
+    def cross(self, chosen: Sequence[Candidate], columns: slice | Tensor, seen: frozenset[int]) -> Tensor:
         """Rows of the base and of chosen candidates against columns, summed over the trials in which they act."""
         rows = [self.block(slice(self.base), columns, seen)]
-        for one, block in _blocks(chosen):
-            rows.append(one.relative.to(rows[0])[:, None] * self.block(one.columns, columns, block & seen))
+        for own, relative, block in _blocks(chosen):
+            rows.append(relative.to(rows[0])[:, None] * self.block(own, columns, block & seen))
         return torch.cat(rows)
 
 
@@ -142,8 +150,13 @@ def _of(raw: Raw, some: slice | Tensor) -> slice | Tensor:
     return some if isinstance(some, slice) else raw.at(some)
 
 
-def _blocks(chosen: Sequence[Candidate]) -> Iterator[tuple[Candidate, frozenset[int]]]:
-    return ((one, block) for one in chosen for block in one.blocks)
+def _blocks(
+    chosen: Sequence[Candidate],
+) -> Iterator[tuple[Int[Tensor, " columns"], Float[Tensor, " columns"], frozenset[int]]]:
+    """Columns and relative scales of neighbours that act in the same trials, and these."""
+    for block, some in groupby(((one, block) for one in chosen for block in one.blocks), key=lambda both: both[1]):
+        own = [one for one, _ in some]
+        yield torch.cat([c.columns for c in own]), torch.cat([c.relative for c in own]), block
 
 
 @dataclass(frozen=True)
@@ -196,12 +209,12 @@ def assembled(
     sums: Sums, chosen: Sequence[Candidate], seen: frozenset[int]
 ) -> tuple[Float[Tensor, "n n"], Float[Tensor, " n"]]:
     """Gram matrix and moment of the base and these effects."""
-    blocks = [sums.cross(chosen, torch.arange(sums.base), seen)]
+    blocks = [sums.cross(chosen, slice(sums.base), seen)]
     moments = [sums.moment(slice(sums.base), seen)]
-    for one, block in _blocks(chosen):
-        relative = one.relative.to(blocks[0])
-        blocks.append(sums.cross(chosen, one.columns, block & seen) * relative)
-        moments.append(relative * sums.moment(one.columns, block & seen))
+    for own, scale, block in _blocks(chosen):
+        relative = scale.to(blocks[0])
+        blocks.append(sums.cross(chosen, own, block & seen) * relative)
+        moments.append(relative * sums.moment(own, block & seen))
     return torch.cat(blocks, 1), torch.cat(moments)
 
 

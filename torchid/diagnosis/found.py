@@ -83,8 +83,8 @@ def reduced(
     design: Design, prior: Prior, noise: Noise, chosen: Sequence[Candidate], rounds: Sequence[Round], sums: Sums
 ) -> Search:
     """What a search ended with, without the columns that nobody chose."""
-    small, own, some = only(design, chosen)
-    less = Sums(sums.base, small.shared, tuple(raw.only(some) for raw in sums.trials), sums.constant)
+    small, own, _ = only(design, chosen)
+    less = sums.only(design, chosen)
     return Search(small, prior.widened(small), noise, own, tuple(rounds), less, fit(less, own))
 
 

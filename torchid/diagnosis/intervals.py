@@ -14,7 +14,6 @@ from torchid.diagnosis.noise import Noise, Rows, standardised, with_columns
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
 from torchid.effects.effect import Interval, Place, columns
-from torchid.regressor.whitening import accumulate
 
 STEP_S = 0.1
 """By which both ends are moved."""
@@ -38,7 +37,7 @@ def timed(
         extra, wide = _extra(watched[trial], tried), prior.widened(tried)
         own = with_columns(rows[trial], _terms(tried, trial, extra), watched[trial], extra)
         raws = list(sums.trials)
-        raws[trial] = standardised(own, accumulate(own.forces, noise.of(trial)), wide, tried, noise, trial)[0]
+        raws[trial] = standardised(own, wide, tried, noise, trial)[0]
         gain = gains(replace(sums, trials=tuple(raws)), base, tried.candidates)[0]
         best = tried.candidates[int(gain.argmax())]
     final = _with(design, best, (best.place,))

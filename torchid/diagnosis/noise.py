@@ -15,7 +15,6 @@ from torchid.diagnosis.evidence import Prior, Raw, Sums
 from torchid.diagnosis.expected import Expected
 from torchid.diagnosis.late import without_beyond
 from torchid.diagnosis.watched import Watched
-from torchid.regressor.equations import NormalEquations
 from torchid.regressor.whitening import Spectrum, Whitening, accumulate, column_spectra, estimate_whitening, spectra
 
 ROUNDS = 2
@@ -115,64 +114,84 @@ def initial_noise(whitening: Whitening, trials: int) -> Noise:
 
 def summed(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -> Sums:
     """Forces and markers of every trial under their noise."""
-    return _summed(rows, [accumulate(own.forces, noise.of(k)) for k, own in enumerate(rows)], prior, design, noise)
-
-
-def _summed(
-    rows: Sequence[Rows], forces: Sequence[NormalEquations], prior: Prior, design: Design, noise: Noise
-) -> Sums:
-    both = enumerate(zip(rows, forces, strict=True))
-    found = [standardised(own, sums, prior, design, noise, k) for k, (own, sums) in both]
+    found = [standardised(own, prior, design, noise, k) for k, own in enumerate(rows)]
     constant = sum((constant for _, constant in found), start=0.0)
     return Sums(design.base, design.shared, tuple(raw for raw, _ in found), constant)
 
 
-def standardised(
-    rows: Rows, forces: NormalEquations, prior: Prior, design: Design, noise: Noise, trial: int
-) -> tuple[Raw, float]:
+def standardised(rows: Rows, prior: Prior, design: Design, noise: Noise, trial: int) -> tuple[Raw, float]:
     """Sums of one trial, and the log density of its rows but for what models of one noise differ in."""
-    gram, moment, k, square = forces.gram.clone(), forces.moment.clone(), design.kinematic, forces.square
     whitening = noise.of(trial)
+    forces = accumulate(rows.forces, whitening)
+    gram, moment, square = forces.gram, forces.moment, forces.square
     if rows.terms.covariation is not None:
         moment += torch.einsum("bij,bijc->c", torch.linalg.inv(whitening.covariance), rows.terms.covariation)
     volume = sum(whitening.log_determinant(block.band) for block in rows.forces)
+    _add_other(gram, rows.terms, design, noise)
     if rows.terms.markers is not None:
         weight, markers = noise.markers.reciprocal(), rows.terms.markers
-        gram[k, k] += (weight @ markers.gram.flatten(1)).view_as(gram[k, k])
-        moment[k] += weight @ markers.moment
+        moment[design.kinematic] += weight @ markers.moment
         square += float(weight @ markers.energy)
         volume += float(markers.count @ noise.markers.log())
     if rows.terms.idle is not None:
-        k = rows.terms.idle.columns
-        gram[k[:, None], k] += rows.terms.idle.gram
-        moment[k] += rows.terms.idle.moment
+        moment[rows.terms.idle.columns] += rows.terms.idle.moment
     live = rows.terms.live
     mean = prior.mean[live]
     away = square - 2.0 * float(moment @ mean) + float(mean @ gram @ mean)
     return prior.standard(gram, moment, live), -0.5 * (away + volume)
 
 
+def _add_other(gram: Float[Tensor, "live live"], terms: Terms, design: Design, noise: Noise) -> None:
+    """To a Gram matrix of rows of forces, in place: those of markers and of plates on which nobody stands."""
+    if terms.markers is not None:
+        k = design.kinematic
+        gram[k, k] += (noise.markers.reciprocal() @ terms.markers.gram.flatten(1)).view_as(gram[k, k])
+    if terms.idle is not None:
+        k = terms.idle.columns
+        gram[k[:, None], k] += terms.idle.gram
+
+
 def estimate_noise(
-    rows: Sequence[Rows], prior: Prior, design: Design, chosen: Sequence[Candidate], start: Noise
+    rows: Sequence[Rows],
+    prior: Prior,
+    design: Design,
+    chosen: Sequence[Candidate],
+    start: Noise,
+    sums: Sums | None = None,
 ) -> Noise:
-    """Of what the model with the chosen effects leaves: noise estimated without them would hold them."""
-    rows, prior, design, chosen = narrowed(rows, prior, design, chosen)
+    """Of what the model with the chosen effects leaves: noise estimated without them would hold them.
+
+    Args:
+        rows: of every trial.
+        prior: of all columns.
+        design: better without what is not chosen.
+        chosen: effects.
+        start: noise to begin with.
+        sums: of the same rows under it, where they are at hand.
+    """
     noise = start
     for _ in range(ROUNDS - bool(chosen)):
-        whitened = [accumulate(own.forces, noise.of(k)) for k, own in enumerate(rows)]
-        posterior = list(told(_summed(rows, whitened, prior, design, noise), chosen))
+        sums = sums or summed(rows, prior, design, noise)
+        posterior = list(told(sums, chosen))
         theta = [prior.theta(one.z(len(prior.mean))) for one in posterior]
-        # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
-        live = [own.terms.live for own in rows]
-        each = zip(posterior, whitened, live, strict=True)
-        lost = [one.lost(prior.standard(own.gram, own.moment, which)) for one, own, which in each]
-        each = zip(rows, theta, live, strict=True)
-        left = [[_left(block, x[which]) for block in own.forces] for own, x, which in each]
+        each = zip(posterior, rows, sums.trials, strict=True)
+        lost = [one.lost(raw) - one.lost(_told_otherwise(own, prior, design, noise)) for one, own, raw in each]
+        each = zip(rows, theta, strict=True)
+        left = [[_left(block, x[own.terms.live]) for block in own.forces] for own, x in each]
         trials = _relative(left, lost, rows, noise.forces)
         scaled = [(_scaled(b, s.rsqrt()), s[:0]) for some, s in zip(left, trials[:, None], strict=True) for b in some]
         forces = _at_least(estimate_whitening(scaled, sum(lost)), rows, trials)
-        noise = Noise(forces, _dispersion(rows, design, theta), trials)
+        noise, sums = Noise(forces, _dispersion(rows, design, theta), trials), None
     return noise
+
+
+def _told_otherwise(rows: Rows, prior: Prior, design: Design, noise: Noise) -> Raw:
+    """Without forces: what markers determine takes nothing from these. Counted as lost, it made a short walk's noise
+    infinite."""
+    live = rows.terms.live
+    gram = prior.mean.new_zeros(len(live), len(live))
+    _add_other(gram, rows.terms, design, noise)
+    return prior.standard(gram, gram.new_zeros(len(live)), live)
 
 
 def _left(block: Spectrum, theta: Float[Tensor, " params"]) -> Spectrum:

@@ -4,6 +4,7 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -64,21 +65,22 @@ def search(
     chosen: list[Candidate] = []
     rounds: list[Round] = []
     scan = _Scan(watched, _rows(watched, design), design, prior, limit)
-    noise, sums = scan.noise(chosen, noise)
+    noise = scan.noise(chosen, noise)
+    sums = scan.sums(noise)
     while True:
-        noise, sums, seen = scan.closer(noise, sums, chosen)
-        rounds.append(found := _scan(sums, open_candidates(scan.design, chosen, limit), chosen))
+        some = open_candidates(scan.design, chosen, limit)
+        scanned, seen = _scanned(sums, some, chosen), None
+        if look := scan.closer(noise, sums, chosen, scanned.rivals):
+            noise, seen = look
+            sums = scan.sums(noise)
+            scanned = _scanned(sums, some, chosen)
+        rounds.append(found := scanned.round)
         best = found.named
         if best is None:
             break
         log.info("%s at %s gains %.1f nats", best.candidate.effect.name, best.candidate.place.where, best.score)
         chosen.append(best.candidate)
-        if best.candidate.effect.late:
-            noise, scan = scan.settled(noise, chosen)
-        if best.candidate.effect.timed and not best.candidate.effect.kinematic:
-            scan, chosen[-1] = scan.timed(noise, chosen)
-        if chosen[-1] is not seen or best.candidate.effect.late:
-            noise, sums = scan.noise(chosen, noise)
+        scan, noise, sums = scan.took(noise, sums, chosen, seen)
         scan, sums, chosen = scan.opened(sums, chosen)
     return _pruned(reduced(scan.design, scan.prior, noise, chosen, rounds, sums))
 
@@ -105,14 +107,31 @@ class _Scan:
     """What effects would explain at places at which the noise that they leave did not support them [nat]; places by
     identity, which rounds keep alive."""
 
-    def noise(self, chosen: Sequence[Candidate], start: Noise) -> tuple[Noise, Sums]:
-        """That of what is left by the chosen effects, and the sums under it."""
-        noise = estimate_noise(self.rows, self.prior, self.design, chosen, start)
-        return noise, self.sums(noise)
+    def noise(self, chosen: Sequence[Candidate], start: Noise, sums: Sums | None = None) -> Noise:
+        """That of what is left by the chosen effects; ``sums`` are those under ``start``, if at hand."""
+        rows, prior, design, own = narrowed(self.rows, self.prior, self.design, chosen)
+        return estimate_noise(rows, prior, design, own, start, sums and sums.only(self.design, chosen))
 
     def sums(self, noise: Noise) -> Sums:
         """Of everything under a noise."""
         return summed(self.rows, self.prior, self.design, noise)
+
+    def took(
+        self, noise: Noise, sums: Sums, chosen: list[Candidate], seen: Candidate | None
+    ) -> tuple["_Scan", Noise, Sums]:
+        """After the last effect was chosen; the noise may be that which one effect leaves already."""
+        effect = chosen[-1].effect
+        if effect.late:
+            noise, scan = self.settled(noise, chosen)
+        elif effect.timed and not effect.kinematic:
+            scan, chosen[-1] = self.timed(noise, sums, chosen)
+        elif chosen[-1] is seen:
+            return self, noise, sums
+        else:
+            noise = self.noise(chosen, noise, sums)
+            return self, noise, self.sums(noise)
+        noise = scan.noise(chosen, noise)
+        return scan, noise, scan.sums(noise)
 
     def opened(self, sums: Sums, chosen: Sequence[Candidate]) -> tuple["_Scan", Sums, list[Candidate]]:
         """Without the columns of effects of which as many are named as may be."""
@@ -120,8 +139,8 @@ class _Scan:
         if narrower(self.design, some)[0].width == self.design.width:
             return self, sums, list(chosen)
         rows, prior, _, _ = narrowed(self.rows, self.prior, self.design, some)
-        design, own, which = only(self.design, some)
-        less = replace(sums, shared=design.shared, trials=tuple(raw.only(which) for raw in sums.trials))
+        less = sums.only(self.design, some)
+        design, own, _ = only(self.design, some)
         return replace(self, rows=rows, prior=prior, design=design), less, list(own[: len(chosen)])
 
     def settled(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Noise, "_Scan"]:
@@ -138,40 +157,42 @@ class _Scan:
         design = _linearised(self.watched, self.design, theta)
         return noise, replace(self, rows=_rows(self.watched, design), design=design)
 
-    def timed(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple["_Scan", Candidate]:
+    def timed(self, noise: Noise, sums: Sums, chosen: Sequence[Candidate]) -> tuple["_Scan", Candidate]:
         """The last effect with its interval and course as they are best."""
-        noise, sums = self.noise(chosen, noise)
-        rows, design, prior, best = timed(self.watched, self.rows, self.design, self.prior, noise, sums, chosen)
+        noise = self.noise(chosen, noise, sums)
+        own = self.sums(noise)
+        rows, design, prior, best = timed(self.watched, self.rows, self.design, self.prior, noise, own, chosen)
         return replace(self, rows=rows, design=design, prior=prior), best
 
-    def closer(self, noise: Noise, sums: Sums, chosen: Sequence[Candidate]) -> tuple[Noise, Sums, Candidate | None]:
+    def closer(
+        self, noise: Noise, sums: Sums, chosen: Sequence[Candidate], rivals: Sequence[Rival]
+    ) -> tuple[Noise, Candidate] | None:
         """Where the residual is more than noise, likely candidates compete under the noise that each would leave.
 
         Whatever is not yet named is in the noise that was estimated without it: ground that shook at 37 times the noise
-        had no evidence, and two plates that were swapped had less than a tenth of the energy that they explain. Third
-        is the candidate whose noise it is.
+        had no evidence, and two plates that were swapped had less than a tenth of the energy that they explain. Beside
+        the noise comes the candidate whose it is.
         """
         rest = structure(self.watched, residuals(self.watched, self.design, self.prior, fit(sums, chosen)))
-        if not rest.significant:
-            return noise, sums, None
         looks = []
-        for energy, one in _likely(sums, open_candidates(self.design, chosen, self.limit), chosen):
-            if energy > GROWN * self.silent.get((one.effect.name, id(one.place)), 0.0):
-                look = self._look(noise, one, chosen)
+        for one in _likely(rivals) if rest.significant else ():
+            key = one.candidate.effect.name, id(one.candidate.place)
+            if one.explained > GROWN * self.silent.get(key, 0.0):
+                look = self._look(noise, sums, one.candidate, chosen)
                 if look is None:
-                    self.silent[one.effect.name, id(one.place)] = energy
+                    self.silent[key] = one.explained
                 else:
-                    looks.append((*look, one))
-        if not looks:
-            return noise, sums, None
-        _, noise, best = max(looks, key=lambda look: look[0])
-        return noise, self.sums(noise), best
+                    looks.append((*look, one.candidate))
+        return max(looks, key=lambda look: look[0])[1:] if looks else None
 
-    def _look(self, noise: Noise, one: Candidate, chosen: Sequence[Candidate]) -> tuple[float, Noise] | None:
+    def _look(
+        self, noise: Noise, sums: Sums, one: Candidate, chosen: Sequence[Candidate]
+    ) -> tuple[float, Noise] | None:
         """Log evidence with one more effect under the noise that it leaves; None where this place of it has no support
         there."""
-        rows, prior, design, own = narrowed(self.rows, self.prior, self.design, [*chosen, one])
-        other = estimate_noise(rows, prior, design, own, noise)
+        some = [*chosen, one]
+        rows, prior, design, own = narrowed(self.rows, self.prior, self.design, some)
+        other = estimate_noise(rows, prior, design, own, noise, sums.only(self.design, some))
         sums, base = eliminated(summed(rows, prior, design, other), own[:-1])
         fitted = fit(sums, base)
         gain = float(gains(sums, fitted, own[-1:])[0]) + math.log(one.odds)
@@ -206,29 +227,41 @@ def _kind(effect: Effect) -> tuple[bool, bool]:
     return effect.bodily, effect.kinematic
 
 
-def _likely(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> list[tuple[float, Candidate]]:
-    """Of the effects that would explain most, the places that do, and how much [nat]."""
-    sums, chosen = eliminated(sums, chosen)
-    explained = gains(sums, fit(sums, chosen), left)[1] - 0.5 * torch.tensor([c.size for c in left])
-    best: dict[str, tuple[float, Candidate]] = {}
-    for one, energy in zip(left, explained.tolist(), strict=True):
-        if one.effect.name not in best or energy > best[one.effect.name][0]:
-            best[one.effect.name] = energy, one
-    order = sorted(best.values(), key=lambda both: -both[0])[:SECOND]
-    return [(energy, one) for energy, one in order if energy > LIKELY * order[0][0]]
+def _likely(rivals: Sequence[Rival]) -> list[Rival]:
+    """Of the effects that would explain most, the places that do."""
+    best: dict[str, Rival] = {}
+    for one in rivals:
+        name = one.candidate.effect.name
+        if name not in best or one.explained > best[name].explained:
+            best[name] = one
+    order = sorted(best.values(), key=lambda one: -one.explained)[:SECOND]
+    return [one for one in order if one.explained > LIKELY * order[0].explained]
 
 
-def _scan(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> Round:
-    if not left:
-        return Round((), {})
+@dataclass(frozen=True)
+class _Scanned:
+    """Candidates as all trials together speak for them, and what against."""
+
+    sums: Sums
+    chosen: Sequence[Candidate]
+    """But for effects that are anew in every trial, which are integrated out of the sums."""
+    rivals: list[Rival]
+
+    @cached_property
+    def round(self) -> Round:
+        """With each trial's consent, best first."""
+        rivals = _consented(self.sums, self.chosen, self.rivals) if len(self.sums.all) > 1 else list(self.rivals)
+        rivals.sort(key=lambda rival: -rival.weighed)
+        names = dict.fromkeys(one.candidate.effect.name for one in self.rivals)
+        families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
+        return Round(tuple(rivals), families)
+
+
+def _scanned(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> _Scanned:
     sums, chosen = eliminated(sums, chosen)
     gain, energy = (x.tolist() for x in gains(sums, fit(sums, chosen), left))
     rivals = [Rival(c, g, g, e - 0.5 * c.size) for c, g, e in zip(left, gain, energy, strict=True)]
-    rivals = _consented(sums, chosen, rivals) if len(sums.all) > 1 else rivals
-    rivals.sort(key=lambda rival: -rival.weighed)
-    names = dict.fromkeys(c.effect.name for c in left)
-    families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
-    return Round(tuple(rivals), families)
+    return _Scanned(sums, chosen, rivals)
 
 
 def _consented(sums: Sums, chosen: Sequence[Candidate], rivals: Sequence[Rival]) -> list[Rival]:

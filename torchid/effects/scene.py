@@ -1,6 +1,6 @@
 """A trial as effects see it: bodies that move and carry inertia, and plates that read."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float
@@ -36,6 +36,8 @@ class Scene:
     phi: Float[Tensor, "bodies 10"]
     recorded_kg: float = float("nan")
     """Mass of the body before any force was seen."""
+    known: dict[tuple[str, tuple[float, ...]], Point] = field(default_factory=dict, init=False, repr=False)
+    """Points that were asked for: a catalogue asks for the same few thousands of times."""
 
     @property
     def rate(self) -> float:
@@ -53,6 +55,12 @@ class Scene:
 
     def point(self, segment: str, p_BM_B: Float[Tensor, " 3"]) -> Point:
         """Place, velocity and acceleration of a point that a body carries."""
+        key = segment, tuple(p_BM_B.tolist())
+        if key not in self.known:
+            self.known[key] = self._point(segment, p_BM_B)
+        return self.known[key]
+
+    def _point(self, segment: str, p_BM_B: Float[Tensor, " 3"]) -> Point:
         k, motion = self.at(segment), self.state.motion
         arm = self.turned(segment, p_BM_B)
         w, swing = motion.w[k], cross(motion.w[k], arm)
