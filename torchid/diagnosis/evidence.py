@@ -233,14 +233,22 @@ def gains(sums: Sums, base: Fitted, candidates: Sequence[Candidate]) -> Float[Te
     The second row is half the whitened energy that it would take away: the evidence without its price.
     """
     found = base.factor.new_zeros(2, len(candidates))
+    for rows, told, left in informed(sums, base, candidates):
+        found[:, rows] = _gains(told, left, [candidates[k] for k in rows])
+    return found
+
+
+def informed(
+    sums: Sums, base: Fitted, candidates: Sequence[Candidate]
+) -> Iterator[tuple[list[int], Float[Tensor, "some n n"], Float[Tensor, "some n"]]]:
+    """Candidates of one size that act in the same trials, information on their parameters beside a base, and moment."""
     groups: dict[tuple[tuple[frozenset[int], ...], int], list[int]] = {}
     for k, one in enumerate(candidates):
         blocks = tuple(block & base.seen for block in one.blocks if block & base.seen)
         if blocks:
             groups.setdefault((blocks, len(one.columns)), []).append(k)
     for (blocks, _), rows in groups.items():
-        found[:, rows] = _gains(sums, base, [candidates[k] for k in rows], blocks)
-    return found
+        yield rows, *_informed(sums, base, [candidates[k] for k in rows], blocks)
 
 
 def _blocks_of(raw: Raw, index: Int[Tensor, "some columns"]) -> Float[Tensor, "some columns columns"]:
@@ -248,10 +256,10 @@ def _blocks_of(raw: Raw, index: Int[Tensor, "some columns"]) -> Float[Tensor, "s
     return raw.gram[at[:, :, None], at[:, None, :]]
 
 
-def _gains(
+def _informed(
     sums: Sums, base: Fitted, some: Sequence[Candidate], blocks: tuple[frozenset[int], ...]
-) -> Float[Tensor, "2 some"]:
-    """Of candidates of one size that act in the same trials; blocks of trials have parameters of their own."""
+) -> tuple[Float[Tensor, "some n n"], Float[Tensor, "some n"]]:
+    """Blocks of trials have parameters of their own."""
     index = torch.stack([c.columns for c in some])
     relative = torch.stack([c.relative for c in some]).to(base.factor)
     parts, lefts, owns = [], [], []
@@ -263,10 +271,15 @@ def _gains(
         parts.append(shared.unflatten(1, index.shape).permute(1, 2, 0))
         own = sums.summed(block, lambda raw: _blocks_of(raw, index))
         owns.append(own * relative[:, :, None] * relative[:, None, :])
-    part, left, n = torch.cat(parts, 1), torch.cat(lefts, 1), index.shape[1] * len(blocks)
+    part = torch.cat(parts, 1)
     own = torch.stack([torch.block_diag(*(o[k] for o in owns)) for k in range(len(some))])
-    told = own - part @ part.mT
-    L = torch.linalg.cholesky(told + torch.eye(n).to(own))
+    return own - part @ part.mT, torch.cat(lefts, 1)
+
+
+def _gains(
+    told: Float[Tensor, "some n n"], left: Float[Tensor, "some n"], some: Sequence[Candidate]
+) -> Float[Tensor, "2 some"]:
+    L = torch.linalg.cholesky(told + torch.eye(told.shape[1]).to(told))
     u = torch.linalg.solve_triangular(L, left[..., None], upper=False)[..., 0]
     energy = 0.5 * u.square().sum(1)
     gain = energy - L.diagonal(dim1=1, dim2=2).log().sum(1)

@@ -34,6 +34,8 @@ class Rival:
     """The same, each trial predicted from the others; far behind the best, where nobody asks, the evidence itself."""
     explained: float
     """Half the whitened energy that it takes away, less what as many columns of no meaning would [nat]."""
+    ordinary: float = 0.0
+    """Log evidence that nothing is there but what all places have some of, over that nothing is [nat]."""
 
     @property
     def score(self) -> float:
@@ -43,7 +45,7 @@ class Rival:
         the others without the effect as well.
         """
         carried = self.crossed > -max(CHANCE, PART * self.evidence)
-        return self.evidence if carried else min(self.evidence, self.crossed)
+        return (self.evidence if carried else min(self.evidence, self.crossed)) - self.ordinary
 
     @property
     def weighed(self) -> float:

@@ -55,32 +55,38 @@ class HeldOut:
         if any(one.effect.late for one in found.chosen):
             self.columns = self._settled()
         rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
-        more = summed(rows, found.prior, found.design, found.noise.typical(len(heldout)))
+        noise = found.noise.typical(len(heldout))
+        more, seen = (summed(rows, found.prior, found.design, own) for own in (noise, noise.deaf))
         self.both = replace(found.sums, trials=(*found.sums.trials, *more.trials))
-        self._known: dict[tuple[int, ...], tuple[Sums, Sums]] = {}
+        self.seen = replace(found.sums, trials=(*found.sums.trials, *seen.trials))
+        self._known: dict[tuple[int, ...], tuple[Sums, ...]] = {}
 
     def judged(self, chosen: Sequence[Candidate]) -> Judged:
         """Held-out residual and density under a model with these effects."""
         if not self.trials:
             return Judged(Errors(math.nan, math.nan), math.nan)
-        (sums, _), some = self._without_anew(chosen)
+        (sums, _, _), some = self._without_anew(chosen)
         return Judged(self._errors(fit(sums, some)), self.density(chosen))
 
     def density(self, chosen: Sequence[Candidate]) -> float:
         """Log density of the held-out rows after the fit trials, see ``Judged``."""
-        (sums, whole), some = self._without_anew(chosen)
-        fitted, both = fit(sums, some), fit(whole, some)
-        found = both.log_evidence + whole.constant - fitted.log_evidence - sums.constant
-        return found - self._asked(chosen) * math.log(2.0)
+        (sums, whole, _), some = self._without_anew(chosen)
+        return _over(whole, sums, some) - self._asked(chosen) * math.log(2.0)
 
-    def _without_anew(self, chosen: Sequence[Candidate]) -> tuple[tuple[Sums, Sums], list[Candidate]]:
-        """Sums of fit and of all trials, effects that are anew in every trial integrated out, and the other effects."""
+    def of_forces(self, chosen: Sequence[Candidate]) -> float:
+        """Log density of the held-out forces after all that cameras saw there, and the fit trials."""
+        (_, whole, seen), some = self._without_anew(chosen)
+        return _over(whole, seen, some)
+
+    def _without_anew(self, chosen: Sequence[Candidate]) -> tuple[tuple[Sums, ...], list[Candidate]]:
+        """Sums of fit and of all trials, and of these without held-out forces, effects that are anew in every trial
+        integrated out; and the other effects."""
         everywhere = self._everywhere(chosen)
         anew = [k for k, one in enumerate(everywhere) if one.effect.anew]
         key = tuple(id(chosen[k]) for k in anew)
         if key not in self._known:
             some = [everywhere[k] for k in anew]
-            self._known[key] = eliminated(self.found.sums, some)[0], eliminated(self.both, some)[0]
+            self._known[key] = tuple(eliminated(x, some)[0] for x in (self.found.sums, self.both, self.seen))
         return self._known[key], [one for one in everywhere if not one.effect.anew]
 
     def acting(self) -> tuple[Candidate, ...]:
@@ -101,14 +107,22 @@ class HeldOut:
         """The effects that held-out motion does not refute, and the others with what it says for them [nat]."""
         kept, refuted = list(chosen), []
         while kept and self.trials:
-            whole = self.density(kept)
-            says = [whole - self.density(without(kept, one)) for one in kept]
+            says = [self._says(kept, one) for one in kept]
             margin = [x + math.sqrt(2.0 * self._promised(kept, one)) for x, one in zip(says, kept, strict=True)]
             worst = min(range(len(kept)), key=margin.__getitem__)
             if margin[worst] > -REFUTED:
                 break
             refuted.append((kept.pop(worst), says[worst]))
         return tuple(kept), tuple(refuted)
+
+    def _says(self, chosen: Sequence[Candidate], one: Candidate) -> float:
+        """What held-out motion says for one of them: of what acts on forces alone, its forces do.
+
+        Geometry that a force had bent in the fit trials came back and was 31 nats better for held-out markers, while
+        the force itself made held-out forces 32 nats worse.
+        """
+        density = self.density if one.effect.kinematic else self.of_forces
+        return density(chosen) - density(without(chosen, one))
 
     def _promised(self, chosen: Sequence[Candidate], one: Candidate) -> float:
         """What fit trials make one expect of the held-out ones [nat]; nothing where the effect does not act there."""
@@ -160,6 +174,11 @@ class HeldOut:
         place = replace(one.place, when=(*(one.place.when or ()), own))
         trials = one.trials | {self.first + trial}
         return replace(one, place=place, trials=trials, proposed=one.proposed or one.place)
+
+
+def _over(more: Sums, less: Sums, chosen: Sequence[Candidate]) -> float:
+    """Log density of what some sums have beyond others."""
+    return fit(more, chosen).log_evidence + more.constant - fit(less, chosen).log_evidence - less.constant
 
 
 def _used(trials: Sequence[Watched]) -> int:

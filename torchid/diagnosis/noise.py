@@ -22,6 +22,9 @@ ROUNDS = 2
 COMMON = 60.0
 """Values of all trials that speak for the noise of each: a second of walking tells little of its own."""
 
+SILENT = 1e12
+"""Times its variance at which a force says nothing; 1e6 nats become 1e-6."""
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -36,6 +39,11 @@ class Noise:
     def of(self, trial: int) -> Whitening:
         """Of the forces of one trial."""
         return Whitening(self.trials[trial] * self.forces.covariance)
+
+    @property
+    def deaf(self) -> "Noise":
+        """In which forces say nothing."""
+        return replace(self, trials=SILENT * self.trials)
 
     def typical(self, trials: int) -> "Noise":
         """Of trials that nobody has seen yet."""

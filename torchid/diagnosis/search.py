@@ -13,11 +13,12 @@ from torch import Tensor
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
-from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
+from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, informed, make_prior
 from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced, support
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.late import linearised, without_beyond
 from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, narrowed, rows_of, summed
+from torchid.diagnosis.ordinary import ordinary
 from torchid.diagnosis.unexplained import structure
 from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect
@@ -220,7 +221,14 @@ def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, t
 def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
     """Those that may still be chosen: no plate's error is left out because bodies are as bodies are, or for markers."""
     kinds = [_kind(c.effect) for c in chosen]
-    return [c for c in design.candidates if c not in chosen and kinds.count(_kind(c.effect)) < limit]
+    some = [c for c in design.candidates if c not in chosen and kinds.count(_kind(c.effect)) < limit]
+    return [c for c in some if not any(_leaves(one, c) for one in chosen)]
+
+
+def _leaves(one: Candidate, other: Candidate) -> bool:
+    """Whether the other is what one looks like once it is taken off."""
+    near = set(one.place.where) & set(other.place.where) and one.trials & other.trials
+    return other.effect.name in one.effect.traces and bool(near)
 
 
 def _kind(effect: Effect) -> tuple[bool, bool]:
@@ -259,9 +267,22 @@ class _Scanned:
 
 def _scanned(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> _Scanned:
     sums, chosen = eliminated(sums, chosen)
-    gain, energy = (x.tolist() for x in gains(sums, fit(sums, chosen), left))
-    rivals = [Rival(c, g, g, e - 0.5 * c.size) for c, g, e in zip(left, gain, energy, strict=True)]
-    return _Scanned(sums, chosen, rivals)
+    fitted = fit(sums, chosen)
+    gain, energy = (x.tolist() for x in gains(sums, fitted, left))
+    each = zip(left, gain, energy, _ordinary(sums, fitted, left), strict=True)
+    return _Scanned(sums, chosen, [Rival(c, g, g, e - 0.5 * c.size, usual) for c, g, e, usual in each])
+
+
+def _ordinary(sums: Sums, fitted: Fitted, left: Sequence[Candidate]) -> list[float]:
+    """See ``Rival``; the places of an effect tell of each other."""
+    found = [0.0] * len(left)
+    for name in dict.fromkeys(c.effect.name for c in left if c.effect.strewn):
+        which = [k for k, c in enumerate(left) if c.effect.name == name]
+        seen = list(informed(sums, fitted, [left[k] for k in which]))
+        usual = ordinary(torch.cat([told for _, told, _ in seen]), torch.cat([moment for _, _, moment in seen]))
+        for k, x in zip((which[k] for rows, _, _ in seen for k in rows), usual.tolist(), strict=True):
+            found[k] = x
+    return found
 
 
 def _consented(sums: Sums, chosen: Sequence[Candidate], rivals: Sequence[Rival]) -> list[Rival]:

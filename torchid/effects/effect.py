@@ -85,7 +85,10 @@ class Effect(ABC):
     """A state of single recordings: where it is in some, only another recording itself says whether it is there."""
     timed: ClassVar[bool] = False
     """It comes and goes: its places need intervals."""
-
+    strewn: ClassVar[bool] = False
+    """Living bodies do some of it at every place: what is named must stand out from the others."""
+    traces: ClassVar[tuple[str, ...]] = ()
+    """Effects whose looks it leaves behind, in the same trials and at the same places."""
     whole: ClassVar[bool] = False
     """Its one parameter is one, or it is not there."""
 

@@ -26,6 +26,7 @@ class MarkerShift(MarkerEffect):
 
     name = "marker_shift"
     lasting = True
+    strewn = True
     parameters = (Parameter("shift_seg_m", 0.015, 3),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -56,6 +57,8 @@ class MarkerSwap(MarkerEffect):
 
     name = "marker_swap"
     timed = True
+    # The posture of such frames is far off, which no column is linear in: on average each label is a little elsewhere.
+    traces = ("marker_shift",)
     parameters = (Parameter("share", 1.0, positive=True),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
