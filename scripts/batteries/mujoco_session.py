@@ -40,6 +40,7 @@ from batteries.laboratory import (
 from batteries.motion import Balanced, balance
 from batteries.physics import RATE, mjcf
 from batteries.sizes import FIT, HELDOUT, LEVELS, SIZES
+from batteries.skin import skin
 
 TRIALS = (("static", "static"), *((name, "fit") for name in FIT), *((name, "heldout") for name in HELDOUT))
 """Name, which is its kind, and role."""
@@ -64,15 +65,18 @@ class World:
     plates: tuple[Plate, ...]
     model: mujoco.MjModel
     effects: list[Entry]
+    skin: list[Entry]
+    """What every body does: hidden, but no secret."""
 
 
-def simulate(out: Path, seed: int, effects: list[Entry]) -> Path:
+def simulate(out: Path, seed: int, effects: list[Entry], skin_m: float = 0.0) -> Path:
     """Write a session in which effects are hidden; returns its config.
 
     Args:
         out: folder, made where it does not exist.
         seed: of the person, the motions, the laboratory and its noise.
         effects: dicts with ``effect``, ``where``, ``when`` and ``parameters``, as ``draw_effect`` makes them.
+        skin_m: how far skin slides under all markers [m], see ``skin``.
 
     Raises:
         KeyError: an effect that does not exist.
@@ -86,7 +90,8 @@ def simulate(out: Path, seed: int, effects: list[Entry]) -> Path:
     plates = lay_plates(rng)
     recorded = round(person.mass + SCALE_ERROR * float(np.clip(rng.normal(), -2, 2)) - _excess(effects), 1)
     model = mujoco.MjModel.from_xml_string(mjcf(person, extra(person, effects)))
-    world = World(seed, person, plates, model, effects)
+    slides = skin(person, model, skin_m, np.random.default_rng((seed, 11))) if skin_m else []
+    world = World(seed, person, plates, model, effects, slides)
     (out / "truth").mkdir(parents=True, exist_ok=True)
     facts = {name: _trial(world, k, out) for k, (name, _) in enumerate(TRIALS)}
     _write_truth(world, recorded, facts, out)
@@ -165,7 +170,7 @@ def _record(
     def angle(joint: str) -> np.ndarray:
         return moved.q[:, world.model.joint(joint).qposadr[0]]
 
-    clean = displaced(world.effects, scene, labels, moved.moved.markers, angle)[inside]
+    clean = displaced([*world.effects, *world.skin], scene, labels, moved.moved.markers, angle)[inside]
     clock = clock_of(len(clean))
     own = _plates(world, name, script, moved, clock, rng)
     recording = with_noise(rng, Recording(labels, clean, clock, own))

@@ -27,6 +27,7 @@ from batteries.power import draw_reliability
 from batteries.sizes import SIZES
 from torchid.allocator import keep_memory
 from torchid.config import load_config
+from torchid.effects.catalogue import BODILY
 from torchid.experiment import run_experiment
 from torchid.outcome import Outcome
 from torchid.simulate.options import SimulateOptions
@@ -35,6 +36,8 @@ from torchid.simulate.session import simulate_session
 KNOWN = tuple(name for name in SIZES if not name.startswith("offcat_"))
 FOREIGN = tuple(name for name in SIZES if name.startswith("offcat_"))
 
+SKIN_M = 0.01
+"""How far skin slides on the thighs of a living body, at 90 degrees of each joint near."""
 OWN = "own"
 """Of torchid's own simulator."""
 OPTIONS = SimulateOptions(fit=("squats", "arms", "trunk", "sway_steps"), heldout=("hip_rom",), skin_motion_mm=0.0)
@@ -45,7 +48,7 @@ class Job:
     """One session."""
 
     kind: str
-    """null, single, double or foreign."""
+    """null, single, double, foreign or skin."""
     names: tuple[str, ...]
     level: str
     seed: int
@@ -59,7 +62,9 @@ class Job:
 def jobs(arguments: argparse.Namespace) -> Iterator[Job]:
     """In an order in which a battery that is stopped early has a little of everything."""
     seed = arguments.first
-    for k in range(max(arguments.each, arguments.nulls, arguments.own, arguments.pairs, arguments.foreign)):
+    for k in range(
+        max(arguments.each, arguments.nulls, arguments.own, arguments.pairs, arguments.foreign, arguments.skin)
+    ):
         for level in arguments.levels:
             for name in arguments.effects or KNOWN:
                 seed += 1
@@ -74,10 +79,21 @@ def jobs(arguments: argparse.Namespace) -> Iterator[Job]:
                 pair = np.random.default_rng(seed).choice(KNOWN, 2, replace=False)
                 yield Job("double", (str(pair[0]), str(pair[1])), level, seed)
         seed += 1
-        if k < arguments.nulls:
-            yield Job("null", (), "none", seed)
-        if k < arguments.own:
-            yield Job("null", (), OWN, seed)
+        yield from _quiet(arguments, k, seed)
+
+
+def _quiet(arguments: argparse.Namespace, k: int, seed: int) -> Iterator[Job]:
+    """Sessions that hide nothing, and those in which skin slides."""
+    if k < arguments.nulls:
+        yield Job("null", (), "none", seed)
+    if k < arguments.own:
+        yield Job("null", (), OWN, seed)
+    if k < arguments.skin:
+        yield from (Job("skin", names, "medium", seed) for names in ((), _laboratory(seed)))
+
+
+def _laboratory(seed: int) -> tuple[str]:
+    return (str(np.random.default_rng(seed).choice([name for name in KNOWN if name not in BODILY])),)
 
 
 def perform(job: Job, out: Path, keep: bool) -> dict:
@@ -91,7 +107,8 @@ def perform(job: Job, out: Path, keep: bool) -> dict:
         assert made.config is not None
         config = load_config(made.config)
     else:
-        config = load_config(simulate(folder, job.seed, [draw_effect(name, job.level, rng) for name in job.names]))
+        hidden = [draw_effect(name, job.level, rng) for name in job.names]
+        config = load_config(simulate(folder, job.seed, hidden, SKIN_M if job.kind == "skin" else 0.0))
     begun = time.perf_counter()
     try:
         outcome = run_experiment(config)
@@ -126,6 +143,7 @@ def main() -> None:
     parser.add_argument("--own", type=int, default=0, help="the same, written by torchid's own simulator")
     parser.add_argument("--pairs", type=int, default=2, help="sessions with two effects, per level")
     parser.add_argument("--foreign", type=int, default=0, help="sessions per effect outside the catalogue and level")
+    parser.add_argument("--skin", type=int, default=0, help="sessions of living skin without effects, and with")
     parser.add_argument("--first", type=int, default=int(time.time()) % 10**6, help="seed (default: the clock's)")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--keep", action="store_true", help="keep the sessions' folders")
