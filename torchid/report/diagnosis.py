@@ -47,6 +47,7 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
     return Section("diagnosis", "What the model gets wrong", _finding(outcome, found), tuple(blocks))
 
 
+ENORMOUS = 1e6
 EXTENDED = (
     "Every other figure of this page is of the extended model: the named causes are taken out of the recordings (or, "
     "as a load, kept apart from the body), then inertia, and geometry where markers are concerned, are fitted again. "
@@ -66,8 +67,13 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
 
 def _refuted(found: Diagnosis) -> list[str]:
     """What was not believed."""
-    said = "Fit trials suggest {}, but held-out motion speaks against it by {} nats: the model was not extended by it."
-    return [said.format(called(one), number(-one.heldout_log_likelihood, 0)) for one in found.refuted]
+    said = "Fit trials suggest {}, but held-out motion is {} likelier without it: the model was not extended by it."
+    return [said.format(called(one), _times(-one.heldout_log_likelihood)) for one in found.refuted]
+
+
+def _times(nats: float) -> str:
+    """Of a likelihood ratio, as one reads it."""
+    return f"{number(math.exp(nats), 0)} times" if nats < math.log(ENORMOUS) else "more than a million times"
 
 
 def _nearest(found: Diagnosis) -> list[str]:
