@@ -95,7 +95,8 @@ def tables(rows: Sequence[dict]) -> dict:
                 lines.append(_line(name, some))
         lines.append(_line("all", own))
         figures[level] = {"sessions": len(own), "first": _share(own, "first"), "sizes": _sizes(own)}
-    for part in (_silent(good), _calibrated(good), _gained(good)):
+    stiff = [r for r in good if r["kind"] != "skin"]
+    for part in (_silent(good), _living(good), _calibrated(stiff), _gained(stiff)):
         figures |= part[0]
         lines += part[1]
     lines.append(f"failed: {len(rows) - len(good)}")
@@ -104,10 +105,8 @@ def tables(rows: Sequence[dict]) -> dict:
 
 def _silent(rows: Sequence[dict]) -> tuple[dict, list[str]]:
     """Sessions that hide nothing, two effects, or what no catalogue has."""
-    nulls, doubles, foreign, skin = (
-        [r for r in rows if r["kind"] == kind] for kind in ("null", "double", "foreign", "skin")
-    )
-    loud, bare = [r for r in nulls if _laboratory(r["named"])], [r for r in skin if not r["names"]]
+    nulls, doubles, foreign = ([r for r in rows if r["kind"] == kind] for kind in ("null", "double", "foreign"))
+    loud = [r for r in nulls if _laboratory(r["named"])]
     best = max((score for r in nulls for _, _, score in r.get("nearest", ())), default=None)
     found = {
         "null": {"sessions": len(nulls), "named": sum(bool(r["named"]) for r in nulls), "laboratory": len(loud),
@@ -116,21 +115,30 @@ def _silent(rows: Sequence[dict]) -> tuple[dict, list[str]]:
                    "one": sum(any(r["found"]) for r in doubles)},
         "foreign": {"sessions": len(foreign), "flagged": sum(bool(r["unexplained"]) for r in foreign),
                     "fooled": sum(_fooled(r) for r in foreign)},
-        "skin": {"sessions": len(bare), "laboratory": sum(_laboratory(r["named"]) for r in bare),
-                 "flagged": sum(bool(r["unexplained"]) for r in skin), "all": len(skin),
-                 "hidden": len(skin) - len(bare), "first": sum(r["first"] for r in skin if r["names"]),
-                 "false": sum(_laboratory(r["wrong"]) for r in skin if r["names"])},
     }  # fmt: skip
     said = {
         "null": "\nnothing hidden: {sessions} sessions, {named} with a cause named, {laboratory} beside bodies', "
         "{flagged} flagged; best score of what was not named: {best_nats} nats",
         "double": "two hidden: {sessions} sessions, both named in {both}, at least one in {one}",
         "foreign": "outside the catalogue: {sessions} sessions, {flagged} flagged, {fooled} wrongly named without one",
-        "skin": "living skin: {sessions} sessions that hide nothing, a cause beside bodies' named in {laboratory}; of "
-        "{hidden} with an error of the laboratory {first} named it first, {false} a false one too; {flagged} of {all} "
-        "flagged",
     }
     return found, [said[kind].format(**figures) for kind, figures in found.items()]
+
+
+def _living(rows: Sequence[dict]) -> tuple[dict, list[str]]:
+    """Sessions in which skin slides: bodies' own effects are there, and right to be named."""
+    skin = [r for r in rows if r["kind"] == "skin"]
+    bare, hidden = ([r for r in skin if bool(r["names"]) == any_] for any_ in (False, True))
+    found = {
+        "sessions": len(bare), "laboratory": sum(_laboratory(r["named"]) for r in bare),
+        "hidden": len(hidden), "first": sum(r["first"] for r in hidden),
+        "false": sum(_laboratory(r["wrong"]) for r in hidden), "flagged": sum(bool(r["unexplained"]) for r in skin),
+    }  # fmt: skip
+    said = (
+        "living skin: {sessions} sessions that hide nothing, a cause beside bodies' named in {laboratory}; of {hidden} "
+        "with an error of the laboratory {first} named it first, {false} a false one too; {flagged} of all flagged"
+    )
+    return {"skin": found}, [said.format(**found)]
 
 
 def _laboratory(named: Sequence[list]) -> bool:

@@ -76,7 +76,7 @@ def simulate(out: Path, seed: int, effects: list[Entry], skin_m: float = 0.0) ->
         out: folder, made where it does not exist.
         seed: of the person, the motions, the laboratory and its noise.
         effects: dicts with ``effect``, ``where``, ``when`` and ``parameters``, as ``draw_effect`` makes them.
-        skin_m: how far skin slides under all markers [m], see ``skin``.
+        skin_m: how far skin slides under a thigh's markers [m], see ``skin``.
 
     Raises:
         KeyError: an effect that does not exist.

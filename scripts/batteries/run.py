@@ -89,10 +89,10 @@ def _quiet(arguments: argparse.Namespace, k: int, seed: int) -> Iterator[Job]:
     if k < arguments.own:
         yield Job("null", (), OWN, seed)
     if k < arguments.skin:
-        yield from (Job("skin", names, "medium", seed) for names in ((), _laboratory(seed)))
+        yield from (Job("skin", names, "medium", seed) for names in ((), _drawn(seed)))
 
 
-def _laboratory(seed: int) -> tuple[str]:
+def _drawn(seed: int) -> tuple[str]:
     return (str(np.random.default_rng(seed).choice([name for name in KNOWN if name not in BODILY])),)
 
 
@@ -143,7 +143,9 @@ def main() -> None:
     parser.add_argument("--own", type=int, default=0, help="the same, written by torchid's own simulator")
     parser.add_argument("--pairs", type=int, default=2, help="sessions with two effects, per level")
     parser.add_argument("--foreign", type=int, default=0, help="sessions per effect outside the catalogue and level")
-    parser.add_argument("--skin", type=int, default=0, help="sessions of living skin without effects, and with")
+    parser.add_argument(
+        "--skin", type=int, default=0, help="sessions of living skin without effects, and with one of any kind, medium"
+    )
     parser.add_argument("--first", type=int, default=int(time.time()) % 10**6, help="seed (default: the clock's)")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--keep", action="store_true", help="keep the sessions' folders")

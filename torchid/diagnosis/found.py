@@ -35,7 +35,7 @@ class Rival:
     explained: float
     """Half the whitened energy that it takes away, less what as many columns of no meaning would [nat]."""
     ordinary: float = 0.0
-    """Log evidence that nothing is there but what all places have some of, over that nothing is [nat]."""
+    """Log evidence of what all places have some of, over nothing; at least zero [nat]."""
 
     @property
     def score(self) -> float:

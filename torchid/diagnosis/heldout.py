@@ -15,7 +15,7 @@ from torchid.diagnosis.design import Candidate, Columns
 from torchid.diagnosis.evidence import Fitted, Sums, fit
 from torchid.diagnosis.found import Search, support, without
 from torchid.diagnosis.late import linearised
-from torchid.diagnosis.noise import rows_of, summed
+from torchid.diagnosis.noise import rows_of, summed, unforced
 from torchid.diagnosis.search import residual
 from torchid.diagnosis.verdict import Errors
 from torchid.diagnosis.watched import Watched
@@ -55,10 +55,10 @@ class HeldOut:
         if any(one.effect.late for one in found.chosen):
             self.columns = self._settled()
         rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
-        noise = found.noise.typical(len(heldout))
-        more, seen = (summed(rows, found.prior, found.design, own) for own in (noise, noise.deaf))
+        some = rows, found.prior, found.design, found.noise.typical(len(heldout))
+        more, cameras = summed(*some), unforced(*some)
         self.both = replace(found.sums, trials=(*found.sums.trials, *more.trials))
-        self.seen = replace(found.sums, trials=(*found.sums.trials, *seen.trials))
+        self.unforced = replace(found.sums, trials=(*found.sums.trials, *cameras.trials))
         self._known: dict[tuple[int, ...], tuple[Sums, ...]] = {}
 
     def judged(self, chosen: Sequence[Candidate]) -> Judged:
@@ -75,8 +75,8 @@ class HeldOut:
 
     def of_forces(self, chosen: Sequence[Candidate]) -> float:
         """Log density of the held-out forces after all that cameras saw there, and the fit trials."""
-        (_, whole, seen), some = self._without_anew(chosen)
-        return _over(whole, seen, some)
+        (_, whole, cameras), some = self._without_anew(chosen)
+        return _over(whole, cameras, some)
 
     def _without_anew(self, chosen: Sequence[Candidate]) -> tuple[tuple[Sums, ...], list[Candidate]]:
         """Sums of fit and of all trials, and of these without held-out forces, effects that are anew in every trial
@@ -86,7 +86,7 @@ class HeldOut:
         key = tuple(id(chosen[k]) for k in anew)
         if key not in self._known:
             some = [everywhere[k] for k in anew]
-            self._known[key] = tuple(eliminated(x, some)[0] for x in (self.found.sums, self.both, self.seen))
+            self._known[key] = tuple(eliminated(x, some)[0] for x in (self.found.sums, self.both, self.unforced))
         return self._known[key], [one for one in everywhere if not one.effect.anew]
 
     def acting(self) -> tuple[Candidate, ...]:
@@ -107,7 +107,7 @@ class HeldOut:
         """The effects that held-out motion does not refute, and the others with what it says for them [nat]."""
         kept, refuted = list(chosen), []
         while kept and self.trials:
-            says = [self._says(kept, one) for one in kept]
+            says = self._says(kept)
             margin = [x + math.sqrt(2.0 * self._promised(kept, one)) for x, one in zip(says, kept, strict=True)]
             worst = min(range(len(kept)), key=margin.__getitem__)
             if margin[worst] > -REFUTED:
@@ -115,14 +115,15 @@ class HeldOut:
             refuted.append((kept.pop(worst), says[worst]))
         return tuple(kept), tuple(refuted)
 
-    def _says(self, chosen: Sequence[Candidate], one: Candidate) -> float:
-        """What held-out motion says for one of them: of what acts on forces alone, its forces do.
+    def _says(self, chosen: Sequence[Candidate]) -> list[float]:
+        """What held-out motion says for each of them: of what acts on forces alone, its forces do.
 
         Geometry that a force had bent in the fit trials came back and was 31 nats better for held-out markers, while
         the force itself made held-out forces 32 nats worse.
         """
-        density = self.density if one.effect.kinematic else self.of_forces
-        return density(chosen) - density(without(chosen, one))
+        whole = {density: density(chosen) for density in (self.density, self.of_forces)}
+        own = [self.density if one.effect.kinematic else self.of_forces for one in chosen]
+        return [whole[density] - density(without(chosen, one)) for density, one in zip(own, chosen, strict=True)]
 
     def _promised(self, chosen: Sequence[Candidate], one: Candidate) -> float:
         """What fit trials make one expect of the held-out ones [nat]; nothing where the effect does not act there."""

@@ -1,6 +1,6 @@
 """Noise of forces and markers under a model, and the sums that it weighs."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -15,15 +15,13 @@ from torchid.diagnosis.evidence import Prior, Raw, Sums
 from torchid.diagnosis.expected import Expected
 from torchid.diagnosis.late import without_beyond
 from torchid.diagnosis.watched import Watched
+from torchid.regressor.equations import NormalEquations
 from torchid.regressor.whitening import Spectrum, Whitening, accumulate, column_spectra, estimate_whitening, spectra
 
 ROUNDS = 2
 """Estimates of the noise before any effect is chosen; one less afterwards."""
 COMMON = 60.0
 """Values of all trials that speak for the noise of each: a second of walking tells little of its own."""
-
-SILENT = 1e12
-"""Times its variance at which a force says nothing; 1e6 nats become 1e-6."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +37,6 @@ class Noise:
     def of(self, trial: int) -> Whitening:
         """Of the forces of one trial."""
         return Whitening(self.trials[trial] * self.forces.covariance)
-
-    @property
-    def deaf(self) -> "Noise":
-        """In which forces say nothing."""
-        return replace(self, trials=SILENT * self.trials)
 
     def typical(self, trials: int) -> "Noise":
         """Of trials that nobody has seen yet."""
@@ -122,41 +115,56 @@ def initial_noise(whitening: Whitening, trials: int) -> Noise:
 
 def summed(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -> Sums:
     """Forces and markers of every trial under their noise."""
-    found = [standardised(own, prior, design, noise, k) for k, own in enumerate(rows)]
-    constant = sum((constant for _, constant in found), start=0.0)
-    return Sums(design.base, design.shared, tuple(raw for raw, _ in found), constant)
+    return _together((standardised(own, prior, design, noise, k) for k, own in enumerate(rows)), design)
+
+
+def unforced(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -> Sums:
+    """Markers of every trial alone."""
+    seen = (replace(own, terms=replace(own.terms, idle=None)) for own in rows)
+    return _together((_without_rows(own, prior, design, noise) for own in seen), design)
+
+
+def _together(trials: Iterable[tuple[Raw, float]], design: Design) -> Sums:
+    raws, constants = zip(*trials, strict=True)
+    return Sums(design.base, design.shared, raws, sum(constants))
 
 
 def standardised(rows: Rows, prior: Prior, design: Design, noise: Noise, trial: int) -> tuple[Raw, float]:
     """Sums of one trial, and the log density of its rows but for what models of one noise differ in."""
     whitening = noise.of(trial)
     forces = accumulate(rows.forces, whitening)
-    gram, moment, square = forces.gram, forces.moment, forces.square
     if rows.terms.covariation is not None:
-        moment += torch.einsum("bij,bijc->c", torch.linalg.inv(whitening.covariance), rows.terms.covariation)
+        more = torch.einsum("bij,bijc->c", torch.linalg.inv(whitening.covariance), rows.terms.covariation)
+        forces = replace(forces, moment=forces.moment + more)
     volume = sum(whitening.log_determinant(block.band) for block in rows.forces)
-    _add_other(gram, rows.terms, design, noise)
-    if rows.terms.markers is not None:
-        weight, markers = noise.markers.reciprocal(), rows.terms.markers
-        moment[design.kinematic] += weight @ markers.moment
+    return _standard(forces, volume, rows.terms, prior, design, noise)
+
+
+def _without_rows(rows: Rows, prior: Prior, design: Design, noise: Noise) -> tuple[Raw, float]:
+    """Of one trial, its rows of forces left out."""
+    n = len(rows.terms.live)
+    none = NormalEquations(prior.mean.new_zeros(n, n), prior.mean.new_zeros(n), 0.0, 0)
+    return _standard(none, 0.0, rows.terms, prior, design, noise)
+
+
+def _standard(
+    forces: NormalEquations, volume: float, terms: Terms, prior: Prior, design: Design, noise: Noise
+) -> tuple[Raw, float]:
+    """With markers and idle plates; the Gram matrix and moment of the forces are used up."""
+    gram, moment, k, square = forces.gram, forces.moment, design.kinematic, forces.square
+    if terms.markers is not None:
+        weight, markers = noise.markers.reciprocal(), terms.markers
+        gram[k, k] += (weight @ markers.gram.flatten(1)).view_as(gram[k, k])
+        moment[k] += weight @ markers.moment
         square += float(weight @ markers.energy)
         volume += float(markers.count @ noise.markers.log())
-    if rows.terms.idle is not None:
-        moment[rows.terms.idle.columns] += rows.terms.idle.moment
-    live = rows.terms.live
-    mean = prior.mean[live]
-    away = square - 2.0 * float(moment @ mean) + float(mean @ gram @ mean)
-    return prior.standard(gram, moment, live), -0.5 * (away + volume)
-
-
-def _add_other(gram: Float[Tensor, "live live"], terms: Terms, design: Design, noise: Noise) -> None:
-    """To a Gram matrix of rows of forces, in place: those of markers and of plates on which nobody stands."""
-    if terms.markers is not None:
-        k = design.kinematic
-        gram[k, k] += (noise.markers.reciprocal() @ terms.markers.gram.flatten(1)).view_as(gram[k, k])
     if terms.idle is not None:
-        k = terms.idle.columns
-        gram[k[:, None], k] += terms.idle.gram
+        at = terms.idle.columns
+        gram[at[:, None], at] += terms.idle.gram
+        moment[at] += terms.idle.moment
+    mean = prior.mean[terms.live]
+    away = square - 2.0 * float(moment @ mean) + float(mean @ gram @ mean)
+    return prior.standard(gram, moment, terms.live), -0.5 * (away + volume)
 
 
 def estimate_noise(
@@ -183,7 +191,8 @@ def estimate_noise(
         posterior = list(told(sums, chosen))
         theta = [prior.theta(one.z(len(prior.mean))) for one in posterior]
         each = zip(posterior, rows, sums.trials, strict=True)
-        lost = [one.lost(raw) - one.lost(_told_otherwise(own, prior, design, noise)) for one, own, raw in each]
+        # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
+        lost = [one.lost(raw) - one.lost(_without_rows(own, prior, design, noise)[0]) for one, own, raw in each]
         each = zip(rows, theta, strict=True)
         left = [[_left(block, x[own.terms.live]) for block in own.forces] for own, x in each]
         trials = _relative(left, lost, rows, noise.forces)
@@ -191,15 +200,6 @@ def estimate_noise(
         forces = _at_least(estimate_whitening(scaled, sum(lost)), rows, trials)
         noise, sums = Noise(forces, _dispersion(rows, design, theta), trials), None
     return noise
-
-
-def _told_otherwise(rows: Rows, prior: Prior, design: Design, noise: Noise) -> Raw:
-    """Without forces: what markers determine takes nothing from these. Counted as lost, it made a short walk's noise
-    infinite."""
-    live = rows.terms.live
-    gram = prior.mean.new_zeros(len(live), len(live))
-    _add_other(gram, rows.terms, design, noise)
-    return prior.standard(gram, gram.new_zeros(len(live)), live)
 
 
 def _left(block: Spectrum, theta: Float[Tensor, " params"]) -> Spectrum:

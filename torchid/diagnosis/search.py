@@ -4,7 +4,6 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -13,12 +12,12 @@ from torch import Tensor
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
-from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, informed, make_prior
+from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
 from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced, support
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.late import linearised, without_beyond
 from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, narrowed, rows_of, summed
-from torchid.diagnosis.ordinary import ordinary
+from torchid.diagnosis.scan import scan_all
 from torchid.diagnosis.unexplained import structure
 from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect
@@ -32,8 +31,6 @@ NEWTON = 2
 """Steps by which effects that no column is linear in are found."""
 SECOND = 4
 """Effects that are tried under the noise that they would leave, at most."""
-OUT_OF_SIGHT = 10.0
-"""Nats behind the best at which nothing matters to it."""
 GROWN = 1.5
 """Times what it would have explained then that such an effect must explain to be tried once more."""
 LIKELY = 0.2
@@ -69,19 +66,20 @@ def search(
     noise = scan.noise(chosen, noise)
     sums = scan.sums(noise)
     while True:
-        some = open_candidates(scan.design, chosen, limit)
-        scanned, seen = _scanned(sums, some, chosen), None
+        some, looked, before = open_candidates(scan.design, chosen, limit), None, (noise, sums)
+        scanned = scan_all(sums, some, chosen)
         if look := scan.closer(noise, sums, chosen, scanned.rivals):
-            noise, seen = look
+            noise, looked = look
             sums = scan.sums(noise)
-            scanned = _scanned(sums, some, chosen)
+            scanned = scan_all(sums, some, chosen)
         rounds.append(found := scanned.round)
         best = found.named
         if best is None:
+            noise, sums = before
             break
         log.info("%s at %s gains %.1f nats", best.candidate.effect.name, best.candidate.place.where, best.score)
         chosen.append(best.candidate)
-        scan, noise, sums = scan.took(noise, sums, chosen, seen)
+        scan, noise, sums = scan.took(noise, sums, chosen, looked)
         scan, sums, chosen = scan.opened(sums, chosen)
     return _pruned(reduced(scan.design, scan.prior, noise, chosen, rounds, sums))
 
@@ -118,7 +116,7 @@ class _Scan:
         return summed(self.rows, self.prior, self.design, noise)
 
     def took(
-        self, noise: Noise, sums: Sums, chosen: list[Candidate], seen: Candidate | None
+        self, noise: Noise, sums: Sums, chosen: list[Candidate], looked: Candidate | None
     ) -> tuple["_Scan", Noise, Sums]:
         """After the last effect was chosen; the noise may be that which one effect leaves already."""
         effect = chosen[-1].effect
@@ -126,7 +124,7 @@ class _Scan:
             noise, scan = self.settled(noise, chosen)
         elif effect.timed and not effect.kinematic:
             scan, chosen[-1] = self.timed(noise, sums, chosen)
-        elif chosen[-1] is seen:
+        elif chosen[-1] is looked:
             return self, noise, sums
         else:
             noise = self.noise(chosen, noise, sums)
@@ -179,24 +177,22 @@ class _Scan:
         for one in _likely(rivals) if rest.significant else ():
             key = one.candidate.effect.name, id(one.candidate.place)
             if one.explained > GROWN * self.silent.get(key, 0.0):
-                look = self._look(noise, sums, one.candidate, chosen)
+                look = self._look(noise, sums, one, chosen)
                 if look is None:
                     self.silent[key] = one.explained
                 else:
                     looks.append((*look, one.candidate))
         return max(looks, key=lambda look: look[0])[1:] if looks else None
 
-    def _look(
-        self, noise: Noise, sums: Sums, one: Candidate, chosen: Sequence[Candidate]
-    ) -> tuple[float, Noise] | None:
+    def _look(self, noise: Noise, sums: Sums, rival: Rival, chosen: Sequence[Candidate]) -> tuple[float, Noise] | None:
         """Log evidence with one more effect under the noise that it leaves; None where this place of it has no support
         there."""
-        some = [*chosen, one]
+        some = [*chosen, rival.candidate]
         rows, prior, design, own = narrowed(self.rows, self.prior, self.design, some)
         other = estimate_noise(rows, prior, design, own, noise, sums.only(self.design, some))
         sums, base = eliminated(summed(rows, prior, design, other), own[:-1])
         fitted = fit(sums, base)
-        gain = float(gains(sums, fitted, own[-1:])[0]) + math.log(one.odds)
+        gain = float(gains(sums, fitted, own[-1:])[0]) + math.log(rival.candidate.odds) - rival.ordinary
         return None if gain < NAMED else (fitted.log_evidence + gain + sums.constant, other)
 
 
@@ -226,9 +222,9 @@ def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> 
 
 
 def _leaves(one: Candidate, other: Candidate) -> bool:
-    """Whether the other is what one looks like once it is taken off."""
-    near = set(one.place.where) & set(other.place.where) and one.trials & other.trials
-    return other.effect.name in one.effect.traces and bool(near)
+    """Whether the other resembles what remains of one after it is taken out."""
+    near = other.trials <= one.trials and not set(one.place.where).isdisjoint(other.place.where)
+    return near and other.effect.name in one.effect.traces
 
 
 def _kind(effect: Effect) -> tuple[bool, bool]:
@@ -244,75 +240,6 @@ def _likely(rivals: Sequence[Rival]) -> list[Rival]:
             best[name] = one
     order = sorted(best.values(), key=lambda one: -one.explained)[:SECOND]
     return [one for one in order if one.explained > LIKELY * order[0].explained]
-
-
-@dataclass(frozen=True)
-class _Scanned:
-    """Candidates as all trials together speak for them, and what against."""
-
-    sums: Sums
-    chosen: Sequence[Candidate]
-    """But for effects that are anew in every trial, which are integrated out of the sums."""
-    rivals: list[Rival]
-
-    @cached_property
-    def round(self) -> Round:
-        """With each trial's consent, best first."""
-        rivals = _consented(self.sums, self.chosen, self.rivals) if len(self.sums.all) > 1 else list(self.rivals)
-        rivals.sort(key=lambda rival: -rival.weighed)
-        names = dict.fromkeys(one.candidate.effect.name for one in self.rivals)
-        families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
-        return Round(tuple(rivals), families)
-
-
-def _scanned(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> _Scanned:
-    sums, chosen = eliminated(sums, chosen)
-    fitted = fit(sums, chosen)
-    gain, energy = (x.tolist() for x in gains(sums, fitted, left))
-    each = zip(left, gain, energy, _ordinary(sums, fitted, left), strict=True)
-    return _Scanned(sums, chosen, [Rival(c, g, g, e - 0.5 * c.size, usual) for c, g, e, usual in each])
-
-
-def _ordinary(sums: Sums, fitted: Fitted, left: Sequence[Candidate]) -> list[float]:
-    """See ``Rival``; the places of an effect tell of each other."""
-    found = [0.0] * len(left)
-    for name in dict.fromkeys(c.effect.name for c in left if c.effect.strewn):
-        which = [k for k, c in enumerate(left) if c.effect.name == name]
-        seen = list(informed(sums, fitted, [left[k] for k in which]))
-        usual = ordinary(torch.cat([told for _, told, _ in seen]), torch.cat([moment for _, _, moment in seen]))
-        for k, x in zip((which[k] for rows, _, _ in seen for k in rows), usual.tolist(), strict=True):
-            found[k] = x
-    return found
-
-
-def _consented(sums: Sums, chosen: Sequence[Candidate], rivals: Sequence[Rival]) -> list[Rival]:
-    """With the consent of each trial to those that may come out best, or near."""
-    base = [fit(sums, chosen, sums.all - {k}) for k in sums.all]
-    asked, best = [], -math.inf
-    # What all trials together do not support needs no consent of each.
-    silent, waiting = [r for r in rivals if r.evidence <= 0.0], [r for r in rivals if r.evidence > 0.0]
-    while waiting and (top := max(r.weighed for r in waiting)) > best - OUT_OF_SIGHT:
-        fresh = [r for r in waiting if r.weighed >= top - OUT_OF_SIGHT]
-        waiting = [r for r in waiting if r.weighed < top - OUT_OF_SIGHT]
-        crossed = _crossed(sums, base, fresh).tolist()
-        asked += [replace(r, crossed=x) for r, x in zip(fresh, crossed, strict=True)]
-        best = max(r.weighed for r in asked)
-    return asked + waiting + silent
-
-
-def _crossed(sums: Sums, base: Sequence[Fitted], some: Sequence[Rival]) -> Float[Tensor, " some"]:
-    """Log evidence that candidates add to what each trial says after the others, summed over the trials.
-
-    By the chain rule, that of a trial is the evidence of all less that of the others, to which ``base`` was fitted.
-    """
-    candidates = [r.candidate for r in some]
-    whole = torch.tensor([r.evidence for r in some]).to(sums.trials[0].moment)
-    return sum((whole - gains(sums, without, candidates)[0] for without in base), start=torch.zeros_like(whole))
-
-
-def _mean(rivals: Sequence[Rival]) -> float:
-    """Log of the mean of exponentials, places weighed by their odds."""
-    return float(torch.logsumexp(torch.tensor([r.weighed for r in rivals], dtype=torch.float64), 0))
 
 
 def _pruned(found: Search) -> Search:

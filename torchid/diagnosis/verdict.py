@@ -78,7 +78,7 @@ class Refuted:
     effect: str
     where: tuple[str, ...]
     heldout_log_likelihood: float
-    """What it gained there, negative."""
+    """What it gained there, negative; where it acts on forces alone, that of the forces after what cameras saw."""
 
 
 @dataclass(frozen=True)

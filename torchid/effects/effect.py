@@ -86,9 +86,10 @@ class Effect(ABC):
     timed: ClassVar[bool] = False
     """It comes and goes: its places need intervals."""
     strewn: ClassVar[bool] = False
-    """Living bodies do some of it at every place: what is named must stand out from the others."""
+    """Living bodies do some of it at every place: what is named must stand out from the others. All its places have
+    equally many parameters."""
     traces: ClassVar[tuple[str, ...]] = ()
-    """Effects whose looks it leaves behind, in the same trials and at the same places."""
+    """Names of effects that its remainder resembles, in its trials and at its places."""
     whole: ClassVar[bool] = False
     """Its one parameter is one, or it is not there."""
 

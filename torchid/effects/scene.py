@@ -36,8 +36,10 @@ class Scene:
     phi: Float[Tensor, "bodies 10"]
     recorded_kg: float = float("nan")
     """Mass of the body before any force was seen."""
-    known: dict[tuple[str, tuple[float, ...]], Point] = field(default_factory=dict, init=False, repr=False)
-    """Points that were asked for: a catalogue asks for the same few thousands of times."""
+    _points: dict[tuple[str, tuple[float, ...]], Point] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    """Those that were asked for: a catalogue asks for the same few thousands of times."""
 
     @property
     def rate(self) -> float:
@@ -54,11 +56,11 @@ class Scene:
         return own[1:4] / own[0]
 
     def point(self, segment: str, p_BM_B: Float[Tensor, " 3"]) -> Point:
-        """Place, velocity and acceleration of a point that a body carries."""
+        """Place, velocity and acceleration of a point that a body carries; no gradient passes to ``p_BM_B``."""
         key = segment, tuple(p_BM_B.tolist())
-        if key not in self.known:
-            self.known[key] = self._point(segment, p_BM_B)
-        return self.known[key]
+        if key not in self._points:
+            self._points[key] = self._point(segment, p_BM_B)
+        return self._points[key]
 
     def _point(self, segment: str, p_BM_B: Float[Tensor, " 3"]) -> Point:
         k, motion = self.at(segment), self.state.motion

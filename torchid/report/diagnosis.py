@@ -47,7 +47,6 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
     return Section("diagnosis", "What the model gets wrong", _finding(outcome, found), tuple(blocks))
 
 
-ENORMOUS = 1e6
 EXTENDED = (
     "Every other figure of this page is of the extended model: the named causes are taken out of the recordings (or, "
     "as a load, kept apart from the body), then inertia, and geometry where markers are concerned, are fitted again. "
@@ -73,7 +72,7 @@ def _refuted(found: Diagnosis) -> list[str]:
 
 def _times(nats: float) -> str:
     """Of a likelihood ratio, as one reads it."""
-    return f"{number(math.exp(nats), 0)} times" if nats < math.log(ENORMOUS) else "more than a million times"
+    return f"{number(math.exp(nats), 0)} times" if nats < math.log(1e6) else "more than a million times"
 
 
 def _nearest(found: Diagnosis) -> list[str]:

@@ -1,0 +1,95 @@
+"""One scan of the catalogue: what each candidate would add, with the consent of every trial."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.diagnosis.anew import eliminated
+from torchid.diagnosis.design import Candidate
+from torchid.diagnosis.evidence import Fitted, Sums, fit, gains, informed
+from torchid.diagnosis.found import Rival, Round
+from torchid.diagnosis.ordinary import ordinary
+
+OUT_OF_SIGHT = 10.0
+"""Nats behind the best at which nothing matters to it."""
+
+
+@dataclass(frozen=True)
+class Scanned:
+    """Candidates as all trials together speak for them, and what against."""
+
+    sums: Sums
+    chosen: Sequence[Candidate]
+    """But for effects that are anew in every trial, which are integrated out of the sums."""
+    rivals: tuple[Rival, ...]
+
+    @cached_property
+    def round(self) -> Round:
+        """With each trial's consent, best first."""
+        rivals = self.rivals if len(self.sums.all) == 1 else _consented(self.sums, self.chosen, self.rivals)
+        rivals = sorted(rivals, key=lambda rival: -rival.weighed)
+        names = dict.fromkeys(one.candidate.effect.name for one in self.rivals)
+        families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
+        return Round(tuple(rivals), families)
+
+
+def scan_all(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> Scanned:
+    """Candidates beside the chosen ones.
+
+    Args:
+        sums: of all trials, of a design that has the columns of both.
+        left: candidates.
+        chosen: effects that the model has.
+    """
+    sums, chosen = eliminated(sums, chosen)
+    fitted = fit(sums, chosen)
+    gain, energy = (x.tolist() for x in gains(sums, fitted, left))
+    each = zip(left, gain, energy, _ordinary(sums, fitted, left), strict=True)
+    return Scanned(sums, chosen, tuple(Rival(c, g, g, e - 0.5 * c.size, usual) for c, g, e, usual in each))
+
+
+def _ordinary(sums: Sums, fitted: Fitted, left: Sequence[Candidate]) -> list[float]:
+    """See ``Rival``; the places of an effect tell of each other."""
+    found = [0.0] * len(left)
+    for name in dict.fromkeys(c.effect.name for c in left if c.effect.strewn):
+        which = [k for k, c in enumerate(left) if c.effect.name == name]
+        seen = list(informed(sums, fitted, [left[k] for k in which]))
+        usual = ordinary(torch.cat([told for _, told, _ in seen]), torch.cat([moment for _, _, moment in seen]))
+        for k, x in zip((which[k] for rows, _, _ in seen for k in rows), usual.tolist(), strict=True):
+            found[k] = x
+    return found
+
+
+def _consented(sums: Sums, chosen: Sequence[Candidate], rivals: Sequence[Rival]) -> list[Rival]:
+    """With the consent of each trial to those that may come out best, or near."""
+    base = [fit(sums, chosen, sums.all - {k}) for k in sums.all]
+    asked, best = [], -math.inf
+    # What all trials together do not support needs no consent of each.
+    silent, waiting = [r for r in rivals if r.evidence <= 0.0], [r for r in rivals if r.evidence > 0.0]
+    while waiting and (top := max(r.weighed for r in waiting)) > best - OUT_OF_SIGHT:
+        fresh = [r for r in waiting if r.weighed >= top - OUT_OF_SIGHT]
+        waiting = [r for r in waiting if r.weighed < top - OUT_OF_SIGHT]
+        crossed = _crossed(sums, base, fresh).tolist()
+        asked += [replace(r, crossed=x) for r, x in zip(fresh, crossed, strict=True)]
+        best = max(r.weighed for r in asked)
+    return asked + waiting + silent
+
+
+def _crossed(sums: Sums, base: Sequence[Fitted], some: Sequence[Rival]) -> Float[Tensor, " some"]:
+    """Log evidence that candidates add to what each trial says after the others, summed over the trials.
+
+    By the chain rule, that of a trial is the evidence of all less that of the others, to which ``base`` was fitted.
+    """
+    candidates = [r.candidate for r in some]
+    whole = torch.tensor([r.evidence for r in some]).to(sums.trials[0].moment)
+    return sum((whole - gains(sums, without, candidates)[0] for without in base), start=torch.zeros_like(whole))
+
+
+def _mean(rivals: Sequence[Rival]) -> float:
+    """Log of the mean of exponentials, places weighed by their odds."""
+    return float(torch.logsumexp(torch.tensor([r.weighed for r in rivals], dtype=torch.float64), 0))
