@@ -15,7 +15,7 @@ from torchid.diagnosis.design import Candidate, Columns
 from torchid.diagnosis.evidence import Fitted, Sums, fit
 from torchid.diagnosis.found import Search, support, without
 from torchid.diagnosis.late import linearised
-from torchid.diagnosis.noise import rows_of, summed, unforced
+from torchid.diagnosis.noise import rows_of, summed, unforced, unseen_noise
 from torchid.diagnosis.search import residual
 from torchid.diagnosis.verdict import Errors
 from torchid.diagnosis.watched import Watched
@@ -55,11 +55,17 @@ class HeldOut:
         if any(one.effect.late for one in found.chosen):
             self.columns = self._settled()
         rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
-        some = rows, found.prior, found.design, found.noise.typical(len(heldout))
-        more, cameras = summed(*some), unforced(*some)
-        self.both = replace(found.sums, trials=(*found.sums.trials, *more.trials))
-        self.unforced = replace(found.sums, trials=(*found.sums.trials, *cameras.trials))
+        noise = found.noise.typical(len(heldout))
+        if heldout:
+            typical = self._beside(summed(rows, found.prior, found.design, noise))
+            everywhere = self._everywhere(found.chosen)
+            noise = unseen_noise(rows, found.prior, found.design, everywhere, noise, typical)
+        self.both = self._beside(summed(rows, found.prior, found.design, noise))
+        self.unforced = self._beside(unforced(rows, found.prior, found.design, noise))
         self._known: dict[tuple[int, ...], tuple[Sums, ...]] = {}
+
+    def _beside(self, more: Sums) -> Sums:
+        return replace(self.found.sums, trials=(*self.found.sums.trials, *more.trials))
 
     def judged(self, chosen: Sequence[Candidate]) -> Judged:
         """Held-out residual and density under a model with these effects."""

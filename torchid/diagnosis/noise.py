@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.anew import told
+from torchid.diagnosis.anew import Told, told
 from torchid.diagnosis.belief import Belief
 from torchid.diagnosis.cameras import BANDS
 from torchid.diagnosis.design import Candidate, Columns, Design, Terms, narrower, positions
@@ -188,18 +188,44 @@ def estimate_noise(
     noise = start
     for _ in range(ROUNDS - bool(chosen)):
         sums = sums or summed(rows, prior, design, noise)
-        posterior = list(told(sums, chosen))
-        theta = [prior.theta(one.z(len(prior.mean))) for one in posterior]
-        each = zip(posterior, rows, sums.trials, strict=True)
-        # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
-        lost = [one.lost(raw) - one.lost(_without_rows(own, prior, design, noise)[0]) for one, own, raw in each]
-        each = zip(rows, theta, strict=True)
-        left = [[_left(block, x[own.terms.live]) for block in own.forces] for own, x in each]
+        theta, left, lost = _left_by(list(told(sums, chosen)), rows, sums.trials, prior, design, noise)
         trials = _relative(left, lost, rows, noise.forces)
         scaled = [(_scaled(b, s.rsqrt()), s[:0]) for some, s in zip(left, trials[:, None], strict=True) for b in some]
         forces = _at_least(estimate_whitening(scaled, sum(lost)), rows, trials)
         noise, sums = Noise(forces, _dispersion(rows, design, theta), trials), None
     return noise
+
+
+def unseen_noise(
+    rows: Sequence[Rows], prior: Prior, design: Design, chosen: Sequence[Candidate], noise: Noise, sums: Sums
+) -> Noise:
+    """Of trials that the noise was not estimated on: each is as loud as the model leaves it.
+
+    A held-out landing at the noise of squats would speak for or against anything.
+
+    Args:
+        rows: of these trials.
+        prior: of all columns.
+        design: of the chosen effects alone.
+        chosen: effects.
+        noise: of the trials before them, under which ``sums`` are; it gives these a loudness of one.
+        sums: of other trials, and of these behind them.
+    """
+    n = len(rows)
+    _, left, lost = _left_by(list(told(sums, chosen))[-n:], rows, sums.trials[-n:], prior, design, noise)
+    return replace(noise, trials=_loudness(left, lost, rows, noise.forces)[0].exp())
+
+
+def _left_by(
+    posterior: Sequence[Told], rows: Sequence[Rows], raws: Sequence[Raw], prior: Prior, design: Design, noise: Noise
+) -> tuple[list[Tensor], list[list[Spectrum]], list[float]]:
+    """Parameters of each trial, what they leave of its forces, and how many degrees of freedom those gave them."""
+    theta = [prior.theta(one.z(len(prior.mean))) for one in posterior]
+    each = zip(posterior, rows, raws, strict=True)
+    # What markers determine takes nothing from the forces: counted as lost, it made a short walk's noise infinite.
+    lost = [one.lost(raw) - one.lost(_without_rows(own, prior, design, noise)[0]) for one, own, raw in each]
+    left = [[_left(b, x[own.terms.live]) for b in own.forces] for own, x in zip(rows, theta, strict=True)]
+    return theta, left, lost
 
 
 def _left(block: Spectrum, theta: Float[Tensor, " params"]) -> Spectrum:
@@ -214,7 +240,15 @@ def _scaled(block: Spectrum, by: Tensor) -> Spectrum:
 def _relative(
     left: Sequence[Sequence[Spectrum]], lost: Sequence[float], rows: Sequence[Rows], forces: Whitening
 ) -> Float[Tensor, " trials"]:
-    """Variance of each trial against ``forces``, one in their middle, drawn to what they have in common.
+    """Loudness of each trial, one in their middle."""
+    found, free = _loudness(left, lost, rows, forces)
+    return torch.exp(found - (free * found).sum() / free.sum())
+
+
+def _loudness(
+    left: Sequence[Sequence[Spectrum]], lost: Sequence[float], rows: Sequence[Rows], forces: Whitening
+) -> tuple[Float[Tensor, " trials"], Float[Tensor, " trials"]]:
+    """Logarithm of each trial's variance against ``forces``, drawn to what they have in common, and what it rests on.
 
     Args:
         left: residuals, means included.
@@ -233,8 +267,7 @@ def _relative(
     free = (free - free.new_tensor(lost)).clamp(min=1.0)
     # By their logarithms: a landing's ten thousandfold energy must not stand for half of what a walk leaves.
     own = torch.maximum(energy / free, least).clamp(min=1e-12).log()
-    found = torch.lerp(own, (free * own).sum() / free.sum(), COMMON / (free + COMMON))
-    return torch.exp(found - (free * found).sum() / free.sum())
+    return torch.lerp(own, (free * own).sum() / free.sum(), COMMON / (free + COMMON)), free
 
 
 def _expected(rows: Rows, forces: Whitening, free: Float[Tensor, ""]) -> Float[Tensor, ""]:
