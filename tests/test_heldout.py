@@ -10,6 +10,7 @@ from torchid.diagnosis.evidence import Prior, Sums, fit
 from torchid.diagnosis.found import Search
 from torchid.diagnosis.heldout import REFUTED, HeldOut
 from torchid.diagnosis.noise import initial_noise
+from torchid.diagnosis.search import open_candidates
 from torchid.diagnosis.verdict import Alternative, Cause
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Interval, Place
@@ -64,3 +65,20 @@ def test_what_lasts_lasts_all_of_a_recording():
         assert planted is not None and planted.place.when is not None
         assert [(w.t0, w.t1) for w in planted.place.when] == [shown]
         assert cause.on("run") is None
+
+
+def test_a_swap_leaves_no_moved_markers():
+    """Its remainder in its own trial; what lasts beyond that is another thing."""
+    when = {k: Interval(k, 0.0, 1.0) for k in ("a", "b")}
+    source = Source(effect("marker_shift"), Place(("LASI",)), slice(0, 3), (0.0,) * 3, (1.0,) * 3)
+
+    def made(name: str, where: tuple[str, ...], trials: str) -> Candidate:
+        place = Place(where, tuple(when[k] for k in trials))
+        return Candidate(effect(name), place, source, frozenset("ab".index(k) for k in trials))
+
+    swap = made("marker_swap", ("LASI", "LPSI"), "a")
+    there, beyond = made("marker_shift", ("LASI",), "a"), made("marker_shift", ("LASI",), "ab")
+    other = made("marker_shift", ("LKNE",), "a")
+    design = Design(1, 1, (), (swap, there, beyond, other), ())
+    assert open_candidates(design, [swap], 3) == [beyond, other]
+    assert open_candidates(design, [other], 3) == [swap, there, beyond]

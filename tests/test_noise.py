@@ -1,5 +1,7 @@
 """Markers' noise in columns: what is believed of them, and what other draws would do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import small_session as small
@@ -10,7 +12,7 @@ from torchid.diagnosis.belief import belief
 from torchid.diagnosis.cameras import Cameras, _usual
 from torchid.diagnosis.design import Design, Terms
 from torchid.diagnosis.evidence import Prior
-from torchid.diagnosis.noise import Rows, estimate_noise, initial_noise
+from torchid.diagnosis.noise import Rows, estimate_noise, initial_noise, summed, unforced, unseen_noise
 from torchid.diagnosis.shaken import regressor, shaken
 from torchid.dynamics import wrench_about
 from torchid.effects.scene import make_scene
@@ -118,3 +120,39 @@ def test_every_trial_has_its_own_noise():
     for k, size in enumerate(sizes):
         own = torch.diagonal(noise.of(k).covariance, dim1=1, dim2=2)
         assert float(own.mean().sqrt()) == pytest.approx(size, rel=0.1)
+
+
+def _plain(sizes: tuple[float, ...]) -> tuple[list[Rows], Prior, Design]:
+    """Trials of one parameter beside noise of these sizes."""
+    generator, kept, found = torch.Generator().manual_seed(small.SEED % 2**31), 96, []
+    for size in sizes:
+        Y = torch.randn(6, 1, kept, generator=generator, dtype=torch.float64)
+        F = Y[:, 0] + size * torch.randn(6, kept, generator=generator, dtype=torch.float64)
+        found.append(Rows((Spectrum(Y, F, frequencies(2 * kept, kept, 20.0)),), Terms(torch.arange(1), None)))
+    one = torch.ones(1).double()
+    return found, Prior(0.0 * one, one[None], one[:0]), Design(1, 1, (), (), ())
+
+
+def test_sums_at_hand_change_no_noise():
+    """They only save their making."""
+    trials, prior, design = _plain((1.0, 3.0))
+    start = initial_noise(initial_whitening(torch.ones(1).double()), 2)
+    one, other = (
+        estimate_noise(trials, prior, design, (), start, sums) for sums in (None, summed(trials, prior, design, start))
+    )
+    assert_close(one.forces.covariance, other.forces.covariance)
+    assert_close(one.trials, other.trials)
+
+
+def test_unseen_trials_are_as_loud_as_they_are():
+    """A held-out trial of five times the noise counts a twenty-fifth, and cameras alone hear none of it."""
+    trials, prior, design = _plain((1.0, 1.0, 5.0, 1.0))
+    noise = estimate_noise(trials[:2], prior, design, (), initial_noise(initial_whitening(torch.ones(1).double()), 2))
+    late = noise.typical(2)
+    whole = summed(trials[:2], prior, design, noise)
+    both = replace(whole, trials=(*whole.trials, *summed(trials[2:], prior, design, late).trials))
+    found = unseen_noise(trials[2:], prior, design, (), late, both)
+    assert 15.0 < float(found.trials[0]) < 40.0
+    assert 0.5 < float(found.trials[1]) < 2.0
+    silent = unforced(trials[2:], prior, design, found)
+    assert all(not raw.gram.any() and not raw.moment.any() for raw in silent.trials)

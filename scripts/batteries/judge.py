@@ -96,7 +96,7 @@ def tables(rows: Sequence[dict]) -> dict:
         lines.append(_line("all", own))
         figures[level] = {"sessions": len(own), "first": _share(own, "first"), "sizes": _sizes(own)}
     stiff = [r for r in good if r["kind"] != "skin"]
-    for part in (_silent(good), _living(good), _calibrated(stiff), _gained(stiff)):
+    for part in (_silent(good), _several(good), _living(good), _calibrated(stiff), _gained(stiff)):
         figures |= part[0]
         lines += part[1]
     lines.append(f"failed: {len(rows) - len(good)}")
@@ -104,25 +104,37 @@ def tables(rows: Sequence[dict]) -> dict:
 
 
 def _silent(rows: Sequence[dict]) -> tuple[dict, list[str]]:
-    """Sessions that hide nothing, two effects, or what no catalogue has."""
-    nulls, doubles, foreign = ([r for r in rows if r["kind"] == kind] for kind in ("null", "double", "foreign"))
-    loud = [r for r in nulls if _laboratory(r["named"])]
+    """Sessions that hide nothing."""
+    nulls = [r for r in rows if r["kind"] == "null"]
     best = max((score for r in nulls for _, _, score in r.get("nearest", ())), default=None)
     found = {
-        "null": {"sessions": len(nulls), "named": sum(bool(r["named"]) for r in nulls), "laboratory": len(loud),
-                 "flagged": sum(bool(r["unexplained"]) for r in nulls), "best_nats": best},
-        "double": {"sessions": len(doubles), "both": sum(all(r["found"]) for r in doubles),
-                   "one": sum(any(r["found"]) for r in doubles)},
-        "foreign": {"sessions": len(foreign), "flagged": sum(bool(r["unexplained"]) for r in foreign),
-                    "fooled": sum(_fooled(r) for r in foreign)},
+        "sessions": len(nulls), "named": sum(bool(r["named"]) for r in nulls),
+        "laboratory": sum(_laboratory(r["named"]) for r in nulls),
+        "flagged": sum(bool(r["unexplained"]) for r in nulls), "best_nats": best,
     }  # fmt: skip
-    said = {
-        "null": "\nnothing hidden: {sessions} sessions, {named} with a cause named, {laboratory} beside bodies', "
-        "{flagged} flagged; best score of what was not named: {best_nats} nats",
-        "double": "two hidden: {sessions} sessions, both named in {both}, at least one in {one}",
-        "foreign": "outside the catalogue: {sessions} sessions, {flagged} flagged, {fooled} wrongly named without one",
-    }
-    return found, [said[kind].format(**figures) for kind, figures in found.items()]
+    said = (
+        "\nnothing hidden: {sessions} sessions, {named} with a cause named, {laboratory} beside bodies', "
+        "{flagged} flagged; best score of what was not named: {best_nats} nats"
+    )
+    return {"null": found}, [said.format(**found)]
+
+
+def _several(rows: Sequence[dict]) -> tuple[dict, list[str]]:
+    """Two effects, or what no catalogue has, level by level."""
+    found: dict[str, dict] = {"double": {}, "foreign": {}}
+    lines = []
+    for level in sorted({r["level"] for r in rows if r["kind"] in found}):
+        doubles, foreign = ([r for r in rows if r["kind"] == kind and r["level"] == level] for kind in found)
+        both = {"sessions": len(doubles), "both": sum(all(r["found"]) for r in doubles),
+                "one": sum(any(r["found"]) for r in doubles)}  # fmt: skip
+        unknown = {"sessions": len(foreign), "flagged": sum(bool(r["unexplained"]) for r in foreign),
+                   "fooled": sum(_fooled(r) for r in foreign)}  # fmt: skip
+        found["double"][level], found["foreign"][level] = both, unknown
+        text = "two hidden, {}: {sessions} sessions, both named in {both}, at least one in {one}"
+        lines.append(text.format(level, **both))
+        text = "outside the catalogue, {}: {sessions} sessions, {flagged} flagged, {fooled} wrongly named without one"
+        lines.append(text.format(level, **unknown))
+    return found, lines
 
 
 def _living(rows: Sequence[dict]) -> tuple[dict, list[str]]:

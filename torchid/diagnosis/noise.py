@@ -125,8 +125,8 @@ def unforced(rows: Sequence[Rows], prior: Prior, design: Design, noise: Noise) -
 
 
 def _together(trials: Iterable[tuple[Raw, float]], design: Design) -> Sums:
-    raws, constants = zip(*trials, strict=True)
-    return Sums(design.base, design.shared, raws, sum(constants))
+    found = list(trials)
+    return Sums(design.base, design.shared, tuple(raw for raw, _ in found), sum((c for _, c in found), start=0.0))
 
 
 def standardised(rows: Rows, prior: Prior, design: Design, noise: Noise, trial: int) -> tuple[Raw, float]:
