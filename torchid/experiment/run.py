@@ -1,7 +1,7 @@
 """The sequence: read, geometry, motion, inertia, inverse dynamics, files, report."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
@@ -37,6 +37,9 @@ log = logging.getLogger(__name__)
 Progress = Callable[[str, float], None]
 UNFILTERED_HZ = 20.0
 """What stands for no filter in the table of contributions: above it nothing of a person's motion is left."""
+
+WORSE = 1.2
+"""Times the held-out force error of the model without them that named causes may leave before the results warn."""
 
 UNSEEN = 0.35
 """Share of the mass on bodies without markers above which inertia is not identified. Head, hands and abdomen together
@@ -145,7 +148,19 @@ def extend_outcome(base: Outcome, folder: OutputFolder, key: str, progress: Prog
     )
     identified = folder.stage("inertia_extended", key, lambda: _identify(config, outcome, progress))
     outcome = replace(outcome, identified=identified, config=base.config)
-    return replace(outcome, residuals=(*base.residuals, *_residuals(outcome, "+ named causes")))
+    more = _residuals(outcome, "+ named causes")
+    notes = (*outcome.notes, *_worse_notes(base.residuals, more))
+    return replace(outcome, residuals=(*base.residuals, *more), notes=notes)
+
+
+def _worse_notes(base: Sequence[Residual], extended: Sequence[Residual]) -> list[Note]:
+    """An extension that held-out motion does not bear out is said to be none."""
+    before, after = ([row.force_rmse_N for row in rows if row.role == "heldout"] for rows in (base, extended))
+    if not before or not after or not after[-1] > WORSE * before[-1]:
+        return []
+    said = f"with the named causes, held-out forces are off by {after[-1]:.1f} N, without them by {before[-1]:.1f} N"
+    advice = "do not use the extended model: exclude causes (diagnosis.exclude) or set diagnosis.enabled: false"
+    return [Note("diagnosis.worse", f"{said}; {advice}")]
 
 
 def _residuals(outcome: Outcome, label: str) -> list[Residual]:
