@@ -10,11 +10,15 @@ from torch.testing import assert_close
 
 from torchid.errors import DataError
 from torchid.geometry import bridge, tracking
+from torchid.geometry import start as start_module
 from torchid.geometry.fit import fit_geometry
 from torchid.geometry.fitted import parameters
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.placing import start_fit
+from torchid.geometry.start import settle
 from torchid.geometry.tracking import modelled, track
+from torchid.geometry.trials import posture_prior, settled, trial_problem
+from torchid.geometry.turned import turned_back
 from torchid.kinematics.chain import chain_poses
 from torchid.recording import Markers
 
@@ -142,6 +146,38 @@ def test_a_course_is_not_drawn_where_seen_markers_would_pay(monkeypatch):
 
     monkeypatch.setattr(bridge, "smooth_course", astray)
     assert_close(track(fit, some).q, track(fit, some, bridge=False).q)
+
+
+def beyond_limits(fit, q: torch.Tensor) -> torch.Tensor:
+    """The same poses (dofs, frames), shoulders and hips by the triples of angles that no joint can take."""
+    far = q.clone()
+    for body in fit.model.tree.bodies:
+        rows = [turn.row for turn in body.turns if turn.moving]
+        if len(rows) == 3:
+            far[rows] = torch.stack([q[rows[0]] - torch.pi, torch.pi - q[rows[1]], q[rows[2]] + torch.pi])
+    return far
+
+
+def test_joints_beyond_their_limits_are_turned_back_without_moving_a_marker():
+    """Angles change, poses do not; and nothing is left to turn."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    q, posture = track(fit, held).q.T, posture_prior(fit)
+    far = beyond_limits(fit, q)
+    back = turned_back(fit.model.tree, posture, far)
+    assert float((far - q).abs().amax()) > 3.0
+    assert_close(back, q, atol=1e-12, rtol=0)
+    assert_close(modelled(fit, far.T), modelled(fit, back.T), atol=1e-12, rtol=0)
+
+
+def test_a_trial_that_starts_beyond_its_limits_is_followed(monkeypatch):
+    """All frames start where least squares stays for good: none stands out of the others."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    problem = trial_problem(fit, held, posture_prior(fit))
+    right = settled(fit, problem)
+    start = beyond_limits(fit, right)
+    assert float((settle(problem, start, fit.xi) - right).abs().amax()) < 1e-3
+    monkeypatch.setattr(start_module, "turned_back", lambda tree, posture, q: q)
+    assert float((settle(problem, start, fit.xi) - right).abs().amax()) > 0.1
 
 
 def test_tracking_a_part_is_tracking_the_whole():

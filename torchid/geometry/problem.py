@@ -36,15 +36,28 @@ class PosturePrior:
         cut = [x if x.shape[1] == 1 else x[:, index] for x in (self.mean, self.precision)]
         return replace(self, mean=cut[0], precision=cut[1])
 
+    def rows(self, rows: list[int]) -> "PosturePrior":
+        """The prior of some coordinates."""
+        mean, precision, lower, upper = (x[rows] for x in (self.mean, self.precision, self.lower, self.upper))
+        return PosturePrior(mean, precision, lower, upper, self.limit_precision)
+
+    def cost(self, q: Float[Tensor, "*options dofs frames"]) -> Float[Tensor, "*options dofs frames"]:
+        """Of every coordinate."""
+        beyond = self._beyond(q)
+        return 0.5 * (self.precision * (q - self.mean).square() + self.limit_precision * beyond.square())
+
     def pull(self, q: Float[Tensor, "dofs frames"]) -> tuple[Tensor, Tensor, Tensor]:
         """Cost per frame, gradient and curvature (diagonal) at q, along the increments of ``retract``."""
-        error = q - self.mean
-        beyond = (q - self.upper).clamp(min=0.0) - (self.lower - q).clamp(min=0.0)
+        error, beyond = q - self.mean, self._beyond(q)
         gradient = self.precision * error + self.limit_precision * beyond
         curvature = self.precision + self.limit_precision * (beyond != 0.0)
         cost = 0.5 * (self.precision * error.square() + self.limit_precision * beyond.square()).sum(0)
         gradient[3:BASE_DOFS] = _along_turns(q[3:BASE_DOFS], gradient[3:BASE_DOFS])
         return cost, gradient, curvature.expand_as(q)
+
+    def _beyond(self, q: Tensor) -> Tensor:
+        """How far past the limits."""
+        return (q - self.upper).clamp(min=0.0) - (self.lower - q).clamp(min=0.0)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchid.geometry.inverse import solve_poses
 from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.turned import turned_back
 from torchid.kinematics.recursion import poses
 
 ASTRAY = 3.0
@@ -78,7 +79,16 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
         if not _retried(plain, q, cost, xi, index, hold(q, ~astray)[:, index]):
             break
     _climb(plain, q, cost, xi)
+    _turn_back(plain, q, cost, xi)
     return q if problem.robust is None else solve_poses(problem, q, xi)[0]
+
+
+def _turn_back(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> None:
+    """Frames with a three-axis joint beyond its limits again from its other angles; in place."""
+    other = turned_back(problem.plan.tree, problem.posture, q)
+    index = (other != q).any(0).nonzero()[:, 0]
+    if len(index):
+        _retried(problem, q, cost, xi, index, other[:, index])
 
 
 def _astray(problem: MarkerProblem, cost: Tensor) -> Tensor:

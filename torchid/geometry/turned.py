@@ -1,0 +1,34 @@
+"""Three-axis joints that came to rest on the far side: the same rotation by angles a joint can take.
+
+Every rotation has two triples of angles about three different axes. From rest, an arm overhead may end on the one
+beyond the joint's limits, where least squares stays for good: no angle changes without leaving the markers. A robust
+loss then gave the limb's markers up for the limits' sake, an arm 0.3 m away from them in 15 frames of 1000.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.geometry.problem import PosturePrior
+from torchid.model.tree import Tree
+
+FULL = 2.0 * torch.pi
+
+
+def turned_back(tree: Tree, posture: PosturePrior, q: Float[Tensor, "dofs frames"]) -> Float[Tensor, "dofs frames"]:
+    """Coordinates of the same poses, each three-axis joint by the angles that the posture prior finds likelier."""
+    found = q.clone()
+    for body in tree.bodies:
+        moving = [turn for turn in body.turns if turn.moving]
+        if len(moving) == len(body.turns) == len({turn.axis for turn in moving}) == 3:
+            rows = [turn.row for turn in moving]
+            found[rows] = _likelier(posture.rows(rows), q[rows])
+    return found
+
+
+def _likelier(posture: PosturePrior, q: Float[Tensor, "3 frames"]) -> Float[Tensor, "3 frames"]:
+    """Of both triples, each angle within half a turn of the expected one (a1 + pi, pi - a2, a3 + pi is the other)."""
+    options = torch.stack([q, torch.stack([q[0] + torch.pi, torch.pi - q[1], q[2] + torch.pi])])
+    options = options - FULL * torch.round((options - posture.mean) / FULL)
+    cost = posture.cost(options).sum(1)
+    return torch.where(cost[1] < cost[0], options[1], options[0])
