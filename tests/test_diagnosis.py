@@ -14,7 +14,9 @@ from torchid.config import load_config
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.diagnose import diagnose, wanted
 from torchid.diagnosis.evidence import Sums, fit, gains, make_prior
+from torchid.diagnosis.found import estimate, internal
 from torchid.diagnosis.plates import SessionPlate, recognise
+from torchid.diagnosis.search import search
 from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Diagnosis
 from torchid.diagnosis.vibration import with_vibration
@@ -186,6 +188,24 @@ def test_what_held_out_motion_contradicts_is_refuted():
     assert ("time_offset", ("session",)) in {(r.effect, r.where) for r in said.refuted}, (found, said.refuted)
     assert all(r.heldout_log_likelihood < 0.0 for r in said.refuted)
     assert not {c.effect for c in said.causes} & {r.effect for r in said.refuted}
+
+
+def test_a_named_drift_is_all_of_it():
+    """Not the part alone that is out of the ordinary: of a plate's usual drift nobody knows that much."""
+    rng = np.random.default_rng([SEED, 11])
+    rate = torch.tensor([*draw(rng, 0.4, 0.8, 3), *draw(rng, 0.05, 0.1, 3)], dtype=torch.float64)
+    planted = PlantedOptions("plate_drift", ("plate_1",), None, {"rate_plate": rate.tolist()})
+    watched, _, prior, found = seen(simulated((planted,), int(rng.integers(2**31))))
+    fits = [watched[name] for name in FIT]
+    said = search(fits, wanted(("plate_drift",), ()), prior, found.fit.omega_2, found.whitening, 1)
+    assert [one.place.where for one in said.chosen] == [("plate_1",)]
+    value, sd = estimate(said, 0)["rate_plate"]
+    assert_close(value, internal(said, 0))
+    assert float(((value - rate) / sd).abs().max()) < 5.0, (value, sd, rate)
+    # Told apart from what is usual there, each would be uncertain by the share of it that data leave open.
+    at = said.design.base + torch.arange(6)
+    apart = value.new_tensor(said.chosen[0].effect.scale(said.chosen[0].place)) * said.fitted.covariance[at, at].sqrt()
+    assert bool((sd < apart).all())
 
 
 @pytest.mark.parametrize("where", [FIT, FIT[:-1]])

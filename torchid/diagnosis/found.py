@@ -103,18 +103,30 @@ def support(sums: Sums, chosen: Sequence[Candidate], one: Candidate) -> float:
 
 def internal(found: Search, k: int) -> Float[Tensor, " params"]:
     """Internal parameters of the k-th chosen effect, block after block of trials."""
+    factor, mean = _told_by(found, k)
+    return mean + factor @ found.fitted.mean
+
+
+def _told_by(found: Search, k: int) -> tuple[Float[Tensor, "params n"], Float[Tensor, " params"]]:
+    """Factor and mean of the effect's parameters in what was fitted.
+
+    What every plate has a little of is part of an error that is named there: a drift is all of it, and known better
+    than the share of it that is out of the ordinary.
+    """
     one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
     scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
-    return scale * found.fitted.mean[at : at + one.size]
+    factor, mean = scale.new_zeros(one.size, len(found.fitted.factor)), torch.zeros_like(scale)
+    factor[:, at : at + one.size] = torch.diag(scale)
+    usual = one.source.columns
+    if usual.stop <= found.design.base and one.blocks == (found.sums.all,):
+        factor[:, usual], mean = torch.diag(scale.new_tensor(one.source.scale)), scale.new_tensor(one.source.mean)
+    return factor, mean
 
 
 def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
     """Named parameters of the k-th chosen effect: values and standard deviations."""
-    one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
-    part = slice(at, at + one.size)
-    scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
-    theta = internal(found, k)
-    covariance = scale[:, None] * found.fitted.covariance[part, part] * scale
+    one, theta, factor = found.chosen[k], internal(found, k), _told_by(found, k)[0]
+    covariance = factor @ found.fitted.covariance @ factor.T
     values = one.effect.named(one.place, theta)
     out = {}
     for key in values:
