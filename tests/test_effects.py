@@ -136,6 +136,29 @@ def test_columns_predict_the_plates(subject, plain, name):
         assert half < 0.35 * miss, "what columns miss is of second order"
 
 
+CURVED = {
+    "payload": PlantedOptions("payload", ("head",), None, {"mass_kg": 4.0, "point_seg_m": [-0.1, 0.05, 0.3]}),
+    "tether": PlantedOptions(
+        "tether", ("thorax",), None, {"stiffness_N_m": 14.0, "anchor_m": [0.9, 0.8, 1.5], "rest_m": 0.7}
+    ),
+}
+
+
+@pytest.mark.parametrize("name", [one.name for one in CATALOGUE.values() if one.curved])
+def test_columns_of_curved_effects_are_exact_where_they_were_found(subject, plain, name):
+    """Absent, a load has no place and a spring no direction; found, columns times parameters are all of the load."""
+    one, (_, scene, measured) = planted(CURVED[name]), simulated(subject, plain, name)
+    exact = one.load(scene)
+    miss = [
+        float(
+            (torch.einsum("ipt,p->it", columns(one.effect, scene, measured, one.place, at), one.theta) - exact).norm()
+        )
+        for at in (None, one.theta)
+    ]
+    assert miss[0] > 1e-3 * float(exact.norm())
+    assert miss[1] < 1e-5 * float(exact.norm())
+
+
 @pytest.fixture(scope="module")
 def followed(subject, plain):
     """Cameras that know geometry and motion exactly, and the fit that tracks with them."""

@@ -58,9 +58,7 @@ def heldout_gains(outcome: Outcome, truth: Sequence[dict], scratch: Path) -> tup
 
 
 def _untold(one: dict) -> bool:
-    """A spring that is slack up to some length is none of the catalogue's either."""
-    name = one["effect"]
-    return name in UNTOLD or name.startswith("offcat_") or one["parameters"].get("rest_m", 0.0) > 0.0
+    return one["effect"] in UNTOLD or one["effect"].startswith("offcat_")
 
 
 def _known(base: Outcome, truth: dict) -> Cause:

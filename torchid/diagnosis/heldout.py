@@ -52,7 +52,7 @@ class HeldOut:
         self.found, self.trials, self.first = found, heldout, len(found.sums.trials)
         self.share = _used(heldout) / max(_used(watched), 1)
         self.columns = [trial_columns(w, found.design.sources) for w in heldout]
-        if any(one.effect.late for one in found.chosen):
+        if any(one.effect.late or one.effect.curved for one in found.chosen):
             self.columns = self._settled()
         rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
         noise = found.noise.typical(len(heldout))
@@ -153,7 +153,7 @@ class HeldOut:
         return found
 
     def _settled(self) -> list[Columns]:
-        """Columns with those of late effects where the fit trials found them."""
+        """Columns with those of late and curved effects where the fit trials found them."""
         found = self.found
         fitted, n = fit(found.sums, self._everywhere(found.chosen)), found.design.inertia
         theta = [

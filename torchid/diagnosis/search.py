@@ -120,7 +120,7 @@ class _Scan:
     ) -> tuple["_Scan", Noise, Sums]:
         """After the last effect was chosen; the noise may be that which one effect leaves already."""
         effect = chosen[-1].effect
-        if effect.late:
+        if effect.late or effect.curved:
             noise, scan = self.settled(noise, chosen)
         elif effect.timed and not effect.kinematic:
             scan, chosen[-1] = self.timed(noise, sums, chosen)
@@ -143,7 +143,7 @@ class _Scan:
         return replace(self, rows=rows, prior=prior, design=design), less, list(own[: len(chosen)])
 
     def settled(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Noise, "_Scan"]:
-        """Late effects linearised where they are."""
+        """Late and curved effects linearised where they are."""
         small, own, which = only(self.design, chosen)
         prior, theta = self.prior.widened(small), [self.prior.mean.clone() for _ in self.rows]
         for _ in range(NEWTON):

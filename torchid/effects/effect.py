@@ -79,6 +79,9 @@ class Effect(ABC):
     """Its columns follow accelerations of the found motion, or the loads that they make: markers' noise shows."""
     late: ClassVar[bool] = False
     """It shifts the plates' readings in time."""
+    curved: ClassVar[bool] = False
+    """Its load is not linear in its parameters, but twice as much for twice all of them: columns taken where it was
+    found, times its parameters there, are all of it (Euler)."""
     inverted: ClassVar[bool] = False
     """Its columns are what taking it out of the plates' readings takes away (``undone``)."""
     lasting: ClassVar[bool] = False

@@ -72,24 +72,34 @@ class Drag(PointForce):
 class Tether(PointForce):
     """A spring to a fixed anchor, such as a cable, a band or a hose: force along position.
 
-    Internal are the stiffness k and k times the anchor's place, typically a metre away; the rest length is zero.
+    Internal are the stiffness k, and k times the anchor's place, typically a metre away, and the rest length. That it
+    is slack up to its rest length shows once the anchor is known: along the spring it is stiffer than across.
     """
 
     name = "tether"
-    parameters = (Parameter("stiffness_N_m", 30.0, positive=True), Parameter("pull_N", 30.0, 3))
+    curved = True
+    parameters = (
+        Parameter("stiffness_N_m", 30.0, positive=True), Parameter("pull_N", 30.0, 3), Parameter("slack_N", 30.0),
+    )  # fmt: skip
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
-        stiffness, pull = self.split(theta)
-        return pull[:, None] - stiffness * at.p
+        stiffness, pull, slack = self.split(theta)
+        stretched = pull[:, None] - stiffness * at.p
+        if float(stiffness) <= 0.0:
+            return stretched
+        return stretched * (1.0 - slack / stretched.norm(dim=0)).clamp(min=0.0)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        stiffness, pull = self.split(theta)
-        return {"stiffness_N_m": stiffness[0], "anchor_m": pull / stiffness}
+        stiffness, pull, slack = self.split(theta)
+        return {"stiffness_N_m": stiffness[0], "anchor_m": pull / stiffness, "rest_m": slack[0] / stiffness[0]}
 
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
-        stiffness = torch.as_tensor(values.get("stiffness_N_m", 0.0), dtype=torch.float64)
-        anchor = torch.as_tensor(values.get("anchor_m", []), dtype=torch.float64)
-        return super().internal(place, {"stiffness_N_m": stiffness, "pull_N": stiffness * anchor})
+        stiffness, anchor, rest = (
+            torch.as_tensor(values.get(key, default), dtype=torch.float64)
+            for key, default in (("stiffness_N_m", 0.0), ("anchor_m", []), ("rest_m", 0.0))
+        )
+        products = {"pull_N": stiffness * anchor, "slack_N": stiffness * rest}
+        return super().internal(place, {"stiffness_N_m": stiffness} | products)
 
 
 class UnmeasuredContact(PointForce):
