@@ -13,7 +13,7 @@ from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
-from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced, support
+from torchid.diagnosis.found import NAMED, Rival, Round, Search, internal, reduced, support, without
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.late import linearised, without_beyond
 from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, narrowed, rows_of, summed
@@ -243,9 +243,11 @@ def _likely(rivals: Sequence[Rival]) -> list[Rival]:
 
 
 def _pruned(found: Search) -> Search:
-    """Without those that the others have made superfluous."""
-    kept = list(found.chosen)
+    """Without those that the others have made superfluous, or negative: one load is there, not its like taken away."""
     for one in reversed(found.chosen):
-        if support(found.sums, kept, one) < NAMED:
-            kept.remove(one)
-    return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))
+        k = found.chosen.index(one)
+        negative = one.effect.parameters[0].positive and float(internal(found, k)[0]) < 0.0
+        if negative or support(found.sums, found.chosen, one) < NAMED:
+            kept = tuple(without(found.chosen, one))
+            found = replace(found, chosen=kept, fitted=fit(found.sums, kept))
+    return found
