@@ -15,13 +15,13 @@ import torch
 from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.experiment import run_experiment
-from torchid.experiment.stages import follow, residual_rms
+from torchid.experiment.stages import follow
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.tracking import track
 from torchid.inertia.transform import move_frame
 from torchid.kinematics.chain import chain_poses
 from torchid.outcome import Outcome
-from torchid.regressor.rows import predict
+from torchid.regressor.rows import predict, residual_rms
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, simulate_session
 

@@ -22,7 +22,7 @@ from torchid.diagnosis.verdict import Cause
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Interval, Place
 from torchid.experiment import run_experiment
-from torchid.experiment.run import extend_outcome
+from torchid.experiment.extending import extend_outcome
 from torchid.outcome import Outcome
 from torchid.regressor.rows import WrenchTrial
 from torchid.regressor.whitening import Spectrum, Whitening, accumulate, estimate_whitening, spectra

@@ -1,5 +1,6 @@
 """The model extended by what the diagnosis names: recordings corrected, everything fitted again."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -15,17 +16,75 @@ from torchid.effects.catalogue import effect
 from torchid.effects.effect import Planted, columns, inside_any
 from torchid.effects.scene import make_scene
 from torchid.effects.sight import Sight
+from torchid.errors import Note
 from torchid.experiment.diagnosing import watch_outcome
-from torchid.experiment.stages import follow
+from torchid.experiment.fits import Progress, fit_session, identify
+from torchid.experiment.stages import follow, subject_prior
 from torchid.geometry.fitted import GeometryFit
-from torchid.geometry.tracking import Tracked
-from torchid.outcome import Followed, Outcome, Session
+from torchid.geometry.tracking import Tracked, track
+from torchid.outcome import Followed, Outcome, Residual, Session
 from torchid.recording import Trial
+from torchid.regressor.rows import residual_rms
+from torchid.results import OutputFolder
 
 SMOOTHED = "filter_lag"
 """Acts on markers, but what a filter took away no marker gives back: the wrench is corrected for it."""
+WORSE = 1.2
+"""Times the held-out force error of the model without them that named causes may leave before the results warn."""
 RECORD = "body_mass"
 """Is no force: the prior takes the mass that was found instead of the recorded one."""
+
+
+def extend_outcome(base: Outcome, folder: OutputFolder, key: str, progress: Progress) -> Outcome:
+    """Everything fitted again with the named causes taken out of the recordings.
+
+    Args:
+        base: with the verdict on it.
+        folder: for stages.
+        key: of all that these depend on.
+        progress: called with stages and fractions.
+    """
+    assert base.diagnosis is not None
+    causes, fit = base.diagnosis.causes, base.fit
+    config, session = corrected_config(base.config, causes), base.session
+    tracked = {name: item.tracked for name, item in base.followed.items()}
+    if any(moves_markers(cause) for cause in causes):
+        session = extend_session(base)
+        fit = folder.stage("geometry_extended", key, lambda: fit_session(config, session, True, progress))
+        for name, trial in session.trials.items():
+            tracked[name] = folder.stage(f"extended_{name}", key, lambda t=trial: track(fit, t.markers))
+    with folder.timed("extend"):
+        followed = follow_extended(config, base, session, fit, tracked)
+        added = effect_wrenches(base)
+    outcome = replace(
+        base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
+    )
+    identified = folder.stage("inertia_extended", key, lambda: identify(config, outcome, progress))
+    outcome = replace(outcome, identified=identified, config=base.config)
+    more = _residuals(outcome, "+ named causes")
+    notes = (*outcome.notes, *_worse_notes(base.residuals, more))
+    return replace(outcome, residuals=(*base.residuals, *more), notes=notes)
+
+
+def _worse_notes(base: Sequence[Residual], extended: Sequence[Residual]) -> list[Note]:
+    """An extension that held-out motion does not bear out is said to be none."""
+    before, after = ([row.force_rmse_N for row in rows if row.role == "heldout"] for rows in (base, extended))
+    if not before or not after or not after[-1] > WORSE * before[-1]:
+        return []
+    said = f"with the named causes, held-out forces are off by {after[-1]:.1f} N, without them by {before[-1]:.1f} N"
+    advice = "do not use the extended model: exclude causes (diagnosis.exclude) or set diagnosis.enabled: false"
+    return [Note("diagnosis.worse", f"{said}; {advice}")]
+
+
+def _residuals(outcome: Outcome, label: str) -> list[Residual]:
+    rows = []
+    for role in ("fit", "heldout"):
+        own = [outcome.followed[name].wrench for name in outcome.session.part(role, "inertia")]
+        trials = [wrench for wrench in own if wrench is not None]
+        if trials:
+            found = residual_rms(trials, outcome.phi)
+            rows.append(Residual(label, role, outcome.cutoff_hz, "identified", "identified", *found))
+    return rows
 
 
 def extend_session(outcome: Outcome) -> Session:

@@ -1,7 +1,6 @@
 """The sequence: read, geometry, motion, inertia, inverse dynamics, files, report."""
 
 import logging
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
@@ -9,23 +8,15 @@ import torch
 from torchid.config import Config, dump_config
 from torchid.errors import DataError, Note
 from torchid.experiment.diagnosing import diagnose_outcome
-from torchid.experiment.extending import (
-    corrected_config,
-    effect_wrenches,
-    extend_session,
-    follow_extended,
-    moves_markers,
-)
+from torchid.experiment.extending import extend_outcome
+from torchid.experiment.fits import Progress, fit_session, identify
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, subject_prior, torques
 from torchid.experiment.write import write_outcome
 from torchid.files import file_sha256, write_json, write_text
-from torchid.geometry.fit import fit_geometry
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.tracking import Tracked, track
-from torchid.inertia.identify import Identified, identify_inertia
-from torchid.model.model import InertialPrior
 from torchid.outcome import Followed, Outcome, Residual, Session
 from torchid.provenance import provenance, stage_key
 from torchid.regressor.rows import residual_rms
@@ -34,16 +25,8 @@ from torchid.results import OutputFolder
 from torchid.snapshot import release
 
 log = logging.getLogger(__name__)
-Progress = Callable[[str, float], None]
 UNFILTERED_HZ = 20.0
 """What stands for no filter in the table of contributions: above it nothing of a person's motion is left."""
-
-WORSE = 1.2
-"""Times the held-out force error of the model without them that named causes may leave before the results warn."""
-
-UNSEEN = 0.35
-"""Share of the mass on bodies without markers above which inertia is not identified. Head, hands and abdomen together
-are 0.24; trunk and arms held rigid on the pelvis, 0.5, left 42 N and 25 N m in a walk and cost the thorax 8 kg."""
 
 
 def run_experiment(config: Config, progress: Progress = lambda stage, fraction: None) -> Outcome:
@@ -106,7 +89,7 @@ def _compute(
     if not config.inertia.enabled:
         return _with_torques(outcome, folder), None
     try:
-        identified = folder.stage("inertia", key, lambda: _identify(config, outcome, progress))
+        identified = folder.stage("inertia", key, lambda: identify(config, outcome, progress))
     except DataError as failure:
         log.warning("%s", failure)
         return _with_torques(outcome, folder), failure
@@ -122,80 +105,15 @@ def _compute(
     return _with_torques(outcome, folder), None
 
 
-def extend_outcome(base: Outcome, folder: OutputFolder, key: str, progress: Progress) -> Outcome:
-    """Everything fitted again with the named causes taken out of the recordings.
-
-    Args:
-        base: with the verdict on it.
-        folder: for stages.
-        key: of all that these depend on.
-        progress: called with stages and fractions.
-    """
-    assert base.diagnosis is not None
-    causes, fit = base.diagnosis.causes, base.fit
-    config, session = corrected_config(base.config, causes), base.session
-    tracked = {name: item.tracked for name, item in base.followed.items()}
-    if any(moves_markers(cause) for cause in causes):
-        session = extend_session(base)
-        fit = folder.stage("geometry_extended", key, lambda: _fit_geometry(config, session, True, progress))
-        for name, trial in session.trials.items():
-            tracked[name] = folder.stage(f"extended_{name}", key, lambda t=trial: track(fit, t.markers))
-    with folder.timed("extend"):
-        followed = follow_extended(config, base, session, fit, tracked)
-        added = effect_wrenches(base)
-    outcome = replace(
-        base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
-    )
-    identified = folder.stage("inertia_extended", key, lambda: _identify(config, outcome, progress))
-    outcome = replace(outcome, identified=identified, config=base.config)
-    more = _residuals(outcome, "+ named causes")
-    notes = (*outcome.notes, *_worse_notes(base.residuals, more))
-    return replace(outcome, residuals=(*base.residuals, *more), notes=notes)
-
-
-def _worse_notes(base: Sequence[Residual], extended: Sequence[Residual]) -> list[Note]:
-    """An extension that held-out motion does not bear out is said to be none."""
-    before, after = ([row.force_rmse_N for row in rows if row.role == "heldout"] for rows in (base, extended))
-    if not before or not after or not after[-1] > WORSE * before[-1]:
-        return []
-    said = f"with the named causes, held-out forces are off by {after[-1]:.1f} N, without them by {before[-1]:.1f} N"
-    advice = "do not use the extended model: exclude causes (diagnosis.exclude) or set diagnosis.enabled: false"
-    return [Note("diagnosis.worse", f"{said}; {advice}")]
-
-
-def _residuals(outcome: Outcome, label: str) -> list[Residual]:
-    rows = []
-    for role in ("fit", "heldout"):
-        own = [outcome.followed[name].wrench for name in outcome.session.part(role, "inertia")]
-        trials = [wrench for wrench in own if wrench is not None]
-        if trials:
-            found = residual_rms(trials, outcome.phi)
-            rows.append(Residual(label, role, outcome.cutoff_hz, "identified", "identified", *found))
-    return rows
-
-
 def _geometry(
     config: Config, session: Session, folder: OutputFolder, key: str, progress: Progress
 ) -> tuple[GeometryFit, GeometryFit]:
     def fit(free: bool) -> GeometryFit:
-        return _fit_geometry(config, session, free, progress)
+        return fit_session(config, session, free, progress)
 
     found = folder.stage("geometry", key, lambda: fit(True)), folder.stage("scaled", key, lambda: fit(False))
     progress("geometry", 1.0)
     return found
-
-
-def _fit_geometry(config: Config, session: Session, free: bool, progress: Progress) -> GeometryFit:
-    options, static = config.geometry, session.static
-    trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
-    if not trials:
-        trials = {n: t.markers for n, t in session.trials.items() if t.role == "static"}
-    assignment, markers = session.assignment, None if static is None else static.markers
-
-    return fit_geometry(
-        assignment.model, assignment.attachment, trials, markers, options, free,
-        lambda step, cost: progress("geometry", min(0.95, step / options.iterations)),
-    )  # fmt: skip
 
 
 def _track_all(
@@ -226,45 +144,6 @@ def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
             said = f"{item.contact.excluded} of {frames} frames left out: a foot stands beside the plates"
             notes.append(Note("contact.beside", said, name))
     return notes
-
-
-def _identify(config: Config, outcome: Outcome, progress: Progress) -> Identified:
-    progress("inertia", 0.0)
-    if config.inertia.refuse:
-        _refuse_unseen(outcome)
-    names = outcome.session.fit("inertia")
-    trials = [outcome.followed[n].wrench for n in names]
-    mass, box = None, None
-    who = config.subject
-    if config.inertia.known_mass and who.mass_kg:
-        mass = (who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg)
-    if config.inertia.com_boxes:
-        box = _com_boxes(outcome.prior)
-    found = identify_inertia([t for t in trials if t is not None], outcome.prior, config.inertia, mass, box)
-    progress("inertia", 1.0)
-    return found
-
-
-def _refuse_unseen(outcome: Outcome) -> None:
-    """A wrench cannot be explained by the motion of a body that nobody saw moving."""
-    seen = {int(body) for body in outcome.fit.attachment.body}
-    names, mass = outcome.fit.model.tree.names, outcome.prior.mean[:, 0]
-    unseen = [k for k in range(len(names)) if k not in seen]
-    share = float(mass[unseen].sum() / mass.sum())
-    if share > UNSEEN:
-        raise DataError(
-            "inertia.unseen_bodies", f"no marker shows how {100.0 * share:.0f} % of the body's mass moves",
-            found=f"no markers on {', '.join(names[k] for k in unseen)}",
-            remedy="Record markers on trunk and arms, or set inertia.enabled: false (inertia.refuse: false goes on)",
-        )  # fmt: skip
-
-
-def _com_boxes(prior: InertialPrior) -> torch.Tensor:
-    """Three prior standard deviations about the template's centres of mass."""
-    m, centre = prior.mean[:, :1], prior.mean[:, 1:4] / prior.mean[:, :1]
-    sd = torch.diagonal(prior.covariance).sqrt().reshape(-1, 10)
-    reach = 3.0 * sd[:, 1:4] / m
-    return torch.stack([centre - reach, centre + reach], dim=1)
 
 
 def _with_torques(outcome: Outcome, folder: OutputFolder) -> Outcome:

@@ -1,7 +1,5 @@
 """What each stage of an experiment computes from the stages before."""
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -22,7 +20,6 @@ from torchid.motion import Motion, choose_cutoff, smooth_motion
 from torchid.outcome import Followed, Session
 from torchid.recording import Trial
 from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.rows import residual_rms as residual_rms
 
 SOLE = ("heel", "mt5", "mt1", "toe")
 """Landmarks of a sole, heel first, toes last."""
@@ -157,8 +154,3 @@ def legs(tree: Tree) -> dict[str, list[int]]:
             above = [tree.bodies[j] for j in tree.ancestors[k]]
             found[body.name] = [turn.row for b in above for turn in b.turns if turn.moving]
     return found
-
-
-def at_cutoff(followed: Followed, fit: GeometryFit, trial: Trial, cutoff_hz: float, config: Config) -> Followed:
-    """The same tracked trial through another cut-off (to say what the filter contributed)."""
-    return follow(fit, trial, replace(followed.tracked), cutoff_hz, config)
