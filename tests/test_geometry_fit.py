@@ -16,6 +16,7 @@ from torchid.geometry.fitted import parameters
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.placing import start_fit
 from torchid.geometry.start import settle
+from torchid.geometry.steady import leaps, steadied
 from torchid.geometry.tracking import modelled, track
 from torchid.geometry.trials import posture_prior, settled, trial_problem
 from torchid.geometry.turned import turned_back
@@ -178,6 +179,31 @@ def test_a_trial_that_starts_beyond_its_limits_is_followed(monkeypatch):
     assert float((settle(problem, start, fit.xi) - right).abs().amax()) < 1e-3
     monkeypatch.setattr(start_module, "turned_back", lambda tree, posture, q: q)
     assert float((settle(problem, start, fit.xi) - right).abs().amax()) > 0.1
+
+
+def test_a_run_of_frames_that_leaps_away_is_followed_from_before_it():
+    """Postures that turn the pelvis by half a radian within a frame and back go; all others stay as they are."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    problem = trial_problem(fit, held, posture_prior(fit))
+    q = settled(fit, problem)
+    assert steadied(problem, q, fit.xi) is q and not len(leaps(problem, q, fit.xi))
+    astray, row = q.clone(), fit.model.tree.dof_names.index("pelvis_ry")
+    astray[row, 40:48] += 0.5
+    assert leaps(problem, astray, fit.xi).tolist() == [39, 47]
+    found = steadied(problem, astray, fit.xi)
+    assert not len(leaps(problem, found, fit.xi))
+    assert float((found - q).abs().amax()) < 1e-3
+    assert_close(found[:, 48:], q[:, 48:], atol=0, rtol=0)
+
+
+def test_markers_that_leap_themselves_are_followed():
+    """Eight frames of a recording stand a hand's breadth aside: so does the model, and nobody takes it back."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    position = held.position.clone()
+    position[40:48] += 0.1
+    problem = trial_problem(fit, replace(held, position=position), posture_prior(fit))
+    q = settled(fit, problem)
+    assert steadied(problem, q, fit.xi) is q
 
 
 def test_tracking_a_part_is_tracking_the_whole():

@@ -9,6 +9,7 @@ from torch import Tensor
 from torchid.geometry.bridge import bridge_gaps, typical_variance
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.steady import steadied
 from torchid.geometry.trials import evenly, posture_prior, settled, trial_problem
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
@@ -67,7 +68,7 @@ def _typical(fit: GeometryFit, markers: Markers) -> Tensor:
 
 def _track(fit: GeometryFit, markers: Markers, bridge: bool, typical: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
     problem = trial_problem(fit, markers, posture_prior(fit))
-    q = settled(fit, problem)
+    q = steadied(problem, settled(fit, problem), fit.xi)
     if bridge and not bool((problem.weight > 0).all()):
         q = bridge_gaps(problem, q, fit.xi, typical)
     _, _, residual = problem.residual(q, fit.xi)
