@@ -14,7 +14,7 @@ from torchid.config import load_config
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.diagnose import diagnose, wanted
 from torchid.diagnosis.evidence import Sums, fit, gains, make_prior
-from torchid.diagnosis.found import estimate, internal
+from torchid.diagnosis.found import estimate
 from torchid.diagnosis.plates import SessionPlate, recognise
 from torchid.diagnosis.search import search
 from torchid.diagnosis.unexplained import Structure
@@ -22,9 +22,12 @@ from torchid.diagnosis.verdict import Diagnosis
 from torchid.diagnosis.vibration import with_vibration
 from torchid.diagnosis.watched import Known, Watched, watch
 from torchid.effects.catalogue import BODILY
-from torchid.effects.effect import Interval
+from torchid.effects.effect import Interval, Place, Planted
+from torchid.effects.forces import Tether
+from torchid.effects.masses import Payload
 from torchid.errors import ConfigError
 from torchid.experiment import run_experiment
+from torchid.experiment.extending import _added
 from torchid.filters import Smoother
 from torchid.inertia.identify import Identified, identify_inertia
 from torchid.io.resample import synchronise
@@ -200,12 +203,22 @@ def test_a_named_drift_is_all_of_it():
     said = search(fits, wanted(("plate_drift",), ()), prior, found.fit.omega_2, found.whitening, 1)
     assert [one.place.where for one in said.chosen] == [("plate_1",)]
     value, sd = estimate(said, 0)["rate_plate"]
-    assert_close(value, internal(said, 0))
     assert float(((value - rate) / sd).abs().max()) < 5.0, (value, sd, rate)
     # Told apart from what is usual there, each would be uncertain by the share of it that data leave open.
     at = said.design.base + torch.arange(6)
     apart = value.new_tensor(said.chosen[0].effect.scale(said.chosen[0].place)) * said.fitted.covariance[at, at].sqrt()
     assert bool((sd < apart).all())
+
+
+def test_an_extension_takes_out_all_of_a_curved_load():
+    """A load's square of distance and a spring's rest length too: what is named is what is corrected."""
+    watched = seen(simulated((), SEED % 2**31))[0]["arms"]
+    scene = watched.view.scene
+    load = Planted(Payload(), Place(("forearm_l",), point=(0.0, 0.0, 0.0)), scene.phi.new_tensor([3.0, 0.3, 0.2, -0.9]))
+    spring = Planted(Tether(), Place(("forearm_r",)), scene.phi.new_tensor([14.0, 12.0, 11.0, 20.0, 9.0]))
+    for one in (load, spring):
+        exact = one.load(scene).T
+        assert float((_added(watched, one) - exact).norm()) < 1e-5 * float(exact.norm())
 
 
 @pytest.mark.parametrize("where", [FIT, FIT[:-1]])

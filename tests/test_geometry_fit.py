@@ -168,6 +168,10 @@ def test_joints_beyond_their_limits_are_turned_back_without_moving_a_marker():
     assert float((far - q).abs().amax()) > 3.0
     assert_close(back, q, atol=1e-12, rtol=0)
     assert_close(modelled(fit, far.T), modelled(fit, back.T), atol=1e-12, rtol=0)
+    # Far overhead is within a shoulder's limits, though more than half a turn.
+    overhead, row = q.clone(), fit.model.tree.dof_names.index("shoulder_r_flexion")
+    overhead[row] = torch.deg2rad(torch.tensor(185.0))
+    assert_close(turned_back(fit.model.tree, posture, overhead), overhead, atol=0, rtol=0)
 
 
 def test_a_trial_that_starts_beyond_its_limits_is_followed(monkeypatch):
@@ -186,11 +190,11 @@ def test_a_run_of_frames_that_leaps_away_is_followed_from_before_it():
     fit, held = small.fit(), small.markers("heldout")["sway_steps"]
     problem = trial_problem(fit, held, posture_prior(fit))
     q = settled(fit, problem)
-    assert steadied(problem, q, fit.xi) is q and not len(leaps(problem, q, fit.xi))
+    assert steadied(problem, q, fit.xi, held.rate) is q and not len(leaps(problem, q, fit.xi))
     astray, row = q.clone(), fit.model.tree.dof_names.index("pelvis_ry")
     astray[row, 40:48] += 0.5
     assert leaps(problem, astray, fit.xi).tolist() == [39, 47]
-    found = steadied(problem, astray, fit.xi)
+    found = steadied(problem, astray, fit.xi, held.rate)
     assert not len(leaps(problem, found, fit.xi))
     assert float((found - q).abs().amax()) < 1e-3
     assert_close(found[:, 48:], q[:, 48:], atol=0, rtol=0)
@@ -203,7 +207,8 @@ def test_markers_that_leap_themselves_are_followed():
     position[40:48] += 0.1
     problem = trial_problem(fit, replace(held, position=position), posture_prior(fit))
     q = settled(fit, problem)
-    assert steadied(problem, q, fit.xi) is q
+    assert not len(leaps(problem, q, fit.xi))
+    assert steadied(problem, q, fit.xi, held.rate) is q
 
 
 def test_tracking_a_part_is_tracking_the_whole():

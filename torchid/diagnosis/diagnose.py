@@ -9,7 +9,7 @@ import torch
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.doubtful import relevant, without_opposed
 from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, without
+from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, without, without_negative
 from torchid.diagnosis.heldout import HeldOut, Judged
 from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import residuals, search
@@ -61,13 +61,13 @@ def diagnose(
     found = search(watched, effects, inertia, omega, whitening, limit, geometry)
     rest = _remains(found, watched)
     if rest.significant:
-        found = relevant(without_opposed(found), watched)
+        found = without_negative(relevant(without_opposed(found), watched))
     unseen = HeldOut(found, watched, heldout)
     chosen, refuted = unseen.upheld(unseen.acting())
-    found = replace(found, chosen=chosen, fitted=fit(found.sums, chosen))
+    found = without_negative(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)))
     if refuted:
         rest = _remains(found, watched)
-    extended = unseen.judged(chosen)
+    extended = unseen.judged(found.chosen)
     causes = _trusted(_causes(found, unseen, extended, [w.rows.name for w in (*watched, *heldout)]), rest)
     # What a laboratory did to forces is read first, and what markers and bodies are like after it.
     causes.sort(key=lambda c: effect(c.effect).kinematic or effect(c.effect).bodily)

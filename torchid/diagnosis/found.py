@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -103,29 +103,38 @@ def support(sums: Sums, chosen: Sequence[Candidate], one: Candidate) -> float:
 
 def internal(found: Search, k: int) -> Float[Tensor, " params"]:
     """Internal parameters of the k-th chosen effect, block after block of trials."""
-    factor, mean = _told_by(found, k)
-    return mean + factor @ found.fitted.mean
+    return _told_by(found, k) @ found.fitted.mean
 
 
-def _told_by(found: Search, k: int) -> tuple[Float[Tensor, "params n"], Float[Tensor, " params"]]:
-    """Factor and mean of the effect's parameters in what was fitted.
+def without_negative(found: Search) -> Search:
+    """No load is negative: one is there, not its like taken away."""
+    for k, one in reversed(list(enumerate(found.chosen))):
+        if one.effect.parameters[0].positive and float(internal(found, k)[0]) < 0.0:
+            kept = tuple(without(found.chosen, one))
+            return without_negative(replace(found, chosen=kept, fitted=fit(found.sums, kept)))
+    return found
+
+
+def _told_by(found: Search, k: int) -> Float[Tensor, "params n"]:
+    """The effect's parameters in terms of what was fitted.
 
     What every plate has a little of is part of an error that is named there: a drift is all of it, and known better
     than the share of it that is out of the ordinary.
     """
     one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
     scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
-    factor, mean = scale.new_zeros(one.size, len(found.fitted.factor)), torch.zeros_like(scale)
+    factor = scale.new_zeros(one.size, len(found.fitted.factor))
     factor[:, at : at + one.size] = torch.diag(scale)
     usual = one.source.columns
     if usual.stop <= found.design.base and one.blocks == (found.sums.all,):
-        factor[:, usual], mean = torch.diag(scale.new_tensor(one.source.scale)), scale.new_tensor(one.source.mean)
-    return factor, mean
+        assert not any(one.source.mean), "errors of plates are about nothing"
+        factor[:, usual] = torch.diag(scale.new_tensor(one.source.scale))
+    return factor
 
 
 def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
     """Named parameters of the k-th chosen effect: values and standard deviations."""
-    one, theta, factor = found.chosen[k], internal(found, k), _told_by(found, k)[0]
+    one, theta, factor = found.chosen[k], internal(found, k), _told_by(found, k)
     covariance = factor @ found.fitted.covariance @ factor.T
     values = one.effect.named(one.place, theta)
     out = {}

@@ -14,7 +14,7 @@ from torchid.diagnosis.candidates import trial_columns
 from torchid.diagnosis.design import Candidate, Columns
 from torchid.diagnosis.evidence import Fitted, Sums, fit
 from torchid.diagnosis.found import Search, support, without
-from torchid.diagnosis.late import linearised
+from torchid.diagnosis.linearised import linearised
 from torchid.diagnosis.noise import rows_of, summed, unforced, unseen_noise
 from torchid.diagnosis.search import residual
 from torchid.diagnosis.verdict import Errors

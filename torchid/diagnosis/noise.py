@@ -13,7 +13,7 @@ from torchid.diagnosis.cameras import BANDS
 from torchid.diagnosis.design import Candidate, Columns, Design, Terms, narrower, positions
 from torchid.diagnosis.evidence import Prior, Raw, Sums
 from torchid.diagnosis.expected import Expected
-from torchid.diagnosis.late import without_beyond
+from torchid.diagnosis.linearised import without_beyond
 from torchid.diagnosis.watched import Watched
 from torchid.regressor.equations import NormalEquations
 from torchid.regressor.whitening import Spectrum, Whitening, accumulate, column_spectra, estimate_whitening, spectra

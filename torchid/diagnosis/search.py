@@ -13,9 +13,9 @@ from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
 from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
-from torchid.diagnosis.found import NAMED, Rival, Round, Search, internal, reduced, support, without
+from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced, support, without_negative
 from torchid.diagnosis.intervals import timed
-from torchid.diagnosis.late import linearised, without_beyond
+from torchid.diagnosis.linearised import linearised, without_beyond
 from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, narrowed, rows_of, summed
 from torchid.diagnosis.scan import scan_all
 from torchid.diagnosis.unexplained import structure
@@ -28,7 +28,7 @@ from torchid.regressor.whitening import Whitening
 
 log = logging.getLogger(__name__)
 NEWTON = 2
-"""Steps by which effects that no column is linear in are found."""
+"""Steps by which effects that are not linear in their parameters are found."""
 SECOND = 4
 """Effects that are tried under the noise that they would leave, at most."""
 GROWN = 1.5
@@ -243,11 +243,9 @@ def _likely(rivals: Sequence[Rival]) -> list[Rival]:
 
 
 def _pruned(found: Search) -> Search:
-    """Without those that the others have made superfluous, or negative: one load is there, not its like taken away."""
+    """Without those that the others have made superfluous."""
+    kept = list(found.chosen)
     for one in reversed(found.chosen):
-        k = found.chosen.index(one)
-        negative = one.effect.parameters[0].positive and float(internal(found, k)[0]) < 0.0
-        if negative or support(found.sums, found.chosen, one) < NAMED:
-            kept = tuple(without(found.chosen, one))
-            found = replace(found, chosen=kept, fitted=fit(found.sums, kept))
-    return found
+        if support(found.sums, kept, one) < NAMED:
+            kept.remove(one)
+    return without_negative(replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept)))

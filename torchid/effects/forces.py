@@ -87,7 +87,7 @@ class Tether(PointForce):
         stretched = pull[:, None] - stiffness * at.p
         if float(stiffness) <= 0.0:
             return stretched
-        return stretched * (1.0 - slack / stretched.norm(dim=0)).clamp(min=0.0)
+        return stretched * (1.0 - slack / stretched.norm(dim=0).clamp(min=1e-9)).clamp(min=0.0)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         stiffness, pull, slack = self.split(theta)

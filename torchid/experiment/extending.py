@@ -164,4 +164,5 @@ def _added(watched: Watched, one: Planted) -> Float[Tensor, "frames 6"]:
     if one.effect.inverted:
         back = one.effect.undone(view.measured, one.place, one.theta)
         return (view.measured.total - back.total).T
-    return torch.einsum("ipt,p->ti", columns(one.effect, view.scene, view.reading, one.place), one.theta)
+    where = one.theta if one.effect.curved else None
+    return torch.einsum("ipt,p->ti", columns(one.effect, view.scene, view.reading, one.place, where), one.theta)

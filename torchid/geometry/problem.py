@@ -42,7 +42,7 @@ class PosturePrior:
         return PosturePrior(mean, precision, lower, upper, self.limit_precision)
 
     def cost(self, q: Float[Tensor, "*options dofs frames"]) -> Float[Tensor, "*options dofs frames"]:
-        """Of every coordinate."""
+        """Half the squared misfit of every coordinate in every frame, in standard deviations."""
         beyond = self._beyond(q)
         return 0.5 * (self.precision * (q - self.mean).square() + self.limit_precision * beyond.square())
 
@@ -51,7 +51,7 @@ class PosturePrior:
         error, beyond = q - self.mean, self._beyond(q)
         gradient = self.precision * error + self.limit_precision * beyond
         curvature = self.precision + self.limit_precision * (beyond != 0.0)
-        cost = 0.5 * (self.precision * error.square() + self.limit_precision * beyond.square()).sum(0)
+        cost = self.cost(q).sum(0)
         gradient[3:BASE_DOFS] = _along_turns(q[3:BASE_DOFS], gradient[3:BASE_DOFS])
         return cost, gradient, curvature.expand_as(q)
 

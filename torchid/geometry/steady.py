@@ -5,6 +5,8 @@ the pelvis can cost about the same. In eight frames of a landing the pelvis turn
 back: 800 N that nobody felt.
 """
 
+from itertools import combinations
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -13,33 +15,37 @@ from torchid.geometry.inverse import solve_poses
 from torchid.geometry.problem import MarkerProblem
 
 LEAP = 0.03
-"""Change of pace of a modelled marker from one frame to the next, and of its distance from the measured one, that no
-body makes [m]."""
-LONGEST = 40
-"""Frames of a run at most."""
-TRIED = 20
+"""Both the change of pace of a modelled marker and of its way from the measured one, from one frame to the next [m]: a
+foot that strikes the floor does the first, a label that jumps the second."""
+LONGEST_S = 0.4
+"""Of a run at most: what lasts longer may be right, and what is around it wrong."""
+TRIED = 12
 """Runs that are tried at most."""
 DEARER = 2.0
 """Times its cost that a run may have on the way on which nothing leaps."""
 
 
 def steadied(
-    problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]
+    problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"], rate_hz: float
 ) -> Float[Tensor, "dofs frames"]:
     """Runs between two leaps followed frame by frame from what is before them, kept where no leap is left.
+
+    Longest first: of several leaps, the outermost lead back to what most frames have.
 
     Args:
         problem: consecutive frames of one trial.
         q: postures of all of them.
         xi: geometry and marker places.
+        rate_hz: of the frames.
     """
+    longest = round(LONGEST_S * rate_hz)
     tried: set[tuple[int, int]] = set()
     for _ in range(TRIED):
         at = leaps(problem, q, xi).tolist()
-        runs = [(a, b) for a, b in zip(at, at[1:], strict=False) if b - a <= LONGEST and (a, b) not in tried]
+        runs = [(a, b) for a, b in combinations(at, 2) if b - a <= longest and (a, b) not in tried]
         if not runs:
             break
-        first, last = min(runs, key=lambda run: run[1] - run[0])
+        first, last = max(runs, key=lambda run: run[1] - run[0])
         tried.add((first, last))
         q = _without(problem, q, xi, first, last)
     return q

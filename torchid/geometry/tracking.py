@@ -68,7 +68,9 @@ def _typical(fit: GeometryFit, markers: Markers) -> Tensor:
 
 def _track(fit: GeometryFit, markers: Markers, bridge: bool, typical: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
     problem = trial_problem(fit, markers, posture_prior(fit))
-    q = steadied(problem, settled(fit, problem), fit.xi)
+    q = settled(fit, problem)
+    if q.shape[1] > 2:
+        q = steadied(problem, q, fit.xi, markers.rate)
     if bridge and not bool((problem.weight > 0).all()):
         q = bridge_gaps(problem, q, fit.xi, typical)
     _, _, residual = problem.residual(q, fit.xi)

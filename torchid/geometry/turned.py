@@ -27,8 +27,11 @@ def turned_back(tree: Tree, posture: PosturePrior, q: Float[Tensor, "dofs frames
 
 
 def _likelier(posture: PosturePrior, q: Float[Tensor, "3 frames"]) -> Float[Tensor, "3 frames"]:
-    """Of both triples, each angle within half a turn of the expected one (a1 + pi, pi - a2, a3 + pi is the other)."""
-    options = torch.stack([q, torch.stack([q[0] + torch.pi, torch.pi - q[1], q[2] + torch.pi])])
-    options = options - FULL * torch.round((options - posture.mean) / FULL)
-    cost = posture.cost(options).sum(1)
-    return torch.where(cost[1] < cost[0], options[1], options[0])
+    """As they are, or either triple with each angle within half a turn of the expected one.
+
+    (a1 + pi, pi - a2, a3 + pi) is the other triple.
+    """
+    both = torch.stack([q, torch.stack([q[0] + torch.pi, torch.pi - q[1], q[2] + torch.pi])])
+    options = torch.cat([q[None], both - FULL * torch.round((both - posture.mean) / FULL)])
+    best = posture.cost(options).sum(1).argmin(0)
+    return options.gather(0, best.expand(1, 3, -1))[0]

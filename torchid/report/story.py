@@ -16,7 +16,7 @@ from torchid.report.text import clean, listing, number, percent, stated
 
 DEGREES = 180.0 / math.pi
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
-TOLD = 2.0
+CERTAIN = 2.0
 """Standard deviations from which a rest length is worth a word."""
 FEW = 6
 """Intervals that are listed."""
@@ -161,7 +161,7 @@ def _tether(cause: Cause) -> str:
     anchor = ", ".join(number(x, 2) for x in of(cause, "anchor_m")[0].tolist())
     stiffness = size(cause, "stiffness_N_m", "N/m")
     rest, sd = (float(x) for x in of(cause, "rest_m"))
-    slack = f", once it is longer than {size(cause, 'rest_m', 'm')}" if rest > TOLD * sd else ""
+    slack = f", once it is longer than {size(cause, 'rest_m', 'm')}" if rest > CERTAIN * sd else ""
     return f"a spring of {stiffness} pulls {place(cause)} towards a fixed point at x, y, z = {anchor} m{slack}"
 
 

@@ -1,4 +1,4 @@
-"""Effects that no column is linear in, linearised where they were found.
+"""Effects that are not linear in their parameters, linearised where they were found.
 
 Those of curved ones (``Effect.curved``) times their parameters are all that they load. Others shift readings in time:
 with m what plates read and m(-x) the same taken back by x, the effect adds f(x) = m - m(-x), whose slope at x is that
