@@ -23,7 +23,7 @@ from torchid.geometry.fitted import GeometryFit
 
 PLATES = ((PlateOffset(), 0.1), (PlateDrift(), 0.02))
 """Small errors that every plate has, part of their priors as effects: 0.5 N and the 0.01 N/s that charge amplifiers are
-sold with are nobody's discovery. At 0.025 N/s, how much of a drift of 0.25 N/s was which of four plates' was open."""
+sold with are nobody's discovery. With 0.025 N/s usual on three other plates, 0.25 N/s had an sd of a third."""
 
 PERIODS = 2.0
 """Of what repeats itself that a trial must show: a walk of a second takes slow ground for an offset of its own. Walks

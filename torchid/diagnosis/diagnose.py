@@ -65,7 +65,7 @@ def diagnose(
     unseen = HeldOut(found, watched, heldout)
     chosen, refuted = unseen.upheld(unseen.acting())
     found = without_negative(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)))
-    if refuted:
+    if refuted or len(found.chosen) < len(chosen):
         rest = _remains(found, watched)
     extended = unseen.judged(found.chosen)
     causes = _trusted(_causes(found, unseen, extended, [w.rows.name for w in (*watched, *heldout)]), rest)

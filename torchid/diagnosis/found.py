@@ -15,7 +15,7 @@ from torchid.diagnosis.noise import Noise
 
 NAMED = 2.5
 """Nats that name an effect: odds of 12 to one. In sessions that hide nothing
-``scripts/battery`` prints the best score that any effect had: 2.0 in 50."""
+``scripts/battery`` prints the best score that any effect had: 2.0 in 62."""
 ALIKE = 3.0
 """Nats within which a rival cannot be told apart."""
 CHANCE, PART = 1.0, 0.1

@@ -67,7 +67,8 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
     """Inverse kinematics from q, then again from good neighbours where the cost stands out.
 
     Least squares comes first: from far away a redescending loss would take every raised arm for an outlier. A limb
-    that was lost for a while is regained from both ends, a few frames in every round.
+    that was lost for a while is regained from both ends, a few frames in every round; joints that ended beyond their
+    limits are turned back before a robust loss could give up their markers.
     """
     plain = replace(problem, robust=None)
     q, cost = solve_poses(plain, q, xi)
