@@ -48,6 +48,11 @@ class Kind:
     """How far it leans forward at the deepest [rad]."""
     share: Range = (0.42, 0.58)
     """Part of the weight on the left foot."""
+    share_band: Range = (0.1, 0.5)
+    wide: float = 0.0
+    """How much further out than at ease each foot stands [m]."""
+    bear: float = 0.015
+    """How far the weight shifts along the soles, to and fro [m]."""
     steps: str = ""
     """``walk``: over to the plates in front and back; ``swing``: one leg after the other in the air."""
     reach: float = 0.985
@@ -61,6 +66,15 @@ KINDS: dict[str, Kind] = {
     "trunk": Kind(TRUNK, (0.15, 0.7), (0.01, 0.05), tilt=0.12, lean=0.25, steps="swing"),
     "sway": Kind(
         {"shoulder_flexion": (-20, 35)}, (0.2, 0.8), (0.0, 0.03), share=(0.15, 0.85), steps="walk", reach=0.99
+    ),
+    "pushes": Kind(
+        {"shoulder_flexion": (-20, 35)},
+        (0.2, 0.8),
+        (0.03, 0.12),
+        share=(0.08, 0.92),
+        share_band=(0.5, 1.2),
+        wide=0.14,
+        bear=0.055,
     ),
     "mix": Kind(TRUNK | ARMS, (0.15, 0.8), (0.02, 0.16), tilt=0.07, lean=0.2, share=(0.3, 0.7)),
     "lively": Kind(LIVELY, (0.6, 2.6), (0.02, 0.09), (0.6, 1.6), tilt=0.05, lean=0.1, share=(0.3, 0.7)),
@@ -121,7 +135,7 @@ def make_script(
     deep = wander(rng, time, 0.0, 1.0, what.drop_band) * start
     hips = abs(person.segments["thigh_l"].centre[1])
     near = 0.70 if what.steps == "walk" else 1.0
-    half, behind = near * hips + rng.uniform(0.0, 0.02), rng.uniform(-0.13, -0.11)
+    half, behind = near * hips + what.wide + rng.uniform(0.0, 0.02), rng.uniform(-0.13, -0.11)
     steps = _steps(rng, what.steps, duration, behind, short)
     feet = [_foot(rng, person, time, side, (behind, half), steps) for side in (0, 1)]
     pelvis = np.stack([wander(rng, time, -what.tilt, what.tilt, (0.1, 0.6)) for _ in range(3)], 1) * start[:, None]
@@ -130,7 +144,7 @@ def make_script(
     low, high = what.drop
     airborne = np.stack([_airborne(time, steps, side) for side in (0, 1)], 1)
     bearing = np.stack([f[2] for f in feet], 1)
-    bearing += 0.25 * calm * np.stack([wander(rng, time, -0.06, 0.06, (0.1, 0.5)), np.zeros(len(time))], 1)[:, None]
+    bearing[:, :, 0] += calm * wander(rng, time, -what.bear, what.bear, what.share_band)[:, None]
     return Script(
         time, _angles(rng, what, time, start, calm), pelvis, length * (low + (high - low) * deep),
         (feet[0][0], feet[1][0]), (feet[0][1], feet[1][1]), _share(rng, what, time, steps, duration), bearing,
@@ -206,7 +220,7 @@ def _airborne(time: np.ndarray, steps: list[Step], side: int) -> np.ndarray:
 
 def _share(rng: np.random.Generator, what: Kind, time: np.ndarray, steps: list[Step], duration: float) -> np.ndarray:
     """All on one foot while the other is in the air; in between, what the kind of trial wants."""
-    free = wander(rng, time, *what.share, (0.1, 0.5))
+    free = wander(rng, time, *what.share, what.share_band)
     if not steps:
         return 0.5 + smooth(time / 1.2) * (free - 0.5)
     keys, mix = [(-9.0, 0.5)], [(-9.0, 0.0)]

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from batteries.intent import Script
-from batteries.motion import pressure
+from batteries.motion import PENDULUM, pressure
 from batteries.physics import RATE
 
 ANALOG_RATIO = 10
@@ -23,6 +23,8 @@ LENGTH, WIDTH, SLIT, BORDER = 0.60, 0.46, 0.005, 0.10
 """Of the plates along x and y, between them, and x of the border between the plates behind and in front [m]."""
 DEPTH = 0.043
 """Of the transducers below the surface [m]."""
+LEANING = (0.2, 0.6)
+"""How far the force on a foot leans to the centre of mass, part of the way."""
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -72,16 +74,16 @@ def lay_plates(rng: np.random.Generator) -> tuple[Plate, ...]:
 def share_load(rng: np.random.Generator, script: Script, wrench: np.ndarray) -> np.ndarray:
     """Wrench on each foot about the origin of W (frames, 2, 6); their sum is exact.
 
-    The feet share force and free moment as intended; by what the centre of pressure misses, both bear elsewhere. They
-    press apart along the line between them, which leaves the sum as it is.
+    The feet share force and free moment as intended; by what the centre of pressure misses, both bear elsewhere. Part
+    of the way, each foot's force leans to the centre of mass between them, as in a wide stance: sideways pushes that
+    cancel in the sum.
     """
     share = np.stack([script.share, 1.0 - script.share], 1)[:, :, None]
     point = np.zeros((len(wrench), 2, 3))
     point[:, :, :2] = script.bearing + (pressure(wrench) - script.pressure)[:, None]
     apart = point[:, 0] - point[:, 1]
-    apart /= np.linalg.norm(apart, axis=1, keepdims=True)
-    press = rng.uniform(0.0, 0.03) * (4.0 * share[:, 0] * share[:, 1]) ** 2 * wrench[:, 2:3]
-    force = share * wrench[:, None, :3] + np.stack([press * apart, -press * apart], 1)
+    press = rng.uniform(*LEANING) * (4.0 * share[:, 0] * share[:, 1]) ** 2 * wrench[:, 2:3] * apart / (4.0 * PENDULUM)
+    force = share * wrench[:, None, :3] + np.stack([-press, press], 1)
     free = wrench[:, 3:] - np.cross(point, force).sum(1)
     return np.concatenate([force, np.cross(point, force) + share * free[:, None]], 2)
 

@@ -5,7 +5,7 @@ ten to twenty times that, or as much as happens in laboratories.
 """
 
 LEVELS = {"small": 0.0, "medium": 0.5, "large": 1.0}
-FIT, HELDOUT = ("squats", "arms", "trunk", "sway"), ("mix", "lively")
+FIT, HELDOUT = ("squats", "arms", "trunk", "sway", "pushes"), ("mix", "lively")
 SIZES: dict[str, dict[str, tuple[float, float]]] = {
     "time_offset": {"lag_s": (0.001, 0.015)},
     "filter_lag": {"cutoff_hz": (8.0, 2.5)},
