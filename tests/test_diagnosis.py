@@ -78,7 +78,7 @@ def hidden_masses(rng: np.random.Generator) -> PlantedOptions:
     return [
         lambda: PlantedOptions("flywheel", ("thorax",), None, {"momentum_seg_Nms": [0.0, 0.0, draw(rng, 4.0, 10.0)]}),
         lambda: PlantedOptions(
-            "payload", ("thorax",), None, {"mass_kg": draw(rng, 3.0, 6.0), "point_seg_m": [-0.12, 0.0, 0.2]}
+            "payload", ("thorax",), None, {"mass_kg": draw(rng, 6.0, 12.0), "point_seg_m": [-0.12, 0.0, 0.2]}
         ),
     ][rng.integers(2)]()
 

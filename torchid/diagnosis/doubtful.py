@@ -1,6 +1,5 @@
 """Causes that evidence supports and that are none: where noise does not explain the residual, evidence is cheap."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -9,8 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import Search
+from torchid.diagnosis.found import Search, without
 from torchid.diagnosis.search import residuals
 from torchid.diagnosis.watched import Watched
 
@@ -31,14 +31,19 @@ def relevant(found: Search, watched: Sequence[Watched]) -> Search:
     for one in reversed(found.chosen):
         if one.effect.kinematic or one.effect.timed:
             continue
-        others = [c for c in kept if c is not one and not c.effect.anew]
-        with_, without = (
-            _sizes(watched, residuals(watched, found.design, found.prior, fit(found.sums, some)))
-            for some in ([*others, one], others)
-        )
-        if bool((with_ > math.log(1.0 - RELEVANT) + without).all()):
+        if takes_away(found, watched, kept, one) < RELEVANT:
             kept.remove(one)
     return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))
+
+
+def takes_away(found: Search, watched: Sequence[Watched], chosen: Sequence[Candidate], one: Candidate) -> float:
+    """Part of the residual force or moment, whichever is more, that an effect takes away beside the others chosen."""
+    others = [c for c in without(chosen, one) if not c.effect.anew]
+    with_, less = (
+        _sizes(watched, residuals(watched, found.design, found.prior, fit(found.sums, some)))
+        for some in ([*others, one], others)
+    )
+    return 1.0 - float((with_ - less).exp().min())
 
 
 def _sizes(watched: Sequence[Watched], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:

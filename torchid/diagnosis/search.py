@@ -27,7 +27,7 @@ from torchid.regressor.rows import measured
 from torchid.regressor.whitening import Whitening
 
 log = logging.getLogger(__name__)
-NEWTON = 2
+NEWTON = 3
 """Steps by which effects that are not linear in their parameters are found."""
 SECOND = 4
 """Effects that are tried under the noise that they would leave, at most."""
