@@ -21,8 +21,8 @@ from torchid.effects.sight import View
 from torchid.kinematics.recursion import cross
 
 FREQUENCIES = (2.5, 3.5, 5.0, 7.0)
-"""Of wobbling masses [Hz]: soft tissue and viscera (Wakeling & Nigg, J Appl Physiol 90, 2001)."""
-DAMPING = (0.1, 0.3)
+"""Of wobbling masses that are tried [Hz]: soft tissue and viscera (Wakeling & Nigg, J Appl Physiol 90, 2001)."""
+DAMPING = 0.2
 FAR = 1.0
 """Logarithm of frequency and damping against the grid's that is believed at most."""
 FINE = 8
@@ -132,7 +132,7 @@ class WobblingMass(Effect):
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         heavy = [n for n in views[0].scene.tree.names if not n.startswith(("hand", "foot", "forearm", "head"))]
-        grids = [{"frequency_hz": f, "damping_ratio": z} for f in FREQUENCIES for z in DAMPING]
+        grids = [{"frequency_hz": f, "damping_ratio": DAMPING} for f in FREQUENCIES]
         return tuple(Place((name,), grid=grid) for name in heavy for grid in grids)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
