@@ -344,7 +344,7 @@ def test_every_effect_has_a_sentence(name, scale):
     assert "_" not in said and (re.search(r"\d", said) or not cause(name).parameters)
     for other in CATALOGUE:
         assert tell_apart(name, other) == tell_apart(other, name) != ""
-    sure = surely(cause(name), Structure(True, 1e-4, 0.4, "x"))
+    sure = surely(replace(cause(name), doubted=True))
     assert sure.startswith("very likely (90 %)") and "what remains unexplained" in sure
 
 

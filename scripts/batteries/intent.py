@@ -49,6 +49,7 @@ class Kind:
     share: Range = (0.42, 0.58)
     """Part of the weight on the left foot."""
     share_band: Range = (0.1, 0.5)
+    """How quickly it goes over, and along the soles [Hz]."""
     wide: float = 0.0
     """How much further out than at ease each foot stands [m]."""
     bear: float = 0.015

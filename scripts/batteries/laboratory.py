@@ -82,7 +82,7 @@ def share_load(rng: np.random.Generator, script: Script, wrench: np.ndarray) -> 
     point = np.zeros((len(wrench), 2, 3))
     point[:, :, :2] = script.bearing + (pressure(wrench) - script.pressure)[:, None]
     apart = point[:, 0] - point[:, 1]
-    press = rng.uniform(*LEANING) * (4.0 * share[:, 0] * share[:, 1]) ** 2 * wrench[:, 2:3] * apart / (4.0 * PENDULUM)
+    press = rng.uniform(*LEANING) * share[:, 0] * share[:, 1] * wrench[:, 2:3] * apart / PENDULUM
     force = share * wrench[:, None, :3] + np.stack([-press, press], 1)
     free = wrench[:, 3:] - np.cross(point, force).sum(1)
     return np.concatenate([force, np.cross(point, force) + share * free[:, None]], 2)

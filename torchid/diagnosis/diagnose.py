@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 
 from torchid.diagnosis.design import Candidate
-from torchid.diagnosis.doubtful import relevant, takes_away, without_opposed
+from torchid.diagnosis.doubtful import relevant, stands_out, without_opposed
 from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, without, without_negative
 from torchid.diagnosis.heldout import HeldOut, Judged
@@ -85,7 +85,8 @@ def _remains(found: Search, watched: Sequence[Watched]) -> Structure:
 
 
 def _trusted(found: Search, watched: Sequence[Watched], rest: Structure, causes: Iterable[Cause]) -> list[Cause]:
-    """A model that the data contradict is sure of nothing that the contradicted forces told.
+    """A model that the data contradict is sure of nothing that the contradicted forces told: what bodies do and cameras
+    see is none of that.
 
     Too little of it to be flagged leaves in doubt what is small beside it: at a share of 0.31, a harness of 9 N that
     nobody wore had stayed at 1.00.
@@ -94,10 +95,12 @@ def _trusted(found: Search, watched: Sequence[Watched], rest: Structure, causes:
         return list(causes)
     trust = 1.0 - 0.5 * rest.share_of_residual
     sure = [
-        _seen(one.effect) or (not rest.significant and takes_away(found, watched, found.chosen, one) > PLAIN)
-        for one in found.chosen
-    ]
-    return [c if plain else replace(c, confidence=trust * c.confidence) for c, plain in zip(causes, sure, strict=True)]
+        one.effect.kinematic and one.effect.bodily if rest.significant
+        else one.effect.kinematic or one.effect.timed or stands_out(found, watched, k) > PLAIN
+        for k, one in enumerate(found.chosen)
+    ]  # fmt: skip
+    both = zip(causes, sure, strict=True)
+    return [c if plain else replace(c, confidence=trust * c.confidence, doubted=True) for c, plain in both]
 
 
 def _nearest(scan: Round) -> tuple[Near, ...]:
@@ -105,11 +108,6 @@ def _nearest(scan: Round) -> tuple[Near, ...]:
     best = sorted(scan.families.items(), key=lambda both: -both[1])[:RIVALS]
     first = {name: next(r.candidate for r in scan.rivals if r.candidate.effect.name == name) for name, _ in best}
     return tuple(Near(name, first[name].place.where, score) for name, score in best)
-
-
-def _seen(own: Effect) -> bool:
-    """What bodies do and cameras see: no contradicted force had to tell it."""
-    return own.bodily and own.kinematic
 
 
 def _same(scanned: Candidate, one: Candidate) -> bool:

@@ -46,6 +46,19 @@ def takes_away(found: Search, watched: Sequence[Watched], chosen: Sequence[Candi
     return 1.0 - float((with_ - less).exp().min())
 
 
+def stands_out(found: Search, watched: Sequence[Watched], k: int) -> float:
+    """Part of the residual force or moment, whichever is more, that the k-th chosen effect takes away by itself.
+
+    Nothing else makes up for it: what a hidden load needs, the inertia takes on.
+    """
+    n, more = found.design.inertia, []
+    left = residuals(watched, found.design, found.prior, found.fitted)
+    for trial, (columns, own) in enumerate(zip(found.design.trials, left, strict=True)):
+        share = found.prior.scale * found.fitted.shares(len(found.prior.mean), trial)[k, n:]
+        more.append(own + torch.einsum("ipt,p->ti", columns.extra, share[columns.terms.live[n:] - n]))
+    return 1.0 - float((_sizes(watched, left) - _sizes(watched, more)).exp().min())
+
+
 def _sizes(watched: Sequence[Watched], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:
     """Logarithms of the RMS of forces and moments, averaged over trials: a landing must not drown what squats show."""
     parts = [x[w.rows.used].unflatten(1, (2, 3)) for w, x in zip(watched, left, strict=True)]

@@ -33,7 +33,7 @@ class Structure:
     share_of_residual: float
     description: str
     beyond: bool = False
-    """It lies above the filter alone, where no cause was told: none is less certain for it."""
+    """It lies above the filter alone, where no cause was told."""
 
 
 @dataclass(frozen=True)

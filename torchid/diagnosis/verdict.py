@@ -49,6 +49,8 @@ class Cause:
     """In which it acts."""
     everywhere: bool
     """In all fit trials, and therefore in others too."""
+    doubted: bool = False
+    """What contradicts the model has been taken off the confidence."""
 
     def on(self, trial: str) -> Planted | None:
         """As it acts in a trial, None where it does not or nobody knows."""

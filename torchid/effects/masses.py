@@ -24,7 +24,9 @@ FREQUENCIES = (2.5, 3.5, 5.0, 7.0)
 """Of wobbling masses that are tried [Hz]: soft tissue and viscera (Wakeling & Nigg, J Appl Physiol 90, 2001)."""
 DAMPING = 0.2
 FAR = 1.0
-"""Logarithm of frequency and damping against the grid's that is believed at most."""
+"""Logarithm of frequency and damping against the grid's, at most."""
+NEAR = (0.25, 0.5)
+"""Of a step of the search for them: full steps went round in circles, from 1.6 kg to none and 3.4 kg."""
 FINE = 8
 """Steps of the wobbling mass per frame."""
 
@@ -148,9 +150,9 @@ class WobblingMass(Effect):
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         mass, pace, decay = theta
-        known = bool(mass > 0.0)
+        there = bool(mass > 0.0)
         faster, duller = (
-            torch.exp((x / mass).clamp(-FAR, FAR)) if known else torch.ones_like(x) for x in (pace, decay)
+            (FAR * torch.tanh(x / (FAR * mass))).exp() if there else torch.ones_like(x) for x in (pace, decay)
         )
         return {
             "mass_kg": mass, "frequency_hz": place.grid["frequency_hz"] * faster,
@@ -159,11 +161,21 @@ class WobblingMass(Effect):
 
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         mass = value_of(values, self.name, "mass_kg", 1)
-        away = [
-            torch.as_tensor(values.get(key, place.grid[key]), dtype=torch.float64).reshape(1) / place.grid[key]
-            for key in ("frequency_hz", "damping_ratio")
-        ]
-        return mass * torch.cat([torch.ones_like(mass), *(x.log() for x in away)])
+        away = [torch.ones_like(mass)]
+        for key in ("frequency_hz", "damping_ratio"):
+            told = key in values or key not in place.grid
+            ratio = value_of(values, self.name, key, 1) / place.grid[key] if told else torch.ones_like(mass)
+            away.append(FAR * torch.atanh(ratio.log() / FAR))
+        return mass * torch.cat(away)
+
+    def reached(self, old: Float[Tensor, " params"], new: Float[Tensor, " params"]) -> Float[Tensor, " params"]:
+        """A mass stays one, and its resonance moves no further than columns can follow."""
+        if not bool(old[0] > 0.0):
+            return new
+        near, away = new.new_tensor(NEAR), old[1:] / old[0]
+        step = new[1:] / new[0] - away if bool(new[0] > 0.0) else torch.zeros_like(away)
+        mass = torch.maximum(new[:1], 0.5 * old[:1])
+        return mass * torch.cat([torch.ones_like(mass), away + torch.minimum(torch.maximum(step, -near), near)])
 
 
 def wobble(

@@ -34,7 +34,7 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
         return None
     blocks: list[Block] = []
     if found.causes:
-        blocks.append(Items(tuple(f"{name(cause)}: {surely(cause, found.unexplained)}" for cause in found.causes)))
+        blocks.append(Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in found.causes)))
         blocks += _changes(outcome, found)
         blocks += _rivals(found)
         blocks.append(Details("All parameters of the named causes", (_parameters(found),)))
@@ -185,8 +185,8 @@ def _rivals(found: Diagnosis) -> list[Block]:
     caption = "How probable each explanation is, given catalogue and recordings."
     if any(cause.indistinguishable for cause in contested):
         caption += " Hatched: what these recordings cannot tell from the cause that is named."
-    if found.unexplained.significant and not found.unexplained.beyond:
-        caption += " What remains unexplained has been taken off the confidence of the named causes."
+    if any(cause.doubted for cause in contested):
+        caption += " What contradicts the model has been taken off the confidence of causes that forces alone tell."
     return [Figure(_draw_rivals(contested), caption)]
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 import torch
 
 from torchid.conventions import GRAVITY
-from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Alternative, Cause
 from torchid.effects.apart import tell_apart
 from torchid.effects.effect import Interval
@@ -33,7 +32,7 @@ def told(cause: Cause) -> str:
     return f"{sentence}{_when(cause.when, cause.effect)}."
 
 
-def surely(cause: Cause, rest: Structure) -> str:
+def surely(cause: Cause) -> str:
     """How sure that is, and what else it could be."""
     sure = next(word for least, word in WORDS if cause.confidence >= least)
     said = [f"{sure} ({chance(cause.confidence)})"]
@@ -46,7 +45,7 @@ def surely(cause: Cause, rest: Structure) -> str:
         )
     elif not twins:
         said.append(f"No other entry of the catalogue reaches {percent(WORTH)}")
-    if rest.significant and not rest.beyond:
+    if cause.doubted:
         said.append("The confidence is lowered by what remains unexplained, see below")
     for twin in cause.indistinguishable:
         record = tell_apart(cause.effect, twin.effect)
@@ -138,10 +137,10 @@ def _payload(cause: Cause) -> str:
 
 
 def _wobble(cause: Cause) -> str:
-    frequency, damping = of(cause, "frequency_hz")[0], of(cause, "damping_ratio")[0]
+    damping, sd = (float(x[0]) for x in of(cause, "damping_ratio"))
     return (
-        f"{size(cause, 'mass_kg', 'kg')} of the mass of {place(cause)} lag behind the bone and ring at about "
-        f"{number(frequency[0])} Hz, damped by {percent(damping[0])} of the critical"
+        f"{size(cause, 'mass_kg', 'kg')} of the mass of {place(cause)} lag behind the bone and ring at "
+        f"{size(cause, 'frequency_hz', 'Hz')}, damped by {percent(damping)} (sd {percent(sd)}) of the critical"
     )
 
 
