@@ -4,6 +4,7 @@ import dataclasses
 import os
 import time as clock
 
+import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
@@ -11,6 +12,7 @@ from torch.testing import assert_close
 from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.candidates import answer_of
 from torchid.diagnosis.design import Source
+from torchid.diagnosis.proposals import swaps
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Interval, Place, Planted, columns, mean_within, within
 from torchid.effects.scene import Reading, Scene, make_scene
@@ -232,6 +234,24 @@ def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed)
     guess = smoother(known.wrench([answer_of(known, source)]).permute(2, 0, 1) @ one.theta)[40:-40]
     for part in (slice(0, 3), slice(3, 6)):
         assert float((lacks - guess)[:, part].norm()) < 0.25 * float(lacks[:, part].norm())
+
+
+@pytest.mark.parametrize("lost", [(), (0,), (1,), (0, 1)])
+def test_a_swap_is_proposed_whole(followed, lost):
+    """Also where one of the markers is lost meanwhile, or both are."""
+    cameras = followed[1]
+    rng = np.random.default_rng([SEED, 12])
+    a, b = sorted(rng.choice(len(cameras.sight.labels), 2, replace=False).tolist())
+    apart = torch.zeros_like(cameras.error[a])
+    apart[:, 60:120] = (cameras.sight.p[b] - cameras.sight.p[a])[:, 60:120]
+    error, weight = cameras.error.clone(), cameras.weight.clone()
+    error[a], error[b] = error[a] + apart, error[b] - apart
+    for k in lost:
+        error[(a, b)[k], :, 80:100] = weight[(a, b)[k], 80:100] = 0.0
+    time = cameras.sight.scene.time
+    (place,) = swaps(dataclasses.replace(cameras, error=error, weight=weight))
+    assert place.where == (cameras.sight.labels[a], cameras.sight.labels[b])
+    assert [(one.t0, one.t1) for one in place.when] == [(float(time[60]), float(time[119]))]
 
 
 def test_the_ground_carries_what_is_hidden(subject, plain):

@@ -42,7 +42,7 @@ def suggested(effect: Effect, watched: Sequence[Watched]) -> tuple[Place, ...]:
     """Places of an effect: all it names, those of its intervals, or those worth a closer look."""
     views = [w.view for w in watched]
     if effect.name == "marker_swap":
-        return tuple(place for w in watched if w.cameras is not None for place in swaps(w, w.cameras))
+        return tuple(place for w in watched if w.cameras is not None for place in swaps(w.cameras))
     if isinstance(effect, MissingDof):
         return _loosest(effect, watched)
     if isinstance(effect, MovingGround):
@@ -111,28 +111,33 @@ def _strongest(x: Float[Tensor, "bins 6"], shortest: int, longest: int) -> tuple
     return divmod(int(power.argmax()), len(sums)) if float(power.max()) > 0.0 else (0, 0)
 
 
-def swaps(watched: Watched, cameras: Cameras) -> list[Place]:
-    """Pairs of markers and when they are closer to each other's places than to their own."""
+def swaps(cameras: Cameras) -> list[Place]:
+    """Pairs of markers and when they are closer to each other's places than to their own.
+
+    Where one of them is lost the other tells, and where both are, the frames about: without them half of a swap was
+    named, and the other half as a marker that was moved.
+    """
     sight, seen = cameras.sight, cameras.weight > 0.0
     pairs = list(combinations(range(len(sight.labels)), 2))
     found: dict[tuple[int, int], list[Interval]] = {}
-    time = watched.rows.motion.time
+    trial, time = sight.scene.trial, sight.scene.time
     odds = 1.0 / (len(pairs) * len(time))
     for a, b in pairs:
-        run = _exchanged(cameras, a, b) & seen[a] & seen[b]
-        for start, stop in runs(run):
-            if stop - start >= SWAPPED:
-                found.setdefault((a, b), []).append(
-                    Interval(watched.rows.name, float(time[start]), float(time[stop - 1]))
-                )
+        exchanged = _exchanged(cameras, a, b)
+        for start, stop in runs(exchanged | ~(seen[a] | seen[b])):
+            inside = start + exchanged[start:stop].nonzero()[:, 0]
+            if int((seen[a] & seen[b])[inside].sum()) >= SWAPPED:
+                t0, t1 = float(time[inside[0]]), float(time[inside[-1]])
+                found.setdefault((a, b), []).append(Interval(trial, t0, t1))
     return [Place((sight.labels[a], sight.labels[b]), tuple(own), odds=odds) for (a, b), own in found.items()]
 
 
 def _exchanged(cameras: Cameras, a: int, b: int) -> Bool[Tensor, " frames"]:
-    apart = cameras.sight.p[b] - cameras.sight.p[a]
-    ea, eb = cameras.error[a], cameras.error[b]
-    now = ea.square().sum(0) + eb.square().sum(0)
-    undone = (ea - apart).square().sum(0) + (eb + apart).square().sum(0)
+    """Frames in which what is seen of two markers fits better the other way round."""
+    apart, both = cameras.sight.p[b] - cameras.sight.p[a], [a, b]
+    seen, error = cameras.weight[both] > 0.0, cameras.error[both]
+    now = (seen * error.square().sum(1)).sum(0)
+    undone = (seen * (error + torch.stack([-apart, apart])).square().sum(1)).sum(0)
     return undone < CLOSER * now
 
 
