@@ -11,6 +11,7 @@ from torchid.effects.effect import STEP, Effect, Place
 from torchid.effects.plates import to_plate
 from torchid.effects.scene import Reading
 from torchid.regressor.rows import runs
+from torchid.regressor.whitening import white_scatter
 
 LOADED = 20.0
 """Vertical force beyond a plate's lowest below which it bears nothing [N]."""
@@ -19,6 +20,10 @@ ZERO = 100.0
 LEAST_S, EDGE_S = 0.2, 0.04
 """Length of a run that counts, and what is cut off at its ends: filters carry a stance into the swing. With half a
 second as the least, a runner's plates were never idle, and one was 39 N off that read 0.1 N in every swing."""
+STILL_N, DRIFT_N_S, SHORT_S = 2.0, 2.0, 0.5
+"""By how much a plate's load may bend within a run, and lean, the more the longer it lasts, beside its noise; shorter
+ones do not tell, but end in a moment. The least that a foot bears while the weight is on the other was taken for a zero
+error of 44 N, and for drifts of 3 N/s."""
 SCATTER = (0.2, 0.2, 0.2, 0.05, 0.05, 0.05)
 """Of a run's mean [N, N m]: zeros wander within a trial, whatever the noise."""
 
@@ -49,14 +54,32 @@ def find_idle(raw: Reading, rate: float) -> Idle:
         load = raw.wrench[:, k, 2]
         low = float(load.quantile(0.02))
         quiet = ((load - low).abs() < LOADED) & (raw.wrench[:, k] != 0.0).any(1) & (abs(low) < ZERO)
-        start, stop = max(runs(quiet), key=lambda run: run[1] - run[0], default=(0, 0))
-        if stop - start >= LEAST_S * rate:
-            edge = round(EDGE_S * rate)
-            part = slice(start + edge, stop - edge)
+        edge, noise = round(EDGE_S * rate), float(white_scatter(load[:, None]))
+        some = [(a, b) for a, b in runs(quiet) if b - a >= LEAST_S * rate]
+        some = [(a, b) for a, b in some if b - a >= SHORT_S * rate or _sudden(load - low, a - edge, b - 1 + edge)]
+        parts = [slice(a + edge, b - edge) for a, b in some]
+        still = [part for part in parts if _still(load[part], rate, noise)]
+        if still:
+            part = max(still, key=lambda part: part.stop - part.start)
             read = to_plate(frame, raw.wrench[part, k])
             error = (read.new_tensor(SCATTER).square() + read.var(0) / len(read)).sqrt()
             found.append((k, part, read.mean(0), error))
     return Idle(replace(raw, wrench=torch.zeros_like(raw.wrench)), tuple(found))
+
+
+def _still(load: Float[Tensor, " frames"], rate: float, noise: float) -> bool:
+    """Whether the parabola through a run is flat."""
+    s = torch.linspace(-1.0, 1.0, len(load)).to(load)
+    A = torch.stack([torch.ones_like(s), s, s.square()], 1)
+    _, lean, bend = torch.linalg.lstsq(A, load[:, None]).solution[:, 0].abs().tolist()
+    _, leans, bends = (noise * torch.linalg.inv(A.T @ A).diagonal().sqrt()).tolist()
+    drift = 0.5 * DRIFT_N_S * len(load) / rate
+    return lean < STILL_N + drift + 1.5 * leans and bend < STILL_N + 1.5 * bends
+
+
+def _sudden(load: Float[Tensor, " frames"], *ends: int) -> bool:
+    """Whether a foot stands on the plate just outside a run."""
+    return all(0 <= k < len(load) and float(load[k]) > 3.0 * LOADED for k in ends)
 
 
 def idle_sums(idle: Idle, sources: Sequence[tuple[Effect, Place, slice]]) -> IdleSums | None:
