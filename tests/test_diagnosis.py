@@ -24,7 +24,7 @@ from torchid.diagnosis.watched import Known, Watched, watch
 from torchid.effects.catalogue import BODILY
 from torchid.effects.effect import Interval, Place, Planted
 from torchid.effects.forces import Tether
-from torchid.effects.masses import Payload, WobblingMass
+from torchid.effects.masses import Payload
 from torchid.errors import ConfigError
 from torchid.experiment import run_experiment
 from torchid.experiment.extending import _added
@@ -218,29 +218,9 @@ def test_an_extension_takes_out_all_of_a_curved_load():
     scene = watched.view.scene
     load = Planted(Payload(), Place(("forearm_l",), point=(0.0, 0.0, 0.0)), scene.phi.new_tensor([3.0, 0.3, 0.2, -0.9]))
     spring = Planted(Tether(), Place(("forearm_r",)), scene.phi.new_tensor([14.0, 12.0, 11.0, 20.0, 9.0]))
-    wobble = Planted(
-        WobblingMass(), Place(("thorax",), grid={"frequency_hz": 3.5, "damping_ratio": 0.2}),
-        scene.phi.new_tensor([3.0, 0.6, -1.2]),
-    )  # fmt: skip
-    for one in (load, spring, wobble):
+    for one in (load, spring):
         exact = one.load(scene).T
         assert float((_added(watched, one) - exact).norm()) < 1e-5 * float(exact.norm())
-
-
-@pytest.mark.slow
-def test_a_wobbling_mass_is_told_between_the_frequencies_that_are_tried():
-    """Mass, frequency and damping within their errors, which are no grid's."""
-    rng = np.random.default_rng([SEED, 11])
-    true = {"mass_kg": float(rng.uniform(3.0, 5.0)), "frequency_hz": float(rng.uniform(2.8, 4.5)),
-            "damping_ratio": float(rng.uniform(0.12, 0.28))}  # fmt: skip
-    planted = PlantedOptions("wobbling_mass", ("thorax",), None, true)
-    watched, _, prior, found = seen(simulated((planted,), int(rng.integers(2**31))))
-    said = search([watched[name] for name in FIT], (WobblingMass(),), prior, found.fit.omega_2, found.whitening, 1)
-    assert [one.place.where for one in said.chosen] == [("thorax",)]
-    for key, (value, sd) in estimate(said, 0).items():
-        print(key, float(value), float(sd), true[key])  # noqa: T201
-        assert 0.0 < float(sd) < 0.3 * true[key]
-        assert abs(float(value) - true[key]) < max(5.0 * float(sd), 0.1 * true[key]), key
 
 
 @pytest.mark.parametrize("where", [FIT, FIT[:-1]])

@@ -27,10 +27,8 @@ from torchid.regressor.rows import measured
 from torchid.regressor.whitening import Whitening
 
 log = logging.getLogger(__name__)
-NEWTON = 6
-"""Steps by which effects that are not linear in their parameters are found, at most."""
-SETTLED = 0.01
-"""Of the prior's standard deviation, by which they move at last."""
+NEWTON = 2
+"""Steps by which effects that are not linear in their parameters are found."""
 SECOND = 4
 """Effects that are tried under the noise that they would leave, at most."""
 GROWN = 1.5
@@ -88,23 +86,6 @@ def search(
 
 def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:
     return [rows_of(w, c, design.late) for w, c in zip(watched, design.trials, strict=True)]
-
-
-def _reached(chosen: Sequence[Candidate], old: Tensor, new: Tensor) -> Tensor:
-    found = new.clone()
-    for one in chosen:
-        found[one.columns] = one.effect.reached(old[one.columns], new[one.columns])
-    return found
-
-
-def _settled(chosen: Sequence[Candidate], old: Sequence[Tensor], new: Sequence[Tensor]) -> bool:
-    """Whether no parameter of late and curved effects moves any more."""
-    for one in (c for c in chosen if c.effect.late or c.effect.curved):
-        least = SETTLED * torch.tensor(one.effect.scale(one.place))
-        steps = [(x - y)[one.columns].abs() for x, y in zip(new, old, strict=True)]
-        if any(bool((step > least.to(step)).any()) for step in steps):
-            return False
-    return True
 
 
 def _linearised(watched: Sequence[Watched], design: Design, theta: Sequence[Tensor]) -> Design:
@@ -168,12 +149,10 @@ class _Scan:
         for _ in range(NEWTON):
             rows = _rows(self.watched, small)
             noise = estimate_noise(rows, prior, small, own, noise)
-            fitted, before = fit(summed(rows, prior, small, noise), own), [x[which] for x in theta]
+            fitted = fit(summed(rows, prior, small, noise), own)
             for k, x in enumerate(theta):
-                x[which] = _reached(own, before[k], prior.theta(fitted.z(len(prior.mean), k)))
+                x[which] = prior.theta(fitted.z(len(prior.mean), k))
             small = _linearised(self.watched, small, [x[which] for x in theta])
-            if _settled(own, before, [x[which] for x in theta]):
-                break
         design = _linearised(self.watched, self.design, theta)
         return noise, replace(self, rows=_rows(self.watched, design), design=design)
 

@@ -55,7 +55,7 @@ class Place:
     point: tuple[float, float, float] | None = None
     """On the segment, where the effect acts, in its axes [m]; None: its centre of mass."""
     grid: dict[str, float] = field(default_factory=dict)
-    """Values of parameters that no column can be linear in, such as a frequency, or about which it is."""
+    """Values of parameters that no column can be linear in, such as a frequency."""
     odds: float = 1.0
     """How likely before any data, against the effect's other places."""
     follows: str | None = None
@@ -158,10 +158,6 @@ class Effect(ABC):
             ConfigError: a parameter is missing or has another size.
         """
         return torch.cat([value_of(values, self.name, p.key, p.size) for p in self.parameters])
-
-    def reached(self, old: Float[Tensor, " params"], new: Float[Tensor, " params"]) -> Float[Tensor, " params"]:
-        """How far a step is believed from where columns were taken to where they lead."""
-        return new
 
     def split(self, theta: Float[Tensor, " params"]) -> tuple[Tensor, ...]:
         """One part for each parameter."""

@@ -21,12 +21,8 @@ from torchid.effects.sight import View
 from torchid.kinematics.recursion import cross
 
 FREQUENCIES = (2.5, 3.5, 5.0, 7.0)
-"""Of wobbling masses that are tried [Hz]: soft tissue and viscera (Wakeling & Nigg, J Appl Physiol 90, 2001)."""
-DAMPING = 0.2
-FAR = 1.0
-"""Logarithm of frequency and damping against the grid's, at most."""
-NEAR = (0.25, 0.5)
-"""Of a step of the search for them: full steps went round in circles, from 1.6 kg to none and 3.4 kg."""
+"""Of wobbling masses [Hz]: soft tissue and viscera (Wakeling & Nigg, J Appl Physiol 90, 2001)."""
+DAMPING = (0.1, 0.3)
 FINE = 8
 """Steps of the wobbling mass per frame."""
 
@@ -122,60 +118,28 @@ class WobblingMass(Effect):
 
     The mass is the segment's own. What its motion relative to the bone adds is m x'' at the centre of mass, and
     m x cross (a - g), with x'' + 2 z w x' + w^2 x = g - a: it also sags, always downwards, however the segment leans.
-    Internal are the mass, and the mass times the logarithms of frequency and damping against those of the place's
-    grid. Absent, it has neither. Below its resonance, a mass shows by m / w^2: on a grid alone, 5.1 +- 0.6 kg were told
-    of 2.2 kg.
     """
 
     name = "wobbling_mass"
-    accelerated = curved = True
+    accelerated = True
     bodily = True
-    parameters = (Parameter("mass_kg", 2.0, positive=True), Parameter("pace_kg", 0.5), Parameter("decay_kg", 1.0))
+    parameters = (Parameter("mass_kg", 2.0, positive=True),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         heavy = [n for n in views[0].scene.tree.names if not n.startswith(("hand", "foot", "forearm", "head"))]
-        grids = [{"frequency_hz": f, "damping_ratio": DAMPING} for f in FREQUENCIES]
+        grids = [{"frequency_hz": f, "damping_ratio": z} for f in FREQUENCIES for z in DAMPING]
         return tuple(Place((name,), grid=grid) for name in heavy for grid in grids)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         (segment,) = place.where
-        own = {key: float(value) for key, value in self.named(place, theta).items()}
-        if own["mass_kg"] == 0.0:
-            return theta.new_zeros(6, len(scene.time))
         at = scene.point(segment, anchor(scene, place))
-        x, xdd = wobble(at.a, scene.rate, own["frequency_hz"], own["damping_ratio"])
-        sag = -lift(theta) / (2.0 * math.pi * own["frequency_hz"]) ** 2
-        total = at_origin(at.p, own["mass_kg"] * xdd)
-        return total + torch.cat([torch.zeros_like(x), cross(own["mass_kg"] * (x + sag), at.a + lift(theta))])
+        x, xdd = wobble(at.a, scene.rate, place.grid["frequency_hz"], place.grid["damping_ratio"])
+        sag = -lift(theta) / (2.0 * math.pi * place.grid["frequency_hz"]) ** 2
+        total = at_origin(at.p, theta * xdd)
+        return total + torch.cat([torch.zeros_like(x), cross(theta * (x + sag), at.a + lift(theta))])
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        mass, pace, decay = theta
-        there = bool(mass > 0.0)
-        faster, duller = (
-            (FAR * torch.tanh(x / (FAR * mass))).exp() if there else torch.ones_like(x) for x in (pace, decay)
-        )
-        return {
-            "mass_kg": mass, "frequency_hz": place.grid["frequency_hz"] * faster,
-            "damping_ratio": place.grid["damping_ratio"] * duller,
-        }  # fmt: skip
-
-    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
-        mass = value_of(values, self.name, "mass_kg", 1)
-        away = [torch.ones_like(mass)]
-        for key in ("frequency_hz", "damping_ratio"):
-            told = key in values or key not in place.grid
-            ratio = value_of(values, self.name, key, 1) / place.grid[key] if told else torch.ones_like(mass)
-            away.append(FAR * torch.atanh(ratio.log() / FAR))
-        return mass * torch.cat(away)
-
-    def reached(self, old: Float[Tensor, " params"], new: Float[Tensor, " params"]) -> Float[Tensor, " params"]:
-        """A mass stays one, and its resonance moves no further than columns can follow."""
-        if not bool(old[0] > 0.0):
-            return new
-        near, away = new.new_tensor(NEAR), old[1:] / old[0]
-        step = new[1:] / new[0] - away if bool(new[0] > 0.0) else torch.zeros_like(away)
-        mass = torch.maximum(new[:1], 0.5 * old[:1])
-        return mass * torch.cat([torch.ones_like(mass), away + torch.minimum(torch.maximum(step, -near), near)])
+        return super().named(place, theta) | {k: theta.new_tensor(v) for k, v in place.grid.items()}
 
 
 def wobble(

@@ -137,10 +137,10 @@ def _payload(cause: Cause) -> str:
 
 
 def _wobble(cause: Cause) -> str:
-    damping, sd = (float(x[0]) for x in of(cause, "damping_ratio"))
+    frequency, damping = of(cause, "frequency_hz")[0], of(cause, "damping_ratio")[0]
     return (
-        f"{size(cause, 'mass_kg', 'kg')} of the mass of {place(cause)} lag behind the bone and ring at "
-        f"{size(cause, 'frequency_hz', 'Hz')}, damped by {percent(damping)} (sd {percent(sd)}) of the critical"
+        f"{size(cause, 'mass_kg', 'kg')} of the mass of {place(cause)} lag behind the bone and ring at about "
+        f"{number(frequency[0])} Hz, damped by {percent(damping[0])} of the critical"
     )
 
 
