@@ -413,6 +413,7 @@ def test_bands_add_up_to_the_residual(run):
             "remains unexplained cannot be told: no camera",
         ),
         (Structure(False, 0.4, 0.1, ""), "too little to matter"),
+        (Structure(False, 1e-4, 0.3, ""), "a little more than the noise"),
         (Structure(True, 1e-5, 0.6, "60 % of <b>it</b>"), "no effect of the catalogue explains: 60 %"),
     ],
 )

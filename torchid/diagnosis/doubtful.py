@@ -31,12 +31,12 @@ def relevant(found: Search, watched: Sequence[Watched]) -> Search:
     for one in reversed(found.chosen):
         if one.effect.kinematic or one.effect.timed:
             continue
-        if takes_away(found, watched, kept, one) < RELEVANT:
+        if _takes_away(found, watched, kept, one) < RELEVANT:
             kept.remove(one)
     return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))
 
 
-def takes_away(found: Search, watched: Sequence[Watched], chosen: Sequence[Candidate], one: Candidate) -> float:
+def _takes_away(found: Search, watched: Sequence[Watched], chosen: Sequence[Candidate], one: Candidate) -> float:
     """Part of the residual force or moment, whichever is more, that an effect takes away beside the others chosen."""
     others = [c for c in without(chosen, one) if not c.effect.anew]
     with_, less = (

@@ -14,11 +14,10 @@ from torch import Tensor
 
 from torchid.diagnosis.design import Columns, Source
 from torchid.diagnosis.rates import calibrated
-from torchid.diagnosis.shaken import covariation
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
 from torchid.effects.effect import Effect, Place, columns
-from torchid.effects.scene import Reading, Scene
+from torchid.effects.scene import Reading
 from torchid.regressor.rows import WrenchTrial
 
 
@@ -32,32 +31,25 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
         theta: parameters of all columns.
     """
     extra, beyond, first = own.extra.clone(), torch.zeros_like(watched.rows.wrench), watched.phi.numel()
-    shared = None if own.terms.covariation is None else own.terms.covariation.clone()
-    scene, measured, root = watched.view.scene, watched.view.measured, watched.rows.motion.q[:, :3]
+    measured, root = watched.view.measured, watched.rows.motion.q[:, :3]
 
     def slope(
-        effect: Effect, scene: Scene, reading: Reading, place: Place, at: Tensor | None = None
+        effect: Effect, reading: Reading, place: Place, at: Tensor | None = None
     ) -> Float[Tensor, "6 own frames"]:
-        found = columns(effect, scene, reading, place, at).permute(1, 2, 0)
+        found = columns(effect, watched.view.scene, reading, place, at).permute(1, 2, 0)
         return wrench_about(found, root.expand(len(found), -1, -1)).permute(2, 0, 1)
 
     for source in sources:
         # No trial lacks them: they stand where they do in the design.
         effect, part = source.effect, slice(source.columns.start - first, source.columns.stop - first)
         if effect.curved and bool(theta[part].any()):
-            extra[:, part] = slope(effect, scene, measured, source.place, theta[part])
-            if shared is not None and effect.accelerated and watched.expected is not None:
-                draws = (
-                    (slope(effect, one.view.scene, measured, source.place, theta[part]) - extra[:, part], one.total)
-                    for one in watched.shaken
-                )
-                shared[..., source.columns] = covariation(watched.rows, watched.expected, draws)
+            extra[:, part] = slope(effect, measured, source.place, theta[part])
         if effect.late:
             back = effect.undone(measured, source.place, theta[part])
-            extra[:, part] = calibrated(slope(effect, scene, back, source.place), watched.rows, watched.scatter)
+            extra[:, part] = calibrated(slope(effect, back, source.place), watched.rows, watched.scatter)
             line = torch.einsum("ipt,p->ti", extra[:, part], theta[part])
             beyond += (measured.total - back.total).T - wrench_about(line, -root)
-    return replace(own, extra=extra, beyond=beyond, terms=replace(own.terms, covariation=shared))
+    return replace(own, extra=extra, beyond=beyond)
 
 
 def without_beyond(rows: WrenchTrial, own: Columns) -> WrenchTrial:

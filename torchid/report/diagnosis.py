@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.diagnosis.diagnose import wanted
 from torchid.diagnosis.found import NAMED
-from torchid.diagnosis.unexplained import Structure
+from torchid.diagnosis.unexplained import P_VALUE, Structure
 from torchid.diagnosis.verdict import Cause, Diagnosis
 from torchid.outcome import Outcome
 from torchid.outcome.tables import heldout_errors
@@ -232,6 +232,10 @@ def _unexplained(left: Structure) -> str:
         said = clean(left.description, 400)
         return f"Something remains that no effect of the catalogue explains: {said} (p {_p(left.p_value)})."
     least = f"at most {percent(left.share_of_residual)} of a band of the residual exceeds it"
+    if left.p_value < P_VALUE:
+        return (
+            f"What is left is a little more than the noise of plates and markers makes: {least} (p {_p(left.p_value)})."
+        )
     return f"What is left is about what the noise of plates and markers makes: {least}, too little to matter."
 
 
