@@ -150,12 +150,14 @@ def test_a_course_is_not_drawn_where_seen_markers_would_pay(monkeypatch):
 
 
 def beyond_limits(fit, q: torch.Tensor) -> torch.Tensor:
-    """The same poses (dofs, frames), shoulders and hips by the triples of angles that no joint can take."""
+    """The same poses (dofs, frames), shoulders and hips by the triples of angles that no joint can take, hinges too."""
     far = q.clone()
     for body in fit.model.tree.bodies:
         rows = [turn.row for turn in body.turns if turn.moving]
         if len(rows) == 3:
             far[rows] = torch.stack([q[rows[0]] - torch.pi, torch.pi - q[rows[1]], q[rows[2]] + torch.pi])
+        else:
+            far[rows] += 2.0 * torch.pi
     return far
 
 
@@ -183,6 +185,17 @@ def test_a_trial_that_starts_beyond_its_limits_is_followed(monkeypatch):
     assert float((settle(problem, start, fit.xi) - right).abs().amax()) < 1e-3
     monkeypatch.setattr(start_module, "turned_back", lambda tree, posture, q: q)
     assert float((settle(problem, start, fit.xi) - right).abs().amax()) > 0.1
+
+
+def test_a_trial_that_starts_anywhere_is_followed(seed: int) -> None:
+    """All frames start alike with every joint turned by some 40 degrees: many come to rest on a far side."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    problem = trial_problem(fit, held, posture_prior(fit))
+    right = settled(fit, problem)
+    turned = torch.zeros_like(right[:, :1])
+    turned[6:] = 0.7 * torch.randn(len(right) - 6, 1, generator=torch.Generator().manual_seed(seed), dtype=right.dtype)
+    astray = (settle(problem, right + turned, fit.xi) - right).abs().amax(0) > 1e-2
+    assert float(astray.to(right).mean()) < 0.02
 
 
 def test_a_run_of_frames_that_leaps_away_is_followed_from_before_it():
