@@ -17,7 +17,7 @@ from torchid.diagnosis.watched import Watched
 RELEVANT = 0.01
 """Part of the residual force or moment that a cause must take away."""
 RECORDED = 0.5
-"""Part of a cause's evidence that comes from the prior alone: it has more of it than residuals could feign."""
+"""Part of a cause's evidence that lies in the prior of the inertia, where residuals cannot feign it."""
 OPPOSED = 0.5
 """Of the energy of the larger of two causes: what is left where they undo each other."""
 
@@ -50,9 +50,13 @@ def _takes_away(found: Search, watched: Sequence[Watched], chosen: Sequence[Cand
 
 
 def _recorded(found: Search, chosen: Sequence[Candidate], one: Candidate) -> float:
-    """Part of an effect's evidence that lies in what all parameters would be without it, seldom under their prior."""
+    """Part of an effect's evidence that lies in what the inertia would be without it, seldom under its prior.
+
+    Of inertia alone: an offset of a plate that creeps was spared for being larger than offsets are.
+    """
+    n = len(found.prior.inertia)
     with_, less = (fit(found.sums, some) for some in (chosen, without(chosen, one)))
-    spared = 0.5 * (less.mean.square().sum() - with_.mean.square().sum())
+    spared = 0.5 * (less.mean[:n].square().sum() - with_.mean[:n].square().sum())
     return float(spared) / max(with_.log_evidence - less.log_evidence, NAMED)
 
 
