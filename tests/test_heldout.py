@@ -40,8 +40,8 @@ class Told(HeldOut):
         """Gains that add up."""
         return sum(self.gains[one.place.where[0]] for one in chosen)
 
-    def _promised(self, chosen, one):
-        return self.promised[one.place.where[0]]
+    def _leeway(self, chosen, one):
+        return math.sqrt(2.0 * self.promised[one.place.where[0]])
 
 
 def test_each_cause_is_refuted_by_its_own_measure():
@@ -52,6 +52,23 @@ def test_each_cause_is_refuted_by_its_own_measure():
     kept, refuted = told.upheld(told.found.chosen)
     assert [one.place.where[0] for one in kept] == ["a", "c", "d"]
     assert [(one.place.where[0], says) for one, says in refuted] == [("b", pytest.approx(-10.0))]
+
+
+@pytest.mark.parametrize("name, leeway", [("marker_swap", 10.0), ("drag", 0.0)])
+def test_what_cameras_saw_elsewhere_may_cost_a_part_of_what_it_told(name, leeway):
+    """Held-out motion may have liked the geometry better that a swap had bent; a force has no such excuse."""
+    unit = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double())
+    raw = unit.standard(torch.eye(1).double(), torch.full((1,), 20.0).double(), torch.arange(1))
+    source = Source(effect(name), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
+    here, everywhere = (Candidate(effect(name), source.place, source, frozenset(some)) for some in ({0}, {0, 1}))
+    heldout = HeldOut.__new__(HeldOut)
+    sums = Sums(0, 1, (raw, raw))
+    noise = initial_noise(initial_whitening(torch.ones(2)), 2)
+    heldout.found = Search(Design(0, 0, (), (), ()), unit, noise, (here,), (), sums, fit(sums))
+    heldout.share = 0.5
+    # Evidence of a column of unit prior with a moment b: b^2 / 4 - log(2) / 2.
+    assert heldout._leeway([here], here) == pytest.approx(leeway, abs=0.05)
+    assert heldout._leeway([everywhere], everywhere) > 10.0
 
 
 def test_what_lasts_lasts_all_of_a_recording():
@@ -82,3 +99,13 @@ def test_a_swap_leaves_no_moved_markers():
     design = Design(1, 1, (), (swap, there, beyond, other), ())
     assert open_candidates(design, [swap], 3) == [beyond, other]
     assert open_candidates(design, [other], 3) == [swap, there, beyond]
+
+
+def test_a_wrong_record_is_named_beside_as_many_forces_as_may_be():
+    """It stands in nobody's way, and nothing in its."""
+    source = Source(effect("drag"), Place(("session",)), slice(0, 1), (0.0,), (1.0,))
+    names = ("drag", "tether", "time_offset", "gravity_tilt", "body_mass")
+    made = [Candidate(effect(name), source.place, source, frozenset({0})) for name in names]
+    design = Design(1, 1, (), tuple(made), ())
+    assert open_candidates(design, made[:3], 3) == [made[4]]
+    assert open_candidates(design, [*made[:2], made[4]], 3) == made[2:4]

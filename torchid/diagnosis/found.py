@@ -19,8 +19,8 @@ NAMED = 2.5
 ALIKE = 3.0
 """Nats within which a rival cannot be told apart."""
 CHANCE, PART = 1.0, 0.1
-"""Nats, or part of the evidence, by which trials may predict each other worse for a cause that they say nothing of,
-such as a wrong record: a hidden load of 4.8 kg, 103 nats against the recorded mass, was dropped for 1.7 nats."""
+"""Nats, or part of the evidence, by which trials may be predicted worse for a cause that they say nothing of, such as a
+wrong record: a hidden load of 4.8 kg, 103 nats against the recorded mass, was dropped for 1.7 nats."""
 
 
 @dataclass(frozen=True)

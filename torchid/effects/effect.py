@@ -71,6 +71,8 @@ class Effect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     bodily: ClassVar[bool] = False
     """Every living body has some of it: named when it is there, and counted apart from errors of the laboratory."""
+    recorded: ClassVar[bool] = False
+    """What was written down of the subject is wrong, not what was measured."""
     kinematic: ClassVar[bool] = False
     """It changes what cameras see (``move``, ``slide``)."""
     anew: ClassVar[bool] = False

@@ -35,6 +35,7 @@ class BodyMass(Effect):
     """
 
     name = "body_mass"
+    recorded = True
     accelerated = True
     parameters = (Parameter("excess_kg", 4.0),)
 
