@@ -1,11 +1,14 @@
 """Causes that evidence supports and that are none."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from torchid.diagnosis import doubtful
 from torchid.diagnosis.anew import eliminated, told
 from torchid.diagnosis.design import Candidate, Design, Source
-from torchid.diagnosis.doubtful import _recorded, without_opposed
+from torchid.diagnosis.doubtful import without_opposed
 from torchid.diagnosis.evidence import Prior, Sums, fit
 from torchid.diagnosis.found import Search
 from torchid.diagnosis.noise import initial_noise
@@ -14,15 +17,15 @@ from torchid.effects.effect import Place
 from torchid.regressor.whitening import initial_whitening
 
 
-def found(columns: torch.Tensor, rows: torch.Tensor, inertia: torch.Tensor | float = 0.0) -> Search:
-    """Three drags, each with a column of its own beside one of inertia, fitted to two trials of the same rows."""
+def found(columns: torch.Tensor, rows: torch.Tensor) -> Search:
+    """Three drags, each with a column of its own, fitted to two trials of the same rows."""
     drag, n = effect("drag"), columns.shape[1]
     sources = [Source(drag, Place((name,)), slice(k + 1, k + 2), (0.0,), (1.0,)) for k, name in enumerate("abc")]
     chosen = tuple(
         Candidate(drag, s.place, Source(drag, s.place, s.columns, (0.0,), drag.scale(s.place)), frozenset({0, 1}))
         for s in sources
     )
-    every = torch.cat([torch.zeros_like(columns[:, :1]) + inertia, columns], 1)
+    every = torch.cat([torch.zeros(len(columns), 1).double(), columns], 1)
     prior = Prior(torch.zeros(n + 1).double(), torch.eye(1).double(), torch.ones(n).double())
     raw = prior.standard(every.T @ every, every.T @ rows, torch.arange(n + 1))
     sums = Sums(1, n + 1, (raw, raw))
@@ -42,15 +45,14 @@ def test_causes_that_undo_each_other_are_none(opposed):
     assert kept == (["c"] if opposed else ["a", "b", "c"])
 
 
-def test_what_a_record_contradicts_has_its_evidence_there():
-    """An effect that inertia can stand for is known by the prior alone; one that nothing stands for, by the rows."""
-    generator = torch.Generator().manual_seed(9)
-    body, other, third = torch.randn(3, 400, 1, generator=generator, dtype=torch.float64)
-    columns, rows = torch.cat([body, other, third], 1), (20.0 * body + 9.0 * other + 9.0 * third)[:, 0]
-    search = found(columns, rows, inertia=body)
-    parts = [_recorded(search, search.chosen, one) for one in search.chosen]
-    assert parts[0] > 0.9
-    assert max(parts[1:]) < 0.1
+def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):
+    """Inertia takes on what the record lacks; of other causes that take nothing away, none is kept."""
+    search = found(torch.eye(3).double(), torch.ones(3).double())
+    names = ("body_mass", "drag", "marker_swap")
+    chosen = tuple(replace(one, effect=effect(name)) for one, name in zip(search.chosen, names, strict=True))
+    monkeypatch.setattr(doubtful, "_takes_away", lambda *_: 0.0)
+    kept = doubtful.relevant(replace(search, chosen=chosen), ())
+    assert [one.effect.name for one in kept.chosen] == ["body_mass", "marker_swap"]
 
 
 def test_what_shares_a_column_with_a_nuisance_adds_to_it():

@@ -7,7 +7,7 @@ import torch
 
 from torchid.diagnosis.design import Candidate, Design, Source
 from torchid.diagnosis.evidence import Prior, Sums, fit
-from torchid.diagnosis.found import Search
+from torchid.diagnosis.found import Search, support
 from torchid.diagnosis.heldout import REFUTED, HeldOut
 from torchid.diagnosis.noise import initial_noise
 from torchid.diagnosis.search import open_candidates
@@ -66,9 +66,10 @@ def test_what_cameras_saw_elsewhere_may_cost_a_part_of_what_it_told(name, leeway
     noise = initial_noise(initial_whitening(torch.ones(2)), 2)
     heldout.found = Search(Design(0, 0, (), (), ()), unit, noise, (here,), (), sums, fit(sums))
     heldout.share = 0.5
-    # Evidence of a column of unit prior with a moment b: b^2 / 4 - log(2) / 2.
+    # Of a column of unit prior with a moment b: b^2 / 4 - log(2) / 2.
     assert heldout._leeway([here], here) == pytest.approx(leeway, abs=0.05)
-    assert heldout._leeway([everywhere], everywhere) > 10.0
+    promised = 0.5 * support(sums, [everywhere], everywhere)
+    assert heldout._leeway([everywhere], everywhere) == pytest.approx(math.sqrt(2.0 * promised))
 
 
 def test_what_lasts_lasts_all_of_a_recording():

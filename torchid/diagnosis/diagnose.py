@@ -58,7 +58,7 @@ def diagnose(
         inertia: prior of the inertial parameters.
         omega: weight of that prior in the inertial fit.
         whitening: of the inertial fit.
-        limit: causes at most.
+        limit: causes at most of each kind, see ``search``.
         geometry: with which the trials were followed.
     """
     found = search(watched, effects, inertia, omega, whitening, limit, geometry)

@@ -10,14 +10,12 @@ from torch import Tensor
 
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import NAMED, Search, without
+from torchid.diagnosis.found import Search, without
 from torchid.diagnosis.search import residuals
 from torchid.diagnosis.watched import Watched
 
 RELEVANT = 0.01
 """Part of the residual force or moment that a cause must take away."""
-RECORDED = 0.5
-"""Part of a cause's evidence that lies in the prior of the inertia, where residuals cannot feign it."""
 OPPOSED = 0.5
 """Of the energy of the larger of two causes: what is left where they undo each other."""
 
@@ -26,15 +24,15 @@ def relevant(found: Search, watched: Sequence[Watched]) -> Search:
     """Where noise does not explain the residual, evidence alone is cheap: forces must also be seen to gain.
 
     Judged without courses that are anew in every trial: what markers draw there can double the residual of the forces,
-    beside which 32 N of a plate went unseen. What a record contradicts is spared: a body 3 kg heavier than recorded,
-    48 nats against a scale of 0.3 kg, left in forces nothing that inertia did not take on.
+    beside which 32 N of a plate went unseen. A wrong record is spared: a body 3 kg heavier than written down, 48 nats
+    against a scale of 0.3 kg, left in forces nothing that inertia did not take on.
     """
     kept = list(found.chosen)
     # The last that were named, which explain least, are asked first: of two that can stand for each other, they go.
     for one in reversed(found.chosen):
-        if one.effect.kinematic or one.effect.timed:
+        if one.effect.kinematic or one.effect.timed or one.effect.recorded:
             continue
-        if _takes_away(found, watched, kept, one) < RELEVANT and _recorded(found, kept, one) < RECORDED:
+        if _takes_away(found, watched, kept, one) < RELEVANT:
             kept.remove(one)
     return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))
 
@@ -47,17 +45,6 @@ def _takes_away(found: Search, watched: Sequence[Watched], chosen: Sequence[Cand
         for some in ([*others, one], others)
     )
     return 1.0 - float((with_ - less).exp().min())
-
-
-def _recorded(found: Search, chosen: Sequence[Candidate], one: Candidate) -> float:
-    """Part of an effect's evidence that lies in what the inertia would be without it, seldom under its prior.
-
-    Of inertia alone: an offset of a plate that creeps was spared for being larger than offsets are.
-    """
-    n = len(found.prior.inertia)
-    with_, less = (fit(found.sums, some) for some in (chosen, without(chosen, one)))
-    spared = 0.5 * (less.mean[:n].square().sum() - with_.mean[:n].square().sum())
-    return float(spared) / max(with_.log_evidence - less.log_evidence, NAMED)
 
 
 def stands_out(found: Search, watched: Sequence[Watched], k: int) -> float:

@@ -22,9 +22,9 @@ from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Interval
 
 REFUTED = 3.0
-"""Nats by which held-out motion must speak against a cause, beyond the standard deviation (2 m)^0.5 of a log likelihood
-ratio that should be m. Of a true cause in a true model it would fall below -4.5 once in 700; models of bodies are not
-true, and a scale of the cameras told to a tenth of itself lost 5 where 12 were promised."""
+"""Nats by which held-out motion must speak against a cause, beyond its leeway. Where that is the standard deviation
+(2 m)^0.5 of a log likelihood ratio that should be m, a true cause in a true model would fall below -4.5 once in 700;
+models of bodies are not true, and a scale of the cameras told to a tenth of itself lost 5 where 12 were promised."""
 
 
 @dataclass(frozen=True)
@@ -134,14 +134,14 @@ class HeldOut:
     def _leeway(self, chosen: Sequence[Candidate], one: Candidate) -> float:
         """By how much held-out motion may speak against an effect [nat].
 
-        Where it acts, by the standard deviation of what fit trials promise. Where it does not and cameras see it, by a
-        part of what its own trial says for it: two toe markers that were swapped for half a second, at 1800 nats, went
-        for the 16 nats by which the geometry that they had bent was the better one for other trials.
+        Where it acts, by the standard deviation of what fit trials promise. What cameras saw in some trials alone, by a
+        part of what those say for it: two toe markers that were swapped for half a second, at 1800 nats, went for the
+        16 nats by which the geometry that they had bent was the better one for other trials.
         """
         told = max(support(self.found.sums, chosen, one), 0.0)
-        if self._whole(one) or bool(one.trials - self.found.sums.all):
-            return math.sqrt(2.0 * self.share * told)
-        return PART * told if one.effect.kinematic else 0.0
+        acts = self._whole(one) or bool(one.trials - self.found.sums.all)
+        promised = math.sqrt(2.0 * self.share * told) if acts else 0.0
+        return max(promised, PART * told) if one.effect.kinematic and not self._whole(one) else promised
 
     def _errors(self, fitted: Fitted) -> Errors:
         trials = enumerate(zip(self.trials, self.columns, strict=True), self.first)

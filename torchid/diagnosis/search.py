@@ -217,7 +217,8 @@ def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, t
 def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
     """Those that may still be chosen: no plate's error is left out because bodies are as bodies are, or for markers.
 
-    Nor is a wrong record for plates: 6 kg too few were not named beside three errors that explained more.
+    A wrong record is counted apart as well: a body 6 kg heavier than written down went unnamed beside three errors of
+    plates and time that explained more.
     """
     kinds = [_kind(c.effect) for c in chosen]
     some = [c for c in design.candidates if c not in chosen and kinds.count(_kind(c.effect)) < limit]

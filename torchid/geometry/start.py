@@ -13,8 +13,8 @@ from torchid.geometry.turned import turned_back
 from torchid.kinematics.recursion import poses
 
 ASTRAY = 3.0
-"""A frame whose cost is this many times that of the best fiftieth of all restarts from a neighbour. Of the best fifth,
-all frames passed where four of five had a hand turned round."""
+"""A frame whose cost is this many times that of the best fiftieth restarts from a neighbour. Of the best fifth, all
+frames passed where four of five had a hand turned round."""
 CLIFF = 1.5
 """One that stands out of the frame beside it so many times restarts from that one."""
 CLIMB = 200
@@ -74,12 +74,13 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
     plain = replace(problem, robust=None)
     q, cost = solve_poses(plain, q, xi)
     _turn_back(plain, q, cost, xi)
+    seen = (problem.weight > 0).any(0)
     for _ in range(rounds):
         astray = _astray(problem, cost)
         if not bool(astray.any()) or bool(astray.all()):
             break
         index = astray.nonzero()[:, 0]
-        if not _retried(plain, q, cost, xi, index, hold(q, ~astray)[:, index]):
+        if not _retried(plain, q, cost, xi, index, hold(q, seen & ~astray)[:, index]):
             break
     _climb(plain, q, cost, xi)
     _turn_back(plain, q, cost, xi)
@@ -95,8 +96,9 @@ def _turn_back(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> N
 
 
 def _astray(problem: MarkerProblem, cost: Tensor) -> Tensor:
-    rating = _rating(problem, cost)
-    return rating > ASTRAY * rating.quantile(0.02)
+    """Of frames with few markers or none the best are no measure: little is asked of them."""
+    rating, seen = _rating(problem, cost), (problem.weight > 0).sum(0)
+    return rating > ASTRAY * rating[seen >= seen.median()].quantile(0.02)
 
 
 def _rating(problem: MarkerProblem, cost: Tensor) -> Tensor:
