@@ -187,7 +187,7 @@ def test_a_trial_that_starts_beyond_its_limits_is_followed(monkeypatch):
     assert float((settle(problem, start, fit.xi) - right).abs().amax()) > 0.1
 
 
-@pytest.mark.parametrize("blank", [0.0, 0.05])
+@pytest.mark.parametrize("blank", [0.0, 0.05, 0.6])
 def test_a_trial_that_starts_anywhere_is_followed(seed: int, blank: float) -> None:
     """Every frame starts from its own posture with all joints turned by the same angles, some 40 degrees: many come to
     rest on a far side, by the first of the seeds most. Frames that show nothing are no example to them."""

@@ -98,7 +98,8 @@ def _turn_back(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> N
 def _astray(problem: MarkerProblem, cost: Tensor) -> Tensor:
     """Of frames with few markers or none the best are no measure: little is asked of them."""
     rating, seen = _rating(problem, cost), (problem.weight > 0).sum(0)
-    return rating > ASTRAY * rating[seen >= seen.median()].quantile(0.02)
+    enough = seen >= seen.median().clamp(min=1)
+    return rating > ASTRAY * rating[enough].quantile(0.02) if bool(enough.any()) else torch.zeros_like(enough)
 
 
 def _rating(problem: MarkerProblem, cost: Tensor) -> Tensor:
