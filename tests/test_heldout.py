@@ -85,23 +85,6 @@ def test_what_lasts_lasts_all_of_a_recording():
         assert cause.on("run") is None
 
 
-def test_a_swap_leaves_no_moved_markers():
-    """Its remainder in its own trial; what lasts beyond that is another thing."""
-    when = {k: Interval(k, 0.0, 1.0) for k in ("a", "b")}
-    source = Source(effect("marker_shift"), Place(("LASI",)), slice(0, 3), (0.0,) * 3, (1.0,) * 3)
-
-    def made(name: str, where: tuple[str, ...], trials: str) -> Candidate:
-        place = Place(where, tuple(when[k] for k in trials))
-        return Candidate(effect(name), place, source, frozenset("ab".index(k) for k in trials))
-
-    swap = made("marker_swap", ("LASI", "LPSI"), "a")
-    there, beyond = made("marker_shift", ("LASI",), "a"), made("marker_shift", ("LASI",), "ab")
-    other = made("marker_shift", ("LKNE",), "a")
-    design = Design(1, 1, (), (swap, there, beyond, other), ())
-    assert open_candidates(design, [swap], 3) == [beyond, other]
-    assert open_candidates(design, [other], 3) == [swap, there, beyond]
-
-
 def test_a_wrong_record_is_named_beside_as_many_forces_as_may_be():
     """It stands in nobody's way, and nothing in its."""
     source = Source(effect("drag"), Place(("session",)), slice(0, 1), (0.0,), (1.0,))

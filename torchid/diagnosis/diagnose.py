@@ -73,11 +73,20 @@ def diagnose(
     extended = unseen.judged(found.chosen)
     names = [w.rows.name for w in (*watched, *heldout)]
     causes = _trusted(found, watched, rest, _causes(found, unseen, extended, names))
-    # What a laboratory did to forces is read first, and what markers and bodies are like after it.
-    causes.sort(key=lambda c: effect(c.effect).kinematic or effect(c.effect).bodily)
+    causes.sort(key=after_forces)
     rest, idle, near = with_vibration(rest, watched), _idle(watched, plates), _nearest(found.rounds[-1])
     against = tuple(Refuted(one.effect.name, one.place.where, says) for one, says in refuted)
     return Diagnosis(plates, unseen.judged(()).errors, extended.errors, tuple(causes), rest, idle, near, against)
+
+
+def after_forces(cause: Cause) -> bool:
+    """What a laboratory did to forces is read first, and what markers and bodies are like after it."""
+    return effect(cause.effect).kinematic or effect(cause.effect).bodily
+
+
+def trust(rest: Structure) -> float:
+    """Times the confidence of what a model told that leaves such a residual."""
+    return 1.0 - 0.5 * rest.share_of_residual if rest.p_value < P_VALUE else 1.0
 
 
 def _remains(found: Search, watched: Sequence[Watched]) -> Structure:
@@ -93,14 +102,13 @@ def _trusted(found: Search, watched: Sequence[Watched], rest: Structure, causes:
     """
     if not rest.p_value < P_VALUE:
         return list(causes)
-    trust = 1.0 - 0.5 * rest.share_of_residual
     sure = [
         one.effect.kinematic and one.effect.bodily if rest.significant
         else one.effect.kinematic or one.effect.timed or stands_out(found, watched, k) > PLAIN
         for k, one in enumerate(found.chosen)
     ]  # fmt: skip
     both = zip(causes, sure, strict=True)
-    return [c if plain else replace(c, confidence=trust * c.confidence, doubted=True) for c, plain in both]
+    return [c if plain else replace(c, confidence=trust(rest) * c.confidence, doubted=True) for c, plain in both]
 
 
 def _nearest(scan: Round) -> tuple[Near, ...]:

@@ -221,14 +221,7 @@ def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> 
     plates and time that explained more.
     """
     kinds = [_kind(c.effect) for c in chosen]
-    some = [c for c in design.candidates if c not in chosen and kinds.count(_kind(c.effect)) < limit]
-    return [c for c in some if not any(_leaves(one, c) for one in chosen)]
-
-
-def _leaves(one: Candidate, other: Candidate) -> bool:
-    """Whether the other resembles what remains of one after it is taken out."""
-    near = other.trials <= one.trials and not set(one.place.where).isdisjoint(other.place.where)
-    return near and other.effect.name in one.effect.traces
+    return [c for c in design.candidates if c not in chosen and kinds.count(_kind(c.effect)) < limit]
 
 
 def _kind(effect: Effect) -> tuple[bool, bool, bool]:

@@ -93,8 +93,6 @@ class Effect(ABC):
     strewn: ClassVar[bool] = False
     """Living bodies do some of it at every place: what is named must stand out from the others. All its places have
     equally many parameters."""
-    traces: ClassVar[tuple[str, ...]] = ()
-    """Names of effects that its remainder resembles, in its trials and at its places."""
     whole: ClassVar[bool] = False
     """Its one parameter is one, or it is not there."""
 

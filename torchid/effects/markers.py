@@ -57,8 +57,6 @@ class MarkerSwap(MarkerEffect):
 
     name = "marker_swap"
     timed = True
-    # The posture of such frames is far off, which no column is linear in: on average each label is a little elsewhere.
-    traces = ("marker_shift",)
     parameters = (Parameter("share", 1.0, positive=True),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:

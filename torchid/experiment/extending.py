@@ -19,6 +19,7 @@ from torchid.effects.sight import Sight
 from torchid.errors import Note
 from torchid.experiment.diagnosing import watch_outcome
 from torchid.experiment.fits import Progress, fit_session, identify
+from torchid.experiment.relabelled import relabelled, swaps
 from torchid.experiment.stages import follow, subject_prior
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.tracking import Tracked, track
@@ -91,7 +92,9 @@ def extend_session(outcome: Outcome) -> Session:
     """The same recordings with named effects on markers taken out, in all trials in which they are known to act."""
     assert outcome.diagnosis is not None
     causes = [c for c in outcome.diagnosis.causes if moves_markers(c)]
-    trials = {name: _cleared(outcome, trial, causes) for name, trial in outcome.session.trials.items()}
+    exchanged, others = swaps(causes), [c for c in causes if c not in swaps(causes)]
+    named = {name: relabelled(trial, exchanged) for name, trial in outcome.session.trials.items()}
+    trials = {name: _cleared(outcome, trial, others) for name, trial in named.items()}
     return replace(outcome.session, trials=trials)
 
 

@@ -1,0 +1,84 @@
+"""Swapped markers get their names back, and nothing else is made of what they bent."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import small_session
+import torch
+
+from torchid.config import load_config
+from torchid.diagnosis.unexplained import Structure
+from torchid.diagnosis.verdict import Cause, Diagnosis, Errors
+from torchid.effects.effect import Interval, Place
+from torchid.experiment.diagnosing import diagnose_outcome
+from torchid.experiment.relabelled import beside, fitted_anew, relabelled
+
+QUIET, LOUD = Structure(False, 0.5, 0.1, ""), Structure(True, 1e-9, 0.6, "much")
+
+
+def cause(effect: str, where: tuple[str, ...], when: tuple[Interval, ...] | None = None, sure: float = 1.0) -> Cause:
+    """All that matters here."""
+    trials = tuple(own.trial for own in when or ())
+    return Cause(
+        effect, where, when, {}, sure, (), (), {}, Place(where, when), torch.ones(1, 1).double(), trials, False
+    )
+
+
+@pytest.fixture(autouse=True)
+def _said():
+    print(f"repeat with TORCHID_SEED={small_session.SEED}")  # noqa: T201
+
+
+@pytest.fixture(scope="module")
+def swap() -> Cause:
+    """Of two markers at random, a hand's breadth apart, within a fit trial."""
+    rng, markers = np.random.default_rng([small_session.SEED, 31]), small_session.markers("fit")
+    trial = str(rng.choice(sorted(markers)))
+    own = markers[trial]
+    middle = own.position.nanmean(0)
+    while True:
+        a, b = sorted(rng.choice(len(own.labels), 2, replace=False).tolist())
+        if 0.06 < float((middle[a] - middle[b]).norm()) < 0.5:
+            break
+    start = rng.uniform(1.0, 1.8)
+    inside = own.time[(own.time >= start) & (own.time <= start + rng.uniform(0.5, 1.2))]
+    when = (Interval(trial, float(inside[0]), float(inside[-1])),)
+    return cause("marker_swap", (own.labels[a], own.labels[b]), when)
+
+
+def test_names_go_back_and_forth(swap):
+    """Exchanged within the interval only, and the same again once it is done twice."""
+    (when,) = swap.when
+    trial = next(item.trial for item in small_session.session().trials if item.trial.name == when.trial)
+    once = relabelled(trial, [swap])
+    a, b = (trial.markers.labels.index(label) for label in swap.where)
+    inside = (trial.markers.time >= when.t0) & (trial.markers.time <= when.t1)
+    was, now = trial.markers.position, once.markers.position
+    assert torch.equal(now[inside][:, a].nan_to_num(), was[inside][:, b].nan_to_num())
+    assert torch.equal(now[~inside].nan_to_num(), was[~inside].nan_to_num())
+    assert torch.equal(relabelled(once, [swap]).markers.position.nan_to_num(), was.nan_to_num())
+
+
+def test_a_swap_leaves_nothing_for_skin_and_joints(swap):
+    """Planted, it is the only thing named that follows from postures; its interval is the true one."""
+    config = load_config(small_session.config())
+    found = diagnose_outcome(config, fitted_anew(config, small_session.outcome(), [swap]))
+    assert [(c.effect, set(c.where)) for c in found.causes] == [("marker_swap", set(swap.where))]
+    (told,) = found.causes[0].when
+    assert told.trial == swap.when[0].trial
+    assert abs(told.t0 - swap.when[0].t0) < 0.06 and abs(told.t1 - swap.when[0].t1) < 0.06
+
+
+def test_doubt_is_that_of_what_is_contradicted_now(swap):
+    """What a swap had contradicted is no reason for doubt once it is put right, what is left is."""
+    empty = Diagnosis((), Errors(9.0, 3.0), Errors(8.0, 2.0), (), QUIET)
+    before = replace(empty, unexplained=LOUD)
+    doubted = replace(swap, confidence=0.7, doubted=True)
+    others = (cause("plate_gain", ("plate_1",)), cause("soft_tissue", ("thigh_l",)))
+    found = beside(before, replace(empty, causes=others, baseline=Errors(1.0, 1.0)), [doubted])
+    assert [c.effect for c in found.causes] == ["plate_gain", "marker_swap", "soft_tissue"]
+    assert found.causes[1].confidence == pytest.approx(1.0) and not found.causes[1].doubted
+    assert found.baseline == before.baseline
+    still = beside(before, before, [doubted])
+    assert still.causes[0].confidence == pytest.approx(0.7) and still.causes[0].doubted
