@@ -135,11 +135,4 @@ def _told_by(found: Search, k: int) -> Float[Tensor, "params n"]:
 def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
     """Named parameters of the k-th chosen effect: values and standard deviations."""
     one, theta, factor = found.chosen[k], internal(found, k), _told_by(found, k)
-    covariance = factor @ found.fitted.covariance @ factor.T
-    values = one.effect.named(one.place, theta)
-    out = {}
-    for key in values:
-        slope = torch.func.jacrev(lambda x, key=key: one.effect.named(one.place, x)[key])(theta)
-        flat = slope.reshape(-1, len(theta))
-        out[key] = values[key], (flat @ covariance * flat).sum(1).sqrt().reshape(values[key].shape)
-    return out
+    return one.effect.stated(one.place, theta, factor @ found.fitted.covariance @ factor.T)

@@ -159,6 +159,17 @@ class Effect(ABC):
         """
         return torch.cat([value_of(values, self.name, p.key, p.size) for p in self.parameters])
 
+    def stated(
+        self, place: Place, theta: Float[Tensor, " params"], covariance: Float[Tensor, "params params"]
+    ) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
+        """The parameters as reported, with their standard deviations."""
+        out = {}
+        for key, value in self.named(place, theta).items():
+            slope = torch.func.jacrev(lambda x, key=key: self.named(place, x)[key])(theta)
+            flat = slope.reshape(-1, len(theta))
+            out[key] = value, (flat @ covariance * flat).sum(1).sqrt().reshape(value.shape)
+        return out
+
     def split(self, theta: Float[Tensor, " params"]) -> tuple[Tensor, ...]:
         """One part for each parameter."""
         return torch.split(theta, [p.size for p in self.parameters])

@@ -74,6 +74,28 @@ class JointCentreShift(Effect):
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         return {"shift_90_seg_m": theta.view(2, 3).sum(0)}
 
+    def stated(
+        self, place: Place, theta: Float[Tensor, " params"], covariance: Float[Tensor, "params params"]
+    ) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
+        """A vector times one function of the angle, from sine to one minus cosine, wherever that may be.
+
+        In the plane of a hinge, markers beyond it that sit elsewhere look like a glide: of six numbers markers show
+        four. Along its axis they show how the glide goes, and in the plane it then goes the same way. Unasked that,
+        7 mm at an elbow had an sd of 6 mm, instead of 0.4 mm.
+        """
+        sine = torch.linspace(0.0, 1.0, COURSES).to(theta)[:, None, None] * torch.eye(3).to(theta)
+        B, precision = torch.cat([sine, torch.eye(3).to(theta) - sine], 1), torch.linalg.inv(covariance)
+        A = B.mT @ precision @ B
+        shift = torch.linalg.solve(A, B.mT @ precision @ theta)
+        left = theta - (B @ shift[:, :, None])[:, :, 0]
+        miss = ((left @ precision) * left).sum(1)
+        if float(miss.min()) > OWN_WAYS:
+            return super().stated(place, theta, covariance)
+        weight = torch.softmax(-0.5 * (miss + torch.logdet(A)), 0)
+        mean = weight @ shift
+        spread = torch.linalg.inv(A).diagonal(dim1=1, dim2=2) + (shift - mean).square()
+        return {"shift_90_seg_m": (mean, (weight @ spread).sqrt())}
+
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         """All of it along the sine."""
         shift = super().internal(place, {"sine_m": values.get("shift_90_seg_m", torch.zeros(0)), "cosine_m": ZERO})
@@ -81,6 +103,10 @@ class JointCentreShift(Effect):
 
 
 ZERO = torch.zeros(3, dtype=torch.float64)
+COURSES = 101
+"""Of a gliding centre that are weighed."""
+OWN_WAYS = 9.2
+"""Chi-square of two degrees of freedom that one in a hundred exceeds: then each axis goes its own way."""
 MODES = 12
 """Of the course of a planted motion."""
 
