@@ -54,6 +54,10 @@ class Kind:
     """How much further out than at ease each foot stands [m]."""
     bear: float = 0.015
     """How far the weight shifts along the soles, to and fro [m]."""
+    press: Range = (0.2, 0.6)
+    """How far the force on each foot leans to the centre of mass between them, part of the way."""
+    press_band: Range = (0.05, 0.2)
+    """How quickly that goes to and fro [Hz]."""
     steps: str = ""
     """``walk``: over to the plates in front and back; ``swing``: one leg after the other in the air."""
     reach: float = 0.985
@@ -76,6 +80,8 @@ KINDS: dict[str, Kind] = {
         share_band=(0.5, 1.2),
         wide=0.14,
         bear=0.055,
+        press=(-0.2, 1.1),
+        press_band=(0.3, 0.9),
     ),
     "mix": Kind(TRUNK | ARMS, (0.15, 0.8), (0.02, 0.16), tilt=0.07, lean=0.2, share=(0.3, 0.7)),
     "lively": Kind(LIVELY, (0.6, 2.6), (0.02, 0.09), (0.6, 1.6), tilt=0.05, lean=0.1, share=(0.3, 0.7)),
@@ -115,6 +121,8 @@ class Script:
     """Part of the force on the left foot (frames,)."""
     bearing: np.ndarray
     """Where each foot would bear on the floor (frames, 2, 2) [m]."""
+    press: np.ndarray
+    """How far the force on each foot leans to the centre of mass, part of the way (frames,)."""
     reach: float
     airborne: np.ndarray
     """(frames, 2)"""
@@ -149,7 +157,7 @@ def make_script(
     return Script(
         time, _angles(rng, what, time, start, calm), pelvis, length * (low + (high - low) * deep),
         (feet[0][0], feet[1][0]), (feet[0][1], feet[1][1]), _share(rng, what, time, steps, duration), bearing,
-        what.reach, airborne,
+        wander(rng, time, *what.press, what.press_band), what.reach, airborne,
     )  # fmt: skip
 
 

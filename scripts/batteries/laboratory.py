@@ -23,8 +23,6 @@ LENGTH, WIDTH, SLIT, BORDER = 0.60, 0.46, 0.005, 0.10
 """Of the plates along x and y, between them, and x of the border between the plates behind and in front [m]."""
 DEPTH = 0.043
 """Of the transducers below the surface [m]."""
-LEANING = (0.2, 0.6)
-"""How far the force on a foot leans to the centre of mass, part of the way."""
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -71,7 +69,7 @@ def lay_plates(rng: np.random.Generator) -> tuple[Plate, ...]:
     return tuple(plates)
 
 
-def share_load(rng: np.random.Generator, script: Script, wrench: np.ndarray) -> np.ndarray:
+def share_load(script: Script, wrench: np.ndarray) -> np.ndarray:
     """Wrench on each foot about the origin of W (frames, 2, 6); their sum is exact.
 
     The feet share force and free moment as intended; by what the centre of pressure misses, both bear elsewhere. Part
@@ -82,7 +80,7 @@ def share_load(rng: np.random.Generator, script: Script, wrench: np.ndarray) -> 
     point = np.zeros((len(wrench), 2, 3))
     point[:, :, :2] = script.bearing + (pressure(wrench) - script.pressure)[:, None]
     apart = point[:, 0] - point[:, 1]
-    press = rng.uniform(*LEANING) * share[:, 0] * share[:, 1] * wrench[:, 2:3] * apart / PENDULUM
+    press = script.press[:, None] * share[:, 0] * share[:, 1] * wrench[:, 2:3] * apart / PENDULUM
     force = share * wrench[:, None, :3] + np.stack([-press, press], 1)
     free = wrench[:, 3:] - np.cross(point, force).sum(1)
     return np.concatenate([force, np.cross(point, force) + share * free[:, None]], 2)

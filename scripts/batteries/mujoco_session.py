@@ -182,7 +182,7 @@ def _plates(
     world: World, name: str, script: Script, moved: Balanced, clock: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """What the plates read (samples, plates, 6) without noise."""
-    onto = stand_on(share_load(rng, script, moved.wrench), script)
+    onto = stand_on(share_load(script, moved.wrench), script)
     fine = resample(script.time, onto, clock - lag(world.effects, name))
     true = true_plates(world.effects, world.plates)
     own = np.stack([to_plate(plate, fine[:, k]) for k, plate in enumerate(true)], 1)
