@@ -14,19 +14,21 @@ from torchid.config import load_config
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.diagnose import PLAIN, diagnose, wanted
 from torchid.diagnosis.doubtful import stands_out
-from torchid.diagnosis.evidence import Sums, fit, gains, make_prior
+from torchid.diagnosis.evidence import fit, gains
 from torchid.diagnosis.found import estimate, internal
 from torchid.diagnosis.plates import SessionPlate, recognise
 from torchid.diagnosis.search import residuals, search
+from torchid.diagnosis.sums import Sums, make_prior
 from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Diagnosis
 from torchid.diagnosis.vibration import with_vibration
 from torchid.diagnosis.watched import Known, Watched, watch
 from torchid.dynamics import wrench_about
 from torchid.effects.catalogue import BODILY
-from torchid.effects.effect import Interval, Place, Planted
+from torchid.effects.effect import Planted
 from torchid.effects.forces import Tether
 from torchid.effects.masses import Payload
+from torchid.effects.place import Interval, Place
 from torchid.errors import ConfigError
 from torchid.experiment import run_experiment
 from torchid.experiment.extending import _added

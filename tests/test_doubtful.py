@@ -9,11 +9,12 @@ from torchid.diagnosis import doubtful
 from torchid.diagnosis.anew import eliminated, told
 from torchid.diagnosis.design import Candidate, Design, Source
 from torchid.diagnosis.doubtful import without_opposed
-from torchid.diagnosis.evidence import Prior, Sums, fit
+from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import Search
 from torchid.diagnosis.noise import initial_noise
+from torchid.diagnosis.sums import Prior, Sums
 from torchid.effects.catalogue import effect
-from torchid.effects.effect import Place
+from torchid.effects.place import Place
 from torchid.regressor.whitening import initial_whitening
 
 

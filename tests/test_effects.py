@@ -14,7 +14,9 @@ from torchid.diagnosis.candidates import answer_of
 from torchid.diagnosis.design import Source
 from torchid.diagnosis.proposals import swaps
 from torchid.effects.catalogue import CATALOGUE, effect
-from torchid.effects.effect import Interval, Place, Planted, columns, mean_within, within
+from torchid.effects.columns import columns
+from torchid.effects.effect import Planted
+from torchid.effects.place import Interval, Place, mean_within, within
 from torchid.effects.scene import Reading, Scene, make_scene
 from torchid.effects.sight import Sight, View
 from torchid.errors import ConfigError

@@ -12,7 +12,7 @@ from torch.testing import assert_close
 
 from torchid.diagnosis.gross import REACH_M, find_gross, set_aside
 from torchid.diagnosis.watched import Watched
-from torchid.effects.effect import Interval, Place, within
+from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import at_origin
 from torchid.experiment.diagnosing import watch_outcome
 from torchid.recording import Forces

@@ -6,14 +6,15 @@ import pytest
 import torch
 
 from torchid.diagnosis.design import Candidate, Design, Source
-from torchid.diagnosis.evidence import Prior, Sums, fit
+from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import Search, support
 from torchid.diagnosis.heldout import REFUTED, HeldOut
 from torchid.diagnosis.noise import initial_noise
 from torchid.diagnosis.search import open_candidates
+from torchid.diagnosis.sums import Prior, Sums
 from torchid.diagnosis.verdict import Alternative, Cause
 from torchid.effects.catalogue import effect
-from torchid.effects.effect import Interval, Place
+from torchid.effects.place import Interval, Place
 from torchid.regressor.whitening import initial_whitening
 
 

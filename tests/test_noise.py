@@ -11,9 +11,10 @@ from torch.testing import assert_close
 from torchid.diagnosis.belief import belief
 from torchid.diagnosis.cameras import Cameras, _usual
 from torchid.diagnosis.design import Design, Terms
-from torchid.diagnosis.evidence import Prior
-from torchid.diagnosis.noise import Rows, estimate_noise, initial_noise, summed, unforced, unseen_noise
+from torchid.diagnosis.noise import estimate_noise, initial_noise, summed, unforced, unseen_noise
 from torchid.diagnosis.shaken import regressor, shaken
+from torchid.diagnosis.spectral import Rows
+from torchid.diagnosis.sums import Prior
 from torchid.dynamics import wrench_about
 from torchid.effects.scene import make_scene
 from torchid.effects.sight import Sight

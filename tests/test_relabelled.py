@@ -10,7 +10,7 @@ import torch
 from torchid.config import load_config
 from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Cause, Diagnosis, Errors
-from torchid.effects.effect import Interval, Place
+from torchid.effects.place import Interval, Place
 from torchid.experiment.diagnosing import diagnose_outcome
 from torchid.experiment.relabelled import beside, fitted_anew, relabelled
 

@@ -16,7 +16,7 @@ from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors, Near, Refuted
 from torchid.effects.apart import APART, RECORD, tell_apart
 from torchid.effects.catalogue import CATALOGUE, effect
-from torchid.effects.effect import Interval, Place
+from torchid.effects.place import Interval, Place
 from torchid.errors import DataError
 from torchid.experiment import run_experiment
 from torchid.outcome import Outcome

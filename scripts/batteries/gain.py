@@ -20,7 +20,7 @@ from torch import Tensor
 from torchid.config import load_config
 from torchid.diagnosis.verdict import Cause
 from torchid.effects.catalogue import effect
-from torchid.effects.effect import Interval, Place
+from torchid.effects.place import Interval, Place
 from torchid.experiment import run_experiment
 from torchid.experiment.extending import extend_outcome
 from torchid.outcome import Outcome

@@ -26,7 +26,7 @@ from batteries.mujoco_session import draw_effect, simulate
 from batteries.power import draw_reliability
 from batteries.sizes import SIZES
 from torchid.allocator import keep_memory
-from torchid.config import load_config
+from torchid.config import Config, load_config
 from torchid.effects.catalogue import BODILY
 from torchid.experiment import run_experiment
 from torchid.outcome import Outcome
@@ -100,28 +100,35 @@ def perform(job: Job, out: Path, keep: bool) -> dict:
     """Simulate, run, and only then compare."""
     torch.set_num_threads(1)
     keep_memory()
-    folder = out / job.key
-    rng = np.random.default_rng((job.seed, 7))
-    if job.level == OWN:
-        made = simulate_session(OPTIONS, job.seed, folder)
-        assert made.config is not None
-        config = load_config(made.config)
-    else:
-        hidden = [draw_effect(name, job.level, rng) for name in job.names]
-        config = load_config(simulate(folder, job.seed, hidden, SKIN_M if job.kind == "skin" else 0.0))
-    begun = time.perf_counter()
+    folder, begun = out / job.key, time.perf_counter()
     try:
-        outcome = run_experiment(config)
-        stages = {name: spent.seconds for name, spent in outcome.times.items()}
-        said = json.loads((config.out / "diagnosis.json").read_text())
-        hidden = json.loads((folder / "truth" / "truth.json").read_text())["effects"] if job.names else []
-        row = judged(hidden, said) | {"diagnosis_s": stages.get("diagnosis")}
-        row["gained"] = _gained(outcome, hidden, folder / "perfect") if hidden else None
+        row = _judged(job, folder)
     except Exception as failure:  # a battery goes on; the row says what happened
         row = {"failed": f"{type(failure).__name__}: {failure}"}
     if not keep:
-        shutil.rmtree(folder)
+        shutil.rmtree(folder, ignore_errors=True)
     return asdict(job) | row | {"seconds": time.perf_counter() - begun}
+
+
+def _judged(job: Job, folder: Path) -> dict:
+    config = _written(job, folder)
+    outcome = run_experiment(config)
+    stages = {name: spent.seconds for name, spent in outcome.times.items()}
+    said = json.loads((config.out / "diagnosis.json").read_text())
+    hidden = json.loads((folder / "truth" / "truth.json").read_text())["effects"] if job.names else []
+    row = judged(hidden, said) | {"diagnosis_s": stages.get("diagnosis")}
+    row["gained"] = _gained(outcome, hidden, folder / "perfect") if hidden else None
+    return row
+
+
+def _written(job: Job, folder: Path) -> Config:
+    if job.level == OWN:
+        made = simulate_session(OPTIONS, job.seed, folder)
+        assert made.config is not None
+        return load_config(made.config)
+    rng = np.random.default_rng((job.seed, 7))
+    hidden = [draw_effect(name, job.level, rng) for name in job.names]
+    return load_config(simulate(folder, job.seed, hidden, SKIN_M if job.kind == "skin" else 0.0))
 
 
 def _gained(outcome: Outcome, truth: list[dict], scratch: Path) -> tuple[float, float] | None:

@@ -12,7 +12,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.diagnosis.design import Candidate
-from torchid.diagnosis.evidence import Raw, Sums, fit
+from torchid.diagnosis.evidence import fit
+from torchid.diagnosis.sums import Raw, Sums
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.cameras import Answer, Cameras, marker_sums
+from torchid.diagnosis.cameras import Answer, Cameras
+from torchid.diagnosis.coarse import marker_sums
 from torchid.diagnosis.design import Candidate, Columns, Design, Source, Terms, kinematic, positions
 from torchid.diagnosis.idle import idle_sums
 from torchid.diagnosis.nuisances import GeometryError, SkinSlide
@@ -15,8 +16,10 @@ from torchid.diagnosis.rates import calibrated
 from torchid.diagnosis.shaken import covariation
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
-from torchid.effects.effect import STEP, Effect, Place, columns
+from torchid.effects.columns import STEP, columns
+from torchid.effects.effect import Effect
 from torchid.effects.markers import MarkerShift
+from torchid.effects.place import Place
 from torchid.effects.plates import PlateDrift, PlateOffset
 from torchid.effects.sight import View
 from torchid.geometry.fitted import GeometryFit

@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.cameras import MarkerSums
+from torchid.diagnosis.coarse import MarkerSums
 from torchid.diagnosis.idle import IdleSums
-from torchid.effects.effect import Effect, Place
+from torchid.effects.effect import Effect
+from torchid.effects.place import Place
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.design import Candidate, Design, only
-from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains
+from torchid.diagnosis.evidence import Fitted, fit, gains
 from torchid.diagnosis.noise import Noise
+from torchid.diagnosis.sums import Prior, Sums
 
 NAMED = 2.5
 """Nats that name an effect: odds of 12 to one. In sessions that hide nothing

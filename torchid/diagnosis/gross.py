@@ -16,8 +16,9 @@ from torch import Tensor
 from torchid.contact.contact import Contact
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
-from torchid.effects.effect import Interval, Place, columns, inside_any
+from torchid.effects.columns import columns
 from torchid.effects.forces import MOST_KNOTS, UnmeasuredContact
+from torchid.effects.place import Interval, Place, inside_any
 from torchid.recording import Forces
 from torchid.regressor.rows import predict, runs
 

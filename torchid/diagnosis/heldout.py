@@ -12,14 +12,16 @@ from torch import Tensor
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import trial_columns
 from torchid.diagnosis.design import Candidate, Columns
-from torchid.diagnosis.evidence import Fitted, Sums, fit
+from torchid.diagnosis.evidence import Fitted, fit
 from torchid.diagnosis.found import PART, Search, support, without
 from torchid.diagnosis.linearised import linearised
-from torchid.diagnosis.noise import rows_of, summed, unforced, unseen_noise
+from torchid.diagnosis.noise import summed, unforced, unseen_noise
 from torchid.diagnosis.search import residual
+from torchid.diagnosis.spectral import rows_of
+from torchid.diagnosis.sums import Sums
 from torchid.diagnosis.verdict import Errors
 from torchid.diagnosis.watched import Watched
-from torchid.effects.effect import Interval
+from torchid.effects.place import Interval
 
 REFUTED = 3.0
 """Nats by which held-out motion must speak against a cause, beyond its leeway. Where that is the standard deviation

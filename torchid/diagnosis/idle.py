@@ -7,7 +7,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.effects.effect import STEP, Effect, Place
+from torchid.effects.columns import STEP
+from torchid.effects.effect import Effect
+from torchid.effects.place import Place
 from torchid.effects.plates import to_plate
 from torchid.effects.scene import Reading
 from torchid.regressor.rows import runs

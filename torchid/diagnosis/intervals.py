@@ -9,11 +9,14 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates import confined
 from torchid.diagnosis.design import Candidate, Design, Source, Terms
-from torchid.diagnosis.evidence import Prior, Sums, fit, gains
-from torchid.diagnosis.noise import Noise, Rows, standardised, with_columns
+from torchid.diagnosis.evidence import fit, gains
+from torchid.diagnosis.noise import Noise, standardised
+from torchid.diagnosis.spectral import Rows, with_columns
+from torchid.diagnosis.sums import Prior, Sums
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
-from torchid.effects.effect import Interval, Place, columns
+from torchid.effects.columns import columns
+from torchid.effects.place import Interval, Place
 
 STEP_S = 0.1
 """By which both ends are moved."""

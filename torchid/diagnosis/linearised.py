@@ -16,7 +16,9 @@ from torchid.diagnosis.design import Columns, Source
 from torchid.diagnosis.rates import calibrated
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
-from torchid.effects.effect import Effect, Place, columns
+from torchid.effects.columns import columns
+from torchid.effects.effect import Effect
+from torchid.effects.place import Place
 from torchid.effects.scene import Reading
 from torchid.regressor.rows import WrenchTrial
 

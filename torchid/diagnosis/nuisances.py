@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.effect import Effect, Parameter, Place
+from torchid.effects.effect import Effect, Parameter
 from torchid.effects.markers import SoftTissue, bend
 from torchid.effects.momentum import below
+from torchid.effects.place import Place
 from torchid.effects.scene import Scene
 from torchid.effects.sight import Sight, Slid, View
 from torchid.kinematics.recursion import cross

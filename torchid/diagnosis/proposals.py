@@ -14,8 +14,9 @@ from torch import Tensor
 
 from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.watched import Watched
-from torchid.effects.effect import Effect, Interval, Place
+from torchid.effects.effect import Effect
 from torchid.effects.joints import MissingDof
+from torchid.effects.place import Interval, Place
 from torchid.effects.session import MovingGround
 from torchid.regressor.rows import measured, runs
 

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.design import Candidate
-from torchid.diagnosis.evidence import Fitted, Sums, fit, gains, informed
+from torchid.diagnosis.evidence import Fitted, fit, gains, informed
 from torchid.diagnosis.found import Rival, Round
 from torchid.diagnosis.ordinary import ordinary
+from torchid.diagnosis.sums import Sums
 
 OUT_OF_SIGHT = 10.0
 """Nats behind the best at which nothing matters to it."""

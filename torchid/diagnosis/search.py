@@ -12,12 +12,14 @@ from torch import Tensor
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
-from torchid.diagnosis.evidence import Fitted, Prior, Sums, fit, gains, make_prior
+from torchid.diagnosis.evidence import Fitted, fit, gains
 from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced, support, without_negative
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.linearised import linearised, without_beyond
-from torchid.diagnosis.noise import Noise, Rows, estimate_noise, initial_noise, narrowed, rows_of, summed
+from torchid.diagnosis.noise import Noise, estimate_noise, initial_noise, summed
 from torchid.diagnosis.scan import scan_all
+from torchid.diagnosis.spectral import Rows, narrowed, rows_of
+from torchid.diagnosis.sums import Prior, Sums, make_prior
 from torchid.diagnosis.unexplained import structure
 from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect

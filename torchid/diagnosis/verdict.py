@@ -12,7 +12,8 @@ from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.unexplained import Structure
 from torchid.effects.apart import tell_apart
 from torchid.effects.catalogue import effect
-from torchid.effects.effect import Interval, Place, Planted
+from torchid.effects.effect import Planted
+from torchid.effects.place import Interval, Place
 
 RIVALS = 4
 """Alternatives that are listed at most."""

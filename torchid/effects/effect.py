@@ -7,20 +7,18 @@ absent.
 
 from abc import ABC
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.momentum import displaced
+from torchid.effects.place import Place
 from torchid.effects.scene import Reading, Scene
 from torchid.effects.sight import Sight, Slid, View
 from torchid.errors import ConfigError
-
-STEP = 1e-3
-"""Of the central differences, in prior standard deviations: exact for parameters that act linearly."""
 
 
 @dataclass(frozen=True)
@@ -33,35 +31,6 @@ class Parameter:
     """Standard deviation of the prior of each component."""
     size: int = 1
     positive: bool = False
-
-
-@dataclass(frozen=True)
-class Interval:
-    """Part of a trial [s]."""
-
-    trial: str
-    t0: float
-    t1: float
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where an effect sits."""
-
-    where: tuple[str, ...]
-    """Segments, plates (``plate_1``), trials, or ``session``."""
-    when: tuple[Interval, ...] | None = None
-    """None: throughout."""
-    point: tuple[float, float, float] | None = None
-    """On the segment, where the effect acts, in its axes [m]; None: its centre of mass."""
-    grid: dict[str, float] = field(default_factory=dict)
-    """Values of parameters that no column can be linear in, such as a frequency."""
-    odds: float = 1.0
-    """How likely before any data, against the effect's other places."""
-    follows: str | None = None
-    """Coordinate whose angle the effect follows."""
-    markers: tuple[str, ...] = ()
-    """On the segment, where an effect has parameters for each."""
 
 
 class Effect(ABC):
@@ -226,88 +195,6 @@ class Planted:
         return self.effect.read(reading, self.place, self.theta)
 
 
-def columns(
-    effect: Effect, scene: Scene, reading: Reading, place: Place, theta: Float[Tensor, " params"] | None = None
-) -> Float[Tensor, "6 params frames"]:
-    """Change of the plates' total per internal parameter; scene and reading on one clock.
-
-    Args:
-        effect: which.
-        scene: motion and inertia as estimated.
-        reading: of the plates: as the effect found it, or left it if it is ``inverted``.
-        place: where.
-        theta: where to linearise; absent, where the effect is.
-    """
-    start = reading.wrench.new_zeros(effect.size(place)) if theta is None else theta
-    found = reading.wrench.new_zeros(6, len(start), len(scene.time))
-    if place.when is not None and all(own.trial != scene.trial for own in place.when):
-        return found
-    for k, scale in enumerate(effect.scale(place)):
-        step = torch.zeros_like(start)
-        step[k] = STEP * scale
-        ahead = _total(effect, scene, reading, place, start + step)
-        if theta is None and type(effect).read is Effect.read:
-            # Absent, it loads nothing: half the work of central differences.
-            found[:, k] = ahead / (STEP * scale)
-        else:
-            found[:, k] = (ahead - _total(effect, scene, reading, place, start - step)) / (2.0 * STEP * scale)
-    return found
-
-
-def _total(effect: Effect, scene: Scene, reading: Reading, place: Place, theta: Tensor) -> Tensor:
-    """Only what the effect has a say in: most of a catalogue's cost are loads."""
-    found = reading.wrench.new_zeros(6, len(scene.time))
-    if type(effect).load is not Effect.load:
-        found = found + effect.load(scene, place, theta)
-    if effect.inverted:
-        return found - effect.undone(reading, place, theta).total
-    return found if type(effect).read is Effect.read else found + effect.read(reading, place, theta).total
-
-
 def anchor(scene: Scene, place: Place) -> Float[Tensor, " 3"]:
     """The point of the place's segment where the effect acts, in its axes."""
     return scene.centre(place.where[0]) if place.point is None else scene.phi.new_tensor(place.point)
-
-
-def covers(place: Place, trial: str) -> bool:
-    """Whether a place without segments or plates includes a trial."""
-    return "session" in place.where or trial in place.where
-
-
-EDGE_S = 0.1
-
-
-def edge(place: Place) -> float:
-    """How long what comes and goes takes to come, and to go [s]."""
-    return place.grid.get("edge_s", EDGE_S)
-
-
-def within(
-    place: Place, trial: str, time: Float[Tensor, " frames"], edge_s: float | None = None
-) -> Float[Tensor, " frames"]:
-    """0 outside the place's intervals, 1 inside, risen along half a cosine of ``edge_s`` from their ends."""
-    if place.when is None:
-        return torch.ones_like(time)
-    inside, edge_s = torch.zeros_like(time), edge(place) if edge_s is None else edge_s
-    for interval in place.when:
-        if interval.trial == trial:
-            depth = torch.minimum(time - interval.t0, interval.t1 - time)
-            depth = depth / edge_s if edge_s > 0.0 else torch.where(depth >= -1e-9, 1.0, 0.0)
-            inside = torch.maximum(inside, 0.5 - 0.5 * torch.cos(torch.pi * depth.clamp(0.0, 1.0)))
-    return inside
-
-
-def inside_any(intervals: Sequence[Interval], trial: str, time: Float[Tensor, " frames"]) -> Bool[Tensor, " frames"]:
-    """Whether frames of a trial are in any of the intervals."""
-    found = torch.zeros_like(time, dtype=torch.bool)
-    for one in intervals:
-        if one.trial == trial:
-            found |= (time >= one.t0) & (time <= one.t1)
-    return found
-
-
-def mean_within(place: Place) -> float:
-    """Mean of ``within`` over the intervals; 1 throughout."""
-    if place.when is None:
-        return 1.0
-    return 1.0 - edge(place) * len(place.when) / sum(own.t1 - own.t0 for own in place.when)

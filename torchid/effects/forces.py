@@ -11,7 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.effect import Effect, Interval, Parameter, Place, anchor, mean_within, within
+from torchid.effects.effect import Effect, Parameter, anchor
+from torchid.effects.place import Interval, Place, mean_within, within
 from torchid.effects.scene import Point, Scene, at_origin
 from torchid.effects.sight import View
 

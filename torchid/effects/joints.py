@@ -11,9 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.effect import Effect, Parameter, Place, value_of
+from torchid.effects.effect import Effect, Parameter, value_of
 from torchid.effects.markers import bend, lively
 from torchid.effects.momentum import below
+from torchid.effects.place import Place
 from torchid.effects.scene import Scene
 from torchid.effects.sight import View
 from torchid.errors import ConfigError

@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.effect import Effect, Interval, Parameter, Place, value_of, within
+from torchid.effects.effect import Effect, Parameter, value_of
+from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import Scene
 from torchid.effects.sight import Sight, Slid, View
 

@@ -15,7 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.effect import Effect, Parameter, Place, anchor, value_of, within
+from torchid.effects.effect import Effect, Parameter, anchor, value_of
+from torchid.effects.place import Place, within
 from torchid.effects.scene import Scene, at_origin, lift
 from torchid.effects.sight import View
 from torchid.kinematics.recursion import cross

@@ -11,7 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.effect import Effect, Parameter, Place
+from torchid.effects.effect import Effect, Parameter
+from torchid.effects.place import Place
 from torchid.effects.scene import PlateFrame, Reading
 from torchid.effects.sight import View
 

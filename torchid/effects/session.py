@@ -11,7 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.effects.effect import Effect, Parameter, Place, covers, value_of
+from torchid.effects.effect import Effect, Parameter, value_of
+from torchid.effects.place import Place, covers
 from torchid.effects.scene import Reading, Scene, at_origin
 from torchid.effects.sight import Sight, Slid, View
 from torchid.filters import Smoother

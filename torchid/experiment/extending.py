@@ -13,7 +13,9 @@ from torchid.diagnosis.design import Source
 from torchid.diagnosis.verdict import Cause
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import effect
-from torchid.effects.effect import Planted, columns, inside_any
+from torchid.effects.columns import columns
+from torchid.effects.effect import Planted
+from torchid.effects.place import inside_any
 from torchid.effects.scene import make_scene
 from torchid.effects.sight import Sight
 from torchid.errors import Note

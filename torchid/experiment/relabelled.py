@@ -11,7 +11,7 @@ from torchid.config import Config
 from torchid.diagnosis.diagnose import after_forces, trust
 from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Cause, Diagnosis
-from torchid.effects.effect import inside_any
+from torchid.effects.place import inside_any
 from torchid.experiment.fits import fit_session, identify
 from torchid.experiment.stages import follow, subject_prior
 from torchid.geometry.tracking import track

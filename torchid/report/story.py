@@ -8,7 +8,7 @@ import torch
 from torchid.conventions import GRAVITY
 from torchid.diagnosis.verdict import Alternative, Cause
 from torchid.effects.apart import tell_apart
-from torchid.effects.effect import Interval
+from torchid.effects.place import Interval
 from torchid.report.sizes import BODY, ROOM, length, much, of, parts, size, vector
 from torchid.report.telling import NOUN, called, place
 from torchid.report.text import clean, listing, number, percent, stated

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.random import Generator
 
 from torchid.effects.catalogue import effect
-from torchid.effects.effect import Interval
+from torchid.effects.place import Interval
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 
 Lot = Callable[[Generator, SimulateOptions], tuple[PlantedOptions, ...]]

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from torchid.bounds import Name, Positive
-from torchid.effects.effect import Interval
+from torchid.effects.place import Interval
 from torchid.errors import OptionError
 
 ANALOG_RATIO = 10

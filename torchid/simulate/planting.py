@@ -5,8 +5,9 @@ from dataclasses import replace
 import torch
 
 from torchid.effects.catalogue import effect
-from torchid.effects.effect import Place, Planted
+from torchid.effects.effect import Planted
 from torchid.effects.joints import MODES, MissingDof
+from torchid.effects.place import Place
 from torchid.effects.scene import PlateFrame, Reading, plate_frame
 from torchid.recording import Plate, Trial
 from torchid.simulate.options import PlantedOptions
