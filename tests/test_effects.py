@@ -256,9 +256,8 @@ def test_a_swap_is_proposed_whole(followed, lost):
 def test_a_glide_along_the_axis_tells_that_in_the_plane(own_ways):
     """Markers show four of the six numbers of a hinge whose centre glides; one course for all axes shows the others."""
     rng = np.random.default_rng([SEED, 14])
-    way, part = rng.normal(size=3), rng.uniform(0.0, 1.0)
-    shift = torch.tensor(0.007 * way / np.linalg.norm(way))
-    shift[2] = torch.copysign(shift[2].abs() + 0.003, shift[2])
+    part, turn = rng.uniform(0.2, 0.8), rng.uniform(0.0, 2.0 * np.pi)
+    shift = torch.tensor([0.006 * np.cos(turn), 0.006 * np.sin(turn), rng.choice([-1.0, 1.0]) * 0.005])
     true = torch.cat([part * shift, (1.0 - part) * shift])
     if own_ways:
         true[2] = -true[2]
@@ -266,15 +265,15 @@ def test_a_glide_along_the_axis_tells_that_in_the_plane(own_ways):
     gauge = torch.zeros(2, 6, dtype=torch.float64)
     gauge[0, [1, 3]], gauge[1, [0, 4]] = torch.tensor([1.0, -1.0]).double(), torch.ones(2).double()
     covariance = 1e-4**2 * torch.eye(6).double() + 0.006**2 * gauge.T @ gauge
-    drawn = torch.linalg.cholesky(covariance) @ torch.tensor(rng.normal(size=6))
+    drawn = true + torch.linalg.cholesky(covariance) @ torch.tensor(rng.normal(size=6))
     effect, place = CATALOGUE["joint_centre_shift"], Place(("knee_r",), follows="knee_r_flexion")
-    found, sd = effect.stated(place, true + drawn, covariance)["shift_90_seg_m"]
+    found, sd = effect.estimated(place, drawn, covariance)["shift_90_seg_m"]
     if own_ways:
-        assert_close(found, effect.named(place, true + drawn)["shift_90_seg_m"])
-        assert float(sd.norm()) > 0.006
+        assert_close(found, effect.named(place, drawn)["shift_90_seg_m"])
+        assert float(sd.norm()) > 0.01
     else:
-        assert float(sd.norm()) < 0.001
-        assert bool(((found - shift).abs() < 4.0 * sd).all())
+        assert float(sd.norm()) < 0.007
+        assert bool(((found - shift).abs() < 5.0 * sd).all())
 
 
 def test_the_ground_carries_what_is_hidden(subject, plain):

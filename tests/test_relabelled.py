@@ -11,8 +11,11 @@ from torchid.config import load_config
 from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Cause, Diagnosis, Errors
 from torchid.effects.place import Interval, Place
+from torchid.experiment import relabelled as relabelling
 from torchid.experiment.diagnosing import diagnose_outcome
-from torchid.experiment.relabelled import beside, fitted_anew, relabelled
+from torchid.experiment.relabelled import beside, fitted_anew, put_right, relabelled
+from torchid.outcome import Outcome
+from torchid.results import OutputFolder
 
 QUIET, LOUD = Structure(False, 0.5, 0.1, ""), Structure(True, 1e-9, 0.6, "much")
 
@@ -32,7 +35,7 @@ def _said():
 
 @pytest.fixture(scope="module")
 def swap() -> Cause:
-    """Of two markers at random, a hand's breadth apart, within a fit trial."""
+    """Of two markers at random, near each other or not, within a fit trial."""
     rng, markers = np.random.default_rng([small_session.SEED, 31]), small_session.markers("fit")
     trial = str(rng.choice(sorted(markers)))
     own = markers[trial]
@@ -48,9 +51,10 @@ def swap() -> Cause:
 
 
 def test_names_go_back_and_forth(swap):
-    """Exchanged within the interval only, and the same again once it is done twice."""
+    """Exchanged within the interval only, and the same again once it is done twice; other trials may lack them."""
     (when,) = swap.when
-    trial = next(item.trial for item in small_session.session().trials if item.trial.name == when.trial)
+    trials = {item.trial.name: item.trial for item in small_session.session().trials}
+    trial = trials[when.trial]
     once = relabelled(trial, [swap])
     a, b = (trial.markers.labels.index(label) for label in swap.where)
     inside = (trial.markers.time >= when.t0) & (trial.markers.time <= when.t1)
@@ -58,16 +62,51 @@ def test_names_go_back_and_forth(swap):
     assert torch.equal(now[inside][:, a].nan_to_num(), was[inside][:, b].nan_to_num())
     assert torch.equal(now[~inside].nan_to_num(), was[~inside].nan_to_num())
     assert torch.equal(relabelled(once, [swap]).markers.position.nan_to_num(), was.nan_to_num())
+    other = next(one for name, one in trials.items() if name != when.trial)
+    less = replace(other, markers=other.markers.select(tuple(set(other.markers.labels) - set(swap.where))))
+    for one in (other, less):
+        assert relabelled(one, [swap]) is one
 
 
-def test_a_swap_leaves_nothing_for_skin_and_joints(swap):
-    """Planted, it is the only thing named that follows from postures; its interval is the true one."""
-    config = load_config(small_session.config())
-    found = diagnose_outcome(config, fitted_anew(config, small_session.outcome(), [swap]))
-    assert [(c.effect, set(c.where)) for c in found.causes] == [("marker_swap", set(swap.where))]
-    (told,) = found.causes[0].when
+@pytest.fixture(scope="module")
+def fits(swap, tmp_path_factory) -> dict[str, Outcome]:
+    """Of the recordings as they are, with the swap in them, and with it put right by what is found of it."""
+    config = load_config(small_session.config(), [f"geometry.max_frames={small_session.GEOMETRY.max_frames}"])
+    outcome = replace(small_session.outcome(), config=config)
+    found = {}
+    for name, causes in (("clean", []), ("bent", [swap])):
+        with OutputFolder(tmp_path_factory.mktemp(name)) as folder:
+            found[name] = fitted_anew(outcome, causes, folder, name, _silent)
+    with OutputFolder(tmp_path_factory.mktemp("right")) as folder:
+        bent = replace(found["bent"], diagnosis=diagnose_outcome(config, found["bent"]))
+        found["whole"], found["right"] = put_right(bent, folder, "right", _silent)
+    return found
+
+
+def _silent(stage: str, fraction: float) -> None: ...
+
+
+def test_a_swap_leaves_nothing_for_skin_and_joints(swap, fits):
+    """Planted, it is the only thing named, when it was; nothing is left for the fit with the names put right."""
+    (found,) = fits["whole"].diagnosis.causes
+    assert (found.effect, set(found.where)) == ("marker_swap", set(swap.where))
+    (told,) = found.when
     assert told.trial == swap.when[0].trial
     assert abs(told.t0 - swap.when[0].t0) < 0.06 and abs(told.t1 - swap.when[0].t1) < 0.06
+    assert fits["right"].diagnosis.causes == ()
+
+
+def test_a_fit_with_the_names_put_right_is_that_of_clean_recordings(fits):
+    """Which the fit with the swap is not."""
+    bent, right = ((fits[k].fit.xi - fits["clean"].fit.xi).norm() for k in ("bent", "right"))
+    assert float(right) < 0.5 * float(bent)
+
+
+def test_a_swap_that_is_taken_back_changes_nothing(swap, fits, monkeypatch, tmp_path):
+    """The verdict stays the first."""
+    monkeypatch.setattr(relabelling, "diagnose_outcome", lambda *_: fits["whole"].diagnosis)
+    with OutputFolder(tmp_path) as folder:
+        assert put_right(fits["whole"], folder, "back", _silent) == (fits["whole"], fits["whole"])
 
 
 def test_doubt_is_that_of_what_is_contradicted_now(swap):
@@ -80,5 +119,7 @@ def test_doubt_is_that_of_what_is_contradicted_now(swap):
     assert [c.effect for c in found.causes] == ["plate_gain", "marker_swap", "soft_tissue"]
     assert found.causes[1].confidence == pytest.approx(1.0) and not found.causes[1].doubted
     assert found.baseline == before.baseline
+    beyond = replace(empty, unexplained=replace(LOUD, beyond=True))
+    assert beside(before, beyond, [doubted]).causes[0].confidence == pytest.approx(1.0)
     still = beside(before, before, [doubted])
     assert still.causes[0].confidence == pytest.approx(0.7) and still.causes[0].doubted

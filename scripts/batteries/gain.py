@@ -51,7 +51,7 @@ def heldout_gains(outcome: Outcome, truth: Sequence[dict], scratch: Path) -> tup
     # Stages of another day were made by other code.
     shutil.rmtree(scratch, ignore_errors=True)
     with OutputFolder(scratch) as folder:
-        perfect = extend_outcome(perfect, folder, json.dumps(truth), lambda stage, fraction: None)
+        perfect = extend_outcome(perfect, perfect, folder, json.dumps(truth), lambda stage, fraction: None)
         noise, scatter = _noise(perfect)
         whole, some, none = (_density(one, noise, scatter) for one in (perfect, outcome, base))
     return some - none, whole - none

@@ -123,7 +123,7 @@ def processed(effects: list[Entry], trial: str, labels: tuple[str, ...], markers
     for e in (e for e in effects if e["effect"] == "marker_swap"):
         interval = _in_trial(e, trial)
         if interval is not None:
-            rows = slice(round(interval["t0"] * RATE), round(interval["t1"] * RATE))
+            rows = slice(round(interval["t0"] * RATE), round(interval["t1"] * RATE) + 1)
             a, b = (labels.index(label) for label in e["where"])
             markers[rows, [a, b]] = markers[rows, [b, a]]
     for e in (e for e in effects if e["effect"] == "filter_lag"):

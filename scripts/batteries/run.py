@@ -102,7 +102,7 @@ def perform(job: Job, out: Path, keep: bool) -> dict:
     keep_memory()
     folder, begun = out / job.key, time.perf_counter()
     try:
-        row = _judged(job, folder)
+        row = _row(job, folder)
     except Exception as failure:  # a battery goes on; the row says what happened
         row = {"failed": f"{type(failure).__name__}: {failure}"}
     if not keep:
@@ -110,8 +110,8 @@ def perform(job: Job, out: Path, keep: bool) -> dict:
     return asdict(job) | row | {"seconds": time.perf_counter() - begun}
 
 
-def _judged(job: Job, folder: Path) -> dict:
-    config = _written(job, folder)
+def _row(job: Job, folder: Path) -> dict:
+    config = _simulated(job, folder)
     outcome = run_experiment(config)
     stages = {name: spent.seconds for name, spent in outcome.times.items()}
     said = json.loads((config.out / "diagnosis.json").read_text())
@@ -121,7 +121,7 @@ def _judged(job: Job, folder: Path) -> dict:
     return row
 
 
-def _written(job: Job, folder: Path) -> Config:
+def _simulated(job: Job, folder: Path) -> Config:
     if job.level == OWN:
         made = simulate_session(OPTIONS, job.seed, folder)
         assert made.config is not None

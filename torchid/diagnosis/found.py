@@ -136,4 +136,4 @@ def _told_by(found: Search, k: int) -> Float[Tensor, "params n"]:
 def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
     """Named parameters of the k-th chosen effect: values and standard deviations."""
     one, theta, factor = found.chosen[k], internal(found, k), _told_by(found, k)
-    return one.effect.stated(one.place, theta, factor @ found.fitted.covariance @ factor.T)
+    return one.effect.estimated(one.place, theta, factor @ found.fitted.covariance @ factor.T)

@@ -22,10 +22,8 @@ def _plain(one: Gross) -> Cause:
     order = sorted(one.odds.items(), key=lambda both: -both[1])
     listed = tuple(Alternative(EFFECT.name, (name,), odds) for name, odds in order if name not in one.place.where)
     twins = tuple(a for a in listed if a.confidence > math.exp(-ALIKE) * order[0][1])[:2]
-    values = EFFECT.named(one.place, one.theta)
-    slopes = {key: torch.func.jacrev(lambda x, key=key: EFFECT.named(one.place, x)[key])(one.theta) for key in values}
-    sd = {key: (slope * one.sd).square().sum(-1).sqrt() for key, slope in slopes.items()}
-    parameters = {key: {"value": value, "sd": sd[key]} for key, value in values.items()}
+    told = EFFECT.estimated(one.place, one.theta, torch.diag(one.sd.square()))
+    parameters = {key: {"value": value, "sd": sd} for key, (value, sd) in told.items()}
     confidence = min(1.0, order[0][1] + sum(t.confidence for t in twins))
     alternatives = tuple(a for a in listed if a.confidence > 1e-3)[:RIVALS]
     return Cause(

@@ -116,7 +116,7 @@ class Effect(ABC):
         return None
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        """The parameters as reported: values by key."""
+        """What internal parameters amount to: values by key, as they are reported."""
         parts = zip(self.parameters, self.split(theta), strict=True)
         return {p.key: part[0] if p.size == 1 else part for p, part in parts}
 
@@ -128,10 +128,10 @@ class Effect(ABC):
         """
         return torch.cat([value_of(values, self.name, p.key, p.size) for p in self.parameters])
 
-    def stated(
+    def estimated(
         self, place: Place, theta: Float[Tensor, " params"], covariance: Float[Tensor, "params params"]
     ) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
-        """The parameters as reported, with their standard deviations."""
+        """The parameters as reported, with their standard deviations, from the posterior of the internal ones."""
         out = {}
         for key, value in self.named(place, theta).items():
             slope = torch.func.jacrev(lambda x, key=key: self.named(place, x)[key])(theta)

@@ -11,37 +11,21 @@ from torchid.diagnosis.plates import recognise
 from torchid.diagnosis.verdict import Diagnosis
 from torchid.diagnosis.watched import Known, Watched, watch
 from torchid.effects.catalogue import CATALOGUE
-from torchid.experiment.relabelled import beside, fitted_anew, swaps
 from torchid.outcome import Outcome
 from torchid.regressor.rows import WrenchTrial
 
 LONGEST_S = 40.0
 """Of a trial is searched at most: columns of the whole catalogue take 13 MB per second at 100 Hz."""
-AGAIN = 2
-"""Times that all is looked for anew once the names of swapped markers were put right."""
 MOST = 12
 """Trials of each role that are searched: those with most used frames."""
 
 
-def diagnose_outcome(config: Config, outcome: Outcome, again: int = AGAIN) -> Diagnosis | None:
+def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
-
-    Args:
-        config: of the experiment.
-        outcome: up to the inertia.
-        again: how often names of markers may be put right, and all be looked for anew.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
     """
-    found = _diagnosed(config, outcome)
-    if found is None or not again or not (exchanged := swaps(found.causes)):
-        return found
-    after = diagnose_outcome(config, fitted_anew(config, outcome, exchanged), again - 1)
-    return None if after is None else beside(found, after, exchanged)
-
-
-def _diagnosed(config: Config, outcome: Outcome) -> Diagnosis | None:
     effects, identified = wanted(config.diagnosis.include, config.diagnosis.exclude), outcome.identified
     plates, _ = recognise(_forces(outcome))
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}

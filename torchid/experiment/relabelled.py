@@ -7,57 +7,86 @@ segment and its joints' centres glided. So all is fitted again with the names pu
 from collections.abc import Sequence
 from dataclasses import replace
 
-from torchid.config import Config
 from torchid.diagnosis.diagnose import after_forces, trust
 from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Cause, Diagnosis
 from torchid.effects.place import inside_any
-from torchid.experiment.fits import fit_session, identify
+from torchid.experiment.diagnosing import diagnose_outcome
+from torchid.experiment.fits import Progress, fit_session, identify
 from torchid.experiment.stages import follow, subject_prior
 from torchid.geometry.tracking import track
 from torchid.outcome import Outcome
 from torchid.recording import Trial
+from torchid.results import OutputFolder
 
-EFFECT = "marker_swap"
+SWAP = "marker_swap"
+
+
+def put_right(base: Outcome, folder: OutputFolder, key: str, progress: Progress) -> tuple[Outcome, Outcome]:
+    """All is looked for anew beside the swaps that a verdict names.
+
+    Args:
+        base: with the first verdict on it.
+        folder: for stages.
+        key: of all that these depend on.
+        progress: called with stages and fractions.
+
+    Returns:
+        The outcome with the whole verdict, swaps as they were told first, and the one by which all but these was
+        told, recordings and fits with the names put right. Without swaps, or where one is taken back, both ``base``.
+
+    Raises:
+        DataError: as ``identify``.
+    """
+    assert base.diagnosis is not None
+    exchanged = swaps(base.diagnosis.causes)
+    if not exchanged:
+        return base, base
+    told = fitted_anew(base, exchanged, folder, key, progress)
+    after = folder.stage("diagnosis_named", key, lambda: diagnose_outcome(base.config, told))
+    if after is None or any(_again(one, other) for one in exchanged for other in swaps(after.causes)):
+        return base, base
+    return replace(base, diagnosis=beside(base.diagnosis, after, exchanged)), replace(told, diagnosis=after)
 
 
 def swaps(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Those among causes."""
-    return tuple(cause for cause in causes if cause.effect == EFFECT)
+    return tuple(cause for cause in causes if cause.effect == SWAP)
 
 
 def relabelled(trial: Trial, causes: Sequence[Cause]) -> Trial:
     """With the names of each swap in the trial exchanged while it lasts."""
+    acting = [cause for cause in causes if any(own.trial == trial.name for own in cause.when or ())]
+    if not acting:
+        return trial
     markers = trial.markers
     position = markers.position.clone()
-    for cause in causes:
+    for cause in acting:
         pair = [markers.labels.index(label) for label in cause.where]
         inside = inside_any(cause.when or (), trial.name, markers.time).nonzero()
         position[inside, pair] = position[inside, pair[::-1]]
     return replace(trial, markers=replace(markers, position=position))
 
 
-def fitted_anew(config: Config, outcome: Outcome, causes: Sequence[Cause]) -> Outcome:
+def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, key: str, progress: Progress) -> Outcome:
     """The outcome up to the inertia, from recordings in which swaps are put right.
 
     Geometry included: a swap of 0.8 s had bent a foot's, and skin that slid by 35 mm made up for it.
     """
-    trials = {name: relabelled(trial, causes) for name, trial in outcome.session.trials.items()}
-    session = replace(outcome.session, trials=trials)
-    fit = fit_session(config, session, True, _silent)
-    followed = {
-        name: follow(fit, trial, track(fit, trial.markers), outcome.cutoff_hz, config) for name, trial in trials.items()
-    }
-    found = replace(outcome, session=session, fit=fit, followed=followed, prior=subject_prior(config, fit))
-    return replace(found, identified=identify(config, found, _silent))
-
-
-def _silent(stage: str, fraction: float | None) -> None:
-    """The stages of the first time are over."""
+    config, trials = base.config, {name: relabelled(trial, causes) for name, trial in base.session.trials.items()}
+    session = replace(base.session, trials=trials)
+    fit = folder.stage("geometry_named", key, lambda: fit_session(config, session, True, progress))
+    followed = {}
+    for name, trial in trials.items():
+        tracked = folder.stage(f"named_{name}", key, lambda t=trial: track(fit, t.markers))
+        followed[name] = follow(fit, trial, tracked, base.cutoff_hz, config)
+    found = replace(base, session=session, fit=fit, followed=followed, prior=subject_prior(config, fit))
+    return replace(found, identified=folder.stage("inertia_named", key, lambda: identify(config, found, progress)))
 
 
 def beside(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause]) -> Diagnosis:
-    """What was found with the names put right, and the swaps found before; in doubt is what is contradicted now."""
+    """What was found with the names put right, and the swaps found before, with what they gained then; in doubt is what
+    is contradicted now."""
     own = [_doubted(cause, before.unexplained, after.unexplained) for cause in causes]
     found = sorted((*own, *after.causes), key=after_forces)
     return replace(after, baseline=before.baseline, causes=tuple(found))
@@ -65,5 +94,11 @@ def beside(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause]) -> Diag
 
 def _doubted(cause: Cause, before: Structure, after: Structure) -> Cause:
     sure = cause.confidence / trust(before) if cause.doubted else cause.confidence
-    confidence = trust(after) * sure if after.significant else sure
-    return replace(cause, confidence=confidence, doubted=after.significant)
+    doubted = after.significant and not after.beyond
+    return replace(cause, confidence=trust(after) * sure if doubted else sure, doubted=doubted)
+
+
+def _again(one: Cause, other: Cause) -> bool:
+    """Whether another swap is of the same markers at the same time."""
+    both = [(a, b) for a in one.when or () for b in other.when or () if a.trial == b.trial]
+    return set(one.where) == set(other.where) and any(a.t0 <= b.t1 and b.t0 <= a.t1 for a, b in both)

@@ -11,6 +11,7 @@ from torchid.experiment.diagnosing import diagnose_outcome
 from torchid.experiment.extending import extend_outcome
 from torchid.experiment.fits import Progress, fit_session, identify
 from torchid.experiment.read import read_session
+from torchid.experiment.relabelled import put_right
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, subject_prior, torques
 from torchid.experiment.write import write_outcome
@@ -101,7 +102,8 @@ def _compute(
         outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(config, outcome)))
         progress("diagnosis", 1.0)
         if outcome.diagnosis is not None and outcome.diagnosis.causes:
-            outcome = extend_outcome(outcome, folder, key, progress)
+            outcome, told = put_right(outcome, folder, key, progress)
+            outcome = extend_outcome(outcome, told, folder, key, progress)
     return _with_torques(outcome, folder), None
 
 
