@@ -70,7 +70,8 @@ def search(
     while True:
         some, looked, before = open_candidates(scan.design, chosen, limit), None, (noise, sums)
         scanned = scan_all(sums, some, chosen)
-        if look := scan.closer(noise, sums, chosen, scanned.rivals):
+        look, scan = scan.closer(noise, sums, chosen, scanned.rivals)
+        if look is not None:
             noise, looked = look
             sums = scan.sums(noise)
             scanned = scan_all(sums, some, chosen)
@@ -167,24 +168,25 @@ class _Scan:
 
     def closer(
         self, noise: Noise, sums: Sums, chosen: Sequence[Candidate], rivals: Sequence[Rival]
-    ) -> tuple[Noise, Candidate] | None:
+    ) -> tuple[tuple[Noise, Candidate] | None, "_Scan"]:
         """Where the residual is more than noise, likely candidates compete under the noise that each would leave.
 
         Whatever is not yet named is in the noise that was estimated without it: ground that shook at 37 times the noise
         had no evidence, and two plates that were swapped had less than a tenth of the energy that they explain. Beside
-        the noise comes the candidate whose it is.
+        the noise comes the candidate whose it is, and the scan that remembers which had no support.
         """
         rest = structure(self.watched, residuals(self.watched, self.design, self.prior, fit(sums, chosen)))
-        looks = []
+        looks, silent = [], dict(self.silent)
         for one in _likely(rivals) if rest.significant else ():
             key = one.candidate.effect.name, id(one.candidate.place)
-            if one.explained > GROWN * self.silent.get(key, 0.0):
+            if one.explained > GROWN * silent.get(key, 0.0):
                 look = self._look(noise, sums, one, chosen)
                 if look is None:
-                    self.silent[key] = one.explained
+                    silent[key] = one.explained
                 else:
                     looks.append((*look, one.candidate))
-        return max(looks, key=lambda look: look[0])[1:] if looks else None
+        best = max(looks, key=lambda look: look[0])[1:] if looks else None
+        return best, replace(self, silent=silent)
 
     def _look(self, noise: Noise, sums: Sums, rival: Rival, chosen: Sequence[Candidate]) -> tuple[float, Noise] | None:
         """Log evidence with one more effect under the noise that it leaves; None where this place of it has no support
