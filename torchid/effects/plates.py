@@ -125,6 +125,14 @@ class PlateCrosstalk(PlateMap):
     name = "plate_crosstalk"
     parameters = (Parameter("matrix_plate", 0.01, 30),)
 
+    def scale(self, place: Place) -> tuple[float, ...]:
+        """One part of what a channel may bear: moments a fifth of a metre times forces.
+
+        A leak of 0.01 m from the vertical force into moments would be a plate that lies 10 mm elsewhere.
+        """
+        bears = (1.0,) * 3 + (0.2,) * 3
+        return tuple(0.01 * bears[i] / bears[j] for i, j in CROSSTALK)
+
     def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
         own = to_plate(frame, wrench)
         return wrench + to_world(frame, own @ self.matrix(theta).T)
