@@ -276,6 +276,17 @@ def test_a_glide_along_the_axis_tells_that_in_the_plane(own_ways):
         assert bool(((found - shift).abs() < 5.0 * sd).all())
 
 
+def test_the_mean_of_a_force_is_as_uncertain_as_its_ends():
+    """Of two intervals, the shorter has the worse mean; impulses are as the forces tell."""
+    effect, theta, covariance = CATALOGUE["unmeasured_contact"], torch.tensor([3.0, 4.0, 12.0]).double(), torch.eye(3)
+    long, short = (Place(("thorax",), (Interval("a", 1.0, 1.0 + s),)) for s in (8.0, 0.8))
+    told = [effect.estimated(place, theta, 0.01 * covariance.double()) for place in (long, short)]
+    parts = [float(sd.norm() / force.norm()) for force, sd in (one["force_N"] for one in told)]
+    assert 0.01 < parts[0] < 0.03 and 0.15 < parts[1] < 0.25
+    impulse, sd = told[1]["impulse_Ns"]
+    assert float(sd.norm() / impulse.norm()) == pytest.approx(0.1 * 3.0**0.5 / 13.0, rel=0.2)
+
+
 def test_the_ground_carries_what_is_hidden(subject, plain):
     """A hidden payload changes the plates by its wrench, and the person keeps balance under it."""
     hidden = dataclasses.replace(subject, hidden=(planted(options("payload")),))
