@@ -276,6 +276,19 @@ def test_a_glide_along_the_axis_tells_that_in_the_plane(own_ways):
         assert bool(((found - shift).abs() < 5.0 * sd).all())
 
 
+@pytest.mark.parametrize("lacks", ["z", "xz", "xyz"])
+def test_a_loose_joint_has_a_direction_with_an_sd(lacks):
+    """However many axes it lacks."""
+    effect, modes = CATALOGUE["missing_dof"], 12
+    grid = {axis: float(axis in lacks) for axis in "xyz"} | {"modes": float(modes), "turning": 1.0}
+    theta = torch.tensor(np.random.default_rng([SEED, 15]).normal(size=2 * len(lacks) * modes)) * 0.01
+    found = effect.estimated(Place(("ankle_l",), grid=grid), theta, 1e-8 * torch.eye(len(theta)).double())
+    axis, sd = found["axis_seg"]
+    assert float(axis.norm()) == pytest.approx(1.0) and bool(sd.isfinite().all())
+    assert not axis[["xyz".index(one) for one in set("xyz") - set(lacks)]].any()
+    assert 0.0 < float(found["range_rad"][1]) < 0.01
+
+
 def test_the_mean_of_a_force_is_as_uncertain_as_its_ends():
     """Of two intervals, the shorter has the worse mean; impulses are as the forces tell."""
     effect, theta, covariance = CATALOGUE["unmeasured_contact"], torch.tensor([3.0, 4.0, 12.0]).double(), torch.eye(3)

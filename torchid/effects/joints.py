@@ -174,14 +174,14 @@ class MissingDof(Effect):
         return ways, courses(scene.time, int(place.grid["modes"]))
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        some = theta.view(-1, len(axes(place)), int(place.grid["modes"]))
-        own = torch.stack(
-            [some[:, axes(place).index(k)] if k in axes(place) else 0.0 * some[:, 0] for k in range(3)], 1
-        )
-        axis = torch.linalg.eigh(torch.einsum("bik,bjk->ij", own, own))[1][:, -1]
-        axis = axis * torch.sign(axis[axis.abs().argmax()])
+        free = axes(place)
+        own = theta.view(-1, len(free), int(place.grid["modes"]))
+        # Of the lacking axes alone: with the others, equal eigenvalues of zero had no derivative, and the sd was NaN.
+        way = torch.linalg.eigh(torch.einsum("bik,bjk->ij", own, own))[1][:, -1]
+        way = way * torch.sign(way[way.abs().argmax()])
+        axis = theta.new_zeros(3).index_put((torch.tensor(free, device=theta.device),), way)
         time = torch.linspace(0.0, 1.0, 200).to(theta)
-        along = torch.einsum("i,bik->bk", axis, own) @ courses(time, own.shape[2])
+        along = torch.einsum("i,bik->bk", way, own) @ courses(time, own.shape[2])
         reach = (along.amax(1) - along.amin(1)).mean()
         keys = ("axis_seg", "range_rad") if place.grid["turning"] else ("direction_seg", "range_m")
         return dict(zip(keys, (axis, reach), strict=True))
