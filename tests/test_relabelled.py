@@ -11,9 +11,9 @@ from torchid.config import load_config
 from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Cause, Diagnosis, Errors
 from torchid.effects.place import Interval, Place
-from torchid.experiment import relabelled as relabelling
+from torchid.experiment import relabelled
 from torchid.experiment.diagnosing import diagnose_outcome
-from torchid.experiment.relabelled import beside, fitted_anew, put_right, relabelled
+from torchid.experiment.relabelled import beside, fitted_anew, put_right, relabel
 from torchid.outcome import Outcome
 from torchid.results import OutputFolder
 
@@ -55,17 +55,17 @@ def test_names_go_back_and_forth(swap):
     (when,) = swap.when
     trials = {item.trial.name: item.trial for item in small_session.session().trials}
     trial = trials[when.trial]
-    once = relabelled(trial, [swap])
+    once = relabel(trial, [swap])
     a, b = (trial.markers.labels.index(label) for label in swap.where)
     inside = (trial.markers.time >= when.t0) & (trial.markers.time <= when.t1)
     was, now = trial.markers.position, once.markers.position
     assert torch.equal(now[inside][:, a].nan_to_num(), was[inside][:, b].nan_to_num())
     assert torch.equal(now[~inside].nan_to_num(), was[~inside].nan_to_num())
-    assert torch.equal(relabelled(once, [swap]).markers.position.nan_to_num(), was.nan_to_num())
+    assert torch.equal(relabel(once, [swap]).markers.position.nan_to_num(), was.nan_to_num())
     other = next(one for name, one in trials.items() if name != when.trial)
     less = replace(other, markers=other.markers.select(tuple(set(other.markers.labels) - set(swap.where))))
     for one in (other, less):
-        assert relabelled(one, [swap]) is one
+        assert relabel(one, [swap]) is one
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_a_fit_with_the_names_put_right_is_that_of_clean_recordings(fits):
 
 def test_a_swap_that_is_taken_back_changes_nothing(swap, fits, monkeypatch, tmp_path):
     """The verdict stays the first."""
-    monkeypatch.setattr(relabelling, "diagnose_outcome", lambda *_: fits["whole"].diagnosis)
+    monkeypatch.setattr(relabelled, "diagnose_outcome", lambda *_: fits["whole"].diagnosis)
     with OutputFolder(tmp_path) as folder:
         assert put_right(fits["whole"], folder, "back", _silent) == (fits["whole"], fits["whole"])
 

@@ -27,7 +27,7 @@ from torchid.report.extension import sides, spectrum
 from torchid.report.facts import wrenches
 from torchid.report.forces import Score, instructive
 from torchid.report.handling import grouped, handling_section
-from torchid.report.head import head_section
+from torchid.report.head import _named, head_section
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
 from torchid.report.story import STORY, surely, told
@@ -330,6 +330,22 @@ def cause(name: str, scale: float = 1.0) -> Cause:
     return Cause(
         name, where, when, values, 0.9, rivals, rivals[:1], gain, place, theta[None], ("squats",), when is None
     )
+
+
+def test_the_page_begins_with_what_is_named_and_how_sure_that_is():
+    """A doubtful cause is no plain fact, and what no cause explains is said beside it."""
+    loud, quiet = (Structure(flag, 1e-9 if flag else 0.5, 0.6, "much") for flag in (True, False))
+    causes = (replace(cause("time_offset"), confidence=0.55), cause("drag"))
+
+    def said(causes: tuple[Cause, ...], rest: Structure) -> str:
+        found = Diagnosis((), Errors(1.0, 1.0), Errors(1.0, 1.0), causes, rest)
+        (block,) = _named(found)
+        return block.text
+
+    two = said(causes, loud)
+    assert two.startswith(told(causes[0])) and "more likely than not (55 %)" in two and "1 more cause" in two
+    assert "More remains" in two and "More remains" not in said(causes, quiet)
+    assert said((), quiet).startswith("Nothing") and "more cause" not in said(causes[:1], quiet)
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE))

@@ -21,7 +21,7 @@ from torchid.effects.sight import Sight
 from torchid.errors import Note
 from torchid.experiment.diagnosing import watch_outcome
 from torchid.experiment.fits import Progress, fit_session, identify
-from torchid.experiment.relabelled import SWAP, relabelled, swaps
+from torchid.experiment.relabelled import SWAP, relabel, swaps
 from torchid.experiment.stages import follow, subject_prior
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.tracking import Tracked, track
@@ -38,28 +38,28 @@ RECORD = "body_mass"
 """Is no force: the prior takes the mass that was found instead of the recorded one."""
 
 
-def extend_outcome(base: Outcome, told: Outcome, folder: OutputFolder, key: str, progress: Progress) -> Outcome:
+def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key: str, progress: Progress) -> Outcome:
     """Everything fitted again with the named causes taken out of the recordings.
 
     Args:
         base: with the verdict on it.
-        told: by which causes were told that are still in its recordings, with these as its verdict; else ``base``.
+        relabelled: with the names of swapped markers put right, on it what was found then; without any, ``base``.
         folder: for stages.
         key: of all that these depend on.
         progress: called with stages and fractions.
     """
-    assert told.diagnosis is not None
-    causes, fit = told.diagnosis.causes, told.fit
-    config, session = corrected_config(base.config, causes), told.session
-    tracked = {name: item.tracked for name, item in told.followed.items()}
+    assert relabelled.diagnosis is not None
+    causes, fit = relabelled.diagnosis.causes, relabelled.fit
+    config, session = corrected_config(base.config, causes), relabelled.session
+    tracked = {name: item.tracked for name, item in relabelled.followed.items()}
     if any(moves_markers(cause) for cause in causes):
-        session = extend_session(told)
+        session = extend_session(relabelled)
         fit = folder.stage("geometry_extended", key, lambda: fit_session(config, session, True, progress))
         for name, trial in session.trials.items():
             tracked[name] = folder.stage(f"extended_{name}", key, lambda t=trial: track(fit, t.markers))
     with folder.timed("extend"):
-        followed = follow_extended(config, told, session, fit, tracked)
-        added = effect_wrenches(told)
+        followed = follow_extended(config, relabelled, session, fit, tracked)
+        added = effect_wrenches(relabelled)
     outcome = replace(
         base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
     )
@@ -96,7 +96,7 @@ def extend_session(outcome: Outcome) -> Session:
     assert outcome.diagnosis is not None
     causes = [c for c in outcome.diagnosis.causes if moves_markers(c)]
     exchanged, others = swaps(causes), [c for c in causes if c.effect != SWAP]
-    named = {name: relabelled(trial, exchanged) for name, trial in outcome.session.trials.items()}
+    named = {name: relabel(trial, exchanged) for name, trial in outcome.session.trials.items()}
     trials = {name: _cleared(outcome, trial, others) for name, trial in named.items()}
     return replace(outcome.session, trials=trials)
 

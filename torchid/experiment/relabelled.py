@@ -32,8 +32,8 @@ def put_right(base: Outcome, folder: OutputFolder, key: str, progress: Progress)
         progress: called with stages and fractions.
 
     Returns:
-        The outcome with the whole verdict, swaps as they were told first, and the one by which all but these was
-        told, recordings and fits with the names put right. Without swaps, or where one is taken back, both ``base``.
+        The outcome with the whole verdict; and the one with recordings and fits relabelled, its verdict what was found
+        in these. Without swaps, or where one would be taken back, ``base`` twice.
 
     Raises:
         DataError: as ``identify``.
@@ -42,11 +42,11 @@ def put_right(base: Outcome, folder: OutputFolder, key: str, progress: Progress)
     exchanged = swaps(base.diagnosis.causes)
     if not exchanged:
         return base, base
-    told = fitted_anew(base, exchanged, folder, key, progress)
-    after = folder.stage("diagnosis_named", key, lambda: diagnose_outcome(base.config, told))
-    if after is None or any(_again(one, other) for one in exchanged for other in swaps(after.causes)):
+    again = fitted_anew(base, exchanged, folder, key, progress)
+    after = folder.stage("diagnosis_relabelled", key, lambda: diagnose_outcome(base.config, again))
+    if after is None or any(_overlap(one, other) for one in exchanged for other in swaps(after.causes)):
         return base, base
-    return replace(base, diagnosis=beside(base.diagnosis, after, exchanged)), replace(told, diagnosis=after)
+    return replace(base, diagnosis=beside(base.diagnosis, after, exchanged)), replace(again, diagnosis=after)
 
 
 def swaps(causes: Sequence[Cause]) -> tuple[Cause, ...]:
@@ -54,7 +54,7 @@ def swaps(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     return tuple(cause for cause in causes if cause.effect == SWAP)
 
 
-def relabelled(trial: Trial, causes: Sequence[Cause]) -> Trial:
+def relabel(trial: Trial, causes: Sequence[Cause]) -> Trial:
     """With the names of each swap in the trial exchanged while it lasts."""
     acting = [cause for cause in causes if any(own.trial == trial.name for own in cause.when or ())]
     if not acting:
@@ -73,15 +73,15 @@ def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, ke
 
     Geometry included: a swap of 0.8 s had bent a foot's, and skin that slid by 35 mm made up for it.
     """
-    config, trials = base.config, {name: relabelled(trial, causes) for name, trial in base.session.trials.items()}
+    config, trials = base.config, {name: relabel(trial, causes) for name, trial in base.session.trials.items()}
     session = replace(base.session, trials=trials)
-    fit = folder.stage("geometry_named", key, lambda: fit_session(config, session, True, progress))
+    fit = folder.stage("geometry_relabelled", key, lambda: fit_session(config, session, True, progress))
     followed = {}
     for name, trial in trials.items():
-        tracked = folder.stage(f"named_{name}", key, lambda t=trial: track(fit, t.markers))
+        tracked = folder.stage(f"relabelled_{name}", key, lambda t=trial: track(fit, t.markers))
         followed[name] = follow(fit, trial, tracked, base.cutoff_hz, config)
     found = replace(base, session=session, fit=fit, followed=followed, prior=subject_prior(config, fit))
-    return replace(found, identified=folder.stage("inertia_named", key, lambda: identify(config, found, progress)))
+    return replace(found, identified=folder.stage("inertia_relabelled", key, lambda: identify(config, found, progress)))
 
 
 def beside(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause]) -> Diagnosis:
@@ -98,7 +98,7 @@ def _doubted(cause: Cause, before: Structure, after: Structure) -> Cause:
     return replace(cause, confidence=trust(after) * sure if doubted else sure, doubted=doubted)
 
 
-def _again(one: Cause, other: Cause) -> bool:
-    """Whether another swap is of the same markers at the same time."""
+def _overlap(one: Cause, other: Cause) -> bool:
+    """Whether two swaps are of the same markers at the same time."""
     both = [(a, b) for a in one.when or () for b in other.when or () if a.trial == b.trial]
     return set(one.where) == set(other.where) and any(a.t0 <= b.t1 and b.t0 <= a.t1 for a, b in both)

@@ -102,8 +102,8 @@ def _compute(
         outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(config, outcome)))
         progress("diagnosis", 1.0)
         if outcome.diagnosis is not None and outcome.diagnosis.causes:
-            outcome, told = put_right(outcome, folder, key, progress)
-            outcome = extend_outcome(outcome, told, folder, key, progress)
+            outcome, relabelled = put_right(outcome, folder, key, progress)
+            outcome = extend_outcome(outcome, relabelled, folder, key, progress)
     return _with_torques(outcome, folder), None
 
 

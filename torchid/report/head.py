@@ -2,13 +2,14 @@
 
 import math
 
+from torchid.diagnosis.verdict import Diagnosis
 from torchid.errors import DataError
 from torchid.outcome import Outcome
 from torchid.outcome.tables import largest
 from torchid.report.blocks import Block, Items, Paragraph, Section, Table
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
 from torchid.report.handling import grouped
-from torchid.report.story import told
+from torchid.report.story import likely, told
 from torchid.report.text import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
 
 READING = (
@@ -40,7 +41,7 @@ def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataErr
         ("", "Scaled template, tabulated inertia", "Identified geometry, tabulated inertia", "Identified", "Change"),
         verdict_rows(outcome, tested),
     )]  # fmt: skip
-    blocks = [*_named(outcome), *blocks]
+    blocks = [*_named(outcome.diagnosis), *blocks]
     warnings = tuple(warning_lines(outcome, tested))
     if warnings:
         blocks += [Paragraph("Worth knowing before using these results:"), Items(warnings)]
@@ -48,19 +49,19 @@ def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataErr
     return Section("summary", "Summary", _finding(outcome, tested, failure), tuple(blocks))
 
 
-def _named(outcome: Outcome) -> list[Block]:
+def _named(found: Diagnosis | None) -> list[Block]:
     """What the diagnosis says, in a sentence or two; its section has the rest."""
-    found = outcome.diagnosis
     if found is None:
         return []
-    if not found.causes:
-        said = "Nothing that the catalogue knows was found wrong with the recordings."
-        more = "More remains than noise makes, though." if found.unexplained.significant else ""
-    else:
-        said = told(found.causes[0])
-        others = len(found.causes) - 1
-        more = f"{plural(others, 'more cause')} and all rivals: see “What the model gets wrong”." if others else ""
-    return [Paragraph(f"{said} {more}".strip())]
+    said = ["Nothing that the catalogue knows was found wrong with the recordings."]
+    if found.causes:
+        first, others = found.causes[0], len(found.causes) - 1
+        said = [told(first), f"That is {likely(first)}."]
+        if others:
+            said.append(f"{plural(others, 'more cause')} and all rivals: see “What the model gets wrong”.")
+    if found.unexplained.significant:
+        said.append("More remains in the forces than noise makes, and no named cause explains it.")
+    return [Paragraph(" ".join(said))]
 
 
 def _finding(outcome: Outcome, tested: dict[str, Wrenches], failure: DataError | None) -> str:

@@ -32,10 +32,15 @@ def told(cause: Cause) -> str:
     return f"{sentence}{_when(cause.when, cause.effect)}."
 
 
+def likely(cause: Cause) -> str:
+    """How sure that is, in words and as a chance."""
+    sure = next(word for least, word in WORDS if cause.confidence >= least)
+    return f"{sure} ({chance(cause.confidence)})"
+
+
 def surely(cause: Cause) -> str:
     """How sure that is, and what else it could be."""
-    sure = next(word for least, word in WORDS if cause.confidence >= least)
-    said = [f"{sure} ({chance(cause.confidence)})"]
+    said = [likely(cause)]
     twins = {(t.effect, t.where) for t in cause.indistinguishable}
     others = [a for a in rivals(cause) if (a.effect, a.where) not in twins and a.confidence >= WORTH]
     if others:
