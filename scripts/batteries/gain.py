@@ -19,6 +19,7 @@ from torch import Tensor
 
 from torchid.config import load_config
 from torchid.diagnosis.verdict import Cause
+from torchid.effects.angles import BEFORE
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Interval, Place
 from torchid.experiment import run_experiment
@@ -69,17 +70,24 @@ def _known(base: Outcome, truth: dict) -> Cause:
     place = Place(tuple(truth["where"]), when, grid=grid)
     if own.name == "soft_tissue":
         shifts = parameters["shift_90_m"]
-        place = replace(place, follows=parameters.pop("joint"), markers=tuple(shifts))
+        place = replace(place, follows=_angle(parameters.pop("joint")), markers=tuple(shifts))
         parameters["shift_90_m"] = list(shifts.values())
     if "point_seg_m" in parameters:
         place = replace(place, point=tuple(parameters["point_seg_m"]))
-    if own.name == "joint_centre_shift":
-        place = replace(place, follows=f"{truth['where'][0]}_flexion")
     values = {key: torch.as_tensor(value, dtype=torch.float64) for key, value in parameters.items()}
     theta = own.internal(place, values)[None]
+    if own.name == "joint_centre_shift":
+        # MuJoCo's centres go with one minus cosine, of which ``internal`` knows nothing.
+        place, theta = replace(place, follows=_angle(f"{truth['where'][0]}_flexion")), theta.roll(3)
     trials = names if when is None else tuple(one.trial for one in when)
     told = {key: {"value": value, "sd": torch.full_like(value, 1e-3)} for key, value in values.items()}
     return Cause(own.name, place.where, when, told, 1.0, (), (), {}, place, theta, trials, when is None)
+
+
+def _angle(flexion: str) -> str:
+    """MuJoCo's arms are lifted sideways before they turn about themselves."""
+    joint = flexion.removesuffix("_flexion")
+    return f"{flexion}{BEFORE}{joint}_adduction" if joint.startswith("shoulder") else flexion
 
 
 def _rows(outcome: Outcome) -> list[WrenchTrial]:

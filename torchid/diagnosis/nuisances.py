@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.effects.angles import BEFORE, bend
 from torchid.effects.effect import Effect, Parameter
-from torchid.effects.markers import SoftTissue, bend
+from torchid.effects.markers import SoftTissue
 from torchid.effects.momentum import below
 from torchid.effects.place import Place
 from torchid.effects.scene import Scene
@@ -62,6 +63,10 @@ class SkinSlide(SoftTissue):
 
     name = "skin_slide"
     parameters = (Parameter("shift_m", 0.005, 3), Parameter("turn_rad", 0.03, 3))
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        """With the model's own angles: what is of a few millimetres is not told from others."""
+        return tuple(place for place in super().places(views) if BEFORE not in str(place.follows))
 
     def size(self, place: Place) -> int:
         return 6

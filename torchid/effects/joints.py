@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.effects.angles import bend, lively, readings
 from torchid.effects.effect import Effect, Parameter, value_of
-from torchid.effects.markers import bend, lively
 from torchid.effects.momentum import below
 from torchid.effects.place import Place
 from torchid.effects.scene import Scene
@@ -62,9 +62,13 @@ class JointCentreShift(Effect):
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         scenes = [v.scene for v in views]
-        joints = [(joint_name(scenes[0], k), lively(scenes, k)) for k in range(1, len(scenes[0].tree.names))]
-        # One chance for each joint: forearms that turn more than elbows bend hid what the elbow's flexion did.
-        return tuple(Place((joint,), odds=1.0 / len(dofs), follows=dof) for joint, dofs in joints for dof in dofs)
+        found = []
+        for k in range(1, len(scenes[0].tree.names)):
+            cues = [angle for dof in lively(scenes, k) for angle in readings(scenes, dof)]
+            # One chance for each joint: forearms that turn more than elbows bend hid what the elbow's flexion did.
+            where, odds = (joint_name(scenes[0], k),), 1.0 / max(len(cues), 1)
+            found += [Place(where, odds=odds, follows=angle) for angle in cues]
+        return tuple(found)
 
     def move(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "bodies 6 frames"]:
         body = carried_by(scene, place.where[0])

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.effects.angles import bend, lively, readings
 from torchid.effects.effect import Effect, Parameter, value_of
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import Scene
@@ -111,7 +112,9 @@ class SoftTissue(MarkerEffect):
         for name in sight.scene.tree.names:
             labels = tuple(sight.labels[k] for k in sight.on(name))
             if labels:
-                found += [Place((name,), follows=dof, markers=labels) for dof in _cues([v.scene for v in views], name)]
+                scenes = [v.scene for v in views]
+                cues = [angle for dof in _cues(scenes, name) for angle in readings(scenes, dof)]
+                found += [Place((name,), follows=angle, markers=labels) for angle in cues]
         return tuple(found)
 
     def size(self, place: Place) -> int:
@@ -132,25 +135,8 @@ class SoftTissue(MarkerEffect):
         return value_of(values, self.name, "shift_90_m", 3 * len(place.markers))
 
 
-def bend(scene: Scene, place: Place) -> Float[Tensor, "2 frames"]:
-    """Sine and one minus cosine of the coordinate that a place follows, from its rest."""
-    row = scene.tree.dof_names.index(str(place.follows))
-    angle = scene.q[row] - scene.tree.dofs[row].rest
-    return torch.stack([torch.sin(angle), 1.0 - torch.cos(angle)])
-
-
 def _cues(scenes: Sequence[Scene], segment: str) -> tuple[str, ...]:
     """Of the joints at both ends of a segment, the coordinate that moves most."""
     tree = scenes[0].tree
     ends = [tree.index(segment), *(k for k, body in enumerate(tree.bodies) if body.parent == tree.index(segment))]
     return tuple(dof for k in ends for dof in lively(scenes, k)[:1])
-
-
-def lively(scenes: Sequence[Scene], body: int) -> tuple[str, ...]:
-    """Coordinates of a body's joint that move at least half as much as the one that moves most, and first; the root
-    has none."""
-    tree = scenes[0].tree
-    rows = [turn.row for turn in tree.bodies[body].turns if turn.moving]
-    spread = {row: max(float(s.q[row].std()) for s in scenes) for row in rows}
-    order = sorted(rows, key=lambda row: -spread[row])
-    return tuple(tree.dof_names[row] for row in order if spread[row] >= 0.5 * spread[order[0]])

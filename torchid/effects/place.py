@@ -32,7 +32,7 @@ class Place:
     odds: float = 1.0
     """How likely before any data, against the effect's other places."""
     follows: str | None = None
-    """Coordinate whose angle the effect follows."""
+    """Coordinate whose angle the effect follows (see ``angles``)."""
     markers: tuple[str, ...] = ()
     """On the segment, where an effect has parameters for each."""
 

@@ -7,6 +7,7 @@ import torch
 
 from torchid.conventions import GRAVITY
 from torchid.diagnosis.verdict import Alternative, Cause
+from torchid.effects.angles import BEFORE
 from torchid.effects.apart import tell_apart
 from torchid.effects.place import Interval
 from torchid.report.sizes import BODY, ROOM, length, much, of, parts, size, vector
@@ -188,9 +189,11 @@ def _skin(cause: Cause) -> str:
 
 def segment_motion(cause: Cause) -> str:
     """The coordinate that an effect follows, in words: ``knee_l_flexion`` as ``left knee flexion``."""
-    words = (cause.place.follows or "a neighbouring joint").split("_")
+    dof, _, following = (cause.place.follows or "a neighbouring joint").partition(BEFORE)
+    words = dof.split("_")
     sides = [{"l": "left", "r": "right"}[w] for w in words if w in ("l", "r")]
-    return clean(" ".join([*sides, *(w for w in words if w not in ("l", "r"))]))
+    said = " ".join([*sides, *(w for w in words if w not in ("l", "r"))])
+    return clean(f"{said} (before {following.rpartition('_')[2]})" if following else said)
 
 
 def _lacking(cause: Cause) -> str:
