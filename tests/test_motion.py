@@ -42,6 +42,18 @@ def test_gap_is_bridged(seed: int) -> None:
     assert_close(Smoother(8.0, RATE)(spoilt, weight), x, rtol=0, atol=2e-3)
 
 
+@pytest.mark.parametrize("rate, cutoff_hz", [(100.0, 4.0), (100.0, 6.0), (2000.0, 6.0)])
+def test_what_is_missing_for_long_spoils_nothing(rate, cutoff_hz, seed: int) -> None:
+    """Rounding errors of a gap of many periods at the start are more than the penalty says of it."""
+    frames = int(rate * np.random.default_rng(seed).uniform(8.0, 20.0))
+    x = torch.sin(2 * torch.pi * 0.5 * torch.arange(2 * frames, dtype=torch.float64) / rate)
+    weight = torch.ones(2 * frames, dtype=torch.float64)
+    weight[:frames] = 0.0
+    found = Smoother(cutoff_hz, rate)(x, weight)
+    assert found.isfinite().all()
+    assert_close(found[frames:], x[frames:], rtol=0, atol=5e-3)
+
+
 def test_angular_rates_of_a_known_rotation(seed: int) -> None:
     """Angular velocity and acceleration of R(t) = exp(a(t) u) R0 are a' u and a'' u."""
     rng = np.random.default_rng(seed)

@@ -17,6 +17,8 @@ ORDER = 3
 """Of the differences that the spline penalises: accelerations stay free at the ends of a trial."""
 HALF_POWER = (np.sqrt(2.0) - 1.0) ** (1.0 / (2 * ORDER))
 """Ratio of the -3 dB frequency of 1 / (1 + (f / f0)^6) to f0."""
+LEAST = 1e-12
+"""Weight of a missing sample."""
 TOGETHER = 2
 """Columns of a signal that are filtered and differentiated together."""
 BUTTERWORTH_PASS = 0.802
@@ -64,10 +66,7 @@ class Smoother:
             return np.where(known, x, 0.0)
         f0 = self.cutoff_hz / HALF_POWER
         penalty = (2.0 * np.sin(np.pi * min(f0 / self.rate_hz, 0.5))) ** (-2.0 * ORDER)
-        bands = penalty * _difference_bands(len(x))
-        # A long gap leaves the solution to the penalty alone: a parabola between its sides.
-        bands[-1] += np.maximum(weight, 1e-12)
-        factor, out = scipy.linalg.cholesky_banded(bands, overwrite_ab=True, check_finite=False), np.empty_like(x)
+        factor, out = _factor(penalty * _difference_bands(len(x)), weight), np.empty_like(x)
         for few in _groups(x):
             right = np.where(known, weight[:, None] * x[:, few], 0.0)
             out[:, few] = scipy.linalg.cho_solve_banded((factor, False), right, overwrite_b=True, check_finite=False)
@@ -78,6 +77,22 @@ class Smoother:
         sos = scipy.signal.butter(2, design, fs=self.rate_hz, output="sos")
         pad = min(len(x) - 1, int(3 * self.rate_hz / self.cutoff_hz))
         return scipy.signal.sosfiltfilt(sos, x, axis=0, padlen=pad).copy()
+
+
+def _factor(bands: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Of the normal equations. A long gap leaves the solution to the penalty alone: a parabola between its sides.
+
+    Where rounding errors are more than the penalty says of one, it is drawn to zero by no more than it takes.
+    """
+    least = LEAST
+    while True:
+        own = bands.copy()
+        own[-1] += np.maximum(weight, least)
+        try:
+            return scipy.linalg.cholesky_banded(own, overwrite_ab=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            assert least < 1.0, "the penalty is positive semi-definite"
+            least *= 10.0
 
 
 def _groups(x: np.ndarray) -> Iterator[slice]:
