@@ -3,18 +3,22 @@
 from dataclasses import replace
 
 import pytest
+import small_session as small
 import torch
 
 from torchid.diagnosis import doubtful
 from torchid.diagnosis.anew import eliminated, told
 from torchid.diagnosis.design import Candidate, Design, Source
+from torchid.diagnosis.diagnose import trust
 from torchid.diagnosis.doubtful import without_opposed
 from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import Search
 from torchid.diagnosis.noise import initial_noise
 from torchid.diagnosis.sums import Prior, Sums
+from torchid.diagnosis.unexplained import structure
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
+from torchid.experiment.diagnosing import watch_outcome
 from torchid.regressor.whitening import initial_whitening
 
 
@@ -54,6 +58,17 @@ def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):
     monkeypatch.setattr(doubtful, "_takes_away", lambda *_: 0.0)
     kept = doubtful.relevant(replace(search, chosen=chosen), ())
     assert [one.effect.name for one in kept.chosen] == ["body_mass", "marker_swap"]
+
+
+def test_what_one_short_trial_tells_is_half_as_sure():
+    """Nobody can say whether its residual is noise, and nothing else agrees; another trial does, held-out or not."""
+    (watched, *_) = watch_outcome(small.outcome(), "fit").values()
+    used = torch.zeros_like(watched.rows.used)
+    used[40:52] = True
+    short, left = replace(watched, rows=replace(watched.rows, used=used)), torch.zeros_like(watched.rows.wrench)
+    alone, others = structure([short], [left]), (structure([short] * 2, [left] * 2), structure([short], [left], 1))
+    assert alone.alone and not alone.significant and trust(alone) == 0.5 and "halved" in alone.description
+    assert all(not one.alone and trust(one) == 1.0 and "too few seconds" in one.description for one in others)
 
 
 def test_what_shares_a_column_with_a_nuisance_adds_to_it():

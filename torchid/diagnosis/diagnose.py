@@ -62,14 +62,14 @@ def diagnose(
         geometry: with which the trials were followed.
     """
     found = search(watched, effects, inertia, omega, whitening, limit, geometry)
-    rest = _remains(found, watched)
+    rest = _remains(found, watched, heldout)
     if rest.significant:
         found = without_negative(relevant(without_opposed(found), watched))
     unseen = HeldOut(found, watched, heldout)
     chosen, refuted = unseen.upheld(unseen.acting())
     found = without_negative(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)))
     if refuted or len(found.chosen) < len(chosen):
-        rest = _remains(found, watched)
+        rest = _remains(found, watched, heldout)
     extended = unseen.judged(found.chosen)
     names = [w.rows.name for w in (*watched, *heldout)]
     causes = _trusted(found, watched, rest, _causes(found, unseen, extended, names))
@@ -85,25 +85,27 @@ def after_forces(cause: Cause) -> bool:
 
 
 def trust(rest: Structure) -> float:
-    """Times the confidence of what a model told that leaves such a residual."""
+    """Times the confidence of what forces told a model that leaves such a residual."""
+    if rest.alone:
+        return 0.5
     return 1.0 - 0.5 * rest.share_of_residual if rest.p_value < P_VALUE else 1.0
 
 
-def _remains(found: Search, watched: Sequence[Watched]) -> Structure:
-    return structure(watched, residuals(watched, found.design, found.prior, found.fitted))
+def _remains(found: Search, watched: Sequence[Watched], heldout: Sequence[Watched]) -> Structure:
+    return structure(watched, residuals(watched, found.design, found.prior, found.fitted), len(heldout))
 
 
 def _trusted(found: Search, watched: Sequence[Watched], rest: Structure, causes: Iterable[Cause]) -> list[Cause]:
     """A model that the data contradict is sure of nothing that the contradicted forces told: what bodies do and cameras
     see is none of that.
 
-    Too little of it to be flagged leaves in doubt what is small beside it: at a share of 0.31, a harness of 9 N that
-    nobody wore had stayed at 1.00.
+    So is one that nothing can check. Too little of it to be flagged leaves in doubt what is small beside it: at a share
+    of 0.31, a harness of 9 N that nobody wore had stayed at 1.00.
     """
-    if not rest.p_value < P_VALUE:
+    if not (rest.p_value < P_VALUE or rest.alone):
         return list(causes)
     sure = [
-        one.effect.kinematic and one.effect.bodily if rest.significant
+        one.effect.kinematic and one.effect.bodily if rest.significant or rest.alone
         else one.effect.kinematic or one.effect.timed or stands_out(found, watched, k) > PLAIN
         for k, one in enumerate(found.chosen)
     ]  # fmt: skip

@@ -34,6 +34,8 @@ class Structure:
     description: str
     beyond: bool = False
     """It lies above the filter alone, where no cause was told."""
+    alone: bool = False
+    """Too little to tell, and no other trial that could agree."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +48,13 @@ class Energy:
     count: Float[Tensor, " bands"]
 
 
-def structure(watched: Sequence[Watched], left: Sequence[Float[Tensor, "frames 6"]]) -> Structure:
+def structure(watched: Sequence[Watched], left: Sequence[Float[Tensor, "frames 6"]], others: int = 0) -> Structure:
     """Judge the residuals of the extended model.
 
     Args:
         watched: trials.
         left: residual of each about the root's origin.
+        others: number of trials that could agree beside them.
     """
     found = [_energy(w, w.expected, r) for w, r in zip(watched, left, strict=True) if w.expected is not None]
     if not found:
@@ -71,10 +74,18 @@ def structure(watched: Sequence[Watched], left: Sequence[Float[Tensor, "frames 6
             if worst is None or share > worst[1]:
                 worst = p, share, kind, b
     if worst is None:
-        return Structure(False, float("nan"), float("nan"), "cannot be told: too few seconds on plates")
+        return _untold(len(watched) + others)
     p, share, kind, b = min(1.0, worst[0] * tried), *worst[1:]
     significant = p < P_VALUE and share > SHARE
     return Structure(significant, p, share, _described(found, kind, b, share) if significant else "")
+
+
+def _untold(trials: int) -> Structure:
+    """Of 27 frames of a walk, a clock was found to be 18 ms off with certainty."""
+    said = "cannot be told: too few seconds on plates"
+    if trials == 1:
+        said += ", and no other trial could agree with what forces tell: its confidence is halved"
+    return Structure(False, float("nan"), float("nan"), said, alone=trials == 1)
 
 
 def _described(found: Sequence[Energy], kind: str, b: int, share: float) -> str:

@@ -51,7 +51,7 @@ class Cause:
     everywhere: bool
     """In all fit trials, and therefore in others too."""
     doubted: bool = False
-    """What contradicts the model has been taken off the confidence."""
+    """What contradicts the model, or cannot be checked, has been taken off the confidence."""
 
     def on(self, trial: str) -> Planted | None:
         """As it acts in a trial, None where it does not or nobody knows."""

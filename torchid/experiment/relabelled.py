@@ -94,7 +94,7 @@ def beside(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause]) -> Diag
 
 def _doubted(cause: Cause, before: Structure, after: Structure) -> Cause:
     sure = cause.confidence / trust(before) if cause.doubted else cause.confidence
-    doubted = after.significant and not after.beyond
+    doubted = after.alone or (after.significant and not after.beyond)
     return replace(cause, confidence=trust(after) * sure if doubted else sure, doubted=doubted)
 
 

@@ -186,7 +186,7 @@ def _rivals(found: Diagnosis) -> list[Block]:
     if any(cause.indistinguishable for cause in contested):
         caption += " Hatched: what these recordings cannot tell from the cause that is named."
     if any(cause.doubted for cause in contested):
-        caption += " What contradicts the model has been taken off the confidence of causes that forces alone tell."
+        caption += " Confidence in what forces tell is lowered by what contradicts the model or cannot be checked."
     return [Figure(_draw_rivals(contested), caption)]
 
 
