@@ -63,6 +63,7 @@ SIZES: dict[str, tuple[tuple[str, ...], dict]] = {
     "marker_swap": (("LTHI", "LTHAP"), {}),
     "marker_scale": (("session",), {"scale": 1.004}),
     "soft_tissue": (("thigh_r",), {"shift_90_m": [[0.004, 0.002, -0.006], [0.003, 0.0, -0.004]]}),
+    "skin_lag": (("pelvis", "thigh_l"), {"shift_1g_m": [0.002, 0.003]}),
     "joint_centre_shift": (("knee_r",), {"shift_90_seg_m": [0.006, 0.0, 0.004]}),
     "missing_dof": (("knee_l",), {"axis_seg": [0.0, 0.0, 1.0], "range_rad": 0.05}),
 }  # fmt: skip

@@ -154,7 +154,7 @@ def draw_person(rng: np.random.Generator) -> Person:
     scale, mass = height / TABLE_STATURE, (23.5 + 2.2 * float(_normal(rng))) * height**2
     centres = _centres(rng, scale)
     inertia = _inertia(rng, scale, mass, centres)
-    segments = {name: Segment(_sided(PARENTS[_stem(name)], name), centres[name], *inertia[name]) for name in centres}
+    segments = {name: Segment(sided(PARENTS[_stem(name)], name), centres[name], *inertia[name]) for name in centres}
     axes = {f"{joint}_{side}": _axis(rng, joint, side) for joint in LEANS for side in SIDES}
     markers = _markers(rng, scale, centres)
     ankle = ANKLE_HEIGHT * scale + 0.003 * float(_normal(rng))
@@ -171,7 +171,7 @@ def _stem(name: str) -> str:
     return name[:-2] if name[-2:] in ("_l", "_r") else name
 
 
-def _sided(stem: str, like: str) -> str:
+def sided(stem: str, like: str) -> str:
     """The segment ``stem`` of the side of ``like``, where it has sides."""
     return stem if stem in ("", "pelvis", "abdomen", "thorax", "head") else stem + like[-2:]
 
@@ -230,8 +230,8 @@ def _markers(rng: np.random.Generator, scale: float, centres: dict[str, np.ndarr
     found = {}
     for pattern, (part, landmark, origin, place) in MARKERS.items():
         for letter, side in (("L", "l"), ("R", "r")) if "?" in pattern else (("", ""),):
-            segment = _sided(part, f"_{side}")
-            base = centres[_sided(origin, f"_{side}")] if origin else np.zeros(3)
+            segment = sided(part, f"_{side}")
+            base = centres[sided(origin, f"_{side}")] if origin else np.zeros(3)
             scatter = LANDMARK_SCATTER if landmark else FREE_SCATTER
             at = base + _outward(scale * np.array(place), side) + scatter * _normal(rng, 3)
             name = f"{landmark}_{side}" if landmark and side else landmark

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from batteries.body import MARKERS
+from batteries.body import MARKERS, sided
 from batteries.sizes import FIT, HELDOUT, LEVELS, SIZES
 
 PLATES = tuple(f"plate_{k}" for k in (1, 2, 3, 4))
@@ -183,6 +183,14 @@ def _marker_shift(rng: np.random.Generator, size: dict) -> Drawn:
     return [_pick(rng, _labels())], when, {"shift_seg_m": (size["shift_seg_m"] * _direction(rng)).tolist()}
 
 
+def _skin_lag(rng: np.random.Generator, size: dict) -> Drawn:
+    """Flesh under all markers, softer here and stiffer there."""
+    parts = dict.fromkeys(part for part, *_ in MARKERS.values())
+    segments = list(dict.fromkeys(sided(part, side) for part in parts for side in ("_l", "_r")))
+    shifts = size["shift_1g_m"] * np.exp(0.3 * rng.normal(size=len(segments)))
+    return segments, None, {"shift_1g_m": shifts.tolist()}
+
+
 def _marker_swap(rng: np.random.Generator, size: dict) -> Drawn:
     pairs = [("LASI", "LPSI"), ("RWRA", "RWRB"), ("LKNE", "LKNM"), ("LHAR", "LHAU"), ("RMT1", "RMT5"), ("LANK", "RANM")]
     when = _interval(rng, size["duration_s"])
@@ -250,6 +258,7 @@ DRAWS: dict[str, Callable[..., Drawn]] = {
     "marker_swap": _marker_swap,
     "marker_scale": _near_one("scale", _one_of("session")),
     "soft_tissue": _soft_tissue,
+    "skin_lag": _skin_lag,
     "missing_dof": _missing_dof,
     "joint_centre_shift": _vector("shift_90_seg_m", _one_of("knee_l", "knee_r", "elbow_l", "hip_r", "shoulder_l")),
     "offcat_water": _scalar("coefficient_Ns2_m2", _one_of("hand_l", "hand_r")),

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from batteries.hidden_body import Entry
 from batteries.hidden_forces import Scene
 from batteries.laboratory import ANALOG_RATIO, Plate
-from batteries.physics import GRAVITY, RATE
+from batteries.physics import GRAVITY, RATE, derivative
 
 KNEE = 15.0
 """Over which a saturating plate bends [N]."""
@@ -108,6 +108,10 @@ def displaced(
         elif e["effect"] == "soft_tissue":
             for label, shift in p["shift_90_m"].items():
                 _slide(scene, labels, markers, label, np.sin(angle(p["joint"]))[:, None] * np.array(shift))
+        elif e["effect"] == "skin_lag":
+            shifts = dict(zip(e["where"], p["shift_1g_m"], strict=True))
+            own = np.array([shifts[scene.person.markers[label].segment] for label in labels])
+            markers -= own[:, None] / GRAVITY * derivative(scene.moved.markers, 2)
     return markers
 
 

@@ -63,8 +63,11 @@ def sized(planted: dict, cause: dict) -> dict | None:
             and key in planted["parameters"]
             and not isinstance(planted["parameters"][key], dict)
         ):
-            entry = cause["parameters"][key]
-            found[key] = _right(key, entry["value"], entry["sd"], planted["parameters"][key])
+            entry, true = cause["parameters"][key], planted["parameters"][key]
+            if planted["effect"] == "skin_lag":
+                segments = dict(zip(planted["where"], true, strict=True))
+                true = [segments[name] for name in cause["where"]]
+            found[key] = _right(key, entry["value"], entry["sd"], true)
     return found
 
 

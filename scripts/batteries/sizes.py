@@ -31,6 +31,7 @@ SIZES: dict[str, dict[str, tuple[float, float]]] = {
     "marker_swap": {"duration_s": (0.2, 3.0)},
     "marker_scale": {"scale": (0.005, 0.06)},
     "soft_tissue": {"shift_90_m": (0.002, 0.03)},
+    "skin_lag": {"shift_1g_m": (0.001, 0.008)},
     "missing_dof": {"range_rad": (0.03, 0.35), "range_m": (0.003, 0.03)},
     "joint_centre_shift": {"shift_90_seg_m": (0.002, 0.03)},
     "offcat_water": {"coefficient_Ns2_m2": (1.5, 25.0)},

@@ -228,8 +228,8 @@ def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> 
     return [c for c in design.candidates if c not in chosen and kinds.count(_kind(c.effect)) < limit]
 
 
-def _kind(effect: Effect) -> tuple[bool, bool, bool]:
-    return effect.bodily, effect.kinematic, effect.recorded
+def _kind(effect: Effect) -> tuple[bool, ...]:
+    return effect.bodily, effect.kinematic, effect.recorded, effect.everywhere
 
 
 def _likely(rivals: Sequence[Rival]) -> list[Rival]:

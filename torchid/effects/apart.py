@@ -25,6 +25,7 @@ RECORD = {
     "marker_swap": "the labels of these frames, checked by eye",
     "marker_scale": "the calibration wand measured with a ruler and recorded once more",
     "soft_tissue": "slow motion of the neighbouring joint alone, with more markers on the segment",
+    "skin_lag": "the same motion slowly, and with markers on pins or tight wraps",
     "joint_centre_shift": "the joint bent slowly through its whole range with the limb unloaded",
     "missing_dof": "the joint moved slowly about each of its axes, one at a time",
 }
@@ -60,6 +61,14 @@ APART = {
         ("moving_ground", "unmeasured_contact", "a dead weight resting on a plate while nobody is near"),
         ("marker_shift", "soft_tissue", "a static trial before and after: what was knocked stays displaced at rest"),
         ("soft_tissue", "wobbling_mass", "the same motion slowly and quickly: skin slides at any speed"),
+        (
+            "skin_lag",
+            "soft_tissue",
+            "the same motion slowly and quickly: skin slides at any speed",
+        ),
+        ("skin_lag", "wobbling_mass", "heel drops: soft mass rings on in the forces, flesh in the markers alone"),
+        ("filter_lag", "skin_lag", "a stamp with markers on something rigid: it has no flesh, but passes the filter"),
+        ("marker_scale", "skin_lag", "slow motion: a wrong scale shows at any speed"),
         ("joint_centre_shift", "missing_dof", "the joint bent slowly to and fro: what glides returns the same way"),
         ("missing_dof", "soft_tissue", "more markers on both segments, some of them over bone"),
         ("joint_centre_shift", "soft_tissue", "more markers on both segments, some of them over bone"),

@@ -3,7 +3,7 @@
 from torchid.effects.effect import Effect
 from torchid.effects.forces import BodyWeightSupport, Drag, ExternalForce, Tether, UnmeasuredContact
 from torchid.effects.joints import JointCentreShift, MissingDof
-from torchid.effects.markers import MarkerScale, MarkerShift, MarkerSwap, SoftTissue
+from torchid.effects.markers import MarkerScale, MarkerShift, MarkerSwap, SkinLag, SoftTissue
 from torchid.effects.masses import BodyMass, Flywheel, GraspedObject, Payload, WobblingMass
 from torchid.effects.plates import PlateAssignment, PlateCrosstalk, PlateDrift, PlateGain, PlateOffset, PlatePose
 from torchid.effects.session import FilterLag, GravityTilt, MovingGround, TimeOffset
@@ -15,7 +15,7 @@ CATALOGUE: dict[str, Effect] = {
         TimeOffset(), PlateGain(), PlateOffset(), PlateDrift(), PlatePose(), PlateCrosstalk(), PlateAssignment(),
         GravityTilt(), MovingGround(), BodyMass(), Payload(), GraspedObject(), WobblingMass(), Flywheel(),
         UnmeasuredContact(), ExternalForce(), BodyWeightSupport(), Tether(), Drag(), FilterLag(), MarkerShift(),
-        MarkerSwap(), MarkerScale(), SoftTissue(), JointCentreShift(), MissingDof(),
+        MarkerSwap(), MarkerScale(), SoftTissue(), SkinLag(), JointCentreShift(), MissingDof(),
     )
 }  # fmt: skip
 BODILY = frozenset(name for name, effect in CATALOGUE.items() if effect.bodily)

@@ -40,6 +40,8 @@ class Effect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     bodily: ClassVar[bool] = False
     """Every living body has some of it: named when it is there, and counted apart from errors of the laboratory."""
+    everywhere: ClassVar[bool] = False
+    """It is all over the body at once: what is named at single places does not leave it out."""
     recorded: ClassVar[bool] = False
     """What was written down of the subject is wrong, not what was measured."""
     kinematic: ClassVar[bool] = False

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.conventions import GRAVITY
 from torchid.effects.angles import bend, lively, readings
 from torchid.effects.effect import Effect, Parameter, value_of
 from torchid.effects.place import Interval, Place, within
@@ -133,6 +134,46 @@ class SoftTissue(MarkerEffect):
 
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return value_of(values, self.name, "shift_90_m", 3 * len(place.markers))
+
+
+class SkinLag(MarkerEffect):
+    """The flesh under markers is a spring: where the bone is accelerated, they stay behind.
+
+    By the acceleration of each over the square of the flesh's own angular frequency, some 10 Hz. Where it is equally
+    soft everywhere no residual of markers shows it, but what they say of the body is too lively: by a few percent at
+    the pace of a run. One softness for each segment.
+    """
+
+    name = "skin_lag"
+    bodily = True
+    everywhere = True
+    parameters = (Parameter("shift_1g_m", 0.0025),)
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        sight = views[0].sight
+        if sight is None:
+            return ()
+        return (Place(tuple(name for name in sight.scene.tree.names if sight.on(name))),)
+
+    def size(self, place: Place) -> int:
+        return len(place.where)
+
+    def scale(self, place: Place) -> tuple[float, ...]:
+        return super().scale(place) * len(place.where)
+
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
+        which, by = [], []
+        for name, shift in zip(place.where, theta / GRAVITY, strict=True):
+            own = sight.on(name)
+            which += own
+            by += [-shift * sight.scene.point(name, sight.p_BM_B[k]).a for k in own]
+        return Slid(tuple(which), torch.stack(by))
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {"shift_1g_m": theta}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return value_of(values, self.name, "shift_1g_m", len(place.where))
 
 
 def _cues(scenes: Sequence[Scene], segment: str) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from torchid.effects.apart import tell_apart
 from torchid.effects.place import Interval
 from torchid.report.sizes import BODY, ROOM, length, much, of, parts, size, vector
 from torchid.report.telling import NOUN, called, place
-from torchid.report.text import clean, listing, number, percent, stated
+from torchid.report.text import clean, listing, number, percent, segment, stated
 
 DEGREES = 180.0 / math.pi
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -52,7 +52,7 @@ def surely(cause: Cause) -> str:
     elif not twins:
         said.append(f"No other entry of the catalogue reaches {percent(WORTH)}")
     if cause.doubted:
-        said.append("The confidence is lowered by what remains unexplained, see below")
+        said.append("The confidence is lowered by what remains unexplained or cannot be told, see below")
     for twin in cause.indistinguishable:
         record = tell_apart(cause.effect, twin.effect)
         said.append(f"Cannot be told apart here from {called(twin)}; to tell them apart, record {record}")
@@ -187,6 +187,14 @@ def _skin(cause: Cause) -> str:
     )
 
 
+def _lag(cause: Cause) -> str:
+    value, sd = of(cause, "shift_1g_m")
+    most, least = int(value.argmax()), int(value.argmin())
+    ends = [f"{stated(value[k], sd[k], 'mm', 1e3)} on the {segment(cause.where[k])}" for k in dict.fromkeys((most, least))]
+    said = listing(ends)
+    return f"the flesh under the markers gives way: where a segment is accelerated by 1 g they stay behind, by {said}"
+
+
 def segment_motion(cause: Cause) -> str:
     """The coordinate that an effect follows, in words: ``knee_l_flexion`` as ``left knee flexion``."""
     dof, _, following = (cause.place.follows or "a neighbouring joint").partition(BEFORE)
@@ -249,6 +257,7 @@ STORY: dict[str, Callable[[Cause], str]] = {
     "marker_swap": lambda c: f"{place(c)} carry each other's name",
     "marker_scale": lambda c: f"all lengths that the cameras see are {much(c, 'scale', ('long', 'short'))}",
     "soft_tissue": _skin,
+    "skin_lag": _lag,
     "joint_centre_shift": _glide,
     "missing_dof": _lacking,
 }

@@ -28,15 +28,18 @@ NOUN = {
     "marker_swap": "exchanged markers",
     "marker_scale": "a wrong scale of the cameras",
     "soft_tissue": "sliding skin",
+    "skin_lag": "lagging skin",
     "joint_centre_shift": "a gliding joint centre",
     "missing_dof": "an unmodelled motion",
 }
 LINK = dict.fromkeys(("plate_gain", "plate_offset", "plate_drift", "plate_pose", "plate_crosstalk"), "of") | {
-    "plate_assignment": "of", "soft_tissue": "of", "wobbling_mass": "of",
+    "plate_assignment": "of", "soft_tissue": "of", "skin_lag": "of", "wobbling_mass": "of",
     "joint_centre_shift": "of", "missing_dof": "of", "flywheel": "inside", "body_weight_support": "at",
     "unmeasured_contact": "of", "grasped_object": "of",
 }  # fmt: skip
 """Between what it is and where; ``on`` elsewhere."""
+FEW = 4
+"""Segments that are listed."""
 LABELLED = frozenset({"marker_shift", "marker_swap"})
 """Effects whose places are marker labels."""
 
@@ -63,4 +66,6 @@ def place(one: Cause | Alternative | Near | Refuted) -> str:
         return ("markers " if len(one.where) > 1 else "marker ") + listing(list(one.where))
     if one.effect in ("time_offset", "filter_lag"):
         return "trial " + listing([clean(name) for name in one.where])
+    if len(one.where) > FEW:
+        return f"{len(one.where)} segments"
     return listing([f"the {segment(name)}" for name in one.where])
