@@ -12,6 +12,7 @@ from torch.testing import assert_close
 from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.candidates import answer_of
 from torchid.diagnosis.design import Source
+from torchid.diagnosis.nuisances import SkinSlide
 from torchid.diagnosis.proposals import swaps
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.columns import columns
@@ -213,6 +214,19 @@ def test_the_fitted_motion_yields_as_predicted(subject, plain, followed, name):
     left = cameras.coarse.rows[0, 0] * (shown - still)[cameras.coarse.middle].flatten(1)
     guess = cameras.left([answer])[:, :, :-1] @ one.theta
     assert float((guess - left)[3:-3].norm()) < 0.05 * float(left[3:-3].norm())
+
+
+def test_skin_that_slides_as_one_is_part_of_what_slides(followed):
+    """Written as shifts of the segment's markers, a shift and a turn move them as they do."""
+    fit, cameras = followed
+    skin, sight = SkinSlide(fit.attachment.labels, fit.place), cameras.sight
+    labels = tuple(sight.labels[k] for k in sight.on("thigh_r"))
+    place = Place(("thigh_r",), follows="knee_r_flexion", markers=labels)
+    theta = torch.tensor(np.random.default_rng([SEED, 16]).normal(size=6)) * 0.01
+    one = skin.slide(sight, place, theta)
+    same = CATALOGUE["soft_tissue"].slide(sight, place, skin.within(place) @ theta)
+    assert same is not None and same.which == one.which
+    assert_close(same.by, one.by)
 
 
 def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed):

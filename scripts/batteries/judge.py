@@ -58,17 +58,19 @@ def sized(planted: dict, cause: dict) -> dict | None:
         found["tilt_rad"] = _right("tilt_rad", *both)
     for key in SIZES[planted["effect"]]:
         key = {"excess_kg": "mass_kg"}.get(key, key)
-        if (
-            key in cause["parameters"]
-            and key in planted["parameters"]
-            and not isinstance(planted["parameters"][key], dict)
-        ):
-            entry, true = cause["parameters"][key], planted["parameters"][key]
-            if planted["effect"] == "skin_lag":
-                segments = dict(zip(planted["where"], true, strict=True))
-                true = [segments[name] for name in cause["where"]]
-            found[key] = _right(key, entry["value"], entry["sd"], true)
+        if key in cause["parameters"] and key in planted["parameters"]:
+            entry = cause["parameters"][key]
+            found[key] = _right(key, entry["value"], entry["sd"], _ordered(key, planted, cause))
     return found
+
+
+def _ordered(key: str, planted: dict, cause: dict) -> object:
+    """The true value, its parts in the order in which the cause has segments or markers."""
+    true = planted["parameters"][key]
+    if planted["effect"] == "skin_lag":
+        segments = dict(zip(planted["where"], true, strict=True))
+        return [segments[name] for name in cause["where"]]
+    return [true.get(label, [0.0] * 3) for label in cause["markers"]] if isinstance(true, dict) else true
 
 
 def _part(parameters: dict, name: str) -> dict:

@@ -101,7 +101,7 @@ def nuisances(
     away = fit.attachment.mean - fit.place
     for k, label in enumerate(fit.attachment.labels):
         yield MarkerShift(), Place((label,)), tuple(away[k].tolist()), tuple(fit.attachment.sd[k].tolist())
-    skin = SkinSlide()
+    skin = SkinSlide(fit.attachment.labels, fit.place)
     for place in skin.places(views):
         yield skin, place, (0.0,) * skin.size(place), skin.scale(place)
 

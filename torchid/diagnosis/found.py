@@ -1,7 +1,7 @@
 """What a search for effects found, and what it found them against."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -12,7 +12,9 @@ from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.design import Candidate, Design, only
 from torchid.diagnosis.evidence import Fitted, fit, gains
 from torchid.diagnosis.noise import Noise
+from torchid.diagnosis.nuisances import SkinSlide
 from torchid.diagnosis.sums import Prior, Sums
+from torchid.effects.markers import SoftTissue
 
 NAMED = 2.5
 """Nats that name an effect: odds of 12 to one. In sessions that hide nothing
@@ -119,18 +121,28 @@ def without_negative(found: Search) -> Search:
 def _told_by(found: Search, k: int) -> Float[Tensor, "params n"]:
     """The effect's parameters in terms of what was fitted.
 
-    What every plate has a little of is part of an error that is named there: a drift is all of it, and known better
-    than the share of it that is out of the ordinary.
+    What every plate or skin has a little of is part of an error that is named there: a drift is all of it, and known
+    better than the share of it that is out of the ordinary.
     """
     one, at = found.chosen[k], found.design.base + sum(c.size for c in found.chosen[:k])
     scale = found.prior.mean.new_tensor(one.effect.scale(one.place) * len(one.blocks))
     factor = scale.new_zeros(one.size, len(found.fitted.factor))
     factor[:, at : at + one.size] = torch.diag(scale)
-    usual = one.source.columns
-    if usual.stop <= found.design.base and one.blocks == (found.sums.all,):
-        assert not any(one.source.mean), "errors of plates are about nothing"
-        factor[:, usual] = torch.diag(scale.new_tensor(one.source.scale))
+    if one.blocks == (found.sums.all,):
+        for columns, part in _usual(found, one):
+            factor[:, columns] = part.to(factor)
     return factor
+
+
+def _usual(found: Search, one: Candidate) -> Iterator[tuple[slice, Float[Tensor, "params some"]]]:
+    """Nuisances that are part of an effect: their columns, and what its parameters are of them."""
+    if one.source.columns.stop <= found.design.base:
+        assert not any(one.source.mean), "errors of plates are about nothing"
+        yield one.source.columns, torch.diag(torch.tensor(one.source.scale, dtype=torch.float64))
+    for source in found.design.sources:
+        there = (source.place.where, source.place.follows) == (one.place.where, one.place.follows)
+        if isinstance(source.effect, SkinSlide) and isinstance(one.effect, SoftTissue) and there:
+            yield source.columns, source.effect.within(one.place) * torch.tensor(source.scale).to(source.effect.p_BM_B)
 
 
 def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -54,12 +55,16 @@ class GeometryError(Effect):
         return moved
 
 
+@dataclass(frozen=True)
 class SkinSlide(SoftTissue):
     """All markers of a segment slide as one with the angle of a neighbouring joint: no residual shows it.
 
     The pose of the bone errs by as much, and the needed wrench with it. What a person's skin does is of the order of
     its prior (Cappozzo et al. 1996, Clin Biomech 11:90; Camomilla et al. 2017, J Biomech 62:5).
     """
+
+    labels: tuple[str, ...]
+    p_BM_B: Float[Tensor, "markers 3"]
 
     name = "skin_slide"
     parameters = (Parameter("shift_m", 0.005, 3), Parameter("turn_rad", 0.03, 3))
@@ -80,3 +85,9 @@ class SkinSlide(SoftTissue):
         arm = sight.p[list(which)] - sight.scene.state.at.p[sight.scene.at(place.where[0])]
         slid = shift + cross(turn.expand_as(arm), arm)
         return Slid(tuple(which), slid * bend(sight.scene, place)[0])
+
+    def within(self, place: Place) -> Float[Tensor, "params 6"]:
+        """By how much it shifts each marker of a place of ``soft_tissue``, in the segment's axes."""
+        eye = torch.eye(3).to(self.p_BM_B)
+        arms = [self.p_BM_B[self.labels.index(label)] for label in place.markers]
+        return torch.cat([torch.cat([eye, torch.linalg.cross(eye, p.expand(3, 3)).T], 1) for p in arms])
