@@ -9,7 +9,7 @@ import torch
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.doubtful import relevant, stands_out, without_opposed
 from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, without, without_negative
+from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, support, without, without_negative
 from torchid.diagnosis.heldout import HeldOut, Judged
 from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import residuals, search
@@ -73,14 +73,18 @@ def diagnose(
     extended = unseen.judged(found.chosen)
     names = [w.rows.name for w in (*watched, *heldout)]
     causes = _trusted(found, watched, rest, _causes(found, unseen, extended, names))
-    causes.sort(key=after_forces)
+    strength = [support(found.sums, found.chosen, one) for one in found.chosen]
+    order = sorted(range(len(causes)), key=lambda k: (after_forces(causes[k]), -strength[k]))
     rest, idle, near = with_vibration(rest, watched), _idle(watched, plates), _nearest(found.rounds[-1])
     against = tuple(Refuted(one.effect.name, one.place.where, says) for one, says in refuted)
-    return Diagnosis(plates, unseen.judged(()).errors, extended.errors, tuple(causes), rest, idle, near, against)
+    return Diagnosis(
+        plates, unseen.judged(()).errors, extended.errors, tuple(causes[k] for k in order), rest, idle, near, against
+    )
 
 
 def after_forces(cause: Cause) -> bool:
-    """What a laboratory did to forces is read first, and what markers and bodies are like after it."""
+    """What a laboratory did to forces is read first, the best supported at the head, and what markers and bodies are
+    like after it."""
     return effect(cause.effect).kinematic or effect(cause.effect).bodily
 
 
