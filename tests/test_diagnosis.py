@@ -365,3 +365,18 @@ def test_a_marker_that_stays_knocked_is_seen_so_on_held_out_motion(tmp_path):
     assert cause["gain"]["heldout_log_likelihood"] > 10.0
     before, after = (said[key]["heldout"]["marker_rmse_mm"] for key in ("baseline", "extended"))
     assert after < before
+
+
+@pytest.mark.slow
+def test_noise_is_no_flesh_that_lags(tmp_path):
+    """Accelerations of noisy markers agree with what the noise left of the forces: a filter makes less of both."""
+    noise = float(np.random.default_rng([SEED, 9]).uniform(3.5, 5.0))
+    options = SimulateOptions(
+        fit=("squats", "trunk"), heldout=("hip_rom",), duration_s=8.0, marker_noise_mm=noise, skin_motion_mm=0.0
+    )
+    session = simulate_session(options, SEED, tmp_path)
+    assert session.config is not None
+    config = load_config(session.config)
+    asked = config.diagnosis.model_copy(update={"include": ("skin_lag",)})
+    run_experiment(config.model_copy(update={"diagnosis": asked}))
+    assert not json.loads((config.out / "diagnosis.json").read_text())["causes"], noise

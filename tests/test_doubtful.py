@@ -67,7 +67,7 @@ def test_what_one_short_trial_tells_is_half_as_sure():
     used[40:52] = True
     short, left = replace(watched, rows=replace(watched.rows, used=used)), torch.zeros_like(watched.rows.wrench)
     alone, others = structure([short], [left]), (structure([short] * 2, [left] * 2), structure([short], [left], 1))
-    assert alone.alone and not alone.significant and trust(alone) == 0.5 and "halved" in alone.description
+    assert alone.alone and not alone.significant and trust(alone) == 0.5 and "no other trial" in alone.description
     assert all(not one.alone and trust(one) == 1.0 and "too few seconds" in one.description for one in others)
 
 

@@ -17,7 +17,7 @@ from torchid.diagnosis.proposals import swaps
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.columns import columns
 from torchid.effects.effect import Planted
-from torchid.effects.place import Interval, Place, mean_within, within
+from torchid.effects.place import Angle, Interval, Place, mean_within, within
 from torchid.effects.scene import Reading, Scene, make_scene
 from torchid.effects.sight import Sight, View
 from torchid.errors import ConfigError
@@ -221,10 +221,11 @@ def test_skin_that_slides_as_one_is_part_of_what_slides(followed):
     fit, cameras = followed
     skin, sight = SkinSlide(fit.attachment.labels, fit.place), cameras.sight
     labels = tuple(sight.labels[k] for k in sight.on("thigh_r"))
-    place = Place(("thigh_r",), follows="knee_r_flexion", markers=labels)
+    place = Place(("thigh_r",), follows=Angle("knee_r_flexion"), markers=labels)
     theta = torch.tensor(np.random.default_rng([SEED, 16]).normal(size=6)) * 0.01
-    one = skin.slide(sight, place, theta)
-    same = CATALOGUE["soft_tissue"].slide(sight, place, skin.within(place) @ theta)
+    one, part = skin.slide(sight, place, theta), skin.part_of(place, CATALOGUE["soft_tissue"], place)
+    assert part is not None and skin.part_of(place, CATALOGUE["skin_lag"], place) is None
+    same = CATALOGUE["soft_tissue"].slide(sight, place, part @ theta)
     assert same is not None and same.which == one.which
     assert_close(same.by, one.by)
 
@@ -281,7 +282,7 @@ def test_a_glide_along_the_axis_tells_that_in_the_plane(own_ways):
     gauge[0, [1, 3]], gauge[1, [0, 4]] = torch.tensor([1.0, -1.0]).double(), torch.ones(2).double()
     covariance = 1e-4**2 * torch.eye(6).double() + 0.006**2 * gauge.T @ gauge
     drawn = true + torch.linalg.cholesky(covariance) @ torch.tensor(rng.normal(size=6))
-    effect, place = CATALOGUE["joint_centre_shift"], Place(("knee_r",), follows="knee_r_flexion")
+    effect, place = CATALOGUE["joint_centre_shift"], Place(("knee_r",), follows=Angle("knee_r_flexion"))
     found, sd = effect.estimated(place, drawn, covariance)["shift_90_seg_m"]
     if own_ways:
         assert_close(found, effect.named(place, drawn)["shift_90_seg_m"])

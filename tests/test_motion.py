@@ -45,8 +45,9 @@ def test_gap_is_bridged(seed: int) -> None:
 @pytest.mark.parametrize("rate, cutoff_hz", [(100.0, 4.0), (100.0, 6.0), (2000.0, 6.0)])
 def test_what_is_missing_for_long_spoils_nothing(rate, cutoff_hz, seed: int) -> None:
     """Rounding errors of a gap of many periods at the start are more than the penalty says of it."""
-    frames = int(rate * np.random.default_rng(seed).uniform(8.0, 20.0))
-    x = torch.sin(2 * torch.pi * 0.5 * torch.arange(2 * frames, dtype=torch.float64) / rate)
+    rng = np.random.default_rng(seed)
+    frames, away = int(rate * rng.uniform(8.0, 20.0)), float(rng.uniform(-100.0, 100.0))
+    x = away + torch.sin(2 * torch.pi * 0.5 * torch.arange(2 * frames, dtype=torch.float64) / rate)
     weight = torch.ones(2 * frames, dtype=torch.float64)
     weight[:frames] = 0.0
     found = Smoother(cutoff_hz, rate)(x, weight)

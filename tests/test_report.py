@@ -16,7 +16,7 @@ from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors, Near, Refuted
 from torchid.effects.apart import APART, RECORD, tell_apart
 from torchid.effects.catalogue import CATALOGUE, effect
-from torchid.effects.place import Interval, Place
+from torchid.effects.place import Angle, Interval, Place
 from torchid.errors import DataError
 from torchid.experiment import run_experiment
 from torchid.outcome import Outcome
@@ -321,7 +321,7 @@ def cause(name: str, scale: float = 1.0) -> Cause:
     if name in ("time_offset", "filter_lag", "gravity_tilt", "moving_ground", "body_mass", "marker_scale"):
         where = ("session",)
     when = (Interval(TRIAL, 0.5, 1.25),) if own.timed or name == "marker_shift" else None
-    follows = "knee_l_flexion" if name in ("soft_tissue", "joint_centre_shift") else None
+    follows = Angle("knee_l_flexion") if name in ("soft_tissue", "joint_centre_shift") else None
     place = Place(where, when, (0.0, 0.0, 0.1), GRID, follows=follows, markers=("LTHI", "LKNE"))
     theta = scale * torch.tensor(own.scale(place), dtype=torch.float64)
     values = {k: {"value": v, "sd": 0.1 * v.abs()} for k, v in own.named(place, theta).items()}

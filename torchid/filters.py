@@ -68,8 +68,11 @@ class Smoother:
         penalty = (2.0 * np.sin(np.pi * min(f0 / self.rate_hz, 0.5))) ** (-2.0 * ORDER)
         factor, out = _factor(penalty * _difference_bands(len(x)), weight), np.empty_like(x)
         for few in _groups(x):
-            right = np.where(known, weight[:, None] * x[:, few], 0.0)
+            own = np.where(known, x[:, few], 0.0)
+            mean = weight @ own / max(weight.sum(), LEAST)
+            right = weight[:, None] * (own - mean)
             out[:, few] = scipy.linalg.cho_solve_banded((factor, False), right, overwrite_b=True, check_finite=False)
+            out[:, few] += mean
         return out
 
     def _butterworth(self, x: np.ndarray) -> np.ndarray:
@@ -82,12 +85,13 @@ class Smoother:
 def _factor(bands: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Of the normal equations. A long gap leaves the solution to the penalty alone: a parabola between its sides.
 
-    Where rounding errors are more than the penalty says of one, it is drawn to zero by no more than it takes.
+    Where rounding errors are more than the penalty says of one, it is drawn to the signal's mean, by no more than it
+    takes.
     """
     least = LEAST
     while True:
         own = bands.copy()
-        own[-1] += np.maximum(weight, least)
+        own[-1] += np.where(weight > 0.0, weight, least)
         try:
             return scipy.linalg.cholesky_banded(own, overwrite_ab=True, check_finite=False)
         except np.linalg.LinAlgError:

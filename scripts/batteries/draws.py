@@ -185,10 +185,9 @@ def _marker_shift(rng: np.random.Generator, size: dict) -> Drawn:
 
 def _skin_lag(rng: np.random.Generator, size: dict) -> Drawn:
     """Flesh under all markers, softer here and stiffer there."""
-    parts = dict.fromkeys(part for part, *_ in MARKERS.values())
-    segments = list(dict.fromkeys(sided(part, side) for part in parts for side in ("_l", "_r")))
+    segments = list(dict.fromkeys(sided(part, side) for part, *_ in MARKERS.values() for side in ("_l", "_r")))
     shifts = size["shift_1g_m"] * np.exp(0.3 * rng.normal(size=len(segments)))
-    return segments, None, {"shift_1g_m": shifts.tolist()}
+    return segments, None, {"shift_1g_m": dict(zip(segments, shifts.tolist(), strict=True))}
 
 
 def _marker_swap(rng: np.random.Generator, size: dict) -> Drawn:

@@ -19,9 +19,8 @@ from torch import Tensor
 
 from torchid.config import load_config
 from torchid.diagnosis.verdict import Cause
-from torchid.effects.angles import BEFORE
 from torchid.effects.catalogue import effect
-from torchid.effects.place import Interval, Place
+from torchid.effects.place import Angle, Interval, Place
 from torchid.experiment import run_experiment
 from torchid.experiment.extending import extend_outcome
 from torchid.outcome import Outcome
@@ -69,12 +68,11 @@ def _known(base: Outcome, truth: dict) -> Cause:
     grid = {key: parameters.pop(key) for key in ("frequency_hz", "damping_ratio") if own.name == "wobbling_mass"}
     place = Place(tuple(truth["where"]), when, grid=grid)
     if own.name == "soft_tissue":
-        shifts = parameters["shift_90_m"]
-        place = replace(place, follows=_angle(parameters.pop("joint")), markers=tuple(shifts))
-        parameters["shift_90_m"] = list(shifts.values())
+        place = replace(place, follows=_angle(parameters.pop("joint")), markers=tuple(parameters["shift_90_m"]))
     if "point_seg_m" in parameters:
         place = replace(place, point=tuple(parameters["point_seg_m"]))
-    values = {key: torch.as_tensor(value, dtype=torch.float64) for key, value in parameters.items()}
+    plain = {key: list(value.values()) if isinstance(value, dict) else value for key, value in parameters.items()}
+    values = {key: torch.as_tensor(value, dtype=torch.float64) for key, value in plain.items()}
     theta = own.internal(place, values)[None]
     if own.name == "joint_centre_shift":
         # MuJoCo's centres go with one minus cosine, of which ``internal`` knows nothing.
@@ -84,10 +82,10 @@ def _known(base: Outcome, truth: dict) -> Cause:
     return Cause(own.name, place.where, when, told, 1.0, (), (), {}, place, theta, trials, when is None)
 
 
-def _angle(flexion: str) -> str:
+def _angle(flexion: str) -> Angle:
     """MuJoCo's arms are lifted sideways before they turn about themselves."""
     joint = flexion.removesuffix("_flexion")
-    return f"{flexion}{BEFORE}{joint}_adduction" if joint.startswith("shoulder") else flexion
+    return Angle(flexion, f"{joint}_adduction" if joint.startswith("shoulder") else None)
 
 
 def _rows(outcome: Outcome) -> list[WrenchTrial]:

@@ -109,8 +109,7 @@ def displaced(
             for label, shift in p["shift_90_m"].items():
                 _slide(scene, labels, markers, label, np.sin(angle(p["joint"]))[:, None] * np.array(shift))
         elif e["effect"] == "skin_lag":
-            shifts = dict(zip(e["where"], p["shift_1g_m"], strict=True))
-            own = np.array([shifts[scene.person.markers[label].segment] for label in labels])
+            own = np.array([p["shift_1g_m"][scene.person.markers[label].segment] for label in labels])
             markers -= own[:, None] / GRAVITY * derivative(scene.moved.markers, 2)
     return markers
 

@@ -67,10 +67,9 @@ def sized(planted: dict, cause: dict) -> dict | None:
 def _ordered(key: str, planted: dict, cause: dict) -> object:
     """The true value, its parts in the order in which the cause has segments or markers."""
     true = planted["parameters"][key]
-    if planted["effect"] == "skin_lag":
-        segments = dict(zip(planted["where"], true, strict=True))
-        return [segments[name] for name in cause["where"]]
-    return [true.get(label, [0.0] * 3) for label in cause["markers"]] if isinstance(true, dict) else true
+    if not isinstance(true, dict):
+        return true
+    return [true.get(name, np.zeros(3)) for name in cause["markers"] or cause["where"]]
 
 
 def _part(parameters: dict, name: str) -> dict:

@@ -137,7 +137,7 @@ class Diagnosis(Section):
 
     enabled: bool = True
     max_effects: Annotated[int, Field(ge=0, le=20)] = 3
-    """Of each kind: on forces, on markers, of bodies, of what is recorded."""
+    """Of each kind: on forces, on markers, of bodies, of what is recorded, all over a body."""
     include: tuple[Name, ...] = ()
     """Effects to try; empty means the whole catalogue."""
     exclude: tuple[Name, ...] = ()

@@ -14,14 +14,14 @@ from torchid.diagnosis.nuisances import GeometryError, SkinSlide
 from torchid.diagnosis.proposals import suggested
 from torchid.diagnosis.rates import calibrated
 from torchid.diagnosis.shaken import covariation
-from torchid.diagnosis.watched import Watched
+from torchid.diagnosis.watched import Watched, added
 from torchid.dynamics import wrench_about
 from torchid.effects.columns import STEP, columns
 from torchid.effects.effect import Effect
 from torchid.effects.markers import MarkerShift
 from torchid.effects.place import Place
 from torchid.effects.plates import PlateDrift, PlateOffset
-from torchid.effects.sight import View
+from torchid.effects.sight import Sight, View
 from torchid.geometry.fitted import GeometryFit
 
 PLATES = ((PlateOffset(), 0.1), (PlateDrift(), 0.02))
@@ -154,19 +154,26 @@ def _covariation(
 
     def of(view: View) -> Float[Tensor, "6 some frames"]:
         empty = view.reading.wrench.new_zeros(6, 0, len(view.scene.time))
-        return _about_root(watched, torch.cat([empty, *(_seen_by_plates(view, s) for s in some)], 1))
+        return _about_root(watched, torch.cat([empty, *(_in_view(watched.cameras, view, s) for s in some)], 1))
 
-    noise = ((torch.cat([one.inertia, of(one.view) - plain], 1), one.total) for one in watched.shaken)
+    noise = ((torch.cat([added(watched, one.motion), of(one.view) - plain], 1), one.total) for one in watched.shaken)
     found = covariation(watched.rows, watched.expected, noise)
     whole = found.new_zeros(*found.shape[:3], len(live))
     whole[..., at] = found
     return whole
 
 
-def answer_of(cameras: Cameras, source: Source) -> Answer:
-    """To unit parameters of an effect."""
+def _in_view(cameras: Cameras | None, view: View, source: Source) -> Float[Tensor, "6 columns frames"]:
+    """Of a view that is not the cameras' own, whose postures answer alike."""
+    if cameras is None or view.sight is None or not source.effect.kinematic:
+        return _seen_by_plates(view, source)
+    return cameras.wrench([answer_of(cameras, source, view.sight)])
+
+
+def answer_of(cameras: Cameras, source: Source, sight: Sight | None = None) -> Answer:
+    """To unit parameters of an effect, on what the cameras saw or another sight of it."""
     effect, place = source.effect, source.place
-    sight, slid, moved = cameras.sight, [], []
+    sight, slid, moved = sight or cameras.sight, [], []
     if (swaying := effect.courses(sight.scene, place)) is not None:
         return cameras.swayed(*swaying)
     for k, scale in enumerate(effect.scale(place)):

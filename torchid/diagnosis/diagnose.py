@@ -23,6 +23,8 @@ from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
 from torchid.regressor.whitening import Whitening
 
+ALONE = 0.5
+"""Times the confidence of what forces of a single short trial tell."""
 PLAIN = 0.05
 """Part of the residual force or moment that a cause takes away that needs no more proof."""
 
@@ -83,15 +85,14 @@ def diagnose(
 
 
 def after_forces(cause: Cause) -> bool:
-    """What a laboratory did to forces is read first, the best supported at the head, and what markers and bodies are
-    like after it."""
+    """What a laboratory did to forces is read first, and what markers and bodies are like after it."""
     return effect(cause.effect).kinematic or effect(cause.effect).bodily
 
 
 def trust(rest: Structure) -> float:
     """Times the confidence of what forces told a model that leaves such a residual."""
     if rest.alone:
-        return 0.5
+        return ALONE
     return 1.0 - 0.5 * rest.share_of_residual if rest.p_value < P_VALUE else 1.0
 
 
@@ -109,7 +110,8 @@ def _trusted(found: Search, watched: Sequence[Watched], rest: Structure, causes:
     if not (rest.p_value < P_VALUE or rest.alone):
         return list(causes)
     sure = [
-        one.effect.kinematic and one.effect.bodily if rest.significant or rest.alone
+        one.effect.kinematic and one.effect.bodily if rest.significant
+        else one.effect.kinematic if rest.alone
         else one.effect.kinematic or one.effect.timed or stands_out(found, watched, k) > PLAIN
         for k, one in enumerate(found.chosen)
     ]  # fmt: skip

@@ -12,9 +12,7 @@ from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.design import Candidate, Design, only
 from torchid.diagnosis.evidence import Fitted, fit, gains
 from torchid.diagnosis.noise import Noise
-from torchid.diagnosis.nuisances import SkinSlide
 from torchid.diagnosis.sums import Prior, Sums
-from torchid.effects.markers import SoftTissue
 
 NAMED = 2.5
 """Nats that name an effect: odds of 12 to one. In sessions that hide nothing
@@ -129,20 +127,21 @@ def _told_by(found: Search, k: int) -> Float[Tensor, "params n"]:
     factor = scale.new_zeros(one.size, len(found.fitted.factor))
     factor[:, at : at + one.size] = torch.diag(scale)
     if one.blocks == (found.sums.all,):
-        for columns, part in _usual(found, one):
-            factor[:, columns] = part.to(factor)
+        for columns, part in _ordinary(found, one):
+            factor[:, columns] = part
     return factor
 
 
-def _usual(found: Search, one: Candidate) -> Iterator[tuple[slice, Float[Tensor, "params some"]]]:
+def _ordinary(found: Search, one: Candidate) -> Iterator[tuple[slice, Float[Tensor, "params some"]]]:
     """Nuisances that are part of an effect: their columns, and what its parameters are of them."""
+    mean = found.prior.mean
     if one.source.columns.stop <= found.design.base:
         assert not any(one.source.mean), "errors of plates are about nothing"
-        yield one.source.columns, torch.diag(torch.tensor(one.source.scale, dtype=torch.float64))
+        yield one.source.columns, torch.diag(mean.new_tensor(one.source.scale))
     for source in found.design.sources:
-        there = (source.place.where, source.place.follows) == (one.place.where, one.place.follows)
-        if isinstance(source.effect, SkinSlide) and isinstance(one.effect, SoftTissue) and there:
-            yield source.columns, source.effect.within(one.place) * torch.tensor(source.scale).to(source.effect.p_BM_B)
+        part = source.effect.part_of(source.place, one.effect, one.place)
+        if part is not None:
+            yield source.columns, part * mean.new_tensor(source.scale)
 
 
 def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:

@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.angles import BEFORE, bend
+from torchid.effects.angles import bend
 from torchid.effects.effect import Effect, Parameter
-from torchid.effects.markers import SoftTissue
+from torchid.effects.markers import MarkerEffect, SoftTissue, cues
 from torchid.effects.momentum import below
-from torchid.effects.place import Place
+from torchid.effects.place import Angle, Place
 from torchid.effects.scene import Scene
 from torchid.effects.sight import Sight, Slid, View
 from torchid.kinematics.recursion import cross
@@ -56,7 +56,7 @@ class GeometryError(Effect):
 
 
 @dataclass(frozen=True)
-class SkinSlide(SoftTissue):
+class SkinSlide(MarkerEffect):
     """All markers of a segment slide as one with the angle of a neighbouring joint: no residual shows it.
 
     The pose of the bone errs by as much, and the needed wrench with it. What a person's skin does is of the order of
@@ -71,13 +71,9 @@ class SkinSlide(SoftTissue):
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         """With the model's own angles: what is of a few millimetres is not told from others."""
-        return tuple(place for place in super().places(views) if BEFORE not in str(place.follows))
-
-    def size(self, place: Place) -> int:
-        return 6
-
-    def scale(self, place: Place) -> tuple[float, ...]:
-        return Effect.scale(self, place)
+        sight, scenes = views[0].sight, [view.scene for view in views]
+        some = () if sight is None else (name for name in scenes[0].tree.names if sight.on(name))
+        return tuple(Place((name,), follows=Angle(dof)) for name in some for dof in cues(scenes, name))
 
     def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
         shift, turn = (sight.scene.turned(place.where[0], x) for x in theta.split(3))
@@ -86,8 +82,10 @@ class SkinSlide(SoftTissue):
         slid = shift + cross(turn.expand_as(arm), arm)
         return Slid(tuple(which), slid * bend(sight.scene, place)[0])
 
-    def within(self, place: Place) -> Float[Tensor, "params 6"]:
+    def part_of(self, own: Place, effect: Effect, place: Place) -> Float[Tensor, "params 6"] | None:
         """By how much it shifts each marker of a place of ``soft_tissue``, in the segment's axes."""
+        if not isinstance(effect, SoftTissue) or (own.where, own.follows) != (place.where, place.follows):
+            return None
         eye = torch.eye(3).to(self.p_BM_B)
         arms = [self.p_BM_B[self.labels.index(label)] for label in place.markers]
         return torch.cat([torch.cat([eye, torch.linalg.cross(eye, p.expand(3, 3)).T], 1) for p in arms])

@@ -56,7 +56,7 @@ def search(
         inertia: prior of the inertial parameters.
         omega: weight of that prior.
         whitening: of the inertial fit, to begin with.
-        limit: number of effects at most, of bodies, of markers, of forces and of what is recorded each.
+        limit: number of effects at most, of each kind (see ``_kind``).
         geometry: with which the trials were followed.
     """
     design = make_design(watched, effects, geometry)
@@ -229,7 +229,7 @@ def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> 
 
 
 def _kind(effect: Effect) -> tuple[bool, ...]:
-    return effect.bodily, effect.kinematic, effect.recorded, effect.everywhere
+    return effect.bodily, effect.kinematic, effect.recorded, effect.overall
 
 
 def _likely(rivals: Sequence[Rival]) -> list[Rival]:

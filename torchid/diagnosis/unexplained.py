@@ -81,10 +81,10 @@ def structure(watched: Sequence[Watched], left: Sequence[Float[Tensor, "frames 6
 
 
 def _untold(trials: int) -> Structure:
-    """Of 27 frames of a walk, a clock was found to be 18 ms off with certainty."""
+    """Too few frames for any band. A single trial of 27 found a clock to be 18 ms off with certainty."""
     said = "cannot be told: too few seconds on plates"
     if trials == 1:
-        said += ", and no other trial could agree with what forces tell: its confidence is halved"
+        said += ", and no other trial could agree with what forces tell"
     return Structure(False, float("nan"), float("nan"), said, alone=trials == 1)
 
 

@@ -129,4 +129,5 @@ def _listed(cause: Cause) -> dict[str, Any]:
     found = {name: getattr(cause, name) for name in names}
     twins = [dataclasses.asdict(t) | {"motion": tell_apart(cause.effect, t.effect)} for t in cause.indistinguishable]
     found["indistinguishable"] = twins
-    return found | {"follows": cause.place.follows, "markers": cause.place.markers or None}
+    follows = cause.place.follows
+    return found | {"follows": follows and str(follows), "markers": cause.place.markers or None}

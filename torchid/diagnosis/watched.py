@@ -35,10 +35,9 @@ class Shaken:
     """The same under another draw of the markers' noise."""
 
     view: View
-    inertia: Float[Tensor, "6 params frames"]
-    """What the draw adds to the inertial columns, about the root's origin ..."""
+    motion: Motion
     total: Float[Tensor, "6 frames"]
-    """... and to the wrench that the identified body needs."""
+    """What the draw adds to the wrench that the identified body needs, about the root's origin."""
 
 
 @dataclass(frozen=True)
@@ -129,14 +128,20 @@ def watch(
     return Watched(rows, replace(view, sight=cameras.sight), known.phi, scatter, idle, force, cameras)
 
 
+def added(watched: Watched, motion: Motion) -> Float[Tensor, "6 params frames"]:
+    """What another motion adds to the inertial columns, about the root's origin."""
+    return regressor(watched.rows, motion) - watched.inertial
+
+
 def _shaken(watched: Watched, motion: Motion) -> Shaken:
     rows, view = watched.rows, watched.view
     scene = make_scene(rows.name, rows.tree, rows.geometry, motion, view.scene.phi)
     scene = replace(scene, recorded_kg=view.scene.recorded_kg)
     bore = _borne(view.measured.wrench, replace(scene, phi=watched.phi).needed().T)
-    more = regressor(rows, motion) - watched.inertial
-    total = torch.einsum("ipt,p->it", more, watched.phi.reshape(-1))
-    return Shaken(replace(view, scene=scene, reading=replace(view.reading, wrench=bore)), more, total)
+    total = torch.einsum("ipt,p->it", added(watched, motion), watched.phi.reshape(-1))
+    sight = None if view.sight is None else replace(view.sight, scene=scene)
+    view = replace(view, scene=scene, reading=replace(view.reading, wrench=bore), sight=sight)
+    return Shaken(view, motion, total)
 
 
 def _inner(rows: WrenchTrial) -> WrenchTrial:

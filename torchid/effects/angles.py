@@ -1,9 +1,10 @@
 """Angles that effects follow.
 
-What a joint of three axes calls its flexion depends on the order of its turns. Of an arm, the flexion before rotation
-and adduction is not that before abduction and rotation, which is where the arm points; lifted sideways, they were 0.2
-rad apart. A glide of 7 mm at such a shoulder followed the one: fitted with the other, it was found 6 mm off along the
-arm, where its standard deviation was 0.3 mm, with skin that did not slide.
+What a joint of three axes calls its flexion depends on the order of its turns (Senk & Cheze, Clin Biomech 21 (2006),
+on the shoulder). Of an arm, the flexion before rotation and adduction is not that before abduction and rotation, which
+is where the arm points; lifted sideways, they were 0.2 rad apart. A glide of 7 mm at such a shoulder followed the one:
+fitted with the other, it was found 6 mm off along the arm, where its standard deviation was 0.3 mm, with skin that did
+not slide.
 """
 
 from collections.abc import Sequence
@@ -12,18 +13,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.place import Place
+from torchid.effects.place import Angle, Place
 from torchid.effects.scene import Scene
 from torchid.errors import ConfigError
 from torchid.model.tree import Tree, Turn
 from torchid.motion.rotations import rotation_to_turns, turns_to_rotation
 
-BEFORE = " before "
-"""Between two coordinates: the angle of the first if the second were the next turn, as in ``hip_l_flexion before
-hip_l_rotation``."""
 APART = 0.1
-"""By which that must differ from the model's coordinate to be worth a place of its own, root mean square of a trial
-[rad]."""
+"""By which another order's angle must differ from the model's to be worth a place of its own, root mean square of a
+trial [rad]."""
+POLE = 0.3
+"""Cosine of the second turn below which the first and the third are hardly told apart."""
 
 
 def bend(scene: Scene, place: Place) -> Float[Tensor, "2 frames"]:
@@ -32,7 +32,7 @@ def bend(scene: Scene, place: Place) -> Float[Tensor, "2 frames"]:
     Raises:
         ConfigError: the model has no such angle.
     """
-    angle = _angle(scene, str(place.follows))
+    angle = _angle(scene, place.follows)
     return torch.stack([torch.sin(angle), 1.0 - torch.cos(angle)])
 
 
@@ -46,37 +46,65 @@ def lively(scenes: Sequence[Scene], body: int) -> tuple[str, ...]:
     return tuple(tree.dof_names[row] for row in order if spread[row] >= 0.5 * spread[order[0]])
 
 
-def readings(scenes: Sequence[Scene], dof: str) -> tuple[str, ...]:
-    """What effects may follow that follow a coordinate: itself, and the same before another turn."""
-    tree = scenes[0].tree
+def orders(scenes: Sequence[Scene], dof: str) -> tuple[Angle, ...]:
+    """What effects may follow that follow a coordinate: itself, and the same before another turn, where that is another
+    angle and one at all."""
+    tree, own = scenes[0].tree, Angle(dof)
     turns = _three(tree, dof)
     if not turns:
-        return (dof,)
-    other = dof + BEFORE + tree.dof_names[turns[2].row]
-    apart = max(float((_angle(s, dof) - _angle(s, other)).square().mean().sqrt()) for s in scenes)
-    return (dof, other) if apart > APART else (dof,)
+        return (own,)
+    other = Angle(dof, tree.dof_names[turns[2].row])
+    apart = max(float((_angle(s, own) - _angle(s, other)).square().mean().sqrt()) for s in scenes)
+    second = torch.cat([_turned(turns, _reordered(tree, other), _own(s, turns))[:, 1] for s in scenes])
+    return (own, other) if apart > APART and float(torch.cos(second).abs().min()) > POLE else (own,)
 
 
-def _angle(scene: Scene, follows: str) -> Float[Tensor, " frames"]:
+def _angle(scene: Scene, follows: Angle | None) -> Float[Tensor, " frames"]:
+    """From its rest."""
     tree = scene.tree
-    dof, _, following = follows.partition(BEFORE)
-    turns = _three(tree, dof)
-    second = [turn for turn in turns[1:] if tree.dof_names[turn.row] == following]
-    if dof not in tree.dof_names or (following and not second):
-        raise ConfigError(
-            "effect.follows", "the model has no such angle", place=follows,
-            remedy=f"Name one of its coordinates, or the first of a joint's three{BEFORE}one of the others",
-        )  # fmt: skip
-    row = tree.dof_names.index(dof)
-    rest = tree.dofs[row].rest
+    if follows is None or follows.dof not in tree.dof_names:
+        raise _unknown(follows)
+    if follows.before is None:
+        row = tree.dof_names.index(follows.dof)
+        return scene.q[row] - tree.dofs[row].rest
+    turns, other = _three(tree, follows.dof), _reordered(tree, follows)
+    rest = scene.q.new_tensor([[tree.dofs[turn.row].rest for turn in turns]])
+    angle = _turned(turns, other, _own(scene, turns))[:, 0]
+    # Whenever the second turn passes its pole, the nearest branch is another: half a turn away, from frame to frame.
+    leaps = torch.round(torch.diff(angle) / torch.pi).cumsum(0) * torch.pi
+    return torch.cat([angle[:1], angle[1:] - leaps]) - _turned(turns, other, rest)[0, 0]
+
+
+def _own(scene: Scene, turns: Sequence[Turn]) -> Float[Tensor, "frames 3"]:
+    return torch.stack([scene.q[turn.row] for turn in turns], 1)
+
+
+def _turned(turns: Sequence[Turn], other: Sequence[Turn], q: Float[Tensor, "frames 3"]) -> Float[Tensor, "frames 3"]:
+    """Angles of turns in another order."""
+    near = q[:, [list(turns).index(turn) for turn in other]]
+    return rotation_to_turns(other, turns_to_rotation(turns, q), near)
+
+
+def _reordered(tree: Tree, follows: Angle) -> tuple[Turn, ...]:
+    """The turns of a joint, ``before`` as the second."""
+    turns = _three(tree, follows.dof)
+    second = [turn for turn in turns[1:] if tree.dof_names[turn.row] == follows.before]
     if not second:
-        return scene.q[row] - rest
-    other = (turns[0], *second, *(turn for turn in turns[1:] if turn not in second))
-    q, near = (torch.stack([scene.q[turn.row] for turn in some], 1) for some in (turns, other))
-    return rotation_to_turns(other, turns_to_rotation(turns, q), near)[:, 0] - rest
+        raise _unknown(follows)
+    return (turns[0], *second, *(turn for turn in turns[1:] if turn not in second))
 
 
 def _three(tree: Tree, dof: str) -> tuple[Turn, ...]:
-    """The turns of a joint of three axes whose first is this coordinate; none of any other."""
-    joints = (body.turns for body in tree.bodies if len(body.turns) == 3 and all(turn.moving for turn in body.turns))
-    return next((tuple(turns) for turns in joints if tree.dof_names[turns[0].row] == dof), ())
+    """The turns about three different axes of the joint whose first is this coordinate; none of any other."""
+    for body in tree.bodies:
+        turns = tuple(body.turns)
+        if len({turn.axis for turn in turns if turn.moving}) == len(turns) == 3 and tree.dof_names[turns[0].row] == dof:
+            return turns
+    return ()
+
+
+def _unknown(follows: Angle | None) -> ConfigError:
+    return ConfigError(
+        "effect.follows", "the model has no such angle", place=str(follows),
+        remedy=f"Name a coordinate, or the first of a joint's three as in {Angle('hip_l_flexion', 'hip_l_rotation')}",
+    )  # fmt: skip

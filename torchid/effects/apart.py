@@ -61,11 +61,7 @@ APART = {
         ("moving_ground", "unmeasured_contact", "a dead weight resting on a plate while nobody is near"),
         ("marker_shift", "soft_tissue", "a static trial before and after: what was knocked stays displaced at rest"),
         ("soft_tissue", "wobbling_mass", "the same motion slowly and quickly: skin slides at any speed"),
-        (
-            "skin_lag",
-            "soft_tissue",
-            "the same motion slowly and quickly: skin slides at any speed",
-        ),
+        ("skin_lag", "soft_tissue", "the same motion slowly and quickly: skin slides at any speed"),
         ("skin_lag", "wobbling_mass", "heel drops: soft mass rings on in the forces, flesh in the markers alone"),
         ("filter_lag", "skin_lag", "a stamp with markers on something rigid: it has no flesh, but passes the filter"),
         ("marker_scale", "skin_lag", "slow motion: a wrong scale shows at any speed"),

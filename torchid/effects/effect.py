@@ -40,8 +40,8 @@ class Effect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     bodily: ClassVar[bool] = False
     """Every living body has some of it: named when it is there, and counted apart from errors of the laboratory."""
-    everywhere: ClassVar[bool] = False
-    """It is all over the body at once: what is named at single places does not leave it out."""
+    overall: ClassVar[bool] = False
+    """It is all over the body at once: however many single places are named, it is looked for beside them."""
     recorded: ClassVar[bool] = False
     """What was written down of the subject is wrong, not what was measured."""
     kinematic: ClassVar[bool] = False
@@ -115,6 +115,10 @@ class Effect(ABC):
 
     def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid | None:
         """How far cameras see markers from where the bodies carry them."""
+        return None
+
+    def part_of(self, own: Place, effect: "Effect", place: Place) -> Float[Tensor, "params own"] | None:
+        """What its parameters at its own place add to those of another effect, where it is part of that."""
         return None
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.angles import bend, lively, readings
+from torchid.effects.angles import bend, lively, orders
 from torchid.effects.effect import Effect, Parameter, value_of
 from torchid.effects.momentum import below
 from torchid.effects.place import Place
@@ -64,10 +64,12 @@ class JointCentreShift(Effect):
         scenes = [v.scene for v in views]
         found = []
         for k in range(1, len(scenes[0].tree.names)):
-            cues = [angle for dof in lively(scenes, k) for angle in readings(scenes, dof)]
+            cues, where = (
+                [angle for dof in lively(scenes, k) for angle in orders(scenes, dof)],
+                joint_name(scenes[0], k),
+            )
             # One chance for each joint: forearms that turn more than elbows bend hid what the elbow's flexion did.
-            where, odds = (joint_name(scenes[0], k),), 1.0 / max(len(cues), 1)
-            found += [Place(where, odds=odds, follows=angle) for angle in cues]
+            found += [Place((where,), odds=1.0 / len(cues), follows=angle) for angle in cues]
         return tuple(found)
 
     def move(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "bodies 6 frames"]:

@@ -1,7 +1,8 @@
-"""Maps of markers: one that was moved, two that were swapped, a wrong scale, skin that slides.
+"""Maps of markers: one that was moved, two that were swapped, a wrong scale, skin that slides, flesh that lags.
 
 Sources: Leardini, Chiari, Della Croce & Cappozzo, Gait & Posture 21 (2005), on soft tissue artefacts; Della Croce et
-al., ibid., on misplaced landmarks; Chiari et al., ibid., on instrumental errors.
+al., ibid., on misplaced landmarks; Chiari et al., ibid., on instrumental errors; Wakeling & Nigg, J Appl Physiol 90
+(2001), on frequencies of soft tissue.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.effects.angles import bend, lively, readings
+from torchid.effects.angles import bend, lively, orders
 from torchid.effects.effect import Effect, Parameter, value_of
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import Scene
@@ -110,12 +111,12 @@ class SoftTissue(MarkerEffect):
         sight, found = views[0].sight, []
         if sight is None:
             return ()
+        scenes = [v.scene for v in views]
         for name in sight.scene.tree.names:
             labels = tuple(sight.labels[k] for k in sight.on(name))
             if labels:
-                scenes = [v.scene for v in views]
-                cues = [angle for dof in _cues(scenes, name) for angle in readings(scenes, dof)]
-                found += [Place((name,), follows=angle, markers=labels) for angle in cues]
+                angles = [angle for dof in cues(scenes, name) for angle in orders(scenes, dof)]
+                found += [Place((name,), follows=angle, markers=labels) for angle in angles]
         return tuple(found)
 
     def size(self, place: Place) -> int:
@@ -141,12 +142,14 @@ class SkinLag(MarkerEffect):
 
     By the acceleration of each over the square of the flesh's own angular frequency, some 10 Hz. Where it is equally
     soft everywhere no residual of markers shows it, but what they say of the body is too lively: by a few percent at
-    the pace of a run. One softness for each segment.
+    the pace of a run. One softness for each segment. What gravity does is left to the places of markers and to skin
+    that slides: with it, a run was explained no better.
     """
 
     name = "skin_lag"
     bodily = True
-    everywhere = True
+    overall = True
+    accelerated = True
     parameters = (Parameter("shift_1g_m", 0.0025),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -161,13 +164,11 @@ class SkinLag(MarkerEffect):
     def scale(self, place: Place) -> tuple[float, ...]:
         return super().scale(place) * len(place.where)
 
-    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
-        which, by = [], []
-        for name, shift in zip(place.where, theta / GRAVITY, strict=True):
-            own = sight.on(name)
-            which += own
-            by += [-shift * sight.scene.point(name, sight.p_BM_B[k]).a for k in own]
-        return Slid(tuple(which), torch.stack(by))
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid | None:
+        soft = {k: shift for name, shift in zip(place.where, theta / GRAVITY, strict=True) for k in sight.on(name)}
+        if not soft:
+            return None
+        return Slid(tuple(soft), -torch.stack(list(soft.values()))[:, None, None] * sight.a[list(soft)])
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         return {"shift_1g_m": theta}
@@ -176,7 +177,7 @@ class SkinLag(MarkerEffect):
         return value_of(values, self.name, "shift_1g_m", len(place.where))
 
 
-def _cues(scenes: Sequence[Scene], segment: str) -> tuple[str, ...]:
+def cues(scenes: Sequence[Scene], segment: str) -> tuple[str, ...]:
     """Of the joints at both ends of a segment, the coordinate that moves most."""
     tree = scenes[0].tree
     ends = [tree.index(segment), *(k for k, body in enumerate(tree.bodies) if body.parent == tree.index(segment))]

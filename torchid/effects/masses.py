@@ -24,11 +24,7 @@ from torchid.kinematics.recursion import cross
 FREQUENCIES = (2.5, 2.9, 3.3, 3.9, 4.5, 5.2, 6.0, 7.0)
 """Of wobbling masses [Hz]: soft tissue and viscera (Wakeling & Nigg, J Appl Physiol 90, 2001). Half as many took 2.2 kg
 at 4.1 Hz for 5.0 +- 0.7 kg at 5 Hz, and lost 19 nats."""
-STEP = math.log(FREQUENCIES[-1] / FREQUENCIES[0]) / (len(FREQUENCIES) - 1)
-"""Between their logarithms."""
 DAMPING = (0.1, 0.17, 0.3)
-FINE = 8
-"""Steps of the wobbling mass per frame."""
 
 
 class BodyMass(Effect):
@@ -149,12 +145,19 @@ class WobblingMass(Effect):
     def estimated(
         self, place: Place, theta: Float[Tensor, " params"], covariance: Float[Tensor, "params params"]
     ) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
-        """The frequency is known to a step of the grid; slowly shaken, a mass shows as its part of that squared."""
-        found, part = super().estimated(place, theta, covariance), STEP / math.sqrt(12.0)
-        (mass, sd), (frequency, _) = found["mass_kg"], found["frequency_hz"]
+        """Frequency and damping are known to a step of their grids; slowly shaken, a mass shows over that squared."""
+        found, part = super().estimated(place, theta, covariance), _grain(FREQUENCIES)
+        (mass, sd), (frequency, _), (damping, _) = (found[k] for k in ("mass_kg", "frequency_hz", "damping_ratio"))
         return found | {
-            "mass_kg": (mass, torch.hypot(sd, 2.0 * part * mass)), "frequency_hz": (frequency, part * frequency),
-        }  # fmt: skip
+            "mass_kg": (mass, torch.hypot(sd, 2.0 * part * mass)),
+            "frequency_hz": (frequency, part * frequency),
+            "damping_ratio": (damping, _grain(DAMPING) * damping),
+        }
+
+
+def _grain(grid: Sequence[float]) -> float:
+    """Standard deviation of what is rounded to a geometric grid, over its value."""
+    return math.log(grid[-1] / grid[0]) / (len(grid) - 1) / math.sqrt(12.0)
 
 
 def wobble(
@@ -162,13 +165,9 @@ def wobble(
 ) -> tuple[Float[Tensor, "3 frames"], Float[Tensor, "3 frames"]]:
     """Place and acceleration of a mass on a spring relative to its accelerated carrier, at rest before the start."""
     w = 2.0 * math.pi * frequency_hz
-    frames, (ahead, back) = a.shape[1], _spring(FINE * rate_hz, w, damping_ratio)
-    known = a.detach().cpu().numpy()
-    lead = np.repeat(known[:, :1], frames, axis=1)
-    both = np.concatenate([lead, known], axis=1)
-    clock, steps = np.arange(2 * frames), np.arange(FINE * (2 * frames - 1) + 1) / FINE
-    forced = np.stack([np.interp(steps, clock, row) for row in both])
-    x = np.asarray(scipy.signal.lfilter(ahead, back, forced - forced[:, :1], axis=1))[:, ::FINE][:, frames:]
+    ahead, back = _spring(rate_hz, w, damping_ratio)
+    forced = (a - a[:, :1]).detach().cpu().numpy()
+    x = np.asarray(scipy.signal.lfilter(ahead, back, forced, axis=1))
     place = torch.as_tensor(x, dtype=a.dtype, device=a.device)
     speed = torch.as_tensor(np.gradient(x, 1.0 / rate_hz, axis=1), dtype=a.dtype, device=a.device)
     return place, -(a - a[:, :1]) - 2.0 * damping_ratio * w * speed - w * w * place

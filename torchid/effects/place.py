@@ -17,6 +17,30 @@ class Interval:
     t1: float
 
 
+BEFORE = " before "
+
+
+@dataclass(frozen=True)
+class Angle:
+    """A coordinate of the model; or what it would be if another turn of its joint came next.
+
+    As text ``hip_l_flexion``, or ``hip_l_flexion before hip_l_rotation``.
+    """
+
+    dof: str
+    before: str | None = None
+    """Coordinate of the turn that comes next."""
+
+    def __str__(self) -> str:
+        return self.dof if self.before is None else self.dof + BEFORE + self.before
+
+
+def parse_angle(text: str) -> Angle:
+    """The inverse of ``str``."""
+    dof, said, before = text.partition(BEFORE)
+    return Angle(dof, before if said else None)
+
+
 @dataclass(frozen=True)
 class Place:
     """Where an effect sits."""
@@ -31,8 +55,8 @@ class Place:
     """Values of parameters that no column can be linear in, such as a frequency."""
     odds: float = 1.0
     """How likely before any data, against the effect's other places."""
-    follows: str | None = None
-    """Coordinate whose angle the effect follows (see ``angles``)."""
+    follows: Angle | None = None
+    """What the effect goes with."""
     markers: tuple[str, ...] = ()
     """On the segment, where an effect has parameters for each."""
 

@@ -26,6 +26,13 @@ class Sight:
         """p_WM_W [m]."""
         return self.scene.state.at.p[self.body] + self.turned(self.p_BM_B[:, :, None])
 
+    @cached_property
+    def a(self) -> Float[Tensor, "markers 3 frames"]:
+        """Their accelerations in W [m/s^2]."""
+        motion, arm = self.scene.state.motion, self.p - self.scene.state.at.p[self.body]
+        w, alpha = motion.w[self.body], motion.alpha[self.body]
+        return motion.a[self.body] + cross(alpha, arm) + cross(w, cross(w, arm))
+
     def turned(
         self, b: Float[Tensor, "some 3 #frames"], which: Sequence[int] | None = None
     ) -> Float[Tensor, "some 3 frames"]:

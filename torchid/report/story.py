@@ -7,7 +7,6 @@ import torch
 
 from torchid.conventions import GRAVITY
 from torchid.diagnosis.verdict import Alternative, Cause
-from torchid.effects.angles import BEFORE
 from torchid.effects.apart import tell_apart
 from torchid.effects.place import Interval
 from torchid.report.sizes import BODY, ROOM, length, much, of, parts, size, vector
@@ -199,11 +198,13 @@ def _lag(cause: Cause) -> str:
 
 def segment_motion(cause: Cause) -> str:
     """The coordinate that an effect follows, in words: ``knee_l_flexion`` as ``left knee flexion``."""
-    dof, _, following = (cause.place.follows or "a neighbouring joint").partition(BEFORE)
-    words = dof.split("_")
+    follows = cause.place.follows
+    if follows is None:
+        return "a neighbouring joint"
+    words = follows.dof.split("_")
     sides = [{"l": "left", "r": "right"}[w] for w in words if w in ("l", "r")]
     said = " ".join([*sides, *(w for w in words if w not in ("l", "r"))])
-    return clean(f"{said} (before {following.rpartition('_')[2]})" if following else said)
+    return clean(said if follows.before is None else f"{said} (before {follows.before.rpartition('_')[2]})")
 
 
 def _lacking(cause: Cause) -> str:

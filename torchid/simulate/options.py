@@ -20,7 +20,7 @@ class PlantedOptions:
     when: tuple[Interval, ...] | None = None
     parameters: dict[str, float | list] = field(default_factory=dict)
     follows: Name | None = None
-    """Coordinate whose angle a marker or joint effect follows."""
+    """Coordinate whose angle a marker or joint effect follows, or the same in another order (see ``Angle``)."""
     markers: tuple[Name, ...] = ()
     """Those that ``soft_tissue`` moves, in the order of its parameters."""
 

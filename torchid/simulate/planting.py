@@ -1,5 +1,6 @@
 """Effects that a synthetic session hides."""
 
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 import torch
@@ -7,8 +8,9 @@ import torch
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Planted
 from torchid.effects.joints import MODES, MissingDof
-from torchid.effects.place import Place
+from torchid.effects.place import Place, parse_angle
 from torchid.effects.scene import PlateFrame, Reading, plate_frame
+from torchid.errors import ConfigError
 from torchid.recording import Plate, Trial
 from torchid.simulate.options import PlantedOptions
 
@@ -28,8 +30,25 @@ def planted(options: PlantedOptions) -> Planted:
     if isinstance(found, MissingDof):
         grid |= {"turning": float("range_rad" in values), "modes": float(MODES), "x": 1.0, "y": 1.0, "z": 1.0}
     point = tuple(values["point_seg_m"].tolist()) if "point_seg_m" in values else None
-    place = Place(options.where, options.when, point, grid, follows=options.follows, markers=options.markers)
+    follows = None if options.follows is None else parse_angle(options.follows)
+    place = Place(options.where, options.when, point, grid, follows=follows, markers=options.markers)
     return Planted(found, place, found.internal(place, values))
+
+
+def check_places(hidden: Iterable[Planted], known: Collection[str], labels: Collection[str]) -> None:
+    """Nothing is hidden at what a session does not have.
+
+    Raises:
+        ConfigError: a place is none of those known, or a marker has no label.
+    """
+    for one in hidden:
+        strange = [name for name in one.place.where if name not in known and name not in labels]
+        strange += [name for name in one.place.markers if name not in labels]
+        if strange:
+            raise ConfigError(
+                "effect.place", "the session has nothing of that name", place=one.effect.name, found=", ".join(strange),
+                remedy=f"Name markers by their labels; other places are {', '.join(sorted(known))}",
+            )  # fmt: skip
 
 
 def session_plates(plates: tuple[Plate, ...]) -> tuple[PlateFrame, ...]:

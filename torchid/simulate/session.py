@@ -1,5 +1,6 @@
 """A whole synthetic session, in memory or as C3D files with a config and, apart from them, the truth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import yaml
 from torchid.files import atomic_write, write_json, write_text
 from torchid.io.c3d_write import write_c3d
 from torchid.simulate.options import SimulateOptions
+from torchid.simulate.planting import check_places
 from torchid.simulate.subject import MARKER_SET, SimulatedSubject, simulate_subject
 from torchid.simulate.trial import SimulatedTrial, TrialTruth, simulate_trial
 
@@ -41,19 +43,30 @@ def simulate_session(options: SimulateOptions | None = None, seed: int = 0, out:
         out: folder, made where it does not exist; None keeps the session in memory.
 
     Raises:
-        ConfigError: an unknown motion or an impossible subject.
+        ConfigError: an unknown motion, an impossible subject, or something hidden where nothing is.
         InputError: the folder cannot be written.
     """
     options = options or SimulateOptions()
     subject = simulate_subject(options, seed)
     listed = [("static", "static"), *((m, "fit") for m in options.fit), *((m, "heldout") for m in options.heldout)]
-    trials = []
-    for k, (motion, role) in enumerate(listed):
+    names = []
+    for k, (motion, _) in enumerate(listed):
         before = sum(other == motion for other, _ in listed[:k])
-        name = f"{motion}_{before + 1}" if before else motion
-        trials.append(simulate_trial(subject, motion, options, seed, name=name, role=role))
-    session = Session(subject, tuple(trials))
+        names.append(f"{motion}_{before + 1}" if before else motion)
+    check_places(subject.hidden, _places(subject, options, names), subject.labels)
+    trials = tuple(
+        simulate_trial(subject, motion, options, seed, name=name, role=role)
+        for name, (motion, role) in zip(names, listed, strict=True)
+    )
+    session = Session(subject, trials)
     return session if out is None else write_session(session, options, Path(out))
+
+
+def _places(subject: SimulatedSubject, options: SimulateOptions, trials: Sequence[str]) -> set[str]:
+    """All that an effect may be at, beside markers."""
+    tree = subject.model.tree
+    joints = {name.rpartition("_")[0] for name in tree.dof_names}
+    return {"session", *trials, *tree.names, *joints, *(f"plate_{k + 1}" for k in range(options.plates))}
 
 
 def write_session(session: Session, options: SimulateOptions, out: Path) -> Session:
