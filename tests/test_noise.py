@@ -82,6 +82,16 @@ def test_noise_is_what_markers_do_most_of_the_time(cameras):
     assert_close(cameras.scatter * share**0.5, torch.full_like(cameras.scatter, NOISE), rtol=0.35, atol=0.0)
 
 
+def test_noise_that_was_filtered_shakes_no_faster(rows, cameras):
+    """Where the cameras' maker has passed 8 Hz, draws hold next to nothing above 15 Hz."""
+    quiet = Smoother(8.0, rows.rate)(cameras.error.flatten(0, 1).T).T.reshape(cameras.error.shape)
+    after = replace(cameras, error=quiet)
+    assert bool((after.scatter[1] < 0.3 * after.scatter[0]).all())
+    moved = [[drawn.q - rows.motion.q for drawn in shaken(rows.motion, c)] for c in (cameras, after)]
+    fast, slow = (torch.stack([(x - Smoother(15.0, rows.rate)(x)).square().mean() for x in some]) for some in moved)
+    assert float(slow.mean()) < 0.3 * float(fast.mean())
+
+
 def test_noise_is_told_by_short_runs_of_fast_cameras():
     """A band narrower than one coefficient still tells white noise of 1 from none, within a factor of a few."""
     generator = torch.Generator().manual_seed(small.SEED)

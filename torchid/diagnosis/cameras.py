@@ -110,8 +110,12 @@ class Cameras:
         return torch.cat(parts)
 
     @cached_property
-    def scatter(self) -> Float[Tensor, " markers"]:
-        """White noise of each marker's coordinates [m], from where it is seen longest; the middle one's if hardly."""
+    def scatter(self) -> Float[Tensor, "2 markers"]:
+        """Noise of each marker's coordinates below ``NEAR_HZ`` and beyond, as white noise has as much of it there [m].
+
+        From where it is seen longest; the middle one's if hardly. Skin that trembles, or a filter of the cameras' own,
+        leaves less beyond: one runner's forces above 10 Hz had a ninth of what white noise would have made of them.
+        """
         rate, seen = self.sight.scene.rate, self.weight > 0.0
         bands = QUIET, (min(NEAR_HZ[0] / rate, QUIET[0]), min(NEAR_HZ[1] / rate, QUIET[1]))
         found = self.error.new_full((len(seen), 2), float("nan"))
@@ -122,14 +126,15 @@ class Cameras:
                 found[k] = found.new_tensor([_usual(error, band) for band in bands])
         quiet, near = torch.where(found.isnan(), found.nanmedian(0).values, found).nan_to_num().unbind(1)
         # Means of both where they agree: the larger of two is 8 % too large.
-        own = torch.where(near > ALIKE * quiet, near, 0.5 * (quiet + near)).sqrt()
+        alike = ~(near > ALIKE * quiet)
+        both = torch.where(alike, 0.5 * (quiet + near), torch.stack([near, quiet])).sqrt()
         # Postures have taken their share of the noise.
-        return own / math.sqrt(self.coarse.free * self.coarse.rows.numel() / self.coarse.seen)
+        return both / math.sqrt(self.coarse.free * self.coarse.rows.numel() / self.coarse.seen)
 
     @cached_property
     def least(self) -> float:
         """Variance of the white noise against the weights of the rows: mean over what is seen."""
-        energy = (self.weight * self.scatter.square()[:, None]).sum()
+        energy = (self.weight * self.scatter[0].square()[:, None]).sum()
         return max(1e-6, float(energy / (self.weight > 0.0).sum().clamp(min=1)))
 
     @cached_property

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 
 from torchid.diagnosis.design import Candidate
-from torchid.diagnosis.doubtful import relevant, stands_out, without_opposed
+from torchid.diagnosis.doubtful import PLAIN, relevant, stands_out, without_opposed
 from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, support, without, without_negative
 from torchid.diagnosis.heldout import HeldOut, Judged
@@ -25,8 +25,6 @@ from torchid.regressor.whitening import Whitening
 
 ALONE = 0.5
 """Times the confidence of what forces of a single short trial tell."""
-PLAIN = 0.05
-"""Part of the residual force or moment that a cause takes away that needs no more proof."""
 
 
 def wanted(include: Sequence[str], exclude: Sequence[str]) -> tuple[Effect, ...]:

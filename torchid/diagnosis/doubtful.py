@@ -14,8 +14,8 @@ from torchid.diagnosis.found import Search, without
 from torchid.diagnosis.search import residuals
 from torchid.diagnosis.watched import Watched
 
-RELEVANT = 0.01
-"""Part of the residual force or moment that a cause must take away."""
+PLAIN = 0.05
+"""Part of the residual force or moment that a cause takes away that nobody doubts."""
 OPPOSED = 0.5
 """Of the energy of the larger of two causes: what is left where they undo each other."""
 
@@ -32,7 +32,7 @@ def relevant(found: Search, watched: Sequence[Watched]) -> Search:
     for one in reversed(found.chosen):
         if one.effect.kinematic or one.effect.timed or one.effect.recorded:
             continue
-        if _takes_away(found, watched, kept, one) < RELEVANT:
+        if _takes_away(found, watched, kept, one) < PLAIN:
             kept.remove(one)
     return replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept))
 

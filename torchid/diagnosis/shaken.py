@@ -14,10 +14,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.cameras import Cameras
+from torchid.diagnosis.cameras import NEAR_HZ, Cameras
 from torchid.diagnosis.expected import Expected
 from torchid.dynamics import wrench_about
-from torchid.filters import differentiate
+from torchid.filters import Smoother, differentiate
 from torchid.geometry.problem import retract
 from torchid.motion import Motion
 from torchid.regressor.rows import WrenchTrial
@@ -30,9 +30,11 @@ DRAWS = 8
 def shaken(motion: Motion, cameras: Cameras) -> Iterator[Motion]:
     """A motion as it would have been found under other draws of the markers' noise."""
     generator = torch.Generator().manual_seed(0)
-    shape = len(motion.q), 3 * len(cameras.scatter), DRAWS
+    shape = len(motion.q), 3 * len(cameras.sight.labels), DRAWS
     white = torch.randn(*shape, generator=generator, dtype=torch.float64).to(motion.q)
-    found = cameras.followed(white * cameras.scatter.repeat_interleave(3)[:, None])
+    slow = Smoother(NEAR_HZ[1], motion.smoother.rate_hz)(white)
+    low, high = cameras.scatter.repeat_interleave(3, 1)[:, :, None]
+    found = cameras.followed(low * slow + high * (white - slow))
     for step in found.unbind(2):
         yield _moved(motion, motion.smoother(step))
 
