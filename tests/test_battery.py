@@ -8,10 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from torch.testing import assert_close
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 pytest.importorskip("mujoco", reason="the battery's physics is MuJoCo's")
 
+from batteries.bound import known_else
 from batteries.gain import heldout_gains
 from batteries.judge import judged, tables
 from batteries.mujoco_session import draw_effect, simulate
@@ -19,7 +22,15 @@ from batteries.power import draw_reliability, half_sizes, reliability
 from batteries.sizes import SIZES
 
 from torchid.config import load_config
+from torchid.diagnosis.design import Candidate, Design, Source
+from torchid.diagnosis.evidence import fit
+from torchid.diagnosis.found import Search, estimate
+from torchid.diagnosis.noise import initial_noise
+from torchid.diagnosis.sums import Prior, Sums
+from torchid.effects.catalogue import effect
+from torchid.effects.place import Place
 from torchid.experiment import run_experiment
+from torchid.regressor.whitening import initial_whitening
 
 SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
 HIDDEN = ("time_offset", "plate_pose", "gravity_tilt", "body_weight_support", "flywheel", "marker_scale")
@@ -93,3 +104,25 @@ def test_reliability_counts_each_verdict_once(tmp_path):
     assert [(n, right) for *_, n, right in reliability(rows) if n] == [(2, 1), (1, 1)]
     draw_reliability(rows, tmp_path / "reliability.png")
     assert (tmp_path / "reliability.png").stat().st_size > 1000
+
+
+def test_what_can_be_known_at_best_is_least_squares():
+    """Of the effect's columns alone; and what is stated is that and the prior."""
+    rng, one = np.random.default_rng(SEED), effect("plate_offset")
+    place, columns = Place(("plate_1",)), torch.tensor(rng.normal(size=(40, 6)))
+    scale = torch.tensor(one.scale(place), dtype=torch.float64)
+    prior = Prior(torch.zeros(6).double(), torch.zeros(0, 0).double(), scale)
+    raw = prior.standard(columns.T @ columns, columns.T @ columns @ scale, torch.arange(6))
+    source = Source(one, place, slice(0, 6), (0.0,) * 6, tuple(scale.tolist()))
+    chosen, sums = (Candidate(one, place, source, frozenset({0})),), Sums(0, 0, (raw,))
+    noise = initial_noise(initial_whitening(torch.ones(2)), 1)
+    said = Search(Design(0, 0, (source,), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
+    (bound, least), (stated, posterior) = (
+        (torch.cat([found[key] for key in ("force_plate_N", "moment_plate_Nm")]), torch.linalg.inv(precision))
+        for found, precision in (
+            (known_else(said, 0), columns.T @ columns),
+            ({key: sd for key, (_, sd) in estimate(said, 0).items()}, columns.T @ columns + torch.diag(scale**-2)),
+        )
+    )
+    assert_close(bound, least.diagonal().sqrt(), rtol=1e-4, atol=0.0)
+    assert_close(stated, posterior.diagonal().sqrt(), rtol=1e-6, atol=0.0)
