@@ -4,8 +4,8 @@
 
 For sessions of the MuJoCo simulator that hide the effect at medium size: the size of each parameter, and standard
 deviations of its parts, as stated with everything else unknown, and if all else were known (the inverse of the
-effect's own block of the information matrix, its prior left out; Cramer and Rao). What exceeds a quarter of the size
-even so, no method tells from these recordings.
+effect's own block of the posterior's precision). What exceeds a quarter of the size even so, no method that believes as
+much beforehand tells from these recordings.
 """
 
 import argparse
@@ -41,16 +41,15 @@ def found(name: str, seed: int, out: Path) -> tuple[Search, dict]:
 
 
 def known_else(said: Search, k: int) -> dict[str, Tensor]:
-    """Standard deviations of the named parameters of the k-th chosen effect, all others and its prior given."""
+    """Standard deviations of the named parameters of the k-th chosen effect, all others given."""
     one = said.chosen[k]
-    n, total = len(one.columns), 0.0
+    precision = torch.diag(one.relative**-2)
     for trial in sorted(one.trials):
         raw = said.sums.trials[trial]
         at = raw.at(one.columns)
-        total = total + raw.gram[at][:, at]
+        precision = precision + raw.gram[at][:, at]
     scale = torch.tensor(one.source.scale, dtype=torch.float64)
-    # A part of which nothing is seen at all has no bound: a thousand times its prior stands for that.
-    covariance = scale[:, None] * torch.linalg.inv(total + 1e-6 * torch.eye(n)) * scale
+    covariance = scale[:, None] * torch.linalg.inv(precision) * scale
     values = one.effect.estimated(one.place, internal(said, k), covariance)
     return {key: sd for key, (_, sd) in values.items()}
 

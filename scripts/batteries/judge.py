@@ -69,7 +69,8 @@ def _ordered(key: str, planted: dict, cause: dict) -> object:
     true = planted["parameters"][key]
     if not isinstance(true, dict):
         return true
-    return [true.get(name, np.zeros(3)) for name in cause["markers"] or cause["where"]]
+    nothing = np.zeros_like(next(iter(true.values())))
+    return [true.get(name, nothing) for name in cause["markers"] or cause["where"]]
 
 
 def _part(parameters: dict, name: str) -> dict:
