@@ -143,11 +143,14 @@ def _gains(
     u = torch.linalg.solve_triangular(L, left[..., None], upper=False)[..., 0]
     energy = 0.5 * u.square().sum(1)
     gain = energy - L.diagonal(dim1=1, dim2=2).log().sum(1)
-    if positive := [k for k, c in enumerate(some) if c.effect.parameters[0].positive]:
+    if positive := [k for k, c in enumerate(some) if c.effect.positives(c.place)]:
         # A parameter known to be positive has half the prior space: twice the density, and only its upper side counts.
-        first = torch.linalg.solve_triangular(L.mT, u[..., None], upper=True)[positive, 0, 0]
-        sd = torch.cholesky_inverse(L[positive])[:, 0, 0].sqrt()
-        gain[positive] += math.log(2.0) + torch.special.log_ndtr(first / sd)
+        # Of several, each for itself: exact where they are told apart.
+        mean = torch.linalg.solve_triangular(L.mT, u[..., None], upper=True)[positive, :, 0]
+        sd = torch.cholesky_inverse(L[positive]).diagonal(dim1=1, dim2=2).sqrt()
+        counts = mean.new_tensor([some[k].effect.positives(some[k].place) for k in positive])
+        counted = torch.arange(mean.shape[1]).to(mean) < counts[:, None]
+        gain[positive] += torch.where(counted, math.log(2.0) + torch.special.log_ndtr(mean / sd), 0.0).sum(1)
     # What is there in full or not at all has no other size to be averaged over.
-    whole = torch.tensor([c.effect.whole for c in some])
+    whole = torch.tensor([c.effect.whole for c in some], device=gain.device)
     return torch.stack([torch.where(whole, left[:, 0] - 0.5 * told[:, 0, 0], gain), energy])

@@ -117,6 +117,10 @@ class Effect(ABC):
         """How far cameras see markers from where the bodies carry them."""
         return None
 
+    def positives(self, place: Place) -> int:
+        """How many of the internal parameters, the first ones, are never negative."""
+        return int(self.parameters[0].positive)
+
     def part_of(self, own: Place, effect: "Effect", place: Place) -> Float[Tensor, "params own"] | None:
         """What its parameters at its own place add to those of another effect, where it is part of that."""
         return None

@@ -150,7 +150,7 @@ class SkinLag(MarkerEffect):
     bodily = True
     overall = True
     accelerated = True
-    parameters = (Parameter("shift_1g_m", 0.0025),)
+    parameters = (Parameter("shift_1g_m", 0.0025, positive=True),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         sight = views[0].sight
@@ -163,6 +163,9 @@ class SkinLag(MarkerEffect):
 
     def scale(self, place: Place) -> tuple[float, ...]:
         return super().scale(place) * len(place.where)
+
+    def positives(self, place: Place) -> int:
+        return self.size(place)
 
     def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid | None:
         soft = {k: shift for name, shift in zip(place.where, theta / GRAVITY, strict=True) for k in sight.on(name)}
