@@ -9,7 +9,7 @@ import torch
 from torchid.diagnosis import doubtful
 from torchid.diagnosis.anew import eliminated, told
 from torchid.diagnosis.design import Candidate, Design, Source
-from torchid.diagnosis.diagnose import trust
+from torchid.diagnosis.diagnose import trust, visible
 from torchid.diagnosis.doubtful import without_opposed
 from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import Search
@@ -69,6 +69,22 @@ def test_what_one_short_trial_tells_is_half_as_sure():
     alone, others = structure([short], [left]), (structure([short] * 2, [left] * 2), structure([short], [left], 1))
     assert alone.alone and not alone.significant and trust(alone) == 0.5 and "no other trial" in alone.description
     assert all(not one.alone and trust(one) == 1.0 and "too few seconds" in one.description for one in others)
+
+
+@pytest.mark.parametrize(
+    ("name", "where", "told"),
+    [
+        ("marker_shift", "LANK", True),
+        ("soft_tissue", "thigh_l", True),
+        ("filter_lag", "session", False),
+        ("skin_lag", "pelvis", False),
+        ("drag", "pelvis", False),
+    ],
+)
+def test_of_what_all_markers_do_only_forces_tell(name, where, told):
+    """A filter, or flesh that lags everywhere, makes another motion, and that is as good as any."""
+    one = found(torch.eye(3).double(), torch.ones(3).double()).chosen[0]
+    assert visible(replace(one, effect=effect(name), place=Place((where,)))) == told
 
 
 def test_what_shares_a_column_with_a_nuisance_adds_to_it():

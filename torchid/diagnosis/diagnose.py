@@ -19,6 +19,7 @@ from torchid.diagnosis.vibration import with_vibration
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
+from torchid.effects.session import SESSION
 from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
 from torchid.regressor.whitening import Whitening
@@ -109,12 +110,17 @@ def _trusted(found: Search, watched: Sequence[Watched], rest: Structure, causes:
         return list(causes)
     sure = [
         one.effect.kinematic and one.effect.bodily if rest.significant
-        else one.effect.kinematic if rest.alone
+        else visible(one) if rest.alone
         else one.effect.kinematic or one.effect.timed or stands_out(found, watched, k) > PLAIN
         for k, one in enumerate(found.chosen)
     ]  # fmt: skip
     both = zip(causes, sure, strict=True)
     return [c if plain else replace(c, confidence=trust(rest) * c.confidence, doubted=True) for c, plain in both]
+
+
+def visible(one: Candidate) -> bool:
+    """Markers alone tell it: where all of them do it, only forces disagree."""
+    return one.effect.kinematic and not one.effect.overall and one.place != SESSION
 
 
 def _nearest(scan: Round) -> tuple[Near, ...]:

@@ -25,8 +25,8 @@ wrong record: a hidden load of 4.8 kg, 103 nats against the recorded mass, was d
 
 SURELY = 3.0
 """Standard deviations below zero that refute one of several parameters that cannot be there. In a runner and in walks
-and squats no softness of 24 segments was below zero; in a child's walk that hardly stands on plates four of 15 were, by up
-to six."""
+and squats no softness of 24 segments was below zero; in a child's walk that hardly stands on plates four of 15 were,
+by up to six."""
 
 
 @dataclass(frozen=True)
