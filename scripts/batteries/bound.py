@@ -18,7 +18,6 @@ import torch
 from torch import Tensor
 
 from batteries.mujoco_session import draw_effect, simulate
-from batteries.sizes import SIZES
 from torchid.config import load_config
 from torchid.diagnosis.found import Search, estimate, internal
 from torchid.diagnosis.search import search
@@ -60,9 +59,10 @@ def told(name: str, seed: int, out: Path) -> str:
     if not said.chosen:
         return f"{name} {seed}: not found"
     lines, stated, bound = [], estimate(said, 0), known_else(said, 0)
-    for key in SIZES[name]:
-        true = np.asarray(hidden["parameters"][key], dtype=float)
-        size, parts = np.linalg.norm(true), (stated[key][1], bound[key])
+    for key in (key for key in bound if key in hidden["parameters"]):
+        true = hidden["parameters"][key]
+        whole = list(true.values()) if isinstance(true, dict) else true
+        size, parts = np.linalg.norm(np.ravel(whole)), (stated[key][1], bound[key])
         text = ", ".join(
             f"{what} {float(x.norm()) / size:.0%}" for what, x in zip(("stated", "at best"), parts, strict=True)
         )
