@@ -11,13 +11,16 @@ from torch.testing import assert_close
 from torchid.diagnosis.belief import belief
 from torchid.diagnosis.cameras import Cameras, _usual
 from torchid.diagnosis.design import Design, Terms
+from torchid.diagnosis.expected import energy, passed
 from torchid.diagnosis.noise import estimate_noise, initial_noise, summed, unforced, unseen_noise
 from torchid.diagnosis.shaken import regressor, shaken
 from torchid.diagnosis.spectral import Rows
 from torchid.diagnosis.sums import Prior
+from torchid.diagnosis.unexplained import structure
 from torchid.dynamics import wrench_about
 from torchid.effects.scene import make_scene
 from torchid.effects.sight import Sight
+from torchid.experiment.diagnosing import watch_outcome
 from torchid.filters import Smoother
 from torchid.geometry.trials import posture_prior
 from torchid.kinematics.plan import plan_tree
@@ -90,6 +93,28 @@ def test_noise_that_was_filtered_shakes_no_faster(rows, cameras):
     moved = [[drawn.q - rows.motion.q for drawn in shaken(rows.motion, c)] for c in (cameras, after)]
     fast, slow = (torch.stack([(x - Smoother(15.0, rows.rate)(x)).square().mean() for x in some]) for some in moved)
     assert float(slow.mean()) < 0.3 * float(fast.mean())
+
+
+def test_what_a_filter_leaves_of_white_noise_is_known(rows):
+    """The mean over draws is the filter's own sum of squares in each band."""
+    exact = energy(rows, rows.motion.smoother(torch.eye(len(rows.used)).to(rows.wrench)))[0].sum(1)
+    assert_close(passed(rows), exact, rtol=0.3, atol=1e-9)
+
+
+def test_noise_alone_is_as_unlikely_as_it_says():
+    """Of plates so loud that markers do not matter, residuals of noise are flagged as seldom as they should."""
+    generator = torch.Generator().manual_seed(small.SEED)
+    loud = torch.tensor([2e3, 2e3, 2e3, 3e3, 3e3, 1e2]).double()
+    watched = [replace(w, scatter=loud) for w in watch_outcome(small.outcome(), "fit").values()]
+    said = [structure(watched, [white(w.rows, loud, generator) for w in watched]) for _ in range(100)]
+    assert 2 <= sum(one.p_value < 0.2 for one in said) <= 30
+    assert sum(one.significant for one in said) <= 3
+
+
+def white(rows: WrenchTrial, scatter: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Filtered noise of plates."""
+    drawn = torch.randn(len(rows.used), 6, generator=generator, dtype=torch.float64)
+    return rows.motion.smoother(drawn * scatter)
 
 
 def test_noise_is_told_by_short_runs_of_fast_cameras():

@@ -45,6 +45,8 @@ class Energy:
     trial: str
     left: Float[Tensor, "kinds bands"]
     noise: Float[Tensor, "kinds bands"]
+    spread: Float[Tensor, "kinds bands"]
+    """Half the variance of the energy of such noise."""
     count: Float[Tensor, " bands"]
 
 
@@ -62,14 +64,15 @@ def structure(watched: Sequence[Watched], left: Sequence[Float[Tensor, "frames 6
     count = torch.stack([e.count for e in found]).sum(0)
     total = torch.stack([e.left for e in found]).sum(0)
     noise = torch.stack([e.noise for e in found]).sum(0)
+    freedom = noise.square() / torch.stack([e.spread for e in found]).sum(0)
     worst, tried = None, 0
     for k, kind in enumerate(KINDS):
         for b in range(len(count)):
-            n = 3.0 * float(count[b])
             if float(count[b]) < ENOUGH:
                 continue
             tried += 1
-            ratio = float(total[k, b] / noise[k, b])
+            # Of channels as loud as they are (Satterthwaite, Biometrics Bulletin 2 (1946)).
+            n, ratio = float(freedom[k, b]), float(total[k, b] / noise[k, b])
             p, share = float(scipy.stats.chi2.sf(n * ratio, n)), max(0.0, 1.0 - 1.0 / ratio)
             if worst is None or share > worst[1]:
                 worst = p, share, kind, b
@@ -100,7 +103,7 @@ def _described(found: Sequence[Energy], kind: str, b: int, share: float) -> str:
 
 
 def _energy(watched: Watched, noise: Expected, left: Float[Tensor, "frames 6"]) -> Energy:
-    own, chance = (
-        x.unflatten(1, (2, 3)).sum(2).T for x in (energy(watched.rows, left)[0], noise.motion + noise.plates)
-    )
-    return Energy(watched.rows.name, own, chance, noise.count)
+    chance = noise.motion + noise.plates
+    parts = energy(watched.rows, left)[0], chance, chance.square() / noise.count.clamp(min=1.0)[:, None]
+    own, expected, spread = (x.unflatten(1, (2, 3)).sum(2).T for x in parts)
+    return Energy(watched.rows.name, own, expected, spread, noise.count)
