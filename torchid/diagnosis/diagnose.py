@@ -63,14 +63,13 @@ def diagnose(
         geometry: with which the trials were followed.
     """
     found = search(watched, effects, inertia, omega, whitening, limit, geometry)
-    rest = _remains(found, watched, heldout)
-    if rest.significant:
-        found = without_negative(relevant(without_opposed(found), watched))
+    if _remains(found, watched, heldout).significant:
+        found = relevant(without_opposed(found), watched)
+    found = without_negative(found, last=True)
     unseen = HeldOut(found, watched, heldout)
     chosen, refuted = unseen.upheld(unseen.acting())
-    found = without_negative(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)))
-    if refuted or len(found.chosen) < len(chosen):
-        rest = _remains(found, watched, heldout)
+    found = without_negative(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)), last=True)
+    rest = _remains(found, watched, heldout)
     extended = unseen.judged(found.chosen)
     names = [w.rows.name for w in (*watched, *heldout)]
     causes = _trusted(found, watched, rest, _causes(found, unseen, extended, names))

@@ -112,22 +112,26 @@ def internal(found: Search, k: int) -> Float[Tensor, " params"]:
     return _told_by(found, k) @ found.fitted.mean
 
 
-def without_negative(found: Search) -> Search:
-    """No load and no spring is negative: one is there, not its like taken away."""
+def without_negative(found: Search, last: bool = False) -> Search:
+    """No load and no spring is negative: one is there, not its like taken away.
+
+    That one spring of many is negative says something at ``last`` only, when nothing else goes any more: forces that
+    pulled at a runner's arm and thorax, and were dropped later, had made his thorax one.
+    """
     for k, one in reversed(list(enumerate(found.chosen))):
-        if _negative(found, k):
+        if _negative(found, k, SURELY if last else math.inf):
             kept = tuple(without(found.chosen, one))
-            return without_negative(replace(found, chosen=kept, fitted=fit(found.sums, kept)))
+            return without_negative(replace(found, chosen=kept, fitted=fit(found.sums, kept)), last)
     return found
 
 
-def _negative(found: Search, k: int) -> bool:
-    """A parameter that is never negative is: surely, or all there are of them."""
+def _negative(found: Search, k: int, surely: float) -> bool:
+    """All parameters that are never negative are, or one is by that many standard deviations."""
     one, factor = found.chosen[k], _told_by(found, k)
     n = one.effect.positives(one.place)
     theta = (factor @ found.fitted.mean)[:n]
     sd = (factor @ found.fitted.covariance @ factor.T).diagonal()[:n].sqrt()
-    return n > 0 and bool((theta < 0.0).all() or (theta < -SURELY * sd).any())
+    return n > 0 and bool((theta < 0.0).all() or (theta < -surely * sd).any())
 
 
 def _told_by(found: Search, k: int) -> Float[Tensor, "params n"]:
