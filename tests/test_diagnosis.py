@@ -386,11 +386,12 @@ def test_noise_is_no_flesh_that_lags(tmp_path):
 def test_flesh_runs_behind_the_bone_and_never_ahead(tmp_path, sign):
     """The same markers ahead of an accelerated bone are no spring, however well it would explain them."""
     rng = np.random.default_rng([SEED, 10])
-    where = ("pelvis", *rng.choice(["thorax", "thigh_l", "thigh_r"], 2, replace=False).tolist())
-    shift = (sign * rng.uniform(0.006, 0.01, len(where))).tolist()
+    where = ("pelvis", "thorax", *(f"{part}_{side}" for part in ("upper_arm", "thigh", "shank") for side in "lr"))
+    shift = rng.uniform(0.001, 0.003, len(where))
+    shift[rng.choice(len(where), 3, replace=False)] = rng.uniform(0.006, 0.01, 3)
     options = SimulateOptions(
         fit=("squats", "trunk"), heldout=("hip_rom",), duration_s=8.0, skin_motion_mm=0.0,
-        effects=(PlantedOptions("skin_lag", where, None, {"shift_1g_m": shift}),),
+        effects=(PlantedOptions("skin_lag", where, None, {"shift_1g_m": (sign * shift).tolist()}),),
     )  # fmt: skip
     session = simulate_session(options, SEED, tmp_path)
     assert session.config is not None

@@ -11,8 +11,8 @@ from torchid.diagnosis.anew import eliminated, told
 from torchid.diagnosis.design import Candidate, Design, Source
 from torchid.diagnosis.diagnose import trust, visible
 from torchid.diagnosis.doubtful import without_opposed
-from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import Search
+from torchid.diagnosis.evidence import fit, gains
+from torchid.diagnosis.found import Search, without_negative
 from torchid.diagnosis.noise import initial_noise
 from torchid.diagnosis.sums import Prior, Sums
 from torchid.diagnosis.unexplained import structure
@@ -72,19 +72,55 @@ def test_what_one_short_trial_tells_is_half_as_sure():
 
 
 @pytest.mark.parametrize(
-    ("name", "where", "told"),
+    ("name", "where", "alone"),
     [
         ("marker_shift", "LANK", True),
         ("soft_tissue", "thigh_l", True),
         ("filter_lag", "session", False),
+        ("marker_scale", "session", False),
         ("skin_lag", "pelvis", False),
         ("drag", "pelvis", False),
     ],
 )
-def test_of_what_all_markers_do_only_forces_tell(name, where, told):
+def test_of_what_all_markers_do_only_forces_tell(name, where, alone):
     """A filter, or flesh that lags everywhere, makes another motion, and that is as good as any."""
     one = found(torch.eye(3).double(), torch.ones(3).double()).chosen[0]
-    assert visible(replace(one, effect=effect(name), place=Place((where,)))) == told
+    assert visible(replace(one, effect=effect(name), place=Place((where,)))) == alone
+
+
+@pytest.mark.parametrize(
+    ("softness", "kept"),
+    [((3.0, 2.0, -5.0), (True, False)), ((3.0, 2.0, -1.0), (True, True)), ((-1.0, -0.5, -0.2), (False, False))],
+)
+def test_a_negative_spring_is_none(softness, kept):
+    """All of them always; one of many, surely so, when nothing else goes any more."""
+    search = springs(torch.tensor(softness).double(), 1e6)
+    assert tuple(bool(without_negative(search, last).chosen) for last in (False, True)) == kept
+
+
+def test_springs_that_cannot_be_negative_have_the_evidence_of_half_a_prior():
+    """Each for itself: twice the normal prior on its upper side, by quadrature."""
+    size = torch.randn(3, generator=torch.Generator().manual_seed(small.SEED), dtype=torch.float64)
+    search = springs(size, 1.0)
+    theta = torch.linspace(0.0, 12.0, 20001).double()
+    weight = (2.0 / (2.0 * torch.pi) ** 0.5) * torch.exp(-0.5 * theta.square())
+    likelihood = torch.exp(size[:, None] * theta - 0.5 * theta.square())
+    exact = torch.trapezoid(weight * likelihood, theta).log().sum()
+    found = gains(search.sums, fit(search.sums), search.chosen)[0, 0]
+    torch.testing.assert_close(found, exact, rtol=1e-6, atol=1e-6)
+
+
+def springs(softness: torch.Tensor, scale: float) -> Search:
+    """Of three segments, each measured once with an error of one."""
+    flesh, at = effect("skin_lag"), Place(("pelvis", "thigh_l", "thigh_r"))
+    source = Source(flesh, at, slice(1, 4), (0.0,), flesh.scale(at))
+    columns = torch.cat([torch.zeros(4, 1), torch.eye(4, 3)], 1).double()
+    prior = Prior(torch.zeros(4).double(), torch.eye(1).double(), scale * torch.ones(3).double())
+    moment = columns.T @ torch.cat([softness, torch.zeros(1).double()])
+    raw = prior.standard(columns.T @ columns, moment, torch.arange(4))
+    chosen = (Candidate(flesh, at, source, frozenset({0})),)
+    sums, noise = Sums(1, 4, (raw,)), initial_noise(initial_whitening(columns), 1)
+    return Search(Design(1, 1, (source,), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
 
 
 def test_what_shares_a_column_with_a_nuisance_adds_to_it():

@@ -17,11 +17,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from batteries.judge import UNNAMED
 from batteries.mujoco_session import draw_effect, simulate
 from torchid.config import load_config
 from torchid.diagnosis.found import Search, estimate, internal
 from torchid.diagnosis.search import search
-from torchid.effects.catalogue import effect
+from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.experiment import run_experiment
 from torchid.experiment.diagnosing import watch_outcome
 
@@ -59,22 +60,24 @@ def told(name: str, seed: int, out: Path) -> str:
     if not said.chosen:
         return f"{name} {seed}: not found"
     lines, stated, bound = [], estimate(said, 0), known_else(said, 0)
-    for key in (key for key in bound if key in hidden["parameters"]):
+    for key in bound.keys() & hidden["parameters"].keys():
         true = hidden["parameters"][key]
         whole = list(true.values()) if isinstance(true, dict) else true
-        size, parts = np.linalg.norm(np.ravel(whole)), (stated[key][1], bound[key])
+        size = np.linalg.norm(np.ravel(whole) - (1.0 if key in UNNAMED else 0.0))
+        parts = stated[key][1], bound[key]
         text = ", ".join(
             f"{what} {float(x.norm()) / size:.0%}" for what, x in zip(("stated", "at best"), parts, strict=True)
         )
         each = " ".join(f"{x:.2g}" for x in bound[key].reshape(-1).tolist() if x > 0.0)
         lines.append(f"{name} {seed} {key}: size {size:.3g}; sd over size: {text}; parts at best: {each}")
-    return "\n".join(lines)
+    return "\n".join(sorted(lines)) or f"{name} {seed}: nothing of it has a size"
 
 
 def main() -> None:
     """Session by session."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--effects", nargs="+", default=["plate_pose", "plate_crosstalk"])
+    once = [name for name, one in CATALOGUE.items() if not one.anew]
+    parser.add_argument("--effects", nargs="+", choices=once, default=["plate_pose", "plate_crosstalk"])
     parser.add_argument("--each", type=int, default=4, help="sessions per effect")
     parser.add_argument("--first", type=int, default=int(time.time()) % 10**6, help="seed (default: the clock's)")
     parser.add_argument("--out", type=Path, default=Path("out/bound"))

@@ -64,8 +64,7 @@ def diagnose(
     """
     found = search(watched, effects, inertia, omega, whitening, limit, geometry)
     if _remains(found, watched, heldout).significant:
-        found = relevant(without_opposed(found), watched)
-    found = without_negative(found, last=True)
+        found = without_negative(relevant(without_opposed(found), watched))
     unseen = HeldOut(found, watched, heldout)
     chosen, refuted = unseen.upheld(unseen.acting())
     found = without_negative(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)), last=True)
@@ -118,7 +117,7 @@ def _trusted(found: Search, watched: Sequence[Watched], rest: Structure, causes:
 
 
 def visible(one: Candidate) -> bool:
-    """Markers alone tell it: where all of them do it, only forces disagree."""
+    """Markers alone tell it: where all of them do it, only forces disagree, and in one short trial nothing agrees."""
     return one.effect.kinematic and not one.effect.overall and one.place != SESSION
 
 

@@ -126,7 +126,7 @@ def without_negative(found: Search, last: bool = False) -> Search:
 
 
 def _negative(found: Search, k: int, surely: float) -> bool:
-    """All parameters that are never negative are, or one is by that many standard deviations."""
+    """Whether all parameters that cannot be negative are, or one of them is by that many standard deviations."""
     one, factor = found.chosen[k], _told_by(found, k)
     n = one.effect.positives(one.place)
     theta = (factor @ found.fitted.mean)[:n]

@@ -21,6 +21,8 @@ Below, fits to other people's models and slightly coloured noise go as far."""
 P_VALUE = 0.01
 ENOUGH = 30
 """Coefficients below which a band tells nothing."""
+LEAST = 1e-150
+"""Energy that noise has at least; its square is a number still."""
 KINDS = ("force", "moment")
 
 
@@ -103,7 +105,7 @@ def _described(found: Sequence[Energy], kind: str, b: int, share: float) -> str:
 
 
 def _energy(watched: Watched, noise: Expected, left: Float[Tensor, "frames 6"]) -> Energy:
-    chance = noise.motion + noise.plates
+    chance = (noise.motion + noise.plates).clamp(min=LEAST)
     parts = energy(watched.rows, left)[0], chance, chance.square() / noise.count.clamp(min=1.0)[:, None]
     own, expected, spread = (x.unflatten(1, (2, 3)).sum(2).T for x in parts)
     return Energy(watched.rows.name, own, expected, spread, noise.count)

@@ -119,7 +119,7 @@ class Effect(ABC):
 
     def positives(self, place: Place) -> int:
         """How many of the internal parameters, the first ones, are never negative."""
-        return int(self.parameters[0].positive)
+        return self.parameters[0].size if self.parameters[0].positive else 0
 
     def part_of(self, own: Place, effect: "Effect", place: Place) -> Float[Tensor, "params own"] | None:
         """What its parameters at its own place add to those of another effect, where it is part of that."""
