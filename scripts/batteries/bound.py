@@ -1,11 +1,11 @@
-"""How well an effect's size can be known at all: with body, geometry and everything else given.
+"""How well forces could tell an effect's size: with body, geometry and everything else given.
 
     PYTHONPATH=.:scripts python -m batteries.bound --effects plate_pose plate_crosstalk --each 4
 
 For sessions of the MuJoCo simulator that hide the effect at medium size: the size of each parameter, and standard
 deviations of its parts, as stated with everything else unknown, and if all else were known (the inverse of the
-effect's own block of the posterior's precision). What exceeds a quarter of the size even so, no method that believes as
-much beforehand tells from these recordings.
+effect's own block of the posterior's precision). What exceeds a quarter of the size even so is not in the columns that
+the diagnosis has; other evidence, such as feet that stand on a plate and show its height, is left out.
 """
 
 import argparse

@@ -24,9 +24,9 @@ CHANCE, PART = 1.0, 0.1
 wrong record: a hidden load of 4.8 kg, 103 nats against the recorded mass, was dropped for 1.7 nats."""
 
 SURELY = 3.0
-"""Standard deviations below zero that refute one of several parameters that cannot be there. In a runner and in walks
-and squats no softness of 24 segments was below zero; in a child's walk that hardly stands on plates four of 15 were,
-by up to six."""
+"""Standard deviations below zero that refute one of several parameters that cannot be there. Set with three
+recordings seen: in a runner and in walks and squats no softness of 24 segments is below zero by more than two; in a
+child's walk that hardly stands on plates, two of 15 were by more than three, one by six."""
 
 
 @dataclass(frozen=True)

@@ -189,8 +189,11 @@ def _skin(cause: Cause) -> str:
 def _lag(cause: Cause) -> str:
     value, sd = of(cause, "shift_1g_m")
     most, least = int(value.argmax()), int(value.argmin())
+    # A softness is never negative: what is none within its error is no size to read.
     ends = [
-        f"{stated(value[k], sd[k], 'mm', 1e3)} on the {segment(cause.where[k])}" for k in dict.fromkeys((most, least))
+        (stated(value[k], sd[k], "mm", 1e3) if value[k] > 2.0 * sd[k] else "hardly anything")
+        + f" on the {segment(cause.where[k])}"
+        for k in dict.fromkeys((most, least))
     ]
     said = listing(ends)
     return f"the flesh under the markers gives way: where a segment is accelerated by 1 g they stay behind, by {said}"
