@@ -12,6 +12,9 @@ from torchid.diagnosis.idle import IdleSums
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
 
+LOOSE = 100.0
+"""Times its prior."""
+
 
 @dataclass(frozen=True)
 class Source:
@@ -62,6 +65,12 @@ class Candidate:
         """Prior standard deviations against those of the source."""
         own = torch.tensor(self.effect.scale(self.place), dtype=torch.float64)
         return own / torch.tensor(self.source.scale, dtype=torch.float64)
+
+    @property
+    def loose(self) -> "Candidate":
+        """With hardly a prior: it takes away what it can."""
+        scale = tuple(s / LOOSE for s in self.source.scale)
+        return replace(self, source=replace(self.source, scale=scale))
 
 
 @dataclass(frozen=True)

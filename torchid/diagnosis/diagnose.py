@@ -146,7 +146,7 @@ def _cause(found: Search, k: int, scan: Round, gain: dict[str, float], names: Se
     best = next(r for r in scan.rivals if _same(r.candidate, one))
     grouped: dict[tuple[str, tuple[str, ...]], list[float]] = {}
     for rival, w in zip(scan.rivals, weight, strict=True):
-        near = rival.score > best.score - ALIKE
+        near = rival.alike > best.alike - ALIKE
         entry = grouped.setdefault((rival.candidate.effect.name, rival.candidate.place.where), [0.0, 0.0])
         entry[0] += w
         entry[1] = max(entry[1], float(near))
@@ -165,7 +165,7 @@ def _cause(found: Search, k: int, scan: Round, gain: dict[str, float], names: Se
 
 def _weights(scan: Round) -> list[float]:
     """Posterior probabilities of all rivals and, implied, of none: families alike, places by their odds."""
-    log = torch.tensor([r.weighed for r in scan.rivals], dtype=torch.float64) - math.log(len(scan.families))
+    log = torch.tensor([r.likely for r in scan.rivals], dtype=torch.float64) - math.log(len(scan.families))
     return torch.softmax(torch.cat([log, torch.zeros(1, dtype=torch.float64)]), 0)[:-1].tolist()
 
 

@@ -18,6 +18,9 @@ from torch import Tensor
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.sums import Raw, Sums, blocks_of
 
+SCALES = (1.0, 0.25, 0.0625)
+"""Of a prior, against that of what is named: from large effects to those that are only just seen."""
+
 
 @dataclass(frozen=True)
 class Fitted:
@@ -98,6 +101,16 @@ def gains(sums: Sums, base: Fitted, candidates: Sequence[Candidate]) -> Float[Te
     return found
 
 
+def unsized(sums: Sums, base: Fitted, candidates: Sequence[Candidate]) -> Float[Tensor, " candidates"]:
+    """The same evidence where not even the order of magnitude of a size is known: the mean over ``SCALES``."""
+    found = base.factor.new_zeros(len(candidates))
+    for rows, told, left in informed(sums, base, candidates):
+        some = [candidates[k] for k in rows]
+        each = torch.stack([_gains(told, left, some, scale)[0] for scale in SCALES])
+        found[rows] = torch.logsumexp(each, 0) - math.log(len(SCALES))
+    return found
+
+
 def informed(
     sums: Sums, base: Fitted, candidates: Sequence[Candidate]
 ) -> Iterator[tuple[list[int], Float[Tensor, "some n n"], Float[Tensor, "some n"]]]:
@@ -137,10 +150,10 @@ def _informed(
 
 
 def _gains(
-    told: Float[Tensor, "some n n"], left: Float[Tensor, "some n"], some: Sequence[Candidate]
+    told: Float[Tensor, "some n n"], left: Float[Tensor, "some n"], some: Sequence[Candidate], scale: float = 1.0
 ) -> Float[Tensor, "2 some"]:
-    L = torch.linalg.cholesky(told + torch.eye(told.shape[1]).to(told))
-    u = torch.linalg.solve_triangular(L, left[..., None], upper=False)[..., 0]
+    L = torch.linalg.cholesky(scale**2 * told + torch.eye(told.shape[1]).to(told))
+    u = torch.linalg.solve_triangular(L, scale * left[..., None], upper=False)[..., 0]
     energy = 0.5 * u.square().sum(1)
     gain = energy - L.diagonal(dim1=1, dim2=2).log().sum(1)
     if positive := [k for k, c in enumerate(some) if c.effect.positives(c.place)]:

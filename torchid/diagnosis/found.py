@@ -18,7 +18,7 @@ NAMED = 2.5
 """Nats that name an effect: odds of 12 to one. In sessions that hide nothing
 ``scripts/battery`` prints the best score that any effect had: 2.0 in 62."""
 ALIKE = 3.0
-"""Nats within which a rival cannot be told apart."""
+"""Nats within which a rival cannot be told apart, see ``Rival.alike``."""
 CHANCE, PART = 1.0, 0.1
 """Nats, or part of the evidence, by which trials may be predicted worse for a cause that they say nothing of, such as a
 wrong record: a hidden load of 4.8 kg, 103 nats against the recorded mass, was dropped for 1.7 nats."""
@@ -42,6 +42,10 @@ class Rival:
     """Half the whitened energy that it takes away, less what as many columns of no meaning would [nat]."""
     ordinary: float = 0.0
     """Log evidence of what all places have some of, over nothing; at least zero [nat]."""
+    unsized: float = 0.0
+    """Log evidence more than that where not even the order of magnitude of its size is known [nat]."""
+    beside: float = 0.0
+    """Of that, with the odds of the place, what it adds even beside the best of any size; at least zero [nat]."""
 
     @property
     def score(self) -> float:
@@ -57,6 +61,20 @@ class Rival:
     def weighed(self) -> float:
         """The score with the odds of the place."""
         return self.score + math.log(self.candidate.odds)
+
+    @property
+    def alike(self) -> float:
+        """The score of what it would stand for if the best was not there, whatever the order of magnitude of its size.
+
+        The width of a prior names no cause: a pull of 2 N at the pelvis explained as much as a tilt of gravity did, and
+        its prior of 20 N alone had made the tilt 0.99 certain. Nor does what else is there make a name doubtful.
+        """
+        return self.score + self.unsized - self.beside
+
+    @property
+    def likely(self) -> float:
+        """That with the odds of the place."""
+        return self.alike + math.log(self.candidate.odds)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.design import Candidate
-from torchid.diagnosis.evidence import Fitted, fit, gains, informed
+from torchid.diagnosis.evidence import Fitted, fit, gains, informed, unsized
 from torchid.diagnosis.found import Rival, Round
 from torchid.diagnosis.ordinary import ordinary
 from torchid.diagnosis.sums import Sums
@@ -36,7 +36,8 @@ class Scanned:
         rivals = sorted(rivals, key=lambda rival: -rival.weighed)
         names = dict.fromkeys(one.candidate.effect.name for one in self.rivals)
         families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
-        return Round(tuple(rivals), families)
+        found = Round(tuple(rivals), families)
+        return found if found.named is None else replace(found, rivals=_compared(self.sums, self.chosen, found))
 
 
 def scan_all(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> Scanned:
@@ -64,6 +65,20 @@ def _ordinary(sums: Sums, fitted: Fitted, left: Sequence[Candidate]) -> list[flo
         for k, x in zip((which[k] for rows, _, _ in seen for k in rows), usual.tolist(), strict=True):
             found[k] = x
     return found
+
+
+def _compared(sums: Sums, chosen: Sequence[Candidate], found: Round) -> tuple[Rival, ...]:
+    """Those whose evidence could come near that of the best, were they of another size, as its rivals."""
+    best, rivals = found.rivals[0], list(found.rivals)
+    which = [k for k, r in enumerate(rivals) if r.explained + 0.5 * r.candidate.size > best.weighed - OUT_OF_SIGHT]
+    some = [rivals[k].candidate for k in which]
+    own = unsized(sums, fit(sums, chosen), some).tolist()
+    less, others = eliminated(sums, [*chosen, best.candidate.loose])
+    more = unsized(less, fit(less, others), some).tolist()
+    for k, evidence, left in zip(which, own, more, strict=True):
+        beside = left + math.log(rivals[k].candidate.odds) - math.log(len(found.families))
+        rivals[k] = replace(rivals[k], unsized=evidence - rivals[k].evidence, beside=max(beside, 0.0))
+    return tuple(rivals)
 
 
 def _consented(sums: Sums, chosen: Sequence[Candidate], rivals: Sequence[Rival]) -> list[Rival]:
