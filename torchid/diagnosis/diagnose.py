@@ -113,7 +113,17 @@ def _trusted(found: Search, watched: Sequence[Watched], rest: Structure, causes:
         for k, one in enumerate(found.chosen)
     ]  # fmt: skip
     both = zip(causes, sure, strict=True)
-    return [c if plain else replace(c, confidence=trust(rest) * c.confidence, doubted=True) for c, plain in both]
+    return [c if plain else _doubted(c, trust(rest)) for c, plain in both]
+
+
+def _doubted(cause: Cause, trusted: float) -> Cause:
+    """With its rivals, which the same forces told."""
+    alternatives, twins = (
+        tuple(replace(a, confidence=trusted * a.confidence) for a in some)
+        for some in (cause.alternatives, cause.indistinguishable)
+    )
+    confidence = trusted * cause.confidence
+    return replace(cause, confidence=confidence, alternatives=alternatives, indistinguishable=twins, doubted=True)
 
 
 def visible(one: Candidate) -> bool:

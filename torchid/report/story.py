@@ -54,7 +54,8 @@ def surely(cause: Cause) -> str:
         said.append("The confidence is lowered by what remains unexplained or cannot be told, see below")
     for twin in cause.indistinguishable:
         record = tell_apart(cause.effect, twin.effect)
-        said.append(f"Cannot be told apart here from {called(twin)}; to tell them apart, record {record}")
+        part = f"That includes {called(twin)} ({chance(twin.confidence)}), which cannot be told apart here"
+        said.append(f"{part}; to tell them apart, record {record}")
     return ". ".join(said) + "."
 
 
