@@ -1,32 +1,41 @@
 """Rivals of a cause: what could stand for it, and what could not."""
 
+import math
+from dataclasses import replace
+
 import pytest
 import torch
+from test_doubtful import found as searched
 
 from torchid.diagnosis.design import Candidate, Source
-from torchid.diagnosis.found import ALIKE, NAMED, Rival
+from torchid.diagnosis.diagnose import cause_of
+from torchid.diagnosis.found import ALIKE, NAMED, Rival, Round
 from torchid.diagnosis.scan import scan_all
 from torchid.diagnosis.sums import Prior, Sums
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
+from torchid.effects.session import SESSION
 
 TRIALS = 2
 
 
-def scanned(columns: torch.Tensor, rows: torch.Tensor, widths: list[float]) -> dict[str, Rival]:
-    """Drags, each with a column and the width of its prior, fitted to trials of the same rows."""
-    drag, n = effect("drag"), columns.shape[1]
+def scanned(columns: torch.Tensor, rows: torch.Tensor, widths: list[float], name: str = "drag") -> Round:
+    """An effect at one place after the other, with priors of these widths, fitted to trials of the same rows."""
+    own, n = effect(name), columns.shape[1]
+    size = n // len(widths)
     some = []
     for k, width in enumerate(widths):
-        place = Place((f"segment {k}",))
-        scale = tuple(s / width for s in drag.scale(place))
-        some.append(
-            Candidate(drag, place, Source(drag, place, slice(k, k + 1), (0.0,), scale), frozenset(range(TRIALS)))
-        )
+        place = Place((f"place {k}",))
+        source = Source(own, place, slice(size * k, size * (k + 1)), (0.0,) * size, own.scale(place))
+        some.append(Candidate(own, place, source, frozenset(range(TRIALS)), widened=width))
     prior = Prior(torch.zeros(n).double(), torch.eye(0).double(), torch.ones(n).double())
     raw = prior.standard(columns.T @ columns, columns.T @ rows, torch.arange(n))
-    found = scan_all(Sums(0, n, (raw,) * TRIALS), some, ()).round
-    return {r.candidate.place.where[0]: r for r in found.rivals}
+    return scan_all(Sums(0, n, (raw,) * TRIALS), some, ()).round
+
+
+def by_place(rivals: tuple[Rival, ...]) -> list[Rival]:
+    """Not the best first."""
+    return sorted(rivals, key=lambda rival: rival.candidate.place.where)
 
 
 def apart(seed: int, n: int) -> torch.Tensor:
@@ -39,20 +48,76 @@ def apart(seed: int, n: int) -> torch.Tensor:
 def test_the_width_of_a_prior_names_no_cause(size):
     """Of two that explain alike, the evidence prefers that of the narrow prior; nobody may be sure of it."""
     column, noise = apart(3, 2).T
-    rivals = scanned(torch.stack([column, column], 1), size * column + 0.01 * noise, [1.0, 16.0])
-    narrow, wide = rivals["segment 0"], rivals["segment 1"]
+    round_ = scanned(torch.stack([column, column], 1), size * column + 0.01 * noise, [1.0, 16.0])
+    narrow, wide = by_place(round_.rivals)
     assert narrow.score - wide.score > 2.0
-    assert abs(narrow.alike - wide.alike) < 1.0
+    narrow, wide = by_place(round_.compared)
+    assert abs(narrow.alike - wide.alike) < 1.0 and abs(narrow.likely(1) - wide.likely(1)) < 1.0
 
 
 @pytest.mark.parametrize("alike", [True, False])
 def test_what_is_there_too_makes_no_name_doubtful(alike):
     """Two that are both there explain as much as each other, and neither can stand for the other."""
     one, other, _ = apart(4, 3).T
-    near = one + 0.02 * other
-    rivals = scanned(
-        torch.stack([one, near if alike else other], 1), one + (near if alike else 0.998 * other), [1.0, 1.0]
-    )
-    best, second = rivals["segment 0"], rivals["segment 1"]
-    assert min(best.score, second.score) > NAMED and abs(best.score - second.score) < ALIKE
-    assert (second.alike > best.alike - ALIKE) == alike
+    second = one + 0.02 * other if alike else other
+    round_ = scanned(torch.stack([one, second], 1), one + 0.998 * second, [1.0, 1.0])
+    assert min(r.score for r in round_.rivals) > NAMED
+    best, rival = by_place(round_.compared)
+    assert (abs(rival.alike - best.alike) < ALIKE) == alike
+    assert (rival.likely(1) > best.likely(1) - ALIKE) == alike
+
+
+def test_what_is_strewn_keeps_its_prior():
+    """Of a marker that was moved, what is small is ordinary: it earns nothing by being small."""
+    columns = apart(5, 9)
+    round_ = scanned(columns, columns @ torch.tensor([1.0, 0.5, 0.2] + [0.05] * 6).double(), [1.0] * 3, "marker_shift")
+    assert round_.named is not None and round_.compared == round_.rivals
+
+
+def test_a_rival_counts_as_unlikely_as_its_place_is():
+    """What it adds beside the best counts where it would be believed."""
+    candidate = searched(torch.eye(3).double(), torch.ones(3).double()).chosen[0]
+    rival = Rival(replace(candidate, odds=1e-3), 11.0, 11.0, 11.0, beside=10.0)
+    odds = math.log(1e-3 / 26)
+    assert rival.alike == pytest.approx(1.0) and rival.likely(26) == pytest.approx(11.0 + odds)
+    assert replace(rival, beside=20.0).likely(26) == pytest.approx(-9.0)
+
+
+def session_search():
+    """Three effects, two of them of the session."""
+    search = searched(torch.eye(3).double(), torch.ones(3).double())
+    names = ("drag", "time_offset", "marker_scale")
+    pairs = zip(search.chosen, names, strict=True)
+    own = [replace(c, effect=effect(n), place=c.place if n == "drag" else SESSION) for c, n in pairs]
+    return replace(search, chosen=tuple(own))
+
+
+def round_of(*rivals: tuple[Candidate, float, float]) -> Round:
+    """Candidates with their scores by which they are named, and those by which they are told apart."""
+    strict = tuple(Rival(c, x, x, x) for c, x, _ in rivals)
+    return Round(strict, {r.candidate.effect.name: 9.0 for r in strict}, tuple(Rival(c, y, y, y) for c, _, y in rivals))
+
+
+@pytest.mark.parametrize(("lead", "twin"), [(-1.0, True), (2.0, True), (6.0, False), (-6.0, False)])
+def test_a_rival_that_is_likelier_by_far_is_no_twin(lead, twin):
+    """The wrong name must not borrow the confidence of the right one."""
+    search = session_search()
+    drag, clock, _ = search.chosen
+    said = cause_of(search, 0, [round_of((drag, 12.0, 12.0), (clock, 11.0, 12.0 + lead))], {}, ("a", "b"))
+    own = 1.0 / (1.0 + math.exp(lead))
+    assert [t.effect for t in said.indistinguishable] == ["time_offset"] * twin
+    assert said.confidence == pytest.approx(1.0 if twin else own, abs=1e-3)
+    assert said.scaled(0.5).confidence == pytest.approx(0.5 * said.confidence)
+    assert [t.confidence for t in said.scaled(0.5).indistinguishable] == [
+        0.5 * t.confidence for t in said.indistinguishable
+    ]
+
+
+def test_causes_of_the_session_are_not_taken_for_each_other():
+    """They share their place: each has the rivals of its own round."""
+    search = session_search()
+    _, clock, scale = search.chosen
+    rounds = [round_of((clock, 30.0, 30.0), (scale, 10.0, 10.0)), round_of((scale, 12.0, 12.0))]
+    said = cause_of(search, 2, rounds, {}, ("a", "b"))
+    assert said.effect == "marker_scale" and said.confidence == pytest.approx(1.0, abs=1e-3)
+    assert not said.indistinguishable

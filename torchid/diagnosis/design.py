@@ -12,9 +12,6 @@ from torchid.diagnosis.idle import IdleSums
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
 
-LOOSE = 100.0
-"""Times its prior."""
-
 
 @dataclass(frozen=True)
 class Source:
@@ -44,6 +41,8 @@ class Candidate:
     """Of the place among all places of the effect."""
     proposed: Place | None = None
     """Before the ends of its interval were moved."""
+    widened: float = 1.0
+    """Times the prior of the effect."""
 
     @property
     def blocks(self) -> tuple[frozenset[int], ...]:
@@ -64,13 +63,7 @@ class Candidate:
     def relative(self) -> Float[Tensor, " columns"]:
         """Prior standard deviations against those of the source."""
         own = torch.tensor(self.effect.scale(self.place), dtype=torch.float64)
-        return own / torch.tensor(self.source.scale, dtype=torch.float64)
-
-    @property
-    def loose(self) -> "Candidate":
-        """With hardly a prior: it takes away what it can."""
-        scale = tuple(s / LOOSE for s in self.source.scale)
-        return replace(self, source=replace(self.source, scale=scale))
+        return self.widened * own / torch.tensor(self.source.scale, dtype=torch.float64)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """From a search to a verdict: what is kept of it, how sure, and what it gains on motion that was not used."""
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
@@ -113,17 +112,7 @@ def _trusted(found: Search, watched: Sequence[Watched], rest: Structure, causes:
         for k, one in enumerate(found.chosen)
     ]  # fmt: skip
     both = zip(causes, sure, strict=True)
-    return [c if plain else _doubted(c, trust(rest)) for c, plain in both]
-
-
-def _doubted(cause: Cause, trusted: float) -> Cause:
-    """With its rivals, which the same forces told."""
-    alternatives, twins = (
-        tuple(replace(a, confidence=trusted * a.confidence) for a in some)
-        for some in (cause.alternatives, cause.indistinguishable)
-    )
-    confidence = trusted * cause.confidence
-    return replace(cause, confidence=confidence, alternatives=alternatives, indistinguishable=twins, doubted=True)
+    return [c if plain else replace(c.scaled(trust(rest)), doubted=True) for c, plain in both]
 
 
 def visible(one: Candidate) -> bool:
@@ -139,24 +128,25 @@ def _nearest(scan: Round) -> tuple[Near, ...]:
 
 
 def _same(scanned: Candidate, one: Candidate) -> bool:
-    return scanned.place is (one.proposed or one.place)
+    return scanned.effect.name == one.effect.name and scanned.place is (one.proposed or one.place)
 
 
 def _causes(found: Search, unseen: HeldOut, extended: Judged, names: Sequence[str]) -> Iterator[Cause]:
     """The chosen effects, each with what it gains on top of the others."""
     for k, one in enumerate(found.chosen):
-        scan = next(r for r in found.rounds if r.rivals and _same(r.rivals[0].candidate, one))
         gain = extended.over(unseen.judged(without(found.chosen, one)))
-        yield _cause(found, k, scan, gain, names)
+        yield cause_of(found, k, found.rounds, gain, names)
 
 
-def _cause(found: Search, k: int, scan: Round, gain: dict[str, float], names: Sequence[str]) -> Cause:
+def cause_of(found: Search, k: int, rounds: Sequence[Round], gain: dict[str, float], names: Sequence[str]) -> Cause:
+    """The k-th of the chosen effects, against the rivals of the round that named it."""
     one = found.chosen[k]
+    scan = next(r for r in rounds if r.rivals and _same(r.rivals[0].candidate, one))
     weight = _weights(scan)
-    best = next(r for r in scan.rivals if _same(r.candidate, one))
+    best = next(r for r in scan.compared if _same(r.candidate, one))
     grouped: dict[tuple[str, tuple[str, ...]], list[float]] = {}
-    for rival, w in zip(scan.rivals, weight, strict=True):
-        near = rival.alike > best.alike - ALIKE
+    for rival, w in zip(scan.compared, weight, strict=True):
+        near = abs(rival.alike - best.alike) < ALIKE
         entry = grouped.setdefault((rival.candidate.effect.name, rival.candidate.place.where), [0.0, 0.0])
         entry[0] += w
         entry[1] = max(entry[1], float(near))
@@ -175,7 +165,7 @@ def _cause(found: Search, k: int, scan: Round, gain: dict[str, float], names: Se
 
 def _weights(scan: Round) -> list[float]:
     """Posterior probabilities of all rivals and, implied, of none: families alike, places by their odds."""
-    log = torch.tensor([r.likely for r in scan.rivals], dtype=torch.float64) - math.log(len(scan.families))
+    log = torch.tensor([r.likely(len(scan.families)) for r in scan.compared], dtype=torch.float64)
     return torch.softmax(torch.cat([log, torch.zeros(1, dtype=torch.float64)]), 0)[:-1].tolist()
 
 

@@ -18,8 +18,8 @@ from torch import Tensor
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.sums import Raw, Sums, blocks_of
 
-SCALES = (1.0, 0.25, 0.0625)
-"""Of a prior, against that of what is named: from large effects to those that are only just seen."""
+SMALLER = (1.0, 0.25, 0.0625)
+"""Widths of priors against those by which effects are named, which are those of large ones."""
 
 
 @dataclass(frozen=True)
@@ -102,12 +102,12 @@ def gains(sums: Sums, base: Fitted, candidates: Sequence[Candidate]) -> Float[Te
 
 
 def unsized(sums: Sums, base: Fitted, candidates: Sequence[Candidate]) -> Float[Tensor, " candidates"]:
-    """The same evidence where not even the order of magnitude of a size is known: the mean over ``SCALES``."""
+    """The same where not even the order of magnitude of a size is known: the mean over ``SMALLER``."""
     found = base.factor.new_zeros(len(candidates))
     for rows, told, left in informed(sums, base, candidates):
         some = [candidates[k] for k in rows]
-        each = torch.stack([_gains(told, left, some, scale)[0] for scale in SCALES])
-        found[rows] = torch.logsumexp(each, 0) - math.log(len(SCALES))
+        each = torch.stack([_gains(told, left, some, scale)[0] for scale in SMALLER])
+        found[rows] = torch.logsumexp(each, 0) - math.log(len(SMALLER))
     return found
 
 

@@ -42,10 +42,8 @@ class Rival:
     """Half the whitened energy that it takes away, less what as many columns of no meaning would [nat]."""
     ordinary: float = 0.0
     """Log evidence of what all places have some of, over nothing; at least zero [nat]."""
-    unsized: float = 0.0
-    """Log evidence more than that where not even the order of magnitude of its size is known [nat]."""
     beside: float = 0.0
-    """Of that, with the odds of the place, what it adds even beside the best of any size; at least zero [nat]."""
+    """Log evidence that it adds even beside the best, however large that may be; none if negative [nat]."""
 
     @property
     def score(self) -> float:
@@ -64,17 +62,13 @@ class Rival:
 
     @property
     def alike(self) -> float:
-        """The score of what it would stand for if the best was not there, whatever the order of magnitude of its size.
+        """The score of standing for the best, not beside it."""
+        return self.score - max(self.beside, 0.0)
 
-        The width of a prior names no cause: a pull of 2 N at the pelvis explained as much as a tilt of gravity did, and
-        its prior of 20 N alone had made the tilt 0.99 certain. Nor does what else is there make a name doubtful.
-        """
-        return self.score + self.unsized - self.beside
-
-    @property
-    def likely(self) -> float:
-        """That with the odds of the place."""
-        return self.alike + math.log(self.candidate.odds)
+    def likely(self, families: int) -> float:
+        """Log odds that it is there in place of the best; what is there too makes no name doubtful."""
+        odds = math.log(self.candidate.odds / families)
+        return odds + self.score - max(odds + self.beside, 0.0)
 
 
 @dataclass(frozen=True)
@@ -84,6 +78,12 @@ class Round:
     rivals: tuple[Rival, ...]
     families: dict[str, float]
     """Score of each effect, averaged over its places: what was searched is paid for."""
+    compared: tuple[Rival, ...] = ()
+    """The same rivals where none is known to be large, against the best.
+
+    The width of a prior names no cause: a pull of 2 N at the pelvis explained as much as a tilt of gravity did, and its
+    prior of 20 N alone had made the tilt 0.99 certain.
+    """
 
     @property
     def named(self) -> Rival | None:

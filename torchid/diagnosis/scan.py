@@ -1,7 +1,7 @@
 """One scan of the catalogue: what each candidate would add, with the consent of every trial."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,6 +18,9 @@ from torchid.diagnosis.sums import Sums
 
 OUT_OF_SIGHT = 10.0
 """Nats behind the best at which nothing matters to it."""
+LOOSE = 100.0
+"""Times its prior, with which the best takes away all that it can: a body's recorded mass was wrong by six of its
+standard deviations, and part of that was left to the gain of all plates."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Scanned:
         names = dict.fromkeys(one.candidate.effect.name for one in self.rivals)
         families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
         found = Round(tuple(rivals), families)
-        return found if found.named is None else replace(found, rivals=_compared(self.sums, self.chosen, found))
+        return found if found.named is None else replace(found, compared=_compared(self.sums, self.chosen, found))
 
 
 def scan_all(sums: Sums, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> Scanned:
@@ -68,16 +71,22 @@ def _ordinary(sums: Sums, fitted: Fitted, left: Sequence[Candidate]) -> list[flo
 
 
 def _compared(sums: Sums, chosen: Sequence[Candidate], found: Round) -> tuple[Rival, ...]:
-    """Those whose evidence could come near that of the best, were they of another size, as its rivals."""
+    """Rivals of any smaller size that could come near the best by what they explain.
+
+    What is strewn is judged by what is ordinary, which is small: its own prior stays.
+    """
     best, rivals = found.rivals[0], list(found.rivals)
-    which = [k for k, r in enumerate(rivals) if r.explained + 0.5 * r.candidate.size > best.weighed - OUT_OF_SIGHT]
+    least = best.weighed - OUT_OF_SIGHT
+    near = [k for k, r in enumerate(rivals) if r.explained + 0.5 * r.candidate.size > least]
+    which = [k for k in near if not rivals[k].candidate.effect.strewn]
     some = [rivals[k].candidate for k in which]
-    own = unsized(sums, fit(sums, chosen), some).tolist()
-    less, others = eliminated(sums, [*chosen, best.candidate.loose])
-    more = unsized(less, fit(less, others), some).tolist()
-    for k, evidence, left in zip(which, own, more, strict=True):
-        beside = left + math.log(rivals[k].candidate.odds) - math.log(len(found.families))
-        rivals[k] = replace(rivals[k], unsized=evidence - rivals[k].evidence, beside=max(beside, 0.0))
+    evidence = unsized(sums, fit(sums, chosen), some)
+    base = [fit(sums, chosen, sums.all - {k}) for k in sums.all]
+    crossed = _crossed(base, evidence, lambda without: unsized(sums, without, some)) if len(base) > 1 else evidence
+    less, others = eliminated(sums, [*chosen, replace(best.candidate, widened=LOOSE)])
+    beside = unsized(less, fit(less, others), some)
+    for k, *own in zip(which, evidence.tolist(), crossed.tolist(), beside.tolist(), strict=True):
+        rivals[k] = replace(rivals[k], evidence=own[0], crossed=own[1], beside=own[2])
     return tuple(rivals)
 
 
@@ -90,20 +99,22 @@ def _consented(sums: Sums, chosen: Sequence[Candidate], rivals: Sequence[Rival])
     while waiting and (top := max(r.weighed for r in waiting)) > best - OUT_OF_SIGHT:
         fresh = [r for r in waiting if r.weighed >= top - OUT_OF_SIGHT]
         waiting = [r for r in waiting if r.weighed < top - OUT_OF_SIGHT]
-        crossed = _crossed(sums, base, fresh).tolist()
+        whole = torch.tensor([r.evidence for r in fresh]).to(sums.trials[0].moment)
+        own = [r.candidate for r in fresh]
+        crossed = _crossed(base, whole, lambda without, own=own: gains(sums, without, own)[0]).tolist()
         asked += [replace(r, crossed=x) for r, x in zip(fresh, crossed, strict=True)]
         best = max(r.weighed for r in asked)
     return asked + waiting + silent
 
 
-def _crossed(sums: Sums, base: Sequence[Fitted], some: Sequence[Rival]) -> Float[Tensor, " some"]:
+def _crossed(
+    base: Sequence[Fitted], whole: Float[Tensor, " some"], gained: Callable[[Fitted], Float[Tensor, " some"]]
+) -> Float[Tensor, " some"]:
     """Log evidence that candidates add to what each trial says after the others, summed over the trials.
 
     By the chain rule, that of a trial is the evidence of all less that of the others, to which ``base`` was fitted.
     """
-    candidates = [r.candidate for r in some]
-    whole = torch.tensor([r.evidence for r in some]).to(sums.trials[0].moment)
-    return sum((whole - gains(sums, without, candidates)[0] for without in base), start=torch.zeros_like(whole))
+    return sum((whole - gained(without) for without in base), start=torch.zeros_like(whole))
 
 
 def _mean(rivals: Sequence[Rival]) -> float:

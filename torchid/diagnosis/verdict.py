@@ -53,6 +53,15 @@ class Cause:
     doubted: bool = False
     """What contradicts the model, or cannot be checked, has been taken off the confidence."""
 
+    def scaled(self, factor: float) -> "Cause":
+        """As many times as sure, and so of its rivals."""
+        alternatives, twins = (
+            tuple(replace(one, confidence=factor * one.confidence) for one in some)
+            for some in (self.alternatives, self.indistinguishable)
+        )
+        confidence = factor * self.confidence
+        return replace(self, confidence=confidence, alternatives=alternatives, indistinguishable=twins)
+
     def on(self, trial: str) -> Planted | None:
         """As it acts in a trial, None where it does not or nobody knows."""
         own, place = effect(self.effect), self.place

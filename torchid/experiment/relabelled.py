@@ -93,9 +93,9 @@ def beside(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause]) -> Diag
 
 
 def _doubted(cause: Cause, before: Structure, after: Structure) -> Cause:
-    sure = cause.confidence / trust(before) if cause.doubted else cause.confidence
     doubted = after.alone or (after.significant and not after.beyond)
-    return replace(cause, confidence=trust(after) * sure if doubted else sure, doubted=doubted)
+    factor = (trust(after) if doubted else 1.0) / (trust(before) if cause.doubted else 1.0)
+    return replace(cause.scaled(factor), doubted=doubted)
 
 
 def _overlap(one: Cause, other: Cause) -> bool:

@@ -41,6 +41,9 @@ def likely(cause: Cause) -> str:
 def surely(cause: Cause) -> str:
     """How sure that is, and what else it could be."""
     said = [likely(cause)]
+    for twin in cause.indistinguishable:
+        part = f"Of that, {chance(twin.confidence)} is {called(twin)}, which cannot be told apart here"
+        said.append(f"{part}; to tell them apart, record {tell_apart(cause.effect, twin.effect)}")
     twins = {(t.effect, t.where) for t in cause.indistinguishable}
     others = [a for a in rivals(cause) if (a.effect, a.where) not in twins and a.confidence >= WORTH]
     if others:
@@ -48,14 +51,10 @@ def surely(cause: Cause) -> str:
         said.append(
             f"Next comes {called(others[0])} ({chance(others[0].confidence)}); to tell them apart, record {record}"
         )
-    elif not twins:
+    elif not twins and not cause.doubted:
         said.append(f"No other entry of the catalogue reaches {percent(WORTH)}")
     if cause.doubted:
         said.append("The confidence is lowered by what remains unexplained or cannot be told, see below")
-    for twin in cause.indistinguishable:
-        record = tell_apart(cause.effect, twin.effect)
-        part = f"That includes {called(twin)} ({chance(twin.confidence)}), which cannot be told apart here"
-        said.append(f"{part}; to tell them apart, record {record}")
     return ". ".join(said) + "."
 
 
