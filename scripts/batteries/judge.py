@@ -47,7 +47,7 @@ def matches(planted: dict, cause: dict) -> bool:
 
 def sized(planted: dict, cause: dict) -> dict | None:
     """Main parameters: value, stated sd, truth, and whether that is right; None where a rival has the name."""
-    if cause["effect"] != planted["effect"] or set(cause["where"]) != set(planted["where"]):
+    if cause["effect"] != planted["effect"]:
         return None
     found = {}
     if planted["effect"] == "gravity_tilt":
