@@ -19,8 +19,8 @@ from torchid.diagnosis.sums import Sums
 OUT_OF_SIGHT = 10.0
 """Nats behind the best at which nothing matters to it."""
 LOOSE = 100.0
-"""Times its prior, with which the best takes away all that it can: a body's recorded mass was wrong by six of its
-standard deviations, and part of that was left to the gain of all plates."""
+"""Times its prior, with which the best takes away all that it can: what a narrow prior keeps it from, its look-alikes
+would add beside it, and pass for other things."""
 
 
 @dataclass(frozen=True)
