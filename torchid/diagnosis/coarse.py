@@ -43,6 +43,13 @@ class Coarse:
         return max(0.05 * self.seen, self.seen - self.J.shape[0] * self.J.shape[2]) / self.rows.numel()
 
     @property
+    def kept(self) -> Float[Tensor, " rows"]:
+        """Share of each row's noise that postures leave: less of a foot with three than of an arm with seven."""
+        leverage = torch.einsum("brd,bdr->br", self.J, self.K)
+        seen = self.rows > 0.0
+        return 1.0 - (seen * leverage).sum(0) / seen.sum(0).clamp(min=1)
+
+    @property
     def seen(self) -> float:
         """Number of rows that nobody misses."""
         return float((self.rows > 0.0).sum())

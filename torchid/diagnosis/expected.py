@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import scipy.stats
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -18,6 +19,8 @@ from torchid.regressor.whitening import EDGES, band_of, coefficients, cosine_mat
 
 WHITE = 256
 """Draws of white noise: 3 % in a band of eight coefficients."""
+SCARCE = 0.05
+"""Chance of a residual that is as small as this beside the noise that is expected in it."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,8 @@ class Expected:
     believed: Belief
     """Part of the wrench needed by the found motion that the true motion needs."""
     there: Float[Tensor, "bands 6"]
-    """Part of the noise that the residual of the identified body has room for: markers that slide are no noise."""
+    """Part of the noise that the residual of the identified body surely has no more room for than: markers that slide
+    are no noise."""
 
 
 def expected(
@@ -57,7 +61,32 @@ def expected(
     mean = torch.stack([torch.cat(x) for x in noise]).mean(0)
     believed = belief(torch.cat(frequency), torch.cat(own), mean)
     own, count = energy(rows, left)
-    return Expected(motion, read, count, believed, (own / (motion + read).clamp(min=1e-300)).clamp(max=1.0))
+    room = own / (motion + read).clamp(min=1e-300) / _least(count)[:, None]
+    return Expected(motion, read, count, believed, room.clamp(max=1.0))
+
+
+def _least(count: Float[Tensor, " bands"]) -> Float[Tensor, " bands"]:
+    """Of a mean of as many squares of unit normals, what only ``SCARCE`` falls below: few bands have many.
+
+    Taken at its word, what is less than expected by chance left a twentieth of 70 nats of flesh that lags uncorrected.
+    """
+    found = scipy.stats.chi2.ppf(SCARCE, count.clamp(min=1.0).cpu().numpy()) / count.clamp(min=1.0).cpu().numpy()
+    return torch.as_tensor(found).to(count)
+
+
+def loudness(
+    rows: WrenchTrial, needed: Float[Tensor, "frames 6"], shaken: Sequence[Float[Tensor, "frames 6"]]
+) -> float:
+    """Energy that noise adds to the force or moment that the true motion needs, whichever is more, over the true one's.
+
+    Args:
+        rows: of a trial.
+        needed: by the motion that was found, about the root's origin.
+        shaken: what draws of the markers' noise add to it.
+    """
+    noise = torch.stack([energy(rows, x)[0] for x in shaken]).mean(0).sum(0).view(2, 3).sum(1)
+    true = energy(rows, needed)[0].sum(0).view(2, 3).sum(1) - noise
+    return float((noise / true.clamp(min=1e-300)).max())
 
 
 def passed(rows: WrenchTrial) -> Float[Tensor, " bands"]:

@@ -165,7 +165,8 @@ def _loose(effect: MissingDof, place: Place, watched: Watched) -> float:
     both = coarse.left(torch.cat([shown.flatten(1, 2), coarse.error[:, :, None]], 2))
     left, residual = both[:, :, :-1], both[:, :, -1]
     spread = residual.square().sum() / (coarse.free * residual.numel())
-    modes = modes[:, coarse.middle]
+    # Geometry that errs is a constant.
+    modes = modes[1:, coarse.middle]
     A = torch.einsum("tri,trj->tij", left, left) / spread
     b = torch.einsum("tri,tr->ti", left, residual) / spread
     scale = effect.scale(place)[0]

@@ -2,15 +2,16 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.diagnosis.cameras import Cameras
-from torchid.diagnosis.expected import Expected, expected
+from torchid.diagnosis.expected import Expected, expected, loudness
 from torchid.diagnosis.idle import LOADED, Idle, find_idle
-from torchid.diagnosis.shaken import regressor, shaken
+from torchid.diagnosis.shaken import DRAWS, LOUD_DRAWS, MOST_DRAWS, regressor, shaken
 from torchid.dynamics import wrench_about
 from torchid.effects.scene import PlateFrame, Scene, make_scene, reading
 from torchid.effects.sight import Sight, View
@@ -66,19 +67,26 @@ class Watched:
 
     @cached_property
     def shaken(self) -> tuple[Shaken, ...]:
-        """Draw by draw; none where no camera shows the noise."""
+        """Draw by draw, the more the louder the noise; none where no camera shows it."""
         if self.cameras is None:
             return ()
-        return tuple(_shaken(self, motion) for motion in shaken(self.rows.motion, self.cameras))
+        draws = (_shaken(self, motion) for motion in shaken(self.rows.motion, self.cameras))
+        first = tuple(islice(draws, DRAWS))
+        loud = loudness(self.rows, self._needed_about_root, [one.total.T for one in first])
+        wanted = round(min(LOUD_DRAWS * loud, MOST_DRAWS))
+        return (*first, *islice(draws, max(0, wanted - DRAWS)))
+
+    @property
+    def _needed_about_root(self) -> Float[Tensor, "frames 6"]:
+        return wrench_about(self.view.scene.needed().T, self.rows.motion.q[:, :3])
 
     @cached_property
     def expected(self) -> Expected | None:
         """What noise makes of the wrench; None where no camera shows that of the markers."""
         if self.cameras is None:
             return None
-        needed = wrench_about(self.view.scene.needed().T, self.rows.motion.q[:, :3])
         left = measured(self.rows) - self.needed(self.phi.reshape(-1))
-        return expected(self.rows, needed, [one.total.T for one in self.shaken], self.scatter, left)
+        return expected(self.rows, self._needed_about_root, [one.total.T for one in self.shaken], self.scatter, left)
 
 
 @dataclass(frozen=True)

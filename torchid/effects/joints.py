@@ -226,15 +226,16 @@ def directed(scene: Scene, place: Place, course: Float[Tensor, "3 frames"]) -> F
 
 
 def courses(time: Float[Tensor, " frames"], modes: int) -> Float[Tensor, "modes frames"]:
-    """Slow cosines without mean over a trial."""
+    """A constant and slow cosines: without the constant, which is another in every trial, axes and centres of joints
+    moved with the mean of each."""
     part = (time - time[0]) / (time[-1] - time[0])
-    k = torch.arange(1, modes + 1).to(time)
+    k = torch.arange(modes).to(time)
     return torch.cos(math.pi * k[:, None] * part)
 
 
 def _modes(views: Sequence[View]) -> int:
     longest = max(float(v.scene.time[-1] - v.scene.time[0]) for v in views)
-    return min(MOST_MODES, max(MODES, math.ceil(2.0 * FASTEST_HZ * longest)))
+    return min(MOST_MODES, max(MODES, 1 + math.ceil(2.0 * FASTEST_HZ * longest)))
 
 
 FASTEST_HZ = 1.5
