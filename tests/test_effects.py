@@ -1,6 +1,7 @@
 """The contract of every effect: what it predicts is what it does in a simulation, and its parameters come back."""
 
 import dataclasses
+import math
 import os
 import time as clock
 
@@ -17,6 +18,7 @@ from torchid.diagnosis.proposals import swaps
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.columns import columns
 from torchid.effects.effect import Planted
+from torchid.effects.joints import courses
 from torchid.effects.place import Angle, Interval, Place, mean_within, within
 from torchid.effects.scene import Reading, Scene, make_scene
 from torchid.effects.sight import Sight, View
@@ -303,6 +305,22 @@ def test_a_loose_joint_has_a_direction_with_an_sd(lacks):
     assert float(axis.norm()) == pytest.approx(1.0) and bool(sd.isfinite().all())
     assert not axis[["xyz".index(one) for one in set("xyz") - set(lacks)]].any()
     assert 0.0 < float(found["range_rad"][1]) < 0.01
+
+
+def test_where_a_loose_joint_stands_is_no_direction_of_its_motion():
+    """Every trial has a place of its own, as large as it likes, which axes of other joints must not make up for."""
+    effect, modes, time = CATALOGUE["missing_dof"], 12, torch.linspace(3.0, 9.0, 301).double()
+    place = Place(("ankle_l",), grid={"x": 1.0, "y": 0.0, "z": 1.0, "modes": float(modes), "turning": 1.0})
+    wave = 0.03 * torch.cos(2.0 * math.pi * 0.5 * (time - 3.0))
+    able = courses(time, modes)
+    theta = torch.zeros(2, 2, modes).double()
+    for trial, (x, z) in enumerate(((0.01, 0.3), (-0.02, -0.1))):
+        for row, course in ((0, x + wave), (1, z + 0.0 * time)):
+            theta[trial, row] = torch.linalg.lstsq(able.T, course[:, None]).solution[:, 0]
+            assert_close(theta[trial, row] @ able, course, rtol=0.0, atol=1e-9)
+    found = effect.named(place, theta.flatten())
+    assert_close(found["axis_seg"], torch.tensor([1.0, 0.0, 0.0]).double(), rtol=0.0, atol=1e-6)
+    assert float(found["range_rad"]) == pytest.approx(0.06, rel=1e-3)
 
 
 def test_the_mean_of_a_force_is_as_uncertain_as_its_ends():

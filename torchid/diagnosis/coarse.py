@@ -44,7 +44,7 @@ class Coarse:
 
     @property
     def kept(self) -> Float[Tensor, " rows"]:
-        """Share of each row's noise that postures leave: less of a foot with three than of an arm with seven."""
+        """Share of each row's noise that postures leave: a foot's three markers keep less than an arm's seven."""
         leverage = torch.einsum("brd,bdr->br", self.J, self.K)
         seen = self.rows > 0.0
         return 1.0 - (seen * leverage).sum(0) / seen.sum(0).clamp(min=1)

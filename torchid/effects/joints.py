@@ -139,8 +139,8 @@ class MissingDof(Effect):
     """A joint moves along or about an axis that the model does not have, in its own time.
 
     Along axes of the segment before the joint, or about axes of the one beyond it. Internal are the coefficients of
-    slow cosines for each axis that the joint lacks, in every trial anew; the direction in which they are largest is
-    reported.
+    a constant and slow cosines for each axis that the joint lacks, in every trial anew; the direction in which the
+    cosines are largest is reported.
     """
 
     name = "missing_dof"
@@ -183,7 +183,9 @@ class MissingDof(Effect):
         free = axes(place)
         own = theta.view(-1, len(free), int(place.grid["modes"]))
         # Of the lacking axes alone: with the others, equal eigenvalues of zero had no derivative, and the sd was NaN.
-        way = torch.linalg.eigh(torch.einsum("bik,bjk->ij", own, own))[1][:, -1]
+        # Nor by where it stands, which geometry knows as little.
+        moving = own[:, :, 1:]
+        way = torch.linalg.eigh(torch.einsum("bik,bjk->ij", moving, moving))[1][:, -1]
         way = way * torch.sign(way[way.abs().argmax()])
         axis = theta.new_zeros(3).index_put((torch.tensor(free, device=theta.device),), way)
         time = torch.linspace(0.0, 1.0, 200).to(theta)
