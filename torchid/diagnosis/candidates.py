@@ -174,6 +174,8 @@ def answer_of(cameras: Cameras, source: Source, sight: Sight | None = None) -> A
     """To unit parameters of an effect, on what the cameras saw or another sight of it."""
     effect, place = source.effect, source.place
     sight, slid, moved = sight or cameras.sight, [], []
+    if source.at is not None:
+        sight = effect.beneath(sight, place, sight.p_BM_B.new_tensor(source.at))
     if (swaying := effect.courses(sight.scene, place)) is not None:
         return cameras.swayed(*swaying)
     for k, scale in enumerate(effect.scale(place)):

@@ -25,6 +25,8 @@ class Source:
     """Of the prior of its parameters."""
     trial: str | None = None
     """The only one that has its columns; None: every one does."""
+    at: tuple[float, ...] | None = None
+    """Parameters at which those of a curved effect on markers are taken; None: where it is absent."""
 
 
 @dataclass(frozen=True)

@@ -53,8 +53,8 @@ class Effect(ABC):
     late: ClassVar[bool] = False
     """It shifts the plates' readings in time."""
     curved: ClassVar[bool] = False
-    """Its load is not linear in its parameters, but twice as much for twice all of them: columns taken where it was
-    found, times its parameters there, are all of it (Euler)."""
+    """What it does is not linear in its parameters, but columns taken where it was found, times its parameters there,
+    are all of it."""
     inverted: ClassVar[bool] = False
     """Its columns are what taking it out of the plates' readings takes away (``undone``)."""
     lasting: ClassVar[bool] = False
@@ -116,6 +116,10 @@ class Effect(ABC):
     def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid | None:
         """How far cameras see markers from where the bodies carry them."""
         return None
+
+    def beneath(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Sight:
+        """The sight of a motion that was seen with it, as ``slide`` wants it."""
+        return sight
 
     def positives(self, place: Place) -> int:
         """How many of the internal parameters, the first ones, are never negative."""

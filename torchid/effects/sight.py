@@ -1,12 +1,15 @@
 """What cameras see of one trial: markers on bodies."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchid.conventions import GRAVITY
 from torchid.effects.scene import Reading, Scene
 from torchid.kinematics.recursion import cross
 
@@ -20,6 +23,8 @@ class Sight:
     body: Int[Tensor, " markers"]
     """Plan position of the body that carries each."""
     p_BM_B: Float[Tensor, "markers 3"]
+    soft: Float[Tensor, " markers"] | None = None
+    """How far 1 g takes markers into the flesh that the motion was seen through [m]; None: it is that of bones."""
 
     @cached_property
     def p(self) -> Float[Tensor, "markers 3 frames"]:
@@ -28,10 +33,11 @@ class Sight:
 
     @cached_property
     def a(self) -> Float[Tensor, "markers 3 frames"]:
-        """Their accelerations in W [m/s^2]."""
+        """Accelerations in W of the bones under them [m/s^2]."""
         motion, arm = self.scene.state.motion, self.p - self.scene.state.at.p[self.body]
         w, alpha = motion.w[self.body], motion.alpha[self.body]
-        return motion.a[self.body] + cross(alpha, arm) + cross(w, cross(w, arm))
+        a = motion.a[self.body] + cross(alpha, arm) + cross(w, cross(w, arm))
+        return a if self.soft is None else _beneath(a, self.soft, self.scene.rate)
 
     def turned(
         self, b: Float[Tensor, "some 3 #frames"], which: Sequence[int] | None = None
@@ -49,6 +55,15 @@ class Sight:
         own = bodies.index_select(-3, self.body)
         arm = (self.p - self.scene.state.at.p[self.body]).expand_as(own[..., :3, :])
         return own[..., :3, :] + cross(own[..., 3:, :], arm)
+
+
+def _beneath(
+    a: Float[Tensor, "markers 3 frames"], soft: Float[Tensor, " markers"], rate_hz: float
+) -> Float[Tensor, "markers 3 frames"]:
+    """Of bones whose markers accelerate by ``a`` because a spring of length ``soft`` under 1 g carries each."""
+    spectrum = torch.fft.rfft(torch.cat([a, a.flip(2)], 2))
+    w = 2.0 * math.pi * torch.fft.rfftfreq(2 * a.shape[2], 1.0 / rate_hz).to(a)
+    return torch.fft.irfft(spectrum / (1.0 + soft[:, None, None] / GRAVITY * w.square()))[..., : a.shape[2]]
 
 
 @dataclass(frozen=True)

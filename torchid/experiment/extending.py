@@ -114,7 +114,8 @@ def _cleared(outcome: Outcome, trial: Trial, causes: list[Cause]) -> Trial:
     scene = make_scene(trial.name, fit.model.tree, fit.geometry, motion, outcome.prior.mean)
     body = torch.tensor(scene.state.plan.position)[fit.attachment.body]
     sight = Sight(scene, fit.attachment.labels, body, fit.place)
-    off = torch.stack([one.seen(sight) for one in acting]).sum(0).permute(2, 0, 1)
+    seen = [one.seen(one.effect.beneath(sight, one.place, one.theta)) for one in acting]
+    off = torch.stack(seen).sum(0).permute(2, 0, 1)
     position = trial.markers.position.clone()
     for k, label in enumerate(fit.attachment.labels):
         if label in trial.markers.labels:
