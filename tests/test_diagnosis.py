@@ -15,7 +15,7 @@ from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.diagnose import PLAIN, diagnose, wanted
 from torchid.diagnosis.doubtful import stands_out
 from torchid.diagnosis.evidence import fit, gains
-from torchid.diagnosis.found import estimate, internal
+from torchid.diagnosis.found import CHANCE, estimate, internal
 from torchid.diagnosis.plates import SessionPlate, recognise
 from torchid.diagnosis.search import residuals, search
 from torchid.diagnosis.sums import Sums, make_prior
@@ -164,7 +164,7 @@ def test_what_is_hidden_is_found(family):
     names = [first.effect, *(twin.effect for twin in first.indistinguishable)]
     assert planted.effect in names
     # What a load does, the segment's own mass explains but for its prior: nothing is left to gain by its name.
-    assert first.gain["heldout_log_likelihood"] > (-0.5 if family == "masses" else 0.0)
+    assert first.gain["heldout_log_likelihood"] > (-CHANCE if family == "masses" else 0.0)
     same = [cause for cause in said.causes if cause.effect == planted.effect]
     # Two neighbours may share one force; its size is judged where it is alone.
     if first.effect == planted.effect and first.where == planted.where and len(same) == 1:

@@ -237,7 +237,6 @@ def test_what_soft_flesh_adds_is_known_from_the_motion_that_was_seen_through_it(
         float((flesh.seen(one) - off)[inner].norm() / off[inner].norm())
         for one in (sight, flesh.effect.beneath(sight, place, theta))
     ]
-    print("beneath", SEED, miss)
     assert miss[1] < 0.5 * miss[0], (SEED, miss)
 
 
