@@ -49,6 +49,11 @@ class Answer:
         return Answer(self.nine + other.nine, self.shift + other.shift)
 
 
+def beside(answers: Sequence[Answer]) -> Answer:
+    """To the parameters of all, one after the other."""
+    return Answer(torch.cat([a.nine for a in answers], 2), torch.cat([a.shift for a in answers], 2))
+
+
 @dataclass(frozen=True)
 class Cameras:
     """Markers of one trial: what was seen, and how far from the fitted model."""
@@ -154,7 +159,8 @@ class Cameras:
 
     def respond(self, which: Sequence[int], by: Float[Tensor, "columns some 3 frames"]) -> Answer:
         """To markers that are read elsewhere than the bodies carry them."""
-        rows = torch.tensor([3 * k + i for k in which for i in range(3)], device=by.device)
+        every = tuple(which) == tuple(range(len(self.sight.labels)))
+        rows = slice(None) if every else torch.tensor([3 * k + i for k in which for i in range(3)], dtype=torch.long)
         own = by.permute(3, 1, 2, 0).flatten(1, 2)
         shift = by.new_zeros(len(self.coarse.middle), self.coarse.error.shape[1], len(by))
         shift[:, rows] = own[self.coarse.middle]

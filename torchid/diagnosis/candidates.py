@@ -1,20 +1,23 @@
 """Everything that could be hidden: every effect at every place, as columns beside those of the inertia."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import groupby
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.cameras import Answer, Cameras
-from torchid.diagnosis.coarse import marker_sums
+from torchid.diagnosis.cameras import Answer, Cameras, beside
+from torchid.diagnosis.coarse import MarkerSums, marker_sums
 from torchid.diagnosis.design import Candidate, Columns, Design, Source, Terms, kinematic, positions
+from torchid.diagnosis.expected import Expected
 from torchid.diagnosis.idle import idle_sums
 from torchid.diagnosis.nuisances import GeometryError, SkinSlide
 from torchid.diagnosis.proposals import suggested
 from torchid.diagnosis.rates import calibrated
 from torchid.diagnosis.shaken import covariation
-from torchid.diagnosis.watched import Watched, added
+from torchid.diagnosis.watched import Shaken, Watched, added
 from torchid.dynamics import wrench_about
 from torchid.effects.columns import STEP, columns
 from torchid.effects.effect import Effect
@@ -113,7 +116,7 @@ def _key(effect: Effect, place: Place) -> tuple:
 def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     """Of the sources that could act in one trial."""
     sources = [s for s in sources if s.trial in (None, watched.rows.name)]
-    cameras, own, first = watched.cameras, kinematic(sources), watched.phi.numel()
+    own, first = kinematic(sources), watched.phi.numel()
     live = torch.cat([torch.arange(first), *(torch.arange(s.columns.start, s.columns.stop) for s in sources)])
     wrench, at = watched.rows.wrench.new_zeros(6, len(live) - first, len(watched.rows.used)), 0
     for source in sources:
@@ -121,15 +124,47 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
         if not source.effect.kinematic:
             wrench[:, part] = _seen_by_plates(watched.view, source)
         at = part.stop
-    answers, sums = [] if cameras is None else [answer_of(cameras, s) for s in sources if s.effect.kinematic], None
+    cameras, answers = watched.cameras, _answers(watched, sources)
+    sums = _sums(watched, answers)
     if cameras is not None and answers:
         wrench[:, own.start - first : own.stop - first] = cameras.wrench(answers)
-        sums = marker_sums(cameras.coarse, cameras.left(answers), cameras.least)
     extra = _about_root(watched, wrench)
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
     idle = idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources])
     return Columns(extra, Terms(live, sums, idle, _covariation(watched, sources, live, extra)))
+
+
+def retaken(watched: Watched, own: Columns, sources: Sequence[Source], others: Sequence[Source]) -> Columns:
+    """Columns of a trial with those of some effects on markers taken elsewhere.
+
+    Args:
+        watched: the trial.
+        own: its columns.
+        sources: of all of them, ``others`` where they are now.
+        others: that are elsewhere than they were; no trial lacks them.
+    """
+    cameras = watched.cameras
+    assert cameras is not None, "effects on markers have been found"
+    sums = _sums(watched, _answers(watched, [s for s in sources if s.trial in (None, watched.rows.name)]))
+    at, terms, extra = torch.cat([torch.arange(s.columns.start, s.columns.stop) for s in others]), own.terms, own.extra
+    n, extra, noise = watched.phi.numel(), extra.clone(), terms.covariation
+    extra[:, at - n] = _about_root(watched, cameras.wrench([answer_of(cameras, s) for s in others]))
+    if noise is not None and watched.expected is not None:
+        noise = noise.clone()
+        noise[..., at] = _shared(watched, watched.expected, others, extra[:, at - n], inertia=False)
+    return replace(own, extra=extra, terms=replace(terms, markers=sums, covariation=noise))
+
+
+def _answers(watched: Watched, sources: Sequence[Source]) -> list[Answer]:
+    return [] if watched.cameras is None else [answer_of(watched.cameras, s) for s in sources if s.effect.kinematic]
+
+
+def _sums(watched: Watched, answers: Sequence[Answer]) -> MarkerSums | None:
+    cameras = watched.cameras
+    if cameras is None or not answers:
+        return None
+    return marker_sums(cameras.coarse, cameras.left(answers), cameras.least)
 
 
 def _seen_by_plates(view: View, source: Source) -> Float[Tensor, "6 columns frames"]:
@@ -148,19 +183,26 @@ def _covariation(
     if watched.expected is None:
         return None
     some, n = [s for s in sources if s.effect.accelerated], watched.phi.numel()
-    which = torch.cat([torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)])
-    at = positions(live, which)[0]
-    plain = extra[:, at[n:] - n]
-
-    def of(view: View) -> Float[Tensor, "6 some frames"]:
-        empty = view.reading.wrench.new_zeros(6, 0, len(view.scene.time))
-        return _about_root(watched, torch.cat([empty, *(_in_view(watched.cameras, view, s) for s in some)], 1))
-
-    noise = ((torch.cat([added(watched, one.motion), of(one.view) - plain], 1), one.total) for one in watched.shaken)
-    found = covariation(watched.rows, watched.expected, noise)
+    at, _ = positions(
+        live, torch.cat([torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)])
+    )
+    found = _shared(watched, watched.expected, some, extra[:, at[n:] - n], inertia=True)
     whole = found.new_zeros(*found.shape[:3], len(live))
     whole[..., at] = found
     return whole
+
+
+def _shared(
+    watched: Watched, expected: Expected, some: Sequence[Source], plain: Float[Tensor, "6 some frames"], inertia: bool
+) -> Float[Tensor, "bands 6 6 columns"]:
+    """Of columns that are ``plain`` in what the cameras saw, behind those of the inertia where these are asked for."""
+
+    def of(one: Shaken) -> Float[Tensor, "6 columns frames"]:
+        empty = plain[:, :0]
+        own = _about_root(watched, torch.cat([empty, *(_in_view(watched.cameras, one.view, s) for s in some)], 1))
+        return torch.cat([added(watched, one.motion) if inertia else empty, own - plain], 1)
+
+    return covariation(watched.rows, expected, ((of(one), one.total) for one in watched.shaken))
 
 
 def _in_view(cameras: Cameras | None, view: View, source: Source) -> Float[Tensor, "6 columns frames"]:
@@ -184,10 +226,11 @@ def answer_of(cameras: Cameras, source: Source, sight: Sight | None = None) -> A
         slid.append((effect.slide(sight, place, theta), theta[k]))
         moved.append((effect.move(sight.scene, place, theta), theta[k]))
     answers = []
-    if slid[0][0] is not None:
-        answers.append(
-            cameras.respond(slid[0][0].which, torch.stack([s.by / step for s, step in slid if s is not None]))
-        )
+    seen = [(s.which, s.by / step) for s, step in slid if s is not None]
+    if seen:
+        # Where each parameter is about markers of its own, all of them would be ten times the work.
+        together = groupby(seen, key=lambda both: both[0])
+        answers.append(beside([cameras.respond(which, torch.stack([by for _, by in own])) for which, own in together]))
     if moved[0][0] is not None:
         answers.append(cameras.moved(torch.stack([m / step for m, step in moved if m is not None])))
     return answers[0] if len(answers) == 1 else answers[0] + answers[1]

@@ -13,8 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates import trial_columns
-from torchid.diagnosis.design import Columns, Source
+from torchid.diagnosis.candidates import retaken
+from torchid.diagnosis.design import Columns, Design, Source
 from torchid.diagnosis.rates import calibrated
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import wrench_about
@@ -24,9 +24,49 @@ from torchid.effects.place import Place
 from torchid.effects.scene import Reading
 from torchid.regressor.rows import WrenchTrial
 
+MOVED = 0.1
+"""Part of its parameters by which a curved effect on markers must have moved for its columns to be taken again: their
+error is about a tenth of that."""
+
+
+def settled(watched: Sequence[Watched], design: Design, theta: Sequence[Float[Tensor, " more"]]) -> Design:
+    """Columns of a design where curved and late effects were found.
+
+    Args:
+        watched: its trials.
+        design: wherever its columns were taken.
+        theta: parameters behind the inertia's, trial by trial.
+    """
+    design = _yielded(watched, design, theta[0])
+    trials = zip(watched, design.trials, theta, strict=True)
+    return replace(design, trials=tuple(linearised(w, c, design.sources, x) for w, c, x in trials))
+
+
+def _yielded(watched: Sequence[Watched], design: Design, theta: Float[Tensor, " more"]) -> Design:
+    """With curved effects on markers, which act in all trials alike."""
+    sources = tuple(_taken(s, theta[_part(s, design.inertia)]) for s in design.sources)
+    others = [new for old, new in zip(design.sources, sources, strict=True) if new.at != old.at]
+    if not others:
+        return design
+    trials = (retaken(w, c, sources, others) for w, c in zip(watched, design.trials, strict=True))
+    return replace(design, sources=sources, trials=tuple(trials))
+
+
+def _taken(source: Source, theta: Float[Tensor, " own"]) -> Source:
+    """Where it was found, unless it was about there that it had been taken."""
+    if not (source.effect.kinematic and source.effect.curved):
+        return source
+    away = theta if source.at is None else theta - theta.new_tensor(source.at)
+    return replace(source, at=tuple(theta.tolist())) if bool(away.norm() > MOVED * theta.norm()) else source
+
+
+def _part(source: Source, inertia: int) -> slice:
+    """Of the columns behind those of the inertia."""
+    return slice(source.columns.start - inertia, source.columns.stop - inertia)
+
 
 def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta: Float[Tensor, " more"]) -> Columns:
-    """Columns of a trial with those of curved and late effects taken at ``theta``.
+    """Columns of a trial with those that plates show of curved and late effects taken at ``theta``.
 
     Args:
         watched: the trial.
@@ -34,10 +74,7 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
         sources: of all columns.
         theta: parameters of all columns.
     """
-    first = watched.phi.numel()
-    if any(_yields(s, theta[_part(s, first)]) for s in sources):
-        own = trial_columns(watched, [_taken(s, theta[_part(s, first)]) for s in sources])
-    extra, beyond = own.extra.clone(), torch.zeros_like(watched.rows.wrench)
+    extra, beyond, first = own.extra.clone(), torch.zeros_like(watched.rows.wrench), watched.phi.numel()
     measured, root = watched.view.measured, watched.rows.motion.q[:, :3]
 
     def slope(
@@ -57,20 +94,6 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
             line = torch.einsum("ipt,p->ti", extra[:, part], theta[part])
             beyond += (measured.total - back.total).T - wrench_about(line, -root)
     return replace(own, extra=extra, beyond=beyond)
-
-
-def _part(source: Source, first: int) -> slice:
-    """Of the columns behind those of the inertia."""
-    return slice(source.columns.start - first, source.columns.stop - first)
-
-
-def _yields(source: Source, theta: Float[Tensor, " own"]) -> bool:
-    """Whether cameras see other columns of it where it is."""
-    return source.effect.kinematic and source.effect.curved and bool(theta.any())
-
-
-def _taken(source: Source, theta: Float[Tensor, " own"]) -> Source:
-    return replace(source, at=tuple(theta.tolist())) if _yields(source, theta) else source
 
 
 def without_beyond(rows: WrenchTrial, own: Columns) -> WrenchTrial:

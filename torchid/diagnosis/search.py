@@ -15,7 +15,7 @@ from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
 from torchid.diagnosis.evidence import Fitted, fit, gains
 from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced, support, without_negative
 from torchid.diagnosis.intervals import timed
-from torchid.diagnosis.linearised import linearised, without_beyond
+from torchid.diagnosis.linearised import settled, without_beyond
 from torchid.diagnosis.noise import Noise, estimate_noise, initial_noise, summed
 from torchid.diagnosis.scan import scan_all
 from torchid.diagnosis.spectral import Rows, narrowed, rows_of
@@ -91,11 +91,6 @@ def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:
     return [rows_of(w, c, design.late) for w, c in zip(watched, design.trials, strict=True)]
 
 
-def _linearised(watched: Sequence[Watched], design: Design, theta: Sequence[Tensor]) -> Design:
-    trials = zip(watched, design.trials, theta, strict=True)
-    return replace(design, trials=tuple(linearised(w, c, design.sources, x[design.inertia :]) for w, c, x in trials))
-
-
 @dataclass(frozen=True)
 class _Scan:
     """Of the catalogue, under one noise or another."""
@@ -148,15 +143,16 @@ class _Scan:
     def settled(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Noise, "_Scan"]:
         """Late and curved effects linearised where they are."""
         small, own, which = only(self.design, chosen)
-        prior, theta = self.prior.widened(small), [self.prior.mean.clone() for _ in self.rows]
-        for _ in range(NEWTON):
+        prior, theta, n = self.prior.widened(small), [self.prior.mean.clone() for _ in self.rows], small.inertia
+        for step in range(NEWTON):
+            if step:
+                small = settled(self.watched, small, [x[which][n:] for x in theta])
             rows = _rows(self.watched, small)
             noise = estimate_noise(rows, prior, small, own, noise)
             fitted = fit(summed(rows, prior, small, noise), own)
             for k, x in enumerate(theta):
                 x[which] = prior.theta(fitted.z(len(prior.mean), k))
-            small = _linearised(self.watched, small, [x[which] for x in theta])
-        design = _linearised(self.watched, self.design, theta)
+        design = settled(self.watched, self.design, [x[n:] for x in theta])
         return noise, replace(self, rows=_rows(self.watched, design), design=design)
 
     def timed(self, noise: Noise, sums: Sums, chosen: Sequence[Candidate]) -> tuple["_Scan", Candidate]:

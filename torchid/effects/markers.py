@@ -168,11 +168,10 @@ class SkinLag(MarkerEffect):
     def positives(self, place: Place) -> int:
         return self.size(place)
 
-    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid | None:
-        which = [k for name in place.where for k in sight.on(name)]
-        if not which:
-            return None
-        return Slid(tuple(which), -_softness(sight, place, theta)[which][:, None, None] / GRAVITY * sight.a[which])
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
+        soft = _softness(sight, place, theta)
+        which = soft.nonzero()[:, 0].tolist()
+        return Slid(tuple(which), -soft[which][:, None, None] / GRAVITY * sight.a[which])
 
     def beneath(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Sight:
         """What is seen is livelier than the bone: of 3 mm, a tenth was lacking."""
