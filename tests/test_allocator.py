@@ -27,3 +27,29 @@ def test_batches_take_up_the_memory_of_earlier_ones():
     if not kept:
         pytest.skip("this C library has no mallopt")
     assert faults < 4_000
+
+
+LARGE_CHILD = """
+import resource, torch
+from torchid.allocator import keep_memory, keeping_large
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(20):
+        torch.ones(8_000_000, dtype=torch.float64).sum()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+kept = keep_memory()
+outside = faults()
+with keeping_large():
+    faults()
+    print(int(kept), outside, faults())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc only")
+def test_large_tensors_are_kept_for_a_while():
+    """20 tensors of 64 MB touch all their pages anew (16000 each, or 32 huge ones), and hardly one in there."""
+    done = subprocess.run([sys.executable, "-c", LARGE_CHILD], capture_output=True, text=True, check=True)  # noqa: S603
+    kept, outside, inside = map(int, done.stdout.split())
+    if not kept:
+        pytest.skip("this C library has no mallopt")
+    assert inside < 100 < outside

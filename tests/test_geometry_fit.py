@@ -218,6 +218,7 @@ def test_a_run_of_frames_that_leaps_away_is_followed_from_before_it():
     assert not len(leaps(problem, found, fit.xi))
     assert float((found - q).abs().amax()) < 1e-3
     assert_close(found[:, 48:], q[:, 48:], atol=0, rtol=0)
+    assert_close(steadied(problem, astray, fit.xi, held.rate, near=q), found, atol=1e-3, rtol=0)
 
 
 def test_markers_that_leap_themselves_are_followed():
@@ -236,6 +237,19 @@ def test_tracking_a_part_is_tracking_the_whole():
     fit, held = small.fit(), small.markers("heldout")["sway_steps"]
     part = Markers(held.labels, held.time[100:160], held.position[100:160])
     assert_close(track(fit, part).q, track(fit, held).q[100:160], rtol=0, atol=1e-3)
+
+
+def test_corrected_markers_are_followed_from_where_the_measured_ones_led(monkeypatch, seed):
+    """Of a marker that sat up to 20 mm aside nothing is left, in one piece or several."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    draw, position = torch.Generator().manual_seed(seed), held.position.clone()
+    position[:, int(torch.randint(position.shape[1], (1,), generator=draw))] += 0.02 * torch.rand(3, generator=draw)
+    near, cold = track(fit, replace(held, position=position)).q, track(fit, held)
+    for piece in (tracking.PIECE, 145):
+        monkeypatch.setattr(tracking, "PIECE", piece)
+        found = track(fit, held, near=near)
+        assert_close(found.q, cold.q, rtol=0, atol=1e-2)
+        assert_close(found.error, cold.error, rtol=0, atol=1e-3, equal_nan=True)
 
 
 def test_a_long_trial_is_followed_in_pieces_that_do_not_show(monkeypatch):

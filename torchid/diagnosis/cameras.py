@@ -5,8 +5,8 @@ the weighted pseudo-inverse of the markers' Jacobian J, and shows among the resi
 the dynamics sees move along.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
@@ -38,20 +38,28 @@ CHUNK = 256
 
 @dataclass(frozen=True)
 class Answer:
-    """What a displacement does to the rows of a trial, per unit parameter."""
+    """What a displacement does to the rows of a trial, per unit parameter; worked out as far as it is asked for."""
 
-    nine: Float[Tensor, "frames 9 columns"]
-    """Vectors A, B, C of what the motion needs, see ``momentum``."""
-    shift: Float[Tensor, "bins rows columns"]
-    """Of the markers, now and then."""
+    momenta: Callable[[], Float[Tensor, "frames 9 columns"]]
+    shown: Callable[[], Float[Tensor, "bins rows columns"]]
+
+    @cached_property
+    def nine(self) -> Float[Tensor, "frames 9 columns"]:
+        """Vectors A, B, C of what the motion needs, see ``momentum``."""
+        return self.momenta()
+
+    @cached_property
+    def shift(self) -> Float[Tensor, "bins rows columns"]:
+        """Of the markers, now and then."""
+        return self.shown()
 
     def __add__(self, other: "Answer") -> "Answer":
-        return Answer(self.nine + other.nine, self.shift + other.shift)
+        return Answer(lambda: self.nine + other.nine, lambda: self.shift + other.shift)
 
 
 def beside(answers: Sequence[Answer]) -> Answer:
     """To the parameters of all, one after the other."""
-    return Answer(torch.cat([a.nine for a in answers], 2), torch.cat([a.shift for a in answers], 2))
+    return Answer(lambda: torch.cat([a.nine for a in answers], 2), lambda: torch.cat([a.shift for a in answers], 2))
 
 
 @dataclass(frozen=True)
@@ -67,6 +75,11 @@ class Cameras:
     """Of the posture prior."""
 
     @cached_property
+    def arm(self) -> Float[Tensor, "markers 3 frames"]:
+        """From the origin of each marker's body to it, W axes [m]."""
+        return self.sight.p - self.sight.scene.state.at.p[self.sight.body]
+
+    @cached_property
     def carriage(self) -> Float[Tensor, "frames bodies dofs"]:
         """Of the bodies' displacements, six rows each."""
         return carriage(self.sight.scene)
@@ -79,7 +92,7 @@ class Cameras:
     def jacobian(self, which: slice | Tensor) -> Float[Tensor, "frames rows dofs"]:
         """Of the markers' places in some frames, row after row x, y, z of a marker."""
         own = self.carriage[which].unflatten(1, (-1, 6))[:, self.sight.body]
-        arm = (self.sight.p - self.sight.scene.state.at.p[self.sight.body]).permute(2, 0, 1)[which]
+        arm = self.arm.permute(2, 0, 1)[which]
         turned = torch.linalg.cross(own[:, :, 3:], arm[..., None].expand_as(own[:, :, 3:]), dim=2)
         return (own[:, :, :3] + turned).flatten(1, 2)
 
@@ -161,21 +174,40 @@ class Cameras:
         """To markers that are read elsewhere than the bodies carry them."""
         every = tuple(which) == tuple(range(len(self.sight.labels)))
         rows = slice(None) if every else torch.tensor([3 * k + i for k in which for i in range(3)], dtype=torch.long)
-        own = by.permute(3, 1, 2, 0).flatten(1, 2)
-        shift = by.new_zeros(len(self.coarse.middle), self.coarse.error.shape[1], len(by))
-        shift[:, rows] = own[self.coarse.middle]
-        return Answer(-self.answer[:, :, rows] @ own, shift)
+
+        def shown() -> Float[Tensor, "bins rows columns"]:
+            shift = by.new_zeros(len(self.coarse.middle), self.coarse.error.shape[1], len(by))
+            shift[:, rows] = by[..., self.coarse.middle].permute(3, 1, 2, 0).flatten(1, 2)
+            return shift
+
+        return Answer(lambda: -self.answer[:, :, rows] @ by.permute(3, 1, 2, 0).flatten(1, 2), shown)
+
+    @cached_property
+    def carried(self) -> Float[Tensor, "frames 9 bodies"]:
+        """Momenta of displaced bodies, six columns each in plan order, less those of the answer to their markers."""
+        own = self.answer.unflatten(2, (-1, 3))
+        turned = torch.linalg.cross(self.arm.permute(2, 0, 1)[:, None].expand_as(own), own, dim=3)
+        found = self.levers.unflatten(2, (-1, 6)).clone()
+        return found.index_add_(2, self.sight.body, torch.cat([own, turned], 3), alpha=-1.0).flatten(2)
 
     def moved(self, bodies: Float[Tensor, "columns bodies 6 frames"]) -> Answer:
         """To bodies that are displaced with their markers."""
-        carried = self.respond(range(len(self.sight.labels)), torch.stack([self.sight.carried(b) for b in bodies]))
-        return replace(carried, nine=carried.nine + self.levers @ bodies.permute(3, 1, 2, 0).flatten(1, 2))
+        momenta = lambda: self.carried @ bodies.permute(3, 1, 2, 0).flatten(1, 2)  # noqa: E731
+        return Answer(momenta, lambda: self.shown(bodies))
+
+    def shown(self, bodies: Float[Tensor, "columns bodies 6 frames"]) -> Float[Tensor, "bins rows columns"]:
+        """How far bodies that are displaced take their markers, now and then."""
+        own, arm = bodies[..., self.coarse.middle][:, self.sight.body], self.arm[..., self.coarse.middle]
+        shift = own[:, :, :3] + torch.linalg.cross(own[:, :, 3:], arm.expand_as(own[:, :, 3:]), dim=2)
+        return shift.permute(3, 1, 2, 0).flatten(1, 2)
 
     def swayed(self, bodies: Float[Tensor, "ways bodies 6 frames"], courses: Float[Tensor, "modes frames"]) -> Answer:
         """To each displacement along each course."""
         one, later = self.moved(bodies), courses[:, self.coarse.middle]
-        nine = torch.einsum("fiw,mf->fiwm", one.nine, courses).flatten(2)
-        return Answer(nine, torch.einsum("biw,mb->biwm", one.shift, later).flatten(2))
+        return Answer(
+            lambda: torch.einsum("fiw,mf->fiwm", one.nine, courses).flatten(2),
+            lambda: torch.einsum("biw,mb->biwm", one.shift, later).flatten(2),
+        )
 
     def wrench(self, answers: Sequence[Answer]) -> Float[Tensor, "6 columns frames"]:
         """That the motion needs because of displacements, about the origin of W."""

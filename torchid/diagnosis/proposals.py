@@ -161,8 +161,7 @@ def _loose(effect: MissingDof, place: Place, watched: Watched) -> float:
     assert cameras is not None
     bodies, modes = effect.courses(scene, place)
     coarse = cameras.coarse
-    shown = torch.stack([cameras.sight.carried(b) for b in bodies])[..., coarse.middle].permute(3, 1, 2, 0)
-    both = coarse.left(torch.cat([shown.flatten(1, 2), coarse.error[:, :, None]], 2))
+    both = coarse.left(torch.cat([cameras.shown(bodies), coarse.error[:, :, None]], 2))
     left, residual = both[:, :, :-1], both[:, :, -1]
     spread = residual.square().sum() / (coarse.free * residual.numel())
     # Geometry that errs is a constant.

@@ -11,6 +11,9 @@ from torchid.effects.scene import Reading, Scene
 STEP = 1e-3
 """Of the central differences, in prior standard deviations: exact for parameters that act linearly."""
 
+MANY = 8
+"""Ways to read a plate from which on they are read together: a few take longer so."""
+
 
 def columns(
     effect: Effect, scene: Scene, reading: Reading, place: Place, theta: Float[Tensor, " params"] | None = None
@@ -25,19 +28,26 @@ def columns(
         theta: where to linearise; absent, where the effect is.
     """
     start = reading.wrench.new_zeros(effect.size(place)) if theta is None else theta
-    found = reading.wrench.new_zeros(6, len(start), len(scene.time))
     if place.when is not None and all(own.trial != scene.trial for own in place.when):
-        return found
-    for k, scale in enumerate(effect.scale(place)):
-        step = torch.zeros_like(start)
-        step[k] = STEP * scale
-        ahead = _total(effect, scene, reading, place, start + step)
-        if theta is None and type(effect).read is Effect.read:
-            # Absent, it loads nothing: half the work of central differences.
-            found[:, k] = ahead / (STEP * scale)
-        else:
-            found[:, k] = (ahead - _total(effect, scene, reading, place, start - step)) / (2.0 * STEP * scale)
-    return found
+        return reading.wrench.new_zeros(6, len(start), len(scene.time))
+    step = STEP * start.new_tensor(effect.scale(place))
+    ahead = start + step.diag()
+    if theta is None and type(effect).read is Effect.read:
+        # Absent, it loads nothing: half the work of central differences.
+        change = _totals(effect, scene, reading, place, ahead)
+    else:
+        behind = start - step.diag()
+        change = 0.5 * torch.sub(*_totals(effect, scene, reading, place, torch.cat([ahead, behind])).split(len(step)))
+    return (change / step[:, None, None]).transpose(0, 1)
+
+
+def _totals(
+    effect: Effect, scene: Scene, reading: Reading, place: Place, thetas: Float[Tensor, "ways params"]
+) -> Float[Tensor, "ways 6 frames"]:
+    """All at once where there are many: one by one, the 30 leaks of a plate took five times as long."""
+    if len(thetas) < MANY:
+        return torch.stack([_total(effect, scene, reading, place, theta) for theta in thetas])
+    return torch.vmap(lambda theta: _total(effect, scene, reading, place, theta))(thetas)
 
 
 def _total(effect: Effect, scene: Scene, reading: Reading, place: Place, theta: Tensor) -> Tensor:

@@ -87,9 +87,8 @@ class Tether(PointForce):
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         stiffness, pull, slack = self.split(theta)
         stretched = pull[:, None] - stiffness * at.p
-        if float(stiffness) <= 0.0:
-            return stretched
-        return stretched * (1.0 - slack / stretched.norm(dim=0).clamp(min=1e-9)).clamp(min=0.0)
+        taut = (1.0 - slack / stretched.norm(dim=0).clamp(min=1e-9)).clamp(min=0.0)
+        return stretched * torch.where(stiffness > 0.0, taut, 1.0)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         stiffness, pull, slack = self.split(theta)

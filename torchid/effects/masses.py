@@ -78,9 +78,8 @@ class Payload(Effect):
         needed = carrier.a + lift(theta)
         swing = cross(motion.alpha[k], arm) + cross(motion.w[k], cross(motion.w[k], arm))
         force = mass * needed + swing
-        total = torch.cat([force, cross(carrier.p, force) + cross(arm, needed)])
-        if float(mass) > 0.0:
-            total = total + torch.cat([torch.zeros_like(force), cross(arm, swing) / mass])
+        square = torch.where(mass > 0.0, cross(arm, swing) / mass, 0.0)
+        total = torch.cat([force, cross(carrier.p, force) + cross(arm, needed) + square])
         return total * within(place, scene.trial, scene.time)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from torchid.allocator import keeping_large
 from torchid.config import Config
 from torchid.diagnosis.diagnose import diagnose, wanted
 from torchid.diagnosis.gross import EFFECT, Gross, find_gross, set_aside
@@ -20,6 +21,7 @@ MOST = 12
 """Trials of each role that are searched: those with most used frames."""
 
 
+@keeping_large()
 def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
 

@@ -56,7 +56,7 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
         session = extend_session(relabelled)
         fit = folder.stage("geometry_extended", key, lambda: fit_session(config, session, True, progress))
         for name, trial in session.trials.items():
-            tracked[name] = folder.stage(f"extended_{name}", key, lambda t=trial: track(fit, t.markers))
+            tracked[name] = folder.stage(f"extended_{name}", key, lambda t=trial: _mended(fit, t, tracked))
     with folder.timed("extend"):
         followed = follow_extended(config, relabelled, session, fit, tracked)
         added = effect_wrenches(relabelled)
@@ -68,6 +68,11 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
     more = _residuals(outcome, "+ named causes")
     notes = (*outcome.notes, *_worse_notes(base.residuals, more))
     return replace(outcome, residuals=(*base.residuals, *more), notes=notes)
+
+
+def _mended(fit: GeometryFit, trial: Trial, tracked: dict[str, Tracked]) -> Tracked:
+    """A trial whose corrected markers are followed from where those that were measured led."""
+    return track(fit, trial.markers, near=tracked[trial.name].q)
 
 
 def _worse_notes(base: Sequence[Residual], extended: Sequence[Residual]) -> list[Note]:

@@ -26,7 +26,11 @@ DEARER = 2.0
 
 
 def steadied(
-    problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"], rate_hz: float
+    problem: MarkerProblem,
+    q: Float[Tensor, "dofs frames"],
+    xi: Float[Tensor, " xi"],
+    rate_hz: float,
+    near: Float[Tensor, "dofs frames"] | None = None,
 ) -> Float[Tensor, "dofs frames"]:
     """Runs between two leaps followed frame by frame from what is before them, kept where no leap is left.
 
@@ -37,6 +41,7 @@ def steadied(
         q: postures of all of them.
         xi: geometry and marker places.
         rate_hz: of the frames.
+        near: postures that were steadied before: a run is followed from these, all frames at once.
     """
     longest = round(LONGEST_S * rate_hz)
     tried: set[tuple[int, int]] = set()
@@ -47,7 +52,8 @@ def steadied(
             break
         first, last = max(runs, key=lambda run: run[1] - run[0])
         tried.add((first, last))
-        q = _without(problem, q, xi, first, last)
+        found = _followed(problem, q, xi, first, last) if near is None else _taken(problem, q, xi, first, last, near)
+        q = q if found is None or _worse(problem, q, found, xi, first, last) else found
     return q
 
 
@@ -61,15 +67,27 @@ def leaps(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Ten
     return (torch.minimum(away, pace) > LEAP).any(0).nonzero()[:, 0]
 
 
-def _without(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: int) -> Tensor:
-    """Frames after ``first`` up to ``last`` followed from the one before them, if that ends where the others go on."""
+def _followed(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: int) -> Tensor | None:
+    """Frames after ``first`` up to ``last`` each followed from the one before it; none where they leap."""
     found = q.clone()
     for k in range(first + 1, last + 1):
         found[:, k : k + 1], _ = solve_poses(problem.frames(slice(k, k + 1)), found[:, k - 1 : k], xi)
         behind = slice(max(first - 1, k - 2, 0), k + 1)
         if len(leaps(problem.frames(behind), found[:, behind], xi)):
-            return q
-    near = slice(max(first - 1, 0), last + 2)
-    part = problem.frames(near)
-    dearer = part.frame_cost(found[:, near], xi).sum() > DEARER * part.frame_cost(q[:, near], xi).sum()
-    return q if bool(dearer) or len(leaps(part, found[:, near], xi)) else found
+            return None
+    return found
+
+
+def _taken(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: int, near: Tensor) -> Tensor:
+    """These frames each followed from the posture near it."""
+    found, run = q.clone(), slice(first + 1, last + 1)
+    found[:, run], _ = solve_poses(problem.frames(run), near[:, run], xi)
+    return found
+
+
+def _worse(problem: MarkerProblem, q: Tensor, found: Tensor, xi: Tensor, first: int, last: int) -> bool:
+    """Whether it costs too much, or does not end where the others go on."""
+    around = slice(max(first - 1, 0), last + 2)
+    part = problem.frames(around)
+    dearer = part.frame_cost(found[:, around], xi).sum() > DEARER * part.frame_cost(q[:, around], xi).sum()
+    return bool(dearer) or len(leaps(part, found[:, around], xi)) > 0

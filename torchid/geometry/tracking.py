@@ -45,8 +45,17 @@ class Tracked:
         return float(self.error[torch.isfinite(self.error)].square().mean().sqrt())
 
 
-def track(fit: GeometryFit, markers: Markers, bridge: bool | None = None) -> Tracked:
-    """Follow the markers of a trial at the fit's geometry (held-out trials too)."""
+def track(
+    fit: GeometryFit, markers: Markers, bridge: bool | None = None, near: Float[Tensor, "frames dofs"] | None = None
+) -> Tracked:
+    """Follow the markers of a trial at the fit's geometry (held-out trials too).
+
+    Args:
+        fit: whose geometry and markers they are.
+        markers: of the trial.
+        bridge: whether gaps are bridged by the course around them; as the fit's options say if absent.
+        near: postures that followed nearly these markers, to be mended only; absent, they are found from rest.
+    """
     frames, wanted = len(markers.time), fit.options.temporal if bridge is None else bridge
     q = fit.xi.new_empty(frames, len(fit.model.tree.dofs))
     error = fit.xi.new_empty(frames, len(fit.attachment.labels))
@@ -54,7 +63,8 @@ def track(fit: GeometryFit, markers: Markers, bridge: bool | None = None) -> Tra
     typical = _typical(fit, markers) if wanted and frames > PIECE else None
     for start in range(0, frames, PIECE):
         first, stop = max(0, start - BESIDE), min(frames, start + PIECE)
-        found = _track(fit, markers.frames(slice(first, min(frames, stop + BESIDE))), wanted, typical)
+        piece = slice(first, min(frames, stop + BESIDE))
+        found = _track(fit, markers.frames(piece), wanted, typical, None if near is None else near[piece].T)
         inner = slice(start - first, stop - first)
         for whole, part in zip((q, error, observable), found, strict=True):
             whole[start:stop] = part[inner]
@@ -66,11 +76,13 @@ def _typical(fit: GeometryFit, markers: Markers) -> Tensor:
     return typical_variance(problem, settled(fit, problem), fit.xi)
 
 
-def _track(fit: GeometryFit, markers: Markers, bridge: bool, typical: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+def _track(
+    fit: GeometryFit, markers: Markers, bridge: bool, typical: Tensor | None, near: Tensor | None
+) -> tuple[Tensor, Tensor, Tensor]:
     problem = trial_problem(fit, markers, posture_prior(fit))
-    q = settled(fit, problem)
+    q = settled(fit, problem, near)
     if q.shape[1] > 2:
-        q = steadied(problem, q, fit.xi, markers.rate)
+        q = steadied(problem, q, fit.xi, markers.rate, near)
     if bridge and not bool((problem.weight > 0).all()):
         q = bridge_gaps(problem, q, fit.xi, typical)
     _, _, residual = problem.residual(q, fit.xi)

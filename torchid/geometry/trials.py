@@ -61,9 +61,11 @@ def posture_prior(fit: GeometryFit, sd: float | None = None) -> PosturePrior:
     )
 
 
-def settled(fit: GeometryFit, problem: MarkerProblem) -> Float[Tensor, "dofs frames"]:
-    """Postures of all frames at the fit's geometry, found from rest."""
-    return settle(problem, initial_posture(problem, fit.xi, _rest(fit)), fit.xi)
+def settled(
+    fit: GeometryFit, problem: MarkerProblem, near: Float[Tensor, "dofs frames"] | None = None
+) -> Float[Tensor, "dofs frames"]:
+    """Postures of all frames at the fit's geometry, found from those near them, or from rest."""
+    return settle(problem, initial_posture(problem, fit.xi, _rest(fit)) if near is None else near, fit.xi)
 
 
 def _rest(fit: GeometryFit) -> Float[Tensor, " dofs"]:
