@@ -12,7 +12,7 @@ from torchid.diagnosis.design import Candidate, Design, Source
 from torchid.diagnosis.diagnose import trust, visible
 from torchid.diagnosis.doubtful import without_opposed
 from torchid.diagnosis.evidence import fit, gains
-from torchid.diagnosis.found import Search, without_negative
+from torchid.diagnosis.found import Search, pruned, without_negative
 from torchid.diagnosis.noise import initial_noise
 from torchid.diagnosis.sums import Prior, Sums
 from torchid.diagnosis.unexplained import structure
@@ -48,6 +48,17 @@ def test_causes_that_undo_each_other_are_none(opposed):
     search = found(torch.stack([one, near, third], 1), rows + 9.0 * third)
     kept = [c.place.where[0] for c in without_opposed(search).chosen]
     assert kept == (["c"] if opposed else ["a", "b", "c"])
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_what_stood_by_a_cause_goes_with_it(gone):
+    """Two that nearly undo each other explain together what neither does alone."""
+    one, other, third = torch.linalg.qr(torch.randn(400, 3, generator=torch.Generator().manual_seed(9)).double()).Q.T
+    search = found(20.0 * torch.stack([one, 0.1 * other - one, third], 1), 60.0 * third + 10.0 * other)
+    chosen = search.chosen[1:] if gone else search.chosen
+    search = pruned(replace(search, chosen=chosen, fitted=fit(search.sums, chosen)))
+    assert [c.place.where[0] for c in search.chosen] == (["c"] if gone else ["a", "b", "c"])
+    assert len(search.fitted.chosen) == len(search.chosen)
 
 
 def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):

@@ -8,7 +8,7 @@ import torch
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.doubtful import PLAIN, relevant, stands_out, without_opposed
 from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, support, without, without_negative
+from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, pruned, support, without
 from torchid.diagnosis.heldout import HeldOut, Judged
 from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import residuals, search
@@ -63,10 +63,10 @@ def diagnose(
     """
     found = search(watched, effects, inertia, omega, whitening, limit, geometry)
     if _remains(found, watched, heldout).significant:
-        found = without_negative(relevant(without_opposed(found), watched))
+        found = pruned(relevant(without_opposed(found), watched))
     unseen = HeldOut(found, watched, heldout)
     chosen, refuted = unseen.upheld(unseen.acting())
-    found = without_negative(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)), last=True)
+    found = pruned(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)), last=True)
     rest = _remains(found, watched, heldout)
     extended = unseen.judged(found.chosen)
     names = [w.rows.name for w in (*watched, *heldout)]

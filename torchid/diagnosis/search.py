@@ -13,7 +13,7 @@ from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
 from torchid.diagnosis.evidence import Fitted, fit, gains
-from torchid.diagnosis.found import NAMED, Rival, Round, Search, reduced, support, without_negative
+from torchid.diagnosis.found import NAMED, Rival, Round, Search, pruned, reduced
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.linearised import settled, without_beyond
 from torchid.diagnosis.noise import Noise, estimate_noise, initial_noise, summed
@@ -84,7 +84,7 @@ def search(
         chosen.append(best.candidate)
         scan, noise, sums = scan.took(noise, sums, chosen, looked)
         scan, sums, chosen = scan.opened(sums, chosen)
-    return _pruned(reduced(scan.design, scan.prior, noise, chosen, rounds, sums))
+    return pruned(reduced(scan.design, scan.prior, noise, chosen, rounds, sums))
 
 
 def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:
@@ -237,12 +237,3 @@ def _likely(rivals: Sequence[Rival]) -> list[Rival]:
             best[name] = one
     order = sorted(best.values(), key=lambda one: -one.explained)[:SECOND]
     return [one for one in order if one.explained > LIKELY * order[0].explained]
-
-
-def _pruned(found: Search) -> Search:
-    """Without those that the others have made superfluous."""
-    kept = list(found.chosen)
-    for one in reversed(found.chosen):
-        if support(found.sums, kept, one) < NAMED:
-            kept.remove(one)
-    return without_negative(replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept)))
