@@ -5,14 +5,15 @@ import math
 import pytest
 import torch
 
+from torchid.diagnosis import heldout
 from torchid.diagnosis.design import Candidate, Design, Source
 from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import Search, support
-from torchid.diagnosis.heldout import REFUTED, HeldOut
+from torchid.diagnosis.heldout import REFUTED, HeldOut, Judged
 from torchid.diagnosis.noise import initial_noise
 from torchid.diagnosis.search import open_candidates
 from torchid.diagnosis.sums import Prior, Sums
-from torchid.diagnosis.verdict import Alternative, Cause
+from torchid.diagnosis.verdict import Alternative, Cause, Errors
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Interval, Place
 from torchid.regressor.whitening import initial_whitening
@@ -21,17 +22,28 @@ from torchid.regressor.whitening import initial_whitening
 class Told(HeldOut):
     """Two held-out trials of which everything is known already."""
 
-    def __init__(self, names: str, gains: dict[str, float], promised: dict[str, float]) -> None:
+    def __init__(
+        self, names: str, gains: dict[str, float], promised: dict[str, float], others: str = "", worse: str = ""
+    ) -> None:
         one = Source(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
-        chosen = tuple(Candidate(effect("drag"), Place((name,)), one, frozenset({0})) for name in names)
+        chosen, spare = (
+            tuple(Candidate(effect("drag"), Place((name,)), one, frozenset({0})) for name in some)
+            for some in (names, others)
+        )
         raw = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double()).standard(
-            torch.eye(1).double(), torch.ones(1).double(), torch.arange(1)
+            torch.eye(1).double(), torch.full((1,), 9.0).double(), torch.arange(1)
         )
         sums, prior = Sums(1, 1, (raw,)), Prior(torch.zeros(1).double(), torch.zeros(0, 0), torch.ones(1))
         noise = initial_noise(initial_whitening(torch.ones(2)), 1)
-        self.found = Search(Design(1, 1, (), (), ()), prior, noise, chosen, (), sums, fit(sums))
+        stand_ins = tuple((chosen[0], other) for other in spare)
+        self.found = Search(Design(1, 1, (), (), ()), prior, noise, chosen, (), sums, fit(sums), stand_ins)
         self.trials, self.first, self.share = (None, None), 1, 0.5  # type: ignore[assignment]
-        self.gains, self.promised = gains, promised
+        self.gains, self.promised, self.worse = gains, promised, worse
+
+    def judged(self, chosen):
+        """Forces and moments that err by a tenth more for some."""
+        more = 1.1 ** sum(one.place.where[0] in self.worse for one in chosen)
+        return Judged(Errors(more, more), self.of_forces(chosen))
 
     def density(self, chosen):
         """Better by far: what a force does to held-out markers is none of its business."""
@@ -39,7 +51,7 @@ class Told(HeldOut):
 
     def of_forces(self, chosen):
         """Gains that add up."""
-        return sum(self.gains[one.place.where[0]] for one in chosen)
+        return sum((self.gains[one.place.where[0]] for one in chosen), 0.0)
 
     def _leeway(self, chosen, one):
         return math.sqrt(2.0 * self.promised[one.place.where[0]])
@@ -55,6 +67,27 @@ def test_each_cause_is_refuted_by_its_own_measure():
     assert [(one.place.where[0], says) for one, says in refuted] == [("b", pytest.approx(-10.0))]
 
 
+def test_forces_that_err_more_refute_what_is_no_less_likely():
+    """Inertia that fit trials did not tell would make up for anything."""
+    told = Told("ab", {"a": 6.6, "b": 5.0}, {"a": 30.0, "b": 30.0}, worse="a")
+    kept, refuted = told.upheld(told.found.chosen)
+    assert [one.place.where[0] for one in kept] == ["b"] and [says for _, says in refuted] == [pytest.approx(6.6)]
+
+
+@pytest.mark.parametrize(
+    ("others", "worse", "found"),
+    [("xyz", "", "z"), ("xy", "", ""), ("zx", "z", ""), ("wz", "", "w"), ("bz", "", "z"), ("vz", "", "z")],
+)
+def test_what_is_refuted_at_a_place_may_sit_elsewhere(monkeypatch, others, worse, found):
+    """At the likeliest other place for which held-out motion speaks as it would have to against it, unless forces err
+    more, fit trials do not support it or the effect sits there already; else nowhere."""
+    gains = {"a": -20.0, "b": 5.0, "v": 9.0, "w": 8.0, "x": -1.0, "y": 0.9 * REFUTED, "z": 30.0}
+    told = Told("ab", gains, dict.fromkeys(gains, 0.0), others, worse)
+    monkeypatch.setattr(heldout, "support", lambda sums, some, one: -1.0 if one.place.where == ("v",) else 9.0)
+    kept, refuted = told.upheld(told.found.chosen)
+    assert [one.place.where[0] for one in kept] == ["b", *found] and len(refuted) == 1
+
+
 @pytest.mark.parametrize("name, leeway", [("marker_swap", 10.0), ("drag", 0.0)])
 def test_what_cameras_saw_elsewhere_may_cost_a_part_of_what_it_told(name, leeway):
     """Held-out motion may have liked the geometry better that a swap had bent; a force has no such excuse."""
@@ -62,15 +95,15 @@ def test_what_cameras_saw_elsewhere_may_cost_a_part_of_what_it_told(name, leeway
     raw = unit.standard(torch.eye(1).double(), torch.full((1,), 20.0).double(), torch.arange(1))
     source = Source(effect(name), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
     here, everywhere = (Candidate(effect(name), source.place, source, frozenset(some)) for some in ({0}, {0, 1}))
-    heldout = HeldOut.__new__(HeldOut)
+    told = HeldOut.__new__(HeldOut)
     sums = Sums(0, 1, (raw, raw))
     noise = initial_noise(initial_whitening(torch.ones(2)), 2)
-    heldout.found = Search(Design(0, 0, (), (), ()), unit, noise, (here,), (), sums, fit(sums))
-    heldout.share = 0.5
+    told.found = Search(Design(0, 0, (), (), ()), unit, noise, (here,), (), sums, fit(sums))
+    told.share = 0.5
     # Of a column of unit prior with a moment b: b^2 / 4 - log(2) / 2.
-    assert heldout._leeway([here], here) == pytest.approx(leeway, abs=0.05)
+    assert told._leeway([here], here) == pytest.approx(leeway, abs=0.05)
     promised = 0.5 * support(sums, [everywhere], everywhere)
-    assert heldout._leeway([everywhere], everywhere) == pytest.approx(math.sqrt(2.0 * promised))
+    assert told._leeway([everywhere], everywhere) == pytest.approx(math.sqrt(2.0 * promised))
 
 
 def test_what_lasts_lasts_all_of_a_recording():

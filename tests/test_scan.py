@@ -6,10 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 from test_doubtful import found as searched
+from torch.testing import assert_close
 
 from torchid.diagnosis.design import Candidate, Source
 from torchid.diagnosis.diagnose import cause_of
-from torchid.diagnosis.found import ALIKE, NAMED, Rival, Round
+from torchid.diagnosis.evidence import fit
+from torchid.diagnosis.found import ALIKE, NAMED, Rival, Round, reduced
 from torchid.diagnosis.scan import scan_all
 from torchid.diagnosis.sums import Prior, Sums
 from torchid.effects.catalogue import effect
@@ -121,3 +123,27 @@ def test_causes_of_the_session_are_not_taken_for_each_other():
     said = cause_of(search, 2, rounds, {}, ("a", "b"))
     assert said.effect == "marker_scale" and said.confidence == pytest.approx(1.0, abs=1e-3)
     assert not said.indistinguishable
+
+
+@pytest.mark.parametrize(("name", "kept"), [("drag", ["b"]), ("payload", []), ("marker_shift", [])])
+def test_places_that_fit_trials_support_as_well_are_kept(name, kept):
+    """Beside what was chosen, and with the columns they had, unless these depend on where an effect was found."""
+    search = searched(torch.eye(3).double(), torch.tensor([1.0, 2.0, 3.0]).double())
+    own = [replace(c, effect=effect(name)) for c in search.chosen]
+    design = replace(search.design, candidates=tuple(own))
+    rounds = [round_of((own[0], 15.0, 15.0), (own[1], NAMED + 0.1, 0.0), (own[2], NAMED - 0.1, 0.0))]
+    found = reduced(design, search.prior, search.noise, own[:1], rounds, search.sums)
+    assert [other.place.where[0] for first, other in found.stand_ins if first is found.chosen[0]] == kept
+    for one, whole in zip((*found.chosen, *(other for _, other in found.stand_ins)), own, strict=False):
+        assert_close(found.sums.moment(one.columns, found.sums.all), search.sums.moment(whole.columns, search.sums.all))
+
+
+def test_what_stands_for_a_refuted_place_is_as_sure_as_without_that():
+    """The refuted place takes nothing of its probability, other rivals do."""
+    search = searched(torch.eye(3).double(), torch.ones(3).double())
+    gone, other, third = search.chosen
+    search = replace(search, chosen=(other,), fitted=fit(search.sums, (other,)), stand_ins=((gone, other),))
+    scores = (gone, 15.0, 15.0), (other, 12.0, 12.0), (third, 7.0, 7.0)
+    said = cause_of(search, 0, [round_of(*scores)], {}, ("a", "b"))
+    assert said.where == other.place.where and said.confidence == pytest.approx(1.0 / (1.0 + math.exp(-5.0)), abs=1e-3)
+    assert [one.where for one in said.alternatives] == [third.place.where]

@@ -8,7 +8,7 @@ import torch
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.doubtful import PLAIN, relevant, stands_out, without_opposed
 from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, pruned, support, without
+from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, named_in, pruned, same, support, without
 from torchid.diagnosis.heldout import HeldOut, Judged
 from torchid.diagnosis.plates import SessionPlate
 from torchid.diagnosis.search import residuals, search
@@ -127,10 +127,6 @@ def _nearest(scan: Round) -> tuple[Near, ...]:
     return tuple(Near(name, first[name].place.where, score) for name, score in best)
 
 
-def _same(scanned: Candidate, one: Candidate) -> bool:
-    return scanned.effect.name == one.effect.name and scanned.place is (one.proposed or one.place)
-
-
 def _causes(found: Search, unseen: HeldOut, extended: Judged, names: Sequence[str]) -> Iterator[Cause]:
     """The chosen effects, each with what it gains on top of the others."""
     for k, one in enumerate(found.chosen):
@@ -141,9 +137,9 @@ def _causes(found: Search, unseen: HeldOut, extended: Judged, names: Sequence[st
 def cause_of(found: Search, k: int, rounds: Sequence[Round], gain: dict[str, float], names: Sequence[str]) -> Cause:
     """The k-th of the chosen effects, against the rivals of the round that named it."""
     one = found.chosen[k]
-    scan = next(r for r in rounds if r.rivals and _same(r.rivals[0].candidate, one))
+    scan = _upheld(found, rounds, one)
     weight = _weights(scan)
-    best = next(r for r in scan.compared if _same(r.candidate, one))
+    best = next(r for r in scan.compared if same(r.candidate, one))
     grouped: dict[tuple[str, tuple[str, ...]], list[float]] = {}
     for rival, w in zip(scan.compared, weight, strict=True):
         near = abs(rival.alike - best.alike) < ALIKE
@@ -161,6 +157,16 @@ def cause_of(found: Search, k: int, rounds: Sequence[Round], gain: dict[str, flo
         one.effect.name, one.place.where, one.place.when, values, confidence, listed, twins, gain,
         one.place, internal(found, k).view(len(one.blocks), -1), acting, one.trials == found.sums.all,
     )  # fmt: skip
+
+
+def _upheld(found: Search, rounds: Sequence[Round], one: Candidate) -> Round:
+    """The round that named a cause; where it stands for another place, without that, which is refuted."""
+    first = next((first for first, other in found.stand_ins if other is one), None)
+    if first is None:
+        return named_in(rounds, one)
+    scan, refuted = named_in(rounds, first), (first.effect.name, first.place.where)
+    left = (r for r in scan.compared if (r.candidate.effect.name, r.candidate.place.where) != refuted)
+    return replace(scan, compared=tuple(left))
 
 
 def _weights(scan: Round) -> list[float]:

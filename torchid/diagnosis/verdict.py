@@ -90,7 +90,8 @@ class Refuted:
     effect: str
     where: tuple[str, ...]
     heldout_log_likelihood: float
-    """What it gained there, negative; where it acts on forces alone, that of the forces after what cameras saw."""
+    """What it gained there; where it acts on forces alone, that of the forces after what cameras saw. Negative, unless
+    both forces and moments err plainly more with it."""
 
 
 @dataclass(frozen=True)

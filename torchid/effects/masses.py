@@ -25,6 +25,9 @@ FREQUENCIES = (2.5, 2.9, 3.3, 3.9, 4.5, 5.2, 6.0, 7.0)
 """Of wobbling masses [Hz]: soft tissue and viscera (Wakeling & Nigg, J Appl Physiol 90, 2001). Half as many took 2.2 kg
 at 4.1 Hz for 5.0 +- 0.7 kg at 5 Hz, and lost 19 nats."""
 DAMPING = (0.1, 0.17, 0.3)
+SOFT = 0.25
+"""Prior standard deviation of a mass that wobbles, as a part of its segment's: 2 kg of a pelvis, 0.5 of an upper arm.
+With 2 kg everywhere, most of an upper arm stood for as much of a thorax."""
 
 
 class BodyMass(Effect):
@@ -126,9 +129,14 @@ class WobblingMass(Effect):
     parameters = (Parameter("mass_kg", 2.0, positive=True),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
-        heavy = [n for n in views[0].scene.tree.names if not n.startswith(("hand", "foot", "forearm", "head"))]
+        scene = views[0].scene
+        heavy = [n for n in scene.tree.names if not n.startswith(("hand", "foot", "forearm", "head"))]
         grids = [{"frequency_hz": f, "damping_ratio": z} for f in FREQUENCIES for z in DAMPING]
-        return tuple(Place((name,), grid=grid) for name in heavy for grid in grids)
+        own = {name: {"segment_kg": float(scene.phi[scene.tree.index(name), 0])} for name in heavy}
+        return tuple(Place((name,), grid=grid | own[name]) for name in heavy for grid in grids)
+
+    def scale(self, place: Place) -> tuple[float, ...]:
+        return (SOFT * place.grid["segment_kg"],) if "segment_kg" in place.grid else super().scale(place)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         (segment,) = place.where
@@ -139,7 +147,8 @@ class WobblingMass(Effect):
         return total + torch.cat([torch.zeros_like(x), cross(theta * (x + sag), at.a + lift(theta))])
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        return super().named(place, theta) | {k: theta.new_tensor(v) for k, v in place.grid.items()}
+        spring = {key: theta.new_tensor(place.grid[key]) for key in ("frequency_hz", "damping_ratio")}
+        return super().named(place, theta) | spring
 
     def estimated(
         self, place: Place, theta: Float[Tensor, " params"], covariance: Float[Tensor, "params params"]

@@ -66,8 +66,15 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
 
 def _refuted(found: Diagnosis) -> list[str]:
     """What was not believed."""
-    said = "Fit trials suggest {}, but held-out motion is {} likelier without it: the model was not extended by it."
-    return [said.format(called(one), _times(-one.heldout_log_likelihood)) for one in found.refuted]
+    said = "Fit trials suggest {}, but {}: the model was not extended by it."
+    return [said.format(called(one), _against(-one.heldout_log_likelihood)) for one in found.refuted]
+
+
+def _against(nats: float) -> str:
+    """What held-out motion says; forces may err more that are no less likely."""
+    return (
+        f"held-out motion is {_times(nats)} likelier without it" if nats > 0.0 else "held-out forces err more with it"
+    )
 
 
 def _times(nats: float) -> str:
