@@ -12,7 +12,7 @@ from torchid.diagnosis.design import Candidate, Design, Source
 from torchid.diagnosis.diagnose import trust, visible
 from torchid.diagnosis.doubtful import without_opposed
 from torchid.diagnosis.evidence import fit, gains
-from torchid.diagnosis.found import Search, pruned, without_negative
+from torchid.diagnosis.found import NAMED, Search, pruned, support, without_negative
 from torchid.diagnosis.noise import initial_noise
 from torchid.diagnosis.sums import Prior, Sums
 from torchid.diagnosis.unexplained import structure
@@ -59,6 +59,15 @@ def test_what_stood_by_a_cause_goes_with_it(gone):
     search = pruned(replace(search, chosen=chosen, fitted=fit(search.sums, chosen)))
     assert [c.place.where[0] for c in search.chosen] == (["c"] if gone else ["a", "b", "c"])
     assert len(search.fitted.chosen) == len(search.chosen)
+
+
+def test_what_is_left_is_supported():
+    """However one hangs on another: of what a search ends with, nothing falls short of what names it."""
+    for seed in range(300):
+        draw = torch.Generator().manual_seed(seed)
+        columns = torch.randn(40, 3, generator=draw, dtype=torch.float64) @ torch.randn(3, 3, generator=draw).double()
+        search = pruned(found(columns, 1.5 * columns @ torch.rand(3, generator=draw).double()))
+        assert all(support(search.sums, search.chosen, one) >= NAMED for one in search.chosen), seed
 
 
 def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):

@@ -406,6 +406,16 @@ def test_places_cover_the_session(subject, plain):
         assert len(set(keys)) == len(keys)
 
 
+def test_what_wobbles_is_a_part_of_its_segment(subject, plain):
+    """Expected in proportion to it, wherever and however fast it wobbles; what is hidden need not say of how much."""
+    wobbling = effect("wobbling_mass")
+    _, scene, measured = simulated(subject, plain, "drag")
+    for place in wobbling.places((View(scene, measured, measured),)):
+        kg = float(scene.phi[scene.tree.index(place.where[0]), 0])
+        assert wobbling.scale(place) == pytest.approx((0.25 * kg,))
+    assert wobbling.scale(planted(options("wobbling_mass")).place) == (2.0,)
+
+
 def test_a_column_per_parameter_is_finite(subject, plain):
     """At every place of every effect."""
     _, scene, measured = simulated(subject, plain, "drag")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import takewhile
 
 import torch
 
@@ -52,7 +53,7 @@ def diagnose(
 
     Args:
         watched: fit trials.
-        heldout: trials that nothing was fitted on; they may refute a cause.
+        heldout: trials that nothing was fitted on; they may refute a cause, or the place of one.
         plates: of the session.
         effects: to try.
         inertia: prior of the inertial parameters.
@@ -74,7 +75,9 @@ def diagnose(
     strength = [support(found.sums, found.chosen, one) for one in found.chosen]
     order = sorted(range(len(causes)), key=lambda k: (after_forces(causes[k]), -strength[k]))
     rest, idle, near = with_vibration(rest, watched), _idle(watched, plates), _nearest(found.rounds[-1])
-    against = tuple(Refuted(one.effect.name, one.place.where, says) for one, says in refuted)
+    kept = {id(one) for one in found.chosen}
+    instead = {id(first): other.place.where for first, other in found.stand_ins if id(other) in kept}
+    against = tuple(Refuted(one.effect.name, one.place.where, says, instead.get(id(one))) for one, says in refuted)
     return Diagnosis(
         plates, unseen.judged(()).errors, extended.errors, tuple(causes[k] for k in order), rest, idle, near, against
     )
@@ -160,12 +163,14 @@ def cause_of(found: Search, k: int, rounds: Sequence[Round], gain: dict[str, flo
 
 
 def _upheld(found: Search, rounds: Sequence[Round], one: Candidate) -> Round:
-    """The round that named a cause; where it stands for another place, without that, which is refuted."""
+    """The round that named a cause; where it stands for another place, without those that were refused before it."""
     first = next((first for first, other in found.stand_ins if other is one), None)
     if first is None:
         return named_in(rounds, one)
-    scan, refuted = named_in(rounds, first), (first.effect.name, first.place.where)
-    left = (r for r in scan.compared if (r.candidate.effect.name, r.candidate.place.where) != refuted)
+    tried = [first, *(other for own, other in found.stand_ins if own is first)]
+    refused = [(c.effect.name, c.place.where) for c in takewhile(lambda c: c is not one, tried)]
+    scan = named_in(rounds, first)
+    left = (r for r in scan.compared if (r.candidate.effect.name, r.candidate.place.where) not in refused)
     return replace(scan, compared=tuple(left))
 
 

@@ -41,7 +41,7 @@ def _takes_away(found: Search, watched: Sequence[Watched], chosen: Sequence[Cand
     """Part of the residual force or moment, whichever is more, that an effect takes away beside the others chosen."""
     others = [c for c in without(chosen, one) if not c.effect.anew]
     with_, less = (
-        _sizes(watched, residuals(watched, found.design, found.prior, fit(found.sums, some)))
+        sizes(watched, residuals(watched, found.design, found.prior, fit(found.sums, some)))
         for some in ([*others, one], others)
     )
     return 1.0 - float((with_ - less).exp().min())
@@ -57,10 +57,10 @@ def stands_out(found: Search, watched: Sequence[Watched], k: int) -> float:
     for trial, (columns, own) in enumerate(zip(found.design.trials, left, strict=True)):
         share = found.prior.scale * found.fitted.shares(len(found.prior.mean), trial)[k, n:]
         more.append(own + torch.einsum("ipt,p->ti", columns.extra, share[columns.terms.live[n:] - n]))
-    return 1.0 - float((_sizes(watched, left) - _sizes(watched, more)).exp().min())
+    return 1.0 - float((sizes(watched, left) - sizes(watched, more)).exp().min())
 
 
-def _sizes(watched: Sequence[Watched], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:
+def sizes(watched: Sequence[Watched], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:
     """Logarithms of the RMS of forces and moments, averaged over trials: a landing must not drown what squats show."""
     parts = [x[w.rows.used].unflatten(1, (2, 3)) for w, x in zip(watched, left, strict=True)]
     return torch.stack([0.5 * part.square().mean((0, 2)).log() for part in parts]).mean(0)

@@ -19,6 +19,8 @@ NAMED = 2.5
 ``scripts/battery`` prints the best score that any effect had: 2.0 in 62."""
 ALIKE = 3.0
 """Nats within which a rival cannot be told apart, see ``Rival.alike``."""
+OUT_OF_SIGHT = 10.0
+"""Nats behind the best at which nothing matters to it."""
 STAND_INS = 3
 """Other places of an effect that are asked when held-out motion refutes one."""
 CHANCE, PART = 1.0, 0.1
@@ -125,22 +127,24 @@ def reduced(
 def _stand_ins(
     design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round]
 ) -> Iterator[tuple[Candidate, Candidate]]:
-    """Places that fit trials support as well, of effects on forces alone whose columns do not depend on where they were
-    found.
+    """Places that fit trials support nearly as well, of effects on forces alone whose columns do not depend on where
+    they were found.
 
     Whole-body motions hardly tell a mass that wobbles in the pelvis from one in the thorax (27.6 and 24.7 nats of a
-    hidden one), livelier ones do.
+    hidden one), livelier ones do. Where as many of a kind are named as may be, others have no columns any more.
     """
+    open_ = {(c.effect.name, id(c.place)): c for c in design.candidates}
     for one in chosen:
         if one.effect.kinematic or one.effect.timed or one.effect.late or one.effect.curved:
             continue
-        others = [r for r in named_in(rounds, one).rivals if r.candidate.effect.name == one.effect.name]
-        best = {r.candidate.place.where: r for r in reversed(others) if r.score >= NAMED}
+        rivals = [r for r in named_in(rounds, one).rivals if r.candidate.effect.name == one.effect.name]
+        near = [r for r in rivals if r.score >= NAMED and r.weighed > rivals[0].weighed - OUT_OF_SIGHT]
+        best = {r.candidate.place.where: r for r in reversed(near)}
         best.pop(one.place.where, None)
-        open_ = {id(c.place): c for c in design.candidates}
         for rival in sorted(best.values(), key=lambda rival: -rival.weighed)[:STAND_INS]:
-            if id(rival.candidate.place) in open_:
-                yield one, open_[id(rival.candidate.place)]
+            key = one.effect.name, id(rival.candidate.place)
+            if key in open_:
+                yield one, open_[key]
 
 
 def named_in(rounds: Sequence[Round], one: Candidate) -> Round:
@@ -174,7 +178,8 @@ def pruned(found: Search, last: bool = False) -> Search:
     for one in reversed(found.chosen):
         if support(found.sums, kept, one) < NAMED:
             kept.remove(one)
-    return without_negative(replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept)), last)
+    left = without_negative(replace(found, chosen=tuple(kept), fitted=fit(found.sums, kept)), last)
+    return left if len(left.chosen) == len(found.chosen) else pruned(left, last)
 
 
 def internal(found: Search, k: int) -> Float[Tensor, " params"]:

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import trial_columns
 from torchid.diagnosis.design import Candidate, Columns
-from torchid.diagnosis.doubtful import PLAIN
+from torchid.diagnosis.doubtful import PLAIN, sizes
 from torchid.diagnosis.evidence import Fitted, fit
 from torchid.diagnosis.found import NAMED, PART, Search, support, without
 from torchid.diagnosis.linearised import linearised
@@ -20,14 +20,9 @@ from torchid.diagnosis.noise import summed, unforced, unseen_noise
 from torchid.diagnosis.search import residual
 from torchid.diagnosis.spectral import rows_of
 from torchid.diagnosis.sums import Sums
-from torchid.diagnosis.verdict import Errors
+from torchid.diagnosis.verdict import REFUTED, Errors
 from torchid.diagnosis.watched import Watched
 from torchid.effects.place import Interval
-
-REFUTED = 3.0
-"""Nats by which held-out motion must speak against a cause, beyond its leeway. Where that is the standard deviation
-(2 m)^0.5 of a log likelihood ratio that should be m, a true cause in a true model would fall below -4.5 once in 700;
-models of bodies are not true, and a scale of the cameras told to a tenth of itself lost 5 where 12 were promised."""
 
 
 @dataclass(frozen=True)
@@ -119,39 +114,49 @@ class HeldOut:
         """
         kept, refuted = list(chosen), []
         while kept and self.trials:
-            says = self._says(kept)
-            margin = [
-                -math.inf if self._worse(kept, one) else x + self._leeway(kept, one)
-                for x, one in zip(says, kept, strict=True)
-            ]
-            worst = min(range(len(kept)), key=margin.__getitem__)
-            if margin[worst] > -REFUTED:
+            says, worse = self._says(kept), self._worse(kept)
+            margin = [x + self._leeway(kept, one) for x, one in zip(says, kept, strict=True)]
+            worst = min(range(len(kept)), key=lambda k: (not worse[k], margin[k]))
+            if margin[worst] > -REFUTED and not worse[worst]:
                 break
             refuted.append((kept.pop(worst), says[worst]))
-            kept += self._elsewhere(kept, refuted[-1][0])
+            kept += self._elsewhere(kept, [one for one, _ in refuted])
         return tuple(kept), tuple(refuted)
 
-    def _elsewhere(self, kept: Sequence[Candidate], gone: Candidate) -> list[Candidate]:
-        """What may stand for a cause, if anything: held-out motion must speak for it as it would have to against it."""
-        taken = [one.place.where for one in kept if one.effect.name == gone.effect.name]
-        for other in (other for one, other in self.found.stand_ins if one is gone and other.place.where not in taken):
+    def _elsewhere(self, kept: Sequence[Candidate], refuted: Sequence[Candidate]) -> list[Candidate]:
+        """What may stand for the cause that was refuted last, if anything.
+
+        Held-out motion must speak for it as it would have to against it, and pay for each place it is asked about.
+        """
+        gone = refuted[-1]
+        taken = [one.place.where for one in (*kept, *refuted) if one.effect.name == gone.effect.name]
+        others = [other for one, other in self.found.stand_ins if one is gone and other.place.where not in taken]
+        for asked, other in enumerate(others, 1):
             some = [*kept, other]
-            if support(self.found.sums, some, other) < NAMED or self._worse(some, other):
+            if support(self.found.sums, some, other) < NAMED or self._worse(some)[-1]:
                 continue
-            if self.of_forces(some) - self.of_forces(kept) > REFUTED:
+            if self.of_forces(some) - self.of_forces(kept) > REFUTED + math.log(asked):
                 return [other]
         return []
 
-    def _worse(self, chosen: Sequence[Candidate], one: Candidate) -> bool:
-        """Whether forces and moments both err plainly more because of an effect on forces alone.
+    def _worse(self, chosen: Sequence[Candidate]) -> list[bool]:
+        """Whether forces and moments both err plainly more because of each of them, of what acts on forces alone.
 
         The density knows how little fit trials tell of a limb's inertia, which then makes up for much: most of an upper
-        arm on a spring, where there was none, was likelier by 6.6 nats, and forces erred by half as much again.
+        arm on a spring, where there was none, was likelier by 6.6 nats, and forces erred by half as much again. What
+        inertia takes on of a wrong record is spared, as in ``relevant``.
         """
-        if one.effect.kinematic or not self._whole(one):
-            return False
-        gain = self.judged(chosen).over(self.judged(without(chosen, one)))
-        return max(gain["force_rmse_pct"], gain["moment_rmse_pct"]) < -100.0 * PLAIN
+        whole, found = self._sizes(chosen), []
+        for one in chosen:
+            spared = one.effect.kinematic or one.effect.anew or one.effect.recorded or not self._whole(one)
+            more = whole - (whole if spared else self._sizes(without(chosen, one)))
+            found.append(float(more.min()) > math.log1p(PLAIN))
+        return found
+
+    def _sizes(self, chosen: Sequence[Candidate]) -> Float[Tensor, " 2"]:
+        """Of the held-out residual, see ``sizes``."""
+        (sums, _, _), some = self._without_anew(chosen)
+        return sizes(self.trials, self._left(fit(sums, some)))
 
     def _says(self, chosen: Sequence[Candidate]) -> list[float]:
         """What held-out motion says for each of them: of what acts on forces alone, its forces do.
@@ -176,11 +181,14 @@ class HeldOut:
         return max(promised, PART * told) if one.effect.kinematic and not self._whole(one) else promised
 
     def _errors(self, fitted: Fitted) -> Errors:
-        trials = enumerate(zip(self.trials, self.columns, strict=True), self.first)
-        left = [(residual(w, c, self.found.prior, fitted, k) + self._untrusted(w, c, fitted, k))[w.rows.used]
-                for k, (w, c) in trials]  # fmt: skip
+        left = [x[w.rows.used] for w, x in zip(self.trials, self._left(fitted), strict=True)]
         both = torch.cat(left)
         return Errors(*(float(x.square().sum(1).mean().sqrt()) for x in (both[:, :3], both[:, 3:])))
+
+    def _left(self, fitted: Fitted) -> list[Float[Tensor, "frames 6"]]:
+        """Residuals of the held-out trials under a model that the fit trials have."""
+        trials = enumerate(zip(self.trials, self.columns, strict=True), self.first)
+        return [residual(w, c, self.found.prior, fitted, k) + self._untrusted(w, c, fitted, k) for k, (w, c) in trials]
 
     def _untrusted(self, watched: Watched, columns: Columns, fitted: Fitted, trial: int) -> Float[Tensor, "frames 6"]:
         """What chosen effects take off and nobody believes (``Effect.trusted``)."""

@@ -139,7 +139,7 @@ def unseen_noise(
     Args:
         rows: of these trials.
         prior: of all columns.
-        design: of the chosen effects alone.
+        design: of the chosen effects, and of what may stand for them.
         chosen: effects.
         noise: of the trials before them, under which ``sums`` are; it gives these a loudness of one.
         sums: of other trials, and of these behind them.

@@ -12,12 +12,10 @@ from torch import Tensor
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.evidence import Fitted, fit, gains, informed, unsized
-from torchid.diagnosis.found import Rival, Round
+from torchid.diagnosis.found import OUT_OF_SIGHT, Rival, Round
 from torchid.diagnosis.ordinary import ordinary
 from torchid.diagnosis.sums import Sums
 
-OUT_OF_SIGHT = 10.0
-"""Nats behind the best at which nothing matters to it."""
 LOOSE = 100.0
 """Times its prior, with which the best takes away all that it can: what a narrow prior keeps it from, its look-alikes
 would add beside it, and pass for other things."""

@@ -15,6 +15,10 @@ from torchid.effects.catalogue import effect
 from torchid.effects.effect import Planted
 from torchid.effects.place import Interval, Place
 
+REFUTED = 3.0
+"""Nats by which held-out motion must speak against a cause, beyond its leeway. Where that is the standard deviation
+(2 m)^0.5 of a log likelihood ratio that should be m, a true cause in a true model would fall below -4.5 once in 700;
+models of bodies are not true, and a scale of the cameras told to a tenth of itself lost 5 where 12 were promised."""
 RIVALS = 4
 """Alternatives that are listed at most."""
 
@@ -90,8 +94,10 @@ class Refuted:
     effect: str
     where: tuple[str, ...]
     heldout_log_likelihood: float
-    """What it gained there; where it acts on forces alone, that of the forces after what cameras saw. Negative, unless
-    both forces and moments err plainly more with it."""
+    """What it gained there; where it acts on forces alone, that of the forces after what cameras saw. Less than
+    ``-REFUTED``, unless both forces and moments err plainly more with it."""
+    instead: tuple[str, ...] | None = None
+    """Where it sits as held-out motion has it, among places that fit trials support nearly as well."""
 
 
 @dataclass(frozen=True)

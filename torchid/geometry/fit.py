@@ -13,7 +13,8 @@ from torchid.geometry.options import GeometryOptions
 from torchid.geometry.placing import start_fit
 from torchid.geometry.problem import MarkerProblem
 from torchid.geometry.scatter import reweighted
-from torchid.geometry.trials import evenly, posture_prior, settled, side_by_side, trial_problem
+from torchid.geometry.start import evenly
+from torchid.geometry.trials import posture_prior, settled, side_by_side, trial_problem
 from torchid.geometry.uncertainty import estimate_uncertainty
 from torchid.model.model import Model
 from torchid.recording import Markers

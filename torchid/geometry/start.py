@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import roma
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.geometry.inverse import solve_poses
@@ -53,6 +53,11 @@ def _procrustes(model: Tensor, target: Tensor, weight: Tensor) -> tuple[Tensor, 
     H = torch.einsum("tm,tmi,tmj->tij", share, to - centre_t[:, None], model - centre_m[:, None])
     R = torch.as_tensor(roma.special_procrustes(H))
     return R, centre_t - (R @ centre_m[:, :, None])[:, :, 0]
+
+
+def evenly(frames: int, wanted: int) -> Int[Tensor, " chosen"]:
+    """Indices of at most ``wanted`` of the frames, evenly spaced."""
+    return torch.linspace(0, frames - 1, min(frames, wanted)).round().long()
 
 
 def hold(q: Tensor, good: Tensor) -> Tensor:
@@ -106,7 +111,7 @@ def _exemplify(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> N
     starts one in 15 ended with six of ten frames so, at ten times the cost.
     """
     enough = _enough(problem).nonzero()[:, 0]
-    chosen = enough[torch.linspace(0, len(enough) - 1, min(len(enough), EXAMPLES)).round().long()]
+    chosen = enough[evenly(len(enough), EXAMPLES)]
     part, draw = problem.frames(chosen.repeat_interleave(STARTS)), torch.Generator().manual_seed(0)
     drawn = torch.randn(len(q), len(chosen) * STARTS, generator=draw, dtype=q.dtype).to(q.device)
     start = (part.posture.mean + SPREAD * drawn).clamp(part.posture.lower, part.posture.upper)

@@ -9,8 +9,9 @@ from torch import Tensor
 from torchid.geometry.bridge import bridge_gaps, typical_variance
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.start import evenly
 from torchid.geometry.steady import steadied
-from torchid.geometry.trials import evenly, posture_prior, settled, trial_problem
+from torchid.geometry.trials import posture_prior, settled, trial_problem
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
 from torchid.recording import Markers

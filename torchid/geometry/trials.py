@@ -72,11 +72,6 @@ def _rest(fit: GeometryFit) -> Float[Tensor, " dofs"]:
     return fit.xi.new_tensor([dof.rest for dof in fit.model.tree.dofs])
 
 
-def evenly(frames: int, wanted: int) -> Int[Tensor, " chosen"]:
-    """Indices of at most ``wanted`` of the frames, evenly spaced."""
-    return torch.linspace(0, frames - 1, min(frames, wanted)).round().long()
-
-
 def side_by_side(problems: list[MarkerProblem]) -> MarkerProblem:
     """Trials side by side. What is expected of a posture counts once a trial, not once a frame.
 

@@ -1,6 +1,7 @@
 """What the model gets wrong: causes in plain words, what naming them changes, and their rivals."""
 
 import math
+from dataclasses import replace
 
 import torch
 from markupsafe import Markup
@@ -10,7 +11,7 @@ from torch import Tensor
 from torchid.diagnosis.diagnose import wanted
 from torchid.diagnosis.found import NAMED
 from torchid.diagnosis.unexplained import P_VALUE, Structure
-from torchid.diagnosis.verdict import Cause, Diagnosis
+from torchid.diagnosis.verdict import REFUTED, Cause, Diagnosis, Refuted
 from torchid.outcome import Outcome
 from torchid.outcome.tables import heldout_errors
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
@@ -66,15 +67,23 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
 
 def _refuted(found: Diagnosis) -> list[str]:
     """What was not believed."""
-    said = "Fit trials suggest {}, but {}: the model was not extended by it."
-    return [said.format(called(one), _against(-one.heldout_log_likelihood)) for one in found.refuted]
+    said = "Fit trials suggest {}, but {}: the model was not extended by it.{}"
+    return [said.format(called(one), _against(one), _instead(one)) for one in found.refuted]
 
 
-def _against(nats: float) -> str:
-    """What held-out motion says; forces may err more that are no less likely."""
-    return (
-        f"held-out motion is {_times(nats)} likelier without it" if nats > 0.0 else "held-out forces err more with it"
-    )
+def _against(one: Refuted) -> str:
+    """What held-out motion says; forces may err more that are hardly less likely."""
+    if (nats := -one.heldout_log_likelihood) < REFUTED:
+        return "held-out forces err more with it"
+    return f"held-out motion is {_times(nats)} likelier without it"
+
+
+def _instead(one: Refuted) -> str:
+    """Where held-out motion has it, which then is no test of that place."""
+    if one.instead is None:
+        return ""
+    where = place(replace(one, where=one.instead))
+    return f" Of other places that fit trials support nearly as well, held-out motion chose {where}."
 
 
 def _times(nats: float) -> str:
