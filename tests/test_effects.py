@@ -406,6 +406,21 @@ def test_places_cover_the_session(subject, plain):
         assert len(set(keys)) == len(keys)
 
 
+def test_weight_is_wrong_by_records_and_by_gains_of_all_plates(subject, plain):
+    """Columns of both are of what the plates bore: they can be told apart by nothing but another scale."""
+    _, scene, measured = simulated(subject, plain, "drag")
+    scene = dataclasses.replace(scene, borne=measured.total / 70.0)
+    found = {
+        one.name: (place, columns(one, scene, measured, place))
+        for one in CATALOGUE.values()
+        if one.name not in SEEN
+        for place in one.places((View(scene, measured, measured),))
+        if one.weighs(place)
+    }
+    assert list(found) == ["plate_gain", "body_mass"] and len(found["plate_gain"][0].where) > 1
+    assert_close(70.0 * found["body_mass"][1], found["plate_gain"][1], rtol=1e-9, atol=1e-6)
+
+
 def test_what_wobbles_is_a_part_of_its_segment(subject, plain):
     """Expected in proportion to it, wherever and however fast it wobbles; what is hidden need not say of how much."""
     wobbling = effect("wobbling_mass")

@@ -9,7 +9,7 @@ from test_doubtful import found as searched
 from torch.testing import assert_close
 
 from torchid.diagnosis.design import Candidate, Source
-from torchid.diagnosis.diagnose import cause_of
+from torchid.diagnosis.diagnose import cause_of, weighed_again
 from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import ALIKE, NAMED, Rival, Round, reduced
 from torchid.diagnosis.scan import scan_all
@@ -137,9 +137,38 @@ def test_places_that_fit_trials_support_nearly_as_well_are_kept(name, first, kep
     design = replace(search.design, candidates=tuple(own))
     rounds = [round_of((own[0], first, first), (own[1], NAMED + 0.1, 0.0), (own[2], NAMED - 0.1, 0.0))]
     found = reduced(design, search.prior, search.noise, own[:1], rounds, search.sums)
+    assert not found.scales
     assert [other.place.where[0] for first, other in found.stand_ins if first is found.chosen[0]] == kept
     for one, whole in zip((*found.chosen, *(other for _, other in found.stand_ins)), own, strict=False):
         assert_close(found.sums.moment(one.columns, found.sums.all), search.sums.moment(whole.columns, search.sums.all))
+
+
+def test_what_weighs_is_kept_to_the_end():
+    """Chosen or not, once."""
+    search = searched(torch.eye(3).double(), torch.ones(3).double())
+    drag, *others = search.chosen
+    both = [replace(one, effect=effect(name)) for one, name in zip(others, ("body_mass", "plate_gain"), strict=True)]
+    both[1] = replace(both[1], place=Place(("plate_1", "plate_2")))
+    design = replace(search.design, candidates=(drag, *both))
+    rounds = [round_of((one, 9.0, 9.0)) for one in (drag, *both)]
+    found = reduced(design, search.prior, search.noise, [drag, both[0]], rounds, search.sums)
+    assert found.scales[0] is found.chosen[1] and [c.effect.name for c in found.scales] == ["body_mass", "plate_gain"]
+
+
+@pytest.mark.parametrize(("dropped", "size", "named"), [(True, 9.0, True), (True, 0.05, False), (False, 9.0, False)])
+def test_weight_is_asked_about_again_when_forces_are_dropped(dropped, size, named):
+    """They may have stood for a wrong record; what the last scan came near to is still told of that."""
+    before = searched(torch.eye(3).double(), torch.tensor([size, 9.0, 9.0]).double())
+    place = Place(("session",), grid={"recorded_kg": 70.0})
+    weight = replace(before.chosen[0], effect=effect("body_mass"), place=place)
+    left = before.chosen[2:] if dropped else before.chosen[1:]
+    last = round_of((before.chosen[1], 1.0, 1.0))
+    before = replace(before, chosen=before.chosen[1:], scales=(weight,), rounds=(last,))
+    after = weighed_again(before, replace(before, chosen=left, fitted=fit(before.sums, left)))
+    assert after.chosen == ((*left, weight) if named else left) == after.fitted.chosen
+    assert after.rounds[-1] is last and len(after.rounds) == 1 + named
+    if named:
+        assert cause_of(after, len(left), after.rounds, {}, ("a", "b")).effect == "body_mass"
 
 
 def test_what_stands_for_a_refuted_place_is_as_sure_as_without_that():

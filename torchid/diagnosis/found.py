@@ -109,19 +109,27 @@ class Search:
     fitted: Fitted
     stand_ins: tuple[tuple[Candidate, Candidate], ...] = ()
     """A chosen effect and another place of it, likelier ones first, see ``_stand_ins``."""
+    scales: tuple[Candidate, ...] = ()
+    """What makes all weight wrong by a factor, chosen or not."""
 
 
 def reduced(
     design: Design, prior: Prior, noise: Noise, chosen: Sequence[Candidate], rounds: Sequence[Round], sums: Sums
 ) -> Search:
-    """What a search ended with, without the columns that nobody chose and that stand for nothing chosen."""
-    pairs = list(_stand_ins(design, chosen, rounds))
-    some = [*chosen, *(other for _, other in pairs)]
+    """What a search ended with, without columns that nobody chose, that stand for nothing chosen and weigh nothing."""
+    pairs, more = list(_stand_ins(design, chosen, rounds)), scales(design)
+    some = list({id(c): c for c in (*chosen, *(other for _, other in pairs), *more)}.values())
     small, all_, _ = only(design, some)
-    less, n = sums.only(design, some), len(chosen)
-    own, firsts = all_[:n], [next(k for k, one in enumerate(chosen) if one is first) for first, _ in pairs]
-    stand_ins = tuple((own[k], other) for k, other in zip(firsts, all_[n:], strict=True))
-    return Search(small, prior.widened(small), noise, own, tuple(rounds), less, fit(less, own), stand_ins)
+    own = {id(old): new for old, new in zip(some, all_, strict=True)}
+    less, kept = sums.only(design, some), tuple(own[id(c)] for c in chosen)
+    stand_ins = tuple((own[id(first)], own[id(other)]) for first, other in pairs)
+    weigh = tuple(own[id(c)] for c in more)
+    return Search(small, prior.widened(small), noise, kept, tuple(rounds), less, fit(less, kept), stand_ins, weigh)
+
+
+def scales(design: Design) -> list[Candidate]:
+    """Candidates that make all weight wrong by a factor."""
+    return [c for c in design.candidates if c.effect.weighs(c.place)]
 
 
 def _stand_ins(

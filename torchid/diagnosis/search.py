@@ -13,7 +13,7 @@ from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
 from torchid.diagnosis.evidence import Fitted, fit, gains
-from torchid.diagnosis.found import NAMED, Rival, Round, Search, pruned, reduced
+from torchid.diagnosis.found import NAMED, Rival, Round, Search, pruned, reduced, scales
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.linearised import settled, without_beyond
 from torchid.diagnosis.noise import Noise, estimate_noise, initial_noise, summed
@@ -131,8 +131,9 @@ class _Scan:
         return scan, noise, scan.sums(noise)
 
     def opened(self, sums: Sums, chosen: Sequence[Candidate]) -> tuple["_Scan", Sums, list[Candidate]]:
-        """Without the columns of effects of which as many are named as may be."""
+        """Without the columns of effects of which as many are named as may be; weight is asked about to the end."""
         some = [*chosen, *open_candidates(self.design, chosen, self.limit)]
+        some += [c for c in scales(self.design) if c not in some]
         if narrower(self.design, some)[0].width == self.design.width:
             return self, sums, list(chosen)
         rows, prior, _, _ = narrowed(self.rows, self.prior, self.design, some)

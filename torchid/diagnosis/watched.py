@@ -120,12 +120,12 @@ def watch(
     """
     rows = _inner(rows)
     scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, known.prior)
-    scene = replace(scene, recorded_kg=known.recorded_kg)
     raw = reading(rows.name, forces, frames)
     smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
-    needed = replace(scene, phi=known.phi).needed().T
+    bore = _borne(smooth, replace(scene, phi=known.phi).needed().T)
+    scene = replace(scene, recorded_kg=known.recorded_kg, borne=_per_kg(bore, known.phi))
     read = replace(raw, time=rows.motion.time, wrench=smooth)
-    view = View(scene, replace(read, wrench=_borne(smooth, needed)), read)
+    view = View(scene, replace(read, wrench=bore), read)
     root = rows.motion.q[:, None, :3].expand(*raw.wrench.shape[:2], 3)
     scatter = _scatter(wrench_about(raw.wrench, root), raw.wrench[..., 2])
     idle = find_idle(replace(raw, time=rows.motion.time), rows.rate)
@@ -144,8 +144,8 @@ def added(watched: Watched, motion: Motion) -> Float[Tensor, "6 params frames"]:
 def _shaken(watched: Watched, motion: Motion) -> Shaken:
     rows, view = watched.rows, watched.view
     scene = make_scene(rows.name, rows.tree, rows.geometry, motion, view.scene.phi)
-    scene = replace(scene, recorded_kg=view.scene.recorded_kg)
     bore = _borne(view.measured.wrench, replace(scene, phi=watched.phi).needed().T)
+    scene = replace(scene, recorded_kg=view.scene.recorded_kg, borne=_per_kg(bore, watched.phi))
     total = torch.einsum("ipt,p->it", added(watched, motion), watched.phi.reshape(-1))
     sight = None if view.sight is None else replace(view.sight, scene=scene)
     view = replace(view, scene=scene, reading=replace(view.reading, wrench=bore), sight=sight)
@@ -181,6 +181,10 @@ def _borne(
     share = load / load.sum(1, keepdim=True).clamp(min=LOADED)
     read = read * (load > 0.0)
     return read - share * (read.sum(1) - needed)[:, None]
+
+
+def _per_kg(bore: Float[Tensor, "frames plates 6"], phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "6 frames"]:
+    return bore.sum(1).T / phi[:, 0].sum()
 
 
 def _scatter(read: Float[Tensor, "frames plates 6"], load: Float[Tensor, "frames plates"]) -> Float[Tensor, " 6"]:

@@ -125,6 +125,10 @@ class Effect(ABC):
         """How many of the internal parameters, the first ones, are never negative."""
         return self.parameters[0].size if self.parameters[0].positive else 0
 
+    def weighs(self, place: Place) -> bool:
+        """Whether it is that all weight is wrong by a factor, which inertia takes on."""
+        return self.recorded
+
     def part_of(self, own: Place, effect: "Effect", place: Place) -> Float[Tensor, "params own"] | None:
         """What its parameters at its own place add to those of another effect, where it is part of that."""
         return None

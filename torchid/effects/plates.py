@@ -45,6 +45,9 @@ class PlateMap(Effect):
         each = tuple(Place((name,)) for name in names)
         return (*each, Place(tuple(names))) if self.together and len(names) > 1 else each
 
+    def weighs(self, place: Place) -> bool:
+        return self.together and len(place.where) > 1
+
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         for name in place.where:
             k = reading.index(name)

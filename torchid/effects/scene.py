@@ -36,6 +36,9 @@ class Scene:
     phi: Float[Tensor, "bodies 10"]
     recorded_kg: float = float("nan")
     """Mass of the body before any force was seen."""
+    borne: Float[Tensor, "6 frames"] | None = None
+    """Wrench about the origin of W that the plates bore for every kilogram of the body, by the model as it was
+    identified; None: by no other than this."""
     _points: dict[tuple[str, tuple[float, ...]], Point] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
