@@ -13,7 +13,7 @@ from torchid.diagnosis.expected import Expected, expected, loudness
 from torchid.diagnosis.idle import LOADED, Idle, find_idle
 from torchid.diagnosis.shaken import DRAWS, LOUD_DRAWS, MOST_DRAWS, regressor, shaken
 from torchid.dynamics import wrench_about
-from torchid.effects.scene import PlateFrame, Scene, make_scene, reading
+from torchid.effects.scene import PlateFrame, Reading, Scene, make_scene, reading
 from torchid.effects.sight import Sight, View
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.tracking import Tracked, modelled
@@ -122,10 +122,10 @@ def watch(
     scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, known.prior)
     raw = reading(rows.name, forces, frames)
     smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
-    bore = _borne(smooth, replace(scene, phi=known.phi).needed().T)
-    scene = replace(scene, recorded_kg=known.recorded_kg, borne=_per_kg(bore, known.phi))
+    needed = replace(scene, phi=known.phi).needed()
+    scene = replace(scene, recorded_kg=known.recorded_kg, per_kg=needed / known.phi[:, 0].sum())
     read = replace(raw, time=rows.motion.time, wrench=smooth)
-    view = View(scene, replace(read, wrench=bore), read)
+    view = View(scene, _borne(read, needed.T), read)
     root = rows.motion.q[:, None, :3].expand(*raw.wrench.shape[:2], 3)
     scatter = _scatter(wrench_about(raw.wrench, root), raw.wrench[..., 2])
     idle = find_idle(replace(raw, time=rows.motion.time), rows.rate)
@@ -144,11 +144,11 @@ def added(watched: Watched, motion: Motion) -> Float[Tensor, "6 params frames"]:
 def _shaken(watched: Watched, motion: Motion) -> Shaken:
     rows, view = watched.rows, watched.view
     scene = make_scene(rows.name, rows.tree, rows.geometry, motion, view.scene.phi)
-    bore = _borne(view.measured.wrench, replace(scene, phi=watched.phi).needed().T)
-    scene = replace(scene, recorded_kg=view.scene.recorded_kg, borne=_per_kg(bore, watched.phi))
+    needed = replace(scene, phi=watched.phi).needed()
+    scene = replace(scene, recorded_kg=view.scene.recorded_kg, per_kg=needed / watched.phi[:, 0].sum())
     total = torch.einsum("ipt,p->it", added(watched, motion), watched.phi.reshape(-1))
     sight = None if view.sight is None else replace(view.sight, scene=scene)
-    view = replace(view, scene=scene, reading=replace(view.reading, wrench=bore), sight=sight)
+    view = replace(view, scene=scene, reading=_borne(view.measured, needed.T), sight=sight)
     return Shaken(view, motion, total)
 
 
@@ -169,22 +169,18 @@ def _cameras(scene: Scene, fit: GeometryFit, markers: Markers, tracked: Tracked)
     return Cameras(sight, weight, error.permute(1, 2, 0).contiguous(), posture_prior(fit).precision[:, 0])
 
 
-def _borne(
-    read: Float[Tensor, "frames plates 6"], needed: Float[Tensor, "frames 6"]
-) -> Float[Tensor, "frames plates 6"]:
+def _borne(measured: Reading, needed: Float[Tensor, "frames 6"]) -> Reading:
     """What the plates bore: their readings, the model's residual taken off in proportion to their loads.
 
     Readings hold the noise that the total holds. As columns they would explain it by itself: an unloaded plate was
     found to gain 30 %.
     """
+    read = measured.wrench
     load = read[..., 2:3].clamp(min=0.0) * (read[..., 2:3] > LOADED)
     share = load / load.sum(1, keepdim=True).clamp(min=LOADED)
     read = read * (load > 0.0)
-    return read - share * (read.sum(1) - needed)[:, None]
-
-
-def _per_kg(bore: Float[Tensor, "frames plates 6"], phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "6 frames"]:
-    return bore.sum(1).T / phi[:, 0].sum()
+    bore = read - share * (read.sum(1) - needed)[:, None]
+    return replace(measured, wrench=bore, unborne=needed - bore.sum(1))
 
 
 def _scatter(read: Float[Tensor, "frames plates 6"], load: Float[Tensor, "frames plates"]) -> Float[Tensor, " 6"]:

@@ -36,9 +36,9 @@ class Scene:
     phi: Float[Tensor, "bodies 10"]
     recorded_kg: float = float("nan")
     """Mass of the body before any force was seen."""
-    borne: Float[Tensor, "6 frames"] | None = None
-    """Wrench about the origin of W that the plates bore for every kilogram of the body, by the model as it was
-    identified; None: by no other than this."""
+    per_kg: Float[Tensor, "6 frames"] | None = None
+    """Wrench about the origin of W that every kilogram of the body needs, by the model as it was identified; None: by
+    what it is here."""
     _points: dict[tuple[str, tuple[float, ...]], Point] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -125,11 +125,14 @@ class Reading:
     time: Float[Tensor, " samples"]
     wrench: Float[Tensor, "samples plates 6"]
     frames: tuple[PlateFrame, ...]
+    unborne: Float[Tensor, "samples 6"] | None = None
+    """What a model needs while no plate bears anything, which is its error; None: no model reads this."""
 
     @property
     def total(self) -> Float[Tensor, "6 samples"]:
         """Sum over the plates."""
-        return self.wrench.sum(1).T
+        total = self.wrench.sum(1).T
+        return total if self.unborne is None else total + self.unborne.T
 
     def index(self, plate: str) -> int | None:
         """Column of a plate, None where the trial lacks it."""
