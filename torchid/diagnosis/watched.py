@@ -122,10 +122,9 @@ def watch(
     scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, known.prior)
     raw = reading(rows.name, forces, frames)
     smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
-    needed = replace(scene, phi=known.phi).needed()
-    scene = replace(scene, recorded_kg=known.recorded_kg, per_kg=needed / known.phi[:, 0].sum())
+    scene = replace(scene, recorded_kg=known.recorded_kg)
     read = replace(raw, time=rows.motion.time, wrench=smooth)
-    view = View(scene, _borne(read, needed.T), read)
+    view = View(scene, _borne(read, scene, known.phi), read)
     root = rows.motion.q[:, None, :3].expand(*raw.wrench.shape[:2], 3)
     scatter = _scatter(wrench_about(raw.wrench, root), raw.wrench[..., 2])
     idle = find_idle(replace(raw, time=rows.motion.time), rows.rate)
@@ -144,11 +143,10 @@ def added(watched: Watched, motion: Motion) -> Float[Tensor, "6 params frames"]:
 def _shaken(watched: Watched, motion: Motion) -> Shaken:
     rows, view = watched.rows, watched.view
     scene = make_scene(rows.name, rows.tree, rows.geometry, motion, view.scene.phi)
-    needed = replace(scene, phi=watched.phi).needed()
-    scene = replace(scene, recorded_kg=view.scene.recorded_kg, per_kg=needed / watched.phi[:, 0].sum())
+    scene = replace(scene, recorded_kg=view.scene.recorded_kg)
     total = torch.einsum("ipt,p->it", added(watched, motion), watched.phi.reshape(-1))
     sight = None if view.sight is None else replace(view.sight, scene=scene)
-    view = replace(view, scene=scene, reading=_borne(view.measured, needed.T), sight=sight)
+    view = replace(view, scene=scene, reading=_borne(view.measured, scene, watched.phi), sight=sight)
     return Shaken(view, motion, total)
 
 
@@ -169,18 +167,18 @@ def _cameras(scene: Scene, fit: GeometryFit, markers: Markers, tracked: Tracked)
     return Cameras(sight, weight, error.permute(1, 2, 0).contiguous(), posture_prior(fit).precision[:, 0])
 
 
-def _borne(measured: Reading, needed: Float[Tensor, "frames 6"]) -> Reading:
+def _borne(measured: Reading, scene: Scene, phi: Float[Tensor, "bodies 10"]) -> Reading:
     """What the plates bore: their readings, the model's residual taken off in proportion to their loads.
 
     Readings hold the noise that the total holds. As columns they would explain it by itself: an unloaded plate was
     found to gain 30 %.
     """
-    read = measured.wrench
+    read, needed = measured.wrench, replace(scene, phi=phi).needed().T
     load = read[..., 2:3].clamp(min=0.0) * (read[..., 2:3] > LOADED)
     share = load / load.sum(1, keepdim=True).clamp(min=LOADED)
     read = read * (load > 0.0)
     bore = read - share * (read.sum(1) - needed)[:, None]
-    return replace(measured, wrench=bore, unborne=needed - bore.sum(1))
+    return replace(measured, wrench=bore, unborne=scene.needed().T - bore.sum(1))
 
 
 def _scatter(read: Float[Tensor, "frames plates 6"], load: Float[Tensor, "frames plates"]) -> Float[Tensor, " 6"]:

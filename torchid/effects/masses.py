@@ -34,8 +34,7 @@ class BodyMass(Effect):
     """The recorded mass is not the person's: plates and record disagree everywhere alike.
 
     A common gain of all plates does the same to the plates; only a second scale tells which. Internal is what the
-    body weighs beyond the record, spread over it as its mass is, which is as it was identified: as tables have it, a
-    runner written down 6 kg too light was likelier by 10 nats to have run on plates that gain 8 %.
+    body weighs beyond the record, spread over it as its mass is.
     """
 
     name = "body_mass"
@@ -47,7 +46,7 @@ class BodyMass(Effect):
         return (Place(("session",), grid={"recorded_kg": views[0].scene.recorded_kg}),)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
-        return theta * (scene.needed() / scene.mass if scene.per_kg is None else scene.per_kg)
+        return theta / scene.mass * scene.needed()
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         recorded = theta.new_tensor(place.grid["recorded_kg"])

@@ -73,9 +73,10 @@ class PlateGain(PlateMap):
     together = True
 
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
-        """All alike magnify the model's error, too: it is that of a body as heavy as they make it.
+        """All alike are a body that weighs as much more: only another scale tells which, and their columns must not.
 
-        With nothing in the air, they made a runner's body lighter, whose errors there are less.
+        By what the plates bore, which nothing is in the air and has the mass spread as it was identified, a runner
+        written down 6 kg too light was likelier by 10 nats to have run on plates that gain 8 %.
         """
         found = super().read(reading, place, theta)
         if found.unborne is None or not {frame.name for frame in reading.frames} <= set(place.where):

@@ -36,9 +36,6 @@ class Scene:
     phi: Float[Tensor, "bodies 10"]
     recorded_kg: float = float("nan")
     """Mass of the body before any force was seen."""
-    per_kg: Float[Tensor, "6 frames"] | None = None
-    """Wrench about the origin of W that every kilogram of the body needs, by the model as it was identified; None: by
-    what it is here."""
     _points: dict[tuple[str, tuple[float, ...]], Point] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -126,7 +123,7 @@ class Reading:
     wrench: Float[Tensor, "samples plates 6"]
     frames: tuple[PlateFrame, ...]
     unborne: Float[Tensor, "samples 6"] | None = None
-    """What a model needs while no plate bears anything, which is its error; None: no model reads this."""
+    """What a body of tables needs beyond what the plates bore; None: no model reads this."""
 
     @property
     def total(self) -> Float[Tensor, "6 samples"]:
