@@ -107,8 +107,8 @@ def _turn_back(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> N
 def _exemplify(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> None:
     """All frames again from an example, if one is found that fares better than they; in place.
 
-    Where a hand came to rest turned round in every frame, none stood out and none was a good neighbour: of drawn
-    starts one in 15 ended with six of ten frames so, at ten times the cost.
+    Where a hand came to rest turned round in every frame, none stood out and none was a good neighbour: of 288 drawn
+    starts ten ended with 3 to 14 % of the frames so.
     """
     enough = _enough(problem).nonzero()[:, 0]
     chosen = enough[evenly(len(enough), EXAMPLES)]
