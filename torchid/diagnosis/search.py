@@ -18,6 +18,7 @@ from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.linearised import settled, without_beyond
 from torchid.diagnosis.noise import Noise, estimate_noise, initial_noise, summed
 from torchid.diagnosis.scan import scan_all
+from torchid.diagnosis.skin import with_slides
 from torchid.diagnosis.spectral import Rows, narrowed, rows_of
 from torchid.diagnosis.sums import Prior, Sums, make_prior
 from torchid.diagnosis.unexplained import structure
@@ -64,7 +65,9 @@ def search(
     noise = initial_noise(whitening, len(watched))
     chosen: list[Candidate] = []
     rounds: list[Round] = []
-    scan = _Scan(watched, _rows(watched, design), design, prior, limit)
+    rows = _rows(watched, design)
+    design = with_slides(rows, prior, design, noise)
+    scan = _Scan(watched, rows, design, prior.widened(design), limit)
     noise = scan.noise(chosen, noise)
     sums = scan.sums(noise)
     while True:
