@@ -73,6 +73,10 @@ def test_a_verdict_is_judged_by_effect_place_and_size():
     row = judged(planted, said)
     assert row["found"] == [True] and row["first"] and row["sizes"][0]["lag_s"]["right"] and not row["wrong"]
     assert judged([{"effect": "drag", "where": ["pelvis"], "parameters": {}}], said)["found"] == [True]
+    twin = {"coefficient_Ns_m": {"value": 20.0, "sd": 2.0}}
+    cause["indistinguishable"] += [{"effect": "drag", "where": ["head"], "parameters": twin}]
+    sizes = judged([{"effect": "drag", "where": ["head"], "parameters": {"coefficient_Ns_m": 21.0}}], said)["sizes"]
+    assert sizes[0]["coefficient_Ns_m"]["right"]
     elsewhere = judged([{"effect": "drag", "where": ["thorax"], "parameters": {}}], said)
     assert elsewhere["found"] == [False] and len(elsewhere["wrong"]) == 1
     rows = [{"kind": "single", "names": ["time_offset"], "level": "medium", "seed": 1} | row]

@@ -15,8 +15,9 @@ from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.diagnose import PLAIN, diagnose, wanted
 from torchid.diagnosis.doubtful import stands_out
 from torchid.diagnosis.evidence import fit, gains
-from torchid.diagnosis.found import CHANCE, estimate, internal
+from torchid.diagnosis.found import estimate, internal
 from torchid.diagnosis.plates import SessionPlate, recognise
+from torchid.diagnosis.rivals import CHANCE
 from torchid.diagnosis.search import residuals, search
 from torchid.diagnosis.sums import Sums, make_prior
 from torchid.diagnosis.unexplained import Structure

@@ -12,8 +12,9 @@ from torchid.diagnosis.design import Candidate, Design, Source
 from torchid.diagnosis.diagnose import trust, visible
 from torchid.diagnosis.doubtful import without_opposed
 from torchid.diagnosis.evidence import fit, gains
-from torchid.diagnosis.found import NAMED, Search, pruned, support, without_negative
+from torchid.diagnosis.found import Search, pruned, support, without_negative
 from torchid.diagnosis.noise import initial_noise
+from torchid.diagnosis.rivals import NAMED
 from torchid.diagnosis.sums import Prior, Sums
 from torchid.diagnosis.unexplained import structure
 from torchid.effects.catalogue import effect

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from torchid.diagnosis.found import NAMED
 from torchid.diagnosis.ordinary import SCALES, ordinary
+from torchid.diagnosis.rivals import NAMED
 
 PLACES, PRIOR = 200, 1.0
 PRECISE = 1e5

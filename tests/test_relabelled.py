@@ -9,7 +9,7 @@ import torch
 
 from torchid.config import load_config
 from torchid.diagnosis.unexplained import Structure
-from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors
+from torchid.diagnosis.verdict import Cause, Diagnosis, Errors, Twin
 from torchid.effects.place import Interval, Place
 from torchid.experiment import relabelled
 from torchid.experiment.diagnosing import diagnose_outcome
@@ -113,7 +113,7 @@ def test_doubt_is_that_of_what_is_contradicted_now(swap):
     """What a swap had contradicted is no reason for doubt once it is put right, what is left is."""
     empty = Diagnosis((), Errors(9.0, 3.0), Errors(8.0, 2.0), (), QUIET)
     before = replace(empty, unexplained=LOUD)
-    twins = (Alternative("marker_swap", ("RANK", "RHEE"), 0.2),)
+    twins = (Twin("marker_swap", ("RANK", "RHEE"), 0.2),)
     doubted = replace(swap, confidence=0.7, indistinguishable=twins, doubted=True)
     others = (cause("plate_gain", ("plate_1",)), cause("soft_tissue", ("thigh_l",)))
     found = beside(before, replace(empty, causes=others, baseline=Errors(1.0, 1.0)), [doubted])

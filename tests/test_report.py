@@ -13,7 +13,7 @@ import torch
 
 from torchid.config import load_config
 from torchid.diagnosis.unexplained import Structure
-from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors, Near, Refuted
+from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors, Near, Refuted, Twin
 from torchid.effects.apart import APART, RECORD, tell_apart
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.place import Angle, Interval, Place
@@ -327,9 +327,21 @@ def cause(name: str, scale: float = 1.0) -> Cause:
     values = {k: {"value": v, "sd": 0.1 * v.abs()} for k, v in own.named(place, theta).items()}
     gain = {"heldout_log_likelihood": 1.0, "force_rmse_pct": 1.0, "moment_rmse_pct": 1.0}
     rivals = Alternative("body_mass", ("session",), 0.2), Alternative("payload", ("hand_l",), 0.05)
-    return Cause(
-        name, where, when, values, 0.9, rivals, rivals[:1], gain, place, theta[None], ("squats",), when is None
-    )
+    heavier = {key: {"value": torch.tensor(kg), "sd": torch.tensor(1.0)} for key, kg in MASSES.items()}
+    twin = Twin("body_mass", ("session",), 0.2, Place(("session",)), heavier)
+    return Cause(name, where, when, values, 0.9, rivals, (twin,), gain, place, theta[None], ("squats",), when is None)
+
+
+MASSES = {"mass_kg": 74.0, "recorded_kg": 70.0}
+
+
+def test_what_cannot_be_told_apart_has_a_size():
+    """How sure is said with what else it could be, and how large that were."""
+    one = cause("payload")
+    said = surely(one)
+    assert "20 % is a wrong body mass" in said and "If it is that:" in said and "74.0 kg" in said
+    unsized = replace(one, indistinguishable=(Twin("body_mass", ("session",), 0.2),))
+    assert "If it is that" not in surely(unsized)
 
 
 def test_the_page_begins_with_what_is_named_and_how_sure_that_is():

@@ -11,7 +11,8 @@ from torch.testing import assert_close
 from torchid.diagnosis.design import Candidate, Source
 from torchid.diagnosis.diagnose import cause_of, weighed_again
 from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import ALIKE, NAMED, Rival, Round, reduced
+from torchid.diagnosis.found import estimate, reduced
+from torchid.diagnosis.rivals import ALIKE, NAMED, Rival, Round
 from torchid.diagnosis.scan import scan_all
 from torchid.diagnosis.sums import Prior, Sums
 from torchid.effects.catalogue import effect
@@ -113,6 +114,24 @@ def test_a_rival_that_is_likelier_by_far_is_no_twin(lead, twin):
     assert [t.confidence for t in said.scaled(0.5).indistinguishable] == [
         0.5 * t.confidence for t in said.indistinguishable
     ]
+
+
+@pytest.mark.parametrize("lead", [0.0, 6.0])
+def test_a_twin_is_told_with_its_size(lead):
+    """As the model has it that has the twin instead; a likelier rival is none."""
+    search = searched(torch.eye(3).double(), torch.tensor([3.0, 2.0, 1.0]).double())
+    own, other, third = search.chosen
+    design = replace(search.design, candidates=search.chosen)
+    rounds = [round_of((own, 12.0, 12.0), (other, 11.0, 12.0 - lead)), round_of((third, 9.0, 9.0))]
+    found = reduced(design, search.prior, search.noise, [own, third], rounds, search.sums)
+    said = cause_of(found, 0, rounds, {}, ("a", "b"))
+    assert len(found.twins) == len(said.indistinguishable) == (lead == 0.0)
+    for twin in said.indistinguishable:
+        assert twin.where == twin.place.where == other.place.where
+        (key,) = twin.parameters
+        chosen = (*found.twins, found.chosen[1])
+        wanted = estimate(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)), 0)[key]
+        assert_close((twin.parameters[key]["value"], twin.parameters[key]["sd"]), wanted)
 
 
 def test_causes_of_the_session_are_not_taken_for_each_other():

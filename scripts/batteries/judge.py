@@ -42,11 +42,18 @@ def judged(truth: Sequence[dict], said: dict) -> dict:
 def matches(planted: dict, cause: dict) -> bool:
     """The cause itself, or one of which it says that it cannot be told apart."""
     options = [cause, *cause["indistinguishable"]]
-    return any(o["effect"] == planted["effect"] and set(o["where"]) == set(planted["where"]) for o in options)
+    return any(_same(planted, o) for o in options)
+
+
+def _same(planted: dict, one: dict) -> bool:
+    return one["effect"] == planted["effect"] and set(one["where"]) == set(planted["where"])
 
 
 def sized(planted: dict, cause: dict) -> dict | None:
-    """Main parameters: value, stated sd, truth, and whether that is right; None where a rival has the name."""
+    """Main parameters: value, stated sd, truth, and whether that is right, of the cause or the twin that is the planted
+    one; None where no size of it is told."""
+    options = [cause, *(twin for twin in cause["indistinguishable"] if twin.get("parameters"))]
+    cause = next((o for o in options if _same(planted, o)), cause)
     if cause["effect"] != planted["effect"]:
         return None
     found = {}

@@ -4,18 +4,19 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import takewhile
 
-import torch
+from torch import Tensor
 
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.doubtful import PLAIN, relevant, stands_out, without_opposed
 from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import ALIKE, Round, Search, estimate, internal, named_in, pruned, same, support, without
+from torchid.diagnosis.found import Search, estimate, instead, internal, pruned, support, without
 from torchid.diagnosis.heldout import HeldOut, Judged
 from torchid.diagnosis.plates import SessionPlate
+from torchid.diagnosis.rivals import Round, Share, named_in, same, shares, twins
 from torchid.diagnosis.scan import scan_all
 from torchid.diagnosis.search import residuals, search
 from torchid.diagnosis.unexplained import P_VALUE, Structure, structure
-from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Near, Refuted
+from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Near, Refuted, Twin
 from torchid.diagnosis.vibration import with_vibration
 from torchid.diagnosis.watched import Watched
 from torchid.effects.catalogue import CATALOGUE, effect
@@ -159,25 +160,31 @@ def cause_of(found: Search, k: int, rounds: Sequence[Round], gain: dict[str, flo
     """The k-th of the chosen effects, against the rivals of the round that named it."""
     one = found.chosen[k]
     scan = _upheld(found, rounds, one)
-    weight = _weights(scan)
-    best = next(r for r in scan.compared if same(r.candidate, one))
-    grouped: dict[tuple[str, tuple[str, ...]], list[float]] = {}
-    for rival, w in zip(scan.compared, weight, strict=True):
-        near = abs(rival.alike - best.alike) < ALIKE
-        entry = grouped.setdefault((rival.candidate.effect.name, rival.candidate.place.where), [0.0, 0.0])
-        entry[0] += w
-        entry[1] = max(entry[1], float(near))
-    own = grouped.pop((one.effect.name, one.place.where))
-    rivals = sorted(((w, near, *key) for key, (w, near) in grouped.items()), reverse=True)
-    twins = tuple(Alternative(name, where, w) for w, near, name, where in rivals if near)[:2]
-    listed = tuple(Alternative(name, where, w) for w, near, name, where in rivals if w > 1e-3)[:RIVALS]
-    values = {key: {"value": value, "sd": sd} for key, (value, sd) in estimate(found, k).items()}
-    confidence = min(1.0, own[0] + sum(t.confidence for t in twins))
+    own, others = shares(scan, one)
+    alike = tuple(_twin(found, k, share) for share in twins(others))
+    listed = tuple(Alternative(*_named(share), share.weight) for share in others if share.weight > 1e-3)[:RIVALS]
+    confidence = min(1.0, own.weight + sum(twin.confidence for twin in alike))
     acting = tuple(names[j] for j in sorted(one.trials))
     return Cause(
-        one.effect.name, one.place.where, one.place.when, values, confidence, listed, twins, gain,
+        one.effect.name, one.place.where, one.place.when, _told(estimate(found, k)), confidence, listed, alike, gain,
         one.place, internal(found, k).view(len(one.blocks), -1), acting, one.trials == found.sums.all,
     )  # fmt: skip
+
+
+def _twin(found: Search, k: int, share: Share) -> Twin:
+    """With its size in place of the k-th chosen effect."""
+    own = next((c for c in found.twins if same(share.rival.candidate, c) and c not in found.chosen), None)
+    if own is None:
+        return Twin(*_named(share), share.weight)
+    return Twin(*_named(share), share.weight, own.place, _told(instead(found, k, own)))
+
+
+def _named(share: Share) -> tuple[str, tuple[str, ...]]:
+    return share.rival.candidate.effect.name, share.rival.candidate.place.where
+
+
+def _told(values: dict[str, tuple[Tensor, Tensor]]) -> dict[str, dict[str, Tensor]]:
+    return {key: {"value": value, "sd": sd} for key, (value, sd) in values.items()}
 
 
 def _upheld(found: Search, rounds: Sequence[Round], one: Candidate) -> Round:
@@ -190,12 +197,6 @@ def _upheld(found: Search, rounds: Sequence[Round], one: Candidate) -> Round:
     scan = named_in(rounds, first)
     left = (r for r in scan.compared if (r.candidate.effect.name, r.candidate.place.where) not in refused)
     return replace(scan, compared=tuple(left))
-
-
-def _weights(scan: Round) -> list[float]:
-    """Posterior probabilities of all rivals and, implied, of none: families alike, places by their odds."""
-    log = torch.tensor([r.likely(len(scan.families)) for r in scan.compared], dtype=torch.float64)
-    return torch.softmax(torch.cat([log, torch.zeros(1, dtype=torch.float64)]), 0)[:-1].tolist()
 
 
 def _idle(watched: Sequence[Watched], plates: Sequence[SessionPlate]) -> dict[str, str]:

@@ -12,88 +12,15 @@ from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.design import Candidate, Design, only
 from torchid.diagnosis.evidence import Fitted, fit, gains
 from torchid.diagnosis.noise import Noise
+from torchid.diagnosis.rivals import NAMED, OUT_OF_SIGHT, Round, named_in, same, shares, twins
 from torchid.diagnosis.sums import Prior, Sums
 
-NAMED = 2.5
-"""Nats that name an effect: odds of 12 to one. In sessions that hide nothing
-``scripts/battery`` prints the best score that any effect had: 2.0 in 62."""
-ALIKE = 3.0
-"""Nats within which a rival cannot be told apart, see ``Rival.alike``."""
-OUT_OF_SIGHT = 10.0
-"""Nats behind the best at which nothing matters to it."""
 STAND_INS = 3
 """Other places of an effect that are asked when held-out motion refutes one."""
-CHANCE, PART = 1.0, 0.1
-"""Nats, or part of the evidence, by which trials may be predicted worse for a cause that they say nothing of, such as a
-wrong record: a hidden load of 4.8 kg, 103 nats against the recorded mass, was dropped for 1.7 nats."""
-
 SURELY = 3.0
 """Standard deviations below zero that refute one of several parameters that cannot be there. Set with three
 recordings seen: in a runner and in walks and squats no softness of 24 segments is below zero by more than two; in a
 child's walk that hardly stands on plates, two of 15 were by more than three, one by six."""
-
-
-@dataclass(frozen=True)
-class Rival:
-    """A candidate and what the data say for it."""
-
-    candidate: Candidate
-    evidence: float
-    """Log evidence gained over the model without it [nat]."""
-    crossed: float
-    """The same, each trial predicted from the others; far behind the best, where nobody asks, the evidence itself."""
-    explained: float
-    """Half the whitened energy that it takes away, less what as many columns of no meaning would [nat]."""
-    ordinary: float = 0.0
-    """Log evidence of what all places have some of, over nothing; at least zero [nat]."""
-    beside: float = 0.0
-    """Log evidence that it adds even beside the best, however large that may be; none if negative [nat]."""
-
-    @property
-    def score(self) -> float:
-        """What counts: an effect that does not carry over to other trials is none.
-
-        Not the lesser of both: what only the prior contradicts, such as a wrong recorded mass, each trial predicts from
-        the others without the effect as well.
-        """
-        carried = self.crossed > -max(CHANCE, PART * self.evidence)
-        return (self.evidence if carried else min(self.evidence, self.crossed)) - self.ordinary
-
-    @property
-    def weighed(self) -> float:
-        """The score with the odds of the place."""
-        return self.score + math.log(self.candidate.odds)
-
-    @property
-    def alike(self) -> float:
-        """The score of standing for the best, not beside it."""
-        return self.score - max(self.beside, 0.0)
-
-    def likely(self, families: int) -> float:
-        """Log odds that it is there in place of the best; what is there too makes no name doubtful."""
-        odds = math.log(self.candidate.odds / families)
-        return odds + self.score - max(odds + self.beside, 0.0)
-
-
-@dataclass(frozen=True)
-class Round:
-    """One scan of the catalogue, best first."""
-
-    rivals: tuple[Rival, ...]
-    families: dict[str, float]
-    """Score of each effect, averaged over its places: what was searched is paid for."""
-    compared: tuple[Rival, ...] = ()
-    """The same rivals where none is known to be large, against the best.
-
-    The width of a prior names no cause: a pull of 2 N at the pelvis explained as much as a tilt of gravity did, and its
-    prior of 20 N alone had made the tilt 0.99 certain.
-    """
-
-    @property
-    def named(self) -> Rival | None:
-        """The best, if its effect is supported."""
-        best = self.rivals[0] if self.rivals else None
-        return None if best is None or self.families[best.candidate.effect.name] < NAMED else best
 
 
 @dataclass(frozen=True)
@@ -111,20 +38,29 @@ class Search:
     """A chosen effect and another place of it, likelier ones first, see ``_stand_ins``."""
     scales: tuple[Candidate, ...] = ()
     """What makes all weight wrong by a factor, chosen or not."""
+    twins: tuple[Candidate, ...] = ()
+    """What cannot be told from chosen effects, see ``instead``."""
 
 
 def reduced(
     design: Design, prior: Prior, noise: Noise, chosen: Sequence[Candidate], rounds: Sequence[Round], sums: Sums
 ) -> Search:
     """What a search ended with, without columns that nobody chose, that stand for nothing chosen and weigh nothing."""
-    pairs, more = list(_stand_ins(design, chosen, rounds)), scales(design)
-    some = list({id(c): c for c in (*chosen, *(other for _, other in pairs), *more)}.values())
+    pairs, more, alike = list(_stand_ins(design, chosen, rounds)), scales(design), list(_twins(design, chosen, rounds))
+    some = list({id(c): c for c in (*chosen, *beside(design, chosen, rounds))}.values())
     small, all_, _ = only(design, some)
     own = {id(old): new for old, new in zip(some, all_, strict=True)}
     less, kept = sums.only(design, some), tuple(own[id(c)] for c in chosen)
     stand_ins = tuple((own[id(first)], own[id(other)]) for first, other in pairs)
-    weigh = tuple(own[id(c)] for c in more)
-    return Search(small, prior.widened(small), noise, kept, tuple(rounds), less, fit(less, kept), stand_ins, weigh)
+    weigh, doubles = (tuple(own[id(c)] for c in some) for some in (more, alike))
+    fitted, prior = fit(less, kept), prior.widened(small)
+    return Search(small, prior, noise, kept, tuple(rounds), less, fitted, stand_ins, weigh, doubles)
+
+
+def beside(design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round]) -> list[Candidate]:
+    """What is asked about when the search has ended."""
+    pairs = _stand_ins(design, chosen, rounds)
+    return [*(other for _, other in pairs), *scales(design), *_twins(design, chosen, rounds)]
 
 
 def scales(design: Design) -> list[Candidate]:
@@ -139,7 +75,7 @@ def _stand_ins(
     they were found.
 
     Whole-body motions hardly tell a mass that wobbles in the pelvis from one in the thorax (27.6 and 24.7 nats of a
-    hidden one), livelier ones do. Where as many of a kind are named as may be, others have no columns any more.
+    hidden one), livelier ones do.
     """
     open_ = {(c.effect.name, id(c.place)): c for c in design.candidates}
     for one in chosen:
@@ -155,14 +91,12 @@ def _stand_ins(
                 yield one, open_[key]
 
 
-def named_in(rounds: Sequence[Round], one: Candidate) -> Round:
-    """The scan that an effect came out best of."""
-    return next(r for r in rounds if r.rivals and same(r.rivals[0].candidate, one))
-
-
-def same(scanned: Candidate, one: Candidate) -> bool:
-    """Whether it is a scan's, whatever was left out of the design since."""
-    return scanned.effect.name == one.effect.name and scanned.place is (one.proposed or one.place)
+def _twins(design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round]) -> Iterator[Candidate]:
+    """Of chosen effects, as the scan had them; intervals are not searched again."""
+    for one in chosen:
+        for twin in (share.rival.candidate for share in twins(shares(named_in(rounds, one), one)[1])):
+            if not twin.effect.timed:
+                yield from (c for c in design.candidates if same(twin, c))
 
 
 def without(chosen: Sequence[Candidate], one: Candidate) -> list[Candidate]:
@@ -249,3 +183,9 @@ def estimate(found: Search, k: int) -> dict[str, tuple[Float[Tensor, "*size"], F
     """Named parameters of the k-th chosen effect: values and standard deviations."""
     one, theta, factor = found.chosen[k], internal(found, k), _told_by(found, k)
     return one.effect.estimated(one.place, theta, factor @ found.fitted.covariance @ factor.T)
+
+
+def instead(found: Search, k: int, twin: Candidate) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
+    """The same of another effect in the place of the k-th chosen one."""
+    chosen = (*found.chosen[:k], twin, *found.chosen[k + 1 :])
+    return estimate(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)), k)

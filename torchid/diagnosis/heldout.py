@@ -14,9 +14,10 @@ from torchid.diagnosis.candidates import trial_columns
 from torchid.diagnosis.design import Candidate, Columns
 from torchid.diagnosis.doubtful import PLAIN, sizes
 from torchid.diagnosis.evidence import Fitted, fit
-from torchid.diagnosis.found import NAMED, PART, Search, support, without
+from torchid.diagnosis.found import Search, support, without
 from torchid.diagnosis.linearised import linearised
 from torchid.diagnosis.noise import summed, unforced, unseen_noise
+from torchid.diagnosis.rivals import NAMED, PART
 from torchid.diagnosis.search import residual
 from torchid.diagnosis.spectral import rows_of
 from torchid.diagnosis.sums import Sums

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import torch
 
-from torchid.diagnosis.found import ALIKE
 from torchid.diagnosis.gross import EFFECT, Gross
-from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis
+from torchid.diagnosis.rivals import ALIKE, TWINS
+from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Twin
 
 
 def with_gross(found: Diagnosis, some: Sequence[Gross]) -> Diagnosis:
@@ -21,7 +21,8 @@ def _plain(one: Gross) -> Cause:
     assert one.place.when is not None
     order = sorted(one.odds.items(), key=lambda both: -both[1])
     listed = tuple(Alternative(EFFECT.name, (name,), odds) for name, odds in order if name not in one.place.where)
-    twins = tuple(a for a in listed if a.confidence > math.exp(-ALIKE) * order[0][1])[:2]
+    alike = [a for a in listed if a.confidence > math.exp(-ALIKE) * order[0][1]][:TWINS]
+    twins = tuple(Twin(a.effect, a.where, a.confidence) for a in alike)
     told = EFFECT.estimated(one.place, one.theta, torch.diag(one.sd.square()))
     parameters = {key: {"value": value, "sd": sd} for key, (value, sd) in told.items()}
     confidence = min(1.0, order[0][1] + sum(t.confidence for t in twins))

@@ -12,8 +12,8 @@ from torch import Tensor
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.evidence import Fitted, fit, gains, informed, unsized
-from torchid.diagnosis.found import OUT_OF_SIGHT, Rival, Round
 from torchid.diagnosis.ordinary import ordinary
+from torchid.diagnosis.rivals import OUT_OF_SIGHT, Rival, Round
 from torchid.diagnosis.sums import Sums
 
 LOOSE = 100.0

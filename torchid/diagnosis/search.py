@@ -13,10 +13,11 @@ from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
 from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
 from torchid.diagnosis.evidence import Fitted, fit, gains
-from torchid.diagnosis.found import NAMED, Rival, Round, Search, pruned, reduced, scales
+from torchid.diagnosis.found import Search, beside, pruned, reduced
 from torchid.diagnosis.intervals import timed
 from torchid.diagnosis.linearised import settled, without_beyond
 from torchid.diagnosis.noise import Noise, estimate_noise, initial_noise, summed
+from torchid.diagnosis.rivals import NAMED, Rival, Round
 from torchid.diagnosis.scan import scan_all
 from torchid.diagnosis.skin import with_slides
 from torchid.diagnosis.spectral import Rows, narrowed, rows_of
@@ -86,7 +87,7 @@ def search(
         log.info("%s at %s gains %.1f nats", best.candidate.effect.name, best.candidate.place.where, best.score)
         chosen.append(best.candidate)
         scan, noise, sums = scan.took(noise, sums, chosen, looked)
-        scan, sums, chosen = scan.opened(sums, chosen)
+        scan, sums, chosen = scan.opened(sums, chosen, beside(scan.design, chosen, rounds))
     return pruned(reduced(scan.design, scan.prior, noise, chosen, rounds, sums))
 
 
@@ -133,10 +134,12 @@ class _Scan:
         noise = scan.noise(chosen, noise)
         return scan, noise, scan.sums(noise)
 
-    def opened(self, sums: Sums, chosen: Sequence[Candidate]) -> tuple["_Scan", Sums, list[Candidate]]:
-        """Without the columns of effects of which as many are named as may be; weight is asked about to the end."""
+    def opened(
+        self, sums: Sums, chosen: Sequence[Candidate], kept: Sequence[Candidate]
+    ) -> tuple["_Scan", Sums, list[Candidate]]:
+        """Without the columns of effects of which as many are named as may be, but for those asked about at the end."""
         some = [*chosen, *open_candidates(self.design, chosen, self.limit)]
-        some += [c for c in scales(self.design) if c not in some]
+        some += [c for c in kept if c not in some]
         if narrower(self.design, some)[0].width == self.design.width:
             return self, sums, list(chosen)
         rows, prior, _, _ = narrowed(self.rows, self.prior, self.design, some)

@@ -33,6 +33,15 @@ class Alternative:
 
 
 @dataclass(frozen=True)
+class Twin(Alternative):
+    """One that cannot be told from the cause."""
+
+    place: Place | None = None
+    parameters: dict[str, dict[str, Tensor]] | None = None
+    """In place of the cause, as there; both None where that needs another search."""
+
+
+@dataclass(frozen=True)
 class Cause:
     """An effect that the data support."""
 
@@ -44,7 +53,7 @@ class Cause:
     confidence: float
     """Probability that it, or one that cannot be told from it, is there."""
     alternatives: tuple[Alternative, ...]
-    indistinguishable: tuple[Alternative, ...]
+    indistinguishable: tuple[Twin, ...]
     gain: dict[str, float]
     """Held-out, of this cause on top of the others."""
     place: Place
@@ -143,7 +152,15 @@ def verdict(diagnosis: Diagnosis) -> dict[str, Any]:
 def _listed(cause: Cause) -> dict[str, Any]:
     names = ("effect", "where", "when", "parameters", "confidence", "alternatives", "indistinguishable", "gain")
     found = {name: getattr(cause, name) for name in names}
-    twins = [dataclasses.asdict(t) | {"motion": tell_apart(cause.effect, t.effect)} for t in cause.indistinguishable]
-    found["indistinguishable"] = twins
-    follows = cause.place.follows
-    return found | {"follows": follows and str(follows), "markers": cause.place.markers or None}
+    found["indistinguishable"] = [_twin(cause, twin) for twin in cause.indistinguishable]
+    return found | _joint_and_markers(cause.place)
+
+
+def _twin(cause: Cause, twin: Twin) -> dict[str, Any]:
+    names = ("effect", "where", "confidence", "parameters")
+    found = {name: getattr(twin, name) for name in names} | {"motion": tell_apart(cause.effect, twin.effect)}
+    return found if twin.place is None else found | _joint_and_markers(twin.place)
+
+
+def _joint_and_markers(place: Place) -> dict[str, Any]:
+    return {"follows": place.follows and str(place.follows), "markers": place.markers or None}

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Canvas
 from torch import Tensor
 
 from torchid.diagnosis.diagnose import wanted
-from torchid.diagnosis.found import NAMED
+from torchid.diagnosis.rivals import NAMED
 from torchid.diagnosis.unexplained import P_VALUE, Structure
 from torchid.diagnosis.verdict import REFUTED, Cause, Diagnosis, Refuted
 from torchid.outcome import Outcome

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 
@@ -44,6 +45,10 @@ def surely(cause: Cause) -> str:
     for twin in cause.indistinguishable:
         part = f"Of that, {chance(twin.confidence)} is {called(twin)}, which cannot be told apart here"
         said.append(f"{part}; to tell them apart, record {tell_apart(cause.effect, twin.effect)}")
+        if twin.parameters is not None and twin.place is not None:
+            own = replace(cause, effect=twin.effect, where=twin.where, parameters=twin.parameters, place=twin.place)
+            sentence = told(own).rstrip(".")
+            said.append(f"If it is that: {sentence[0].lower()}{sentence[1:]}")
     twins = {(t.effect, t.where) for t in cause.indistinguishable}
     others = [a for a in rivals(cause) if (a.effect, a.where) not in twins and a.confidence >= WORTH]
     if others:
