@@ -46,9 +46,9 @@ def surely(cause: Cause) -> str:
         part = f"Of that, {chance(twin.confidence)} is {called(twin)}, which cannot be told apart here"
         said.append(f"{part}; to tell them apart, record {tell_apart(cause.effect, twin.effect)}")
         if twin.parameters is not None and twin.place is not None:
-            own = replace(cause, effect=twin.effect, where=twin.where, parameters=twin.parameters, place=twin.place)
-            sentence = told(own).rstrip(".")
-            said.append(f"If it is that: {sentence[0].lower()}{sentence[1:]}")
+            acts = {"place": twin.place, "when": twin.place.when, "parameters": twin.parameters}
+            own = replace(cause, effect=twin.effect, where=twin.where, **acts)
+            said.append(f"If it is that: {told(own).rstrip('.')}")
     twins = {(t.effect, t.where) for t in cause.indistinguishable}
     others = [a for a in rivals(cause) if (a.effect, a.where) not in twins and a.confidence >= WORTH]
     if others:
