@@ -23,14 +23,15 @@ from torchid.outcome import Outcome
 from torchid.regressor.rows import residual_rms
 from torchid.report.blocks import Figure, Paragraph, Table
 from torchid.report.diagnosis import diagnosis_section, gained
-from torchid.report.extension import sides, spectrum
+from torchid.report.extension import draw_curves, sides, spectrum
 from torchid.report.facts import wrenches
-from torchid.report.forces import Score, instructive
+from torchid.report.forces import Score, _draw_trial, instructive
 from torchid.report.handling import grouped, handling_section
 from torchid.report.head import _named, head_section
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
 from torchid.report.story import STORY, surely, told
+from torchid.report.story import name as labelled
 from torchid.report.telling import NOUN
 from torchid.report.text import bind, change, clean, listing, merge, number, pattern, segment, spread
 from torchid.simulate.options import SimulateOptions
@@ -421,6 +422,29 @@ def test_named_causes_are_told_drawn_and_counted(run):
     found = parse(render_report(outcome))
     assert set(found.tags) <= ALLOWED and 'id="diagnosis"' in render_report(outcome)
     assert not [name for _, name, _ in found.attributes if name.startswith("on") or name == "src"]
+
+
+def test_a_label_tells_what_skin_slides_with():
+    """One segment's skin may be named with several coordinates: each bullet says which."""
+    assert labelled(cause("soft_tissue")) == "Sliding skin of the thorax (left knee flexion)"
+    assert labelled(cause("payload")) == "A load on the thorax"
+
+
+def test_forces_are_drawn_where_plates_bear_all_contact(run):
+    """Elsewhere the filter goes on by itself: what it makes of a frame that is left out changes no drawing."""
+    outcome = extended(run.outcome)
+    name, side = next(iter(sides(outcome).items()))
+    late = torch.arange(len(side.used)) > len(side.used) // 2
+    wild = torch.where(late, 5e4, 0.0).double()[:, None]
+    used = side.used & ~late
+    assert used.any()
+    more = {"measured": side.measured + wild, "before": side.before + wild, "after": side.after + wild}
+    curves = [draw_curves(replace(side, used=used)), draw_curves(replace(side, used=used, **more))]
+    drawn = replace(wrenches(outcome)[name], used=used)
+    other = replace(drawn, measured=drawn.measured + wild)
+    trials = [_draw_trial(outcome, name, one, "a") for one in (drawn, other)]
+    for calm, wrong in (curves, trials):
+        assert re.sub(r"-[mp][0-9a-f]+", "", calm) == re.sub(r"-[mp][0-9a-f]+", "", wrong), "ids apart"
 
 
 def test_bands_add_up_to_the_residual(run):

@@ -169,8 +169,8 @@ def _forces(outcome: Outcome, trials: dict[str, Sides], side: Sides) -> list[Blo
         Figure(
             draw_curves(side),
             f"The {role} trial {clean(side.name)}, where the named causes change the residual most, and the two "
-            "components that they change most. Above: measured by the plates, and predicted by the model without "
-            "(base) and with them (extended); below: what is left.",
+            "components that they change most. Above: measured where plates bear all contact, and predicted by the "
+            "model without (base) and with them (extended); below: what is left.",
         ),
         Figure(
             draw_spectrum(judged),

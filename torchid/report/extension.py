@@ -14,6 +14,7 @@ from torch import Tensor
 from torchid.outcome import Outcome
 from torchid.regressor.rows import WrenchTrial, measured, predict
 from torchid.regressor.whitening import BEYOND, EDGES, band_of, cosine_matrix, frequencies
+from torchid.report.facts import only
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.report.following import marker_cells
 from torchid.report.text import clean, number
@@ -126,7 +127,7 @@ def _window(side: Sides, axes: list[int]) -> slice:
 
 def _paint_curves(axes: Axes, side: Sides, part: slice, k: int) -> None:
     time, read = side.time[part], side.measured[part, k]
-    axes.plot(time, read, color=MEASURED, linewidth=2.4, alpha=0.45)
+    axes.plot(time, only(side.measured, side.used)[part, k], color=MEASURED, linewidth=2.4, alpha=0.45)
     axes.plot(time, read - side.before[part, k], **BEFORE)
     axes.plot(time, read - side.after[part, k], **AFTER)
     axes.set_title(COMPONENTS[k])
@@ -135,10 +136,11 @@ def _paint_curves(axes: Axes, side: Sides, part: slice, k: int) -> None:
 
 
 def _paint_residual(axes: Axes, side: Sides, part: slice, k: int) -> None:
-    time, gone = side.time[part], ~side.used[part]
+    time = side.time[part]
+    before, after = (only(left, side.used)[part, k] for left in (side.before, side.after))
     axes.axhline(0.0, color=MUTED, linewidth=0.6)
-    axes.plot(time, side.before[part, k].masked_fill(gone, torch.nan), color=SCALED, linewidth=2.4, alpha=0.55)
-    axes.plot(time, side.after[part, k].masked_fill(gone, torch.nan), **AFTER)
+    axes.plot(time, before, color=SCALED, linewidth=2.4, alpha=0.55)
+    axes.plot(time, after, **AFTER)
     axes.set_title(f"residual {COMPONENTS[k]}")
     axes.margins(x=0.0)
     tidy(axes)

@@ -31,7 +31,7 @@ def judges(outcome: Outcome, stage: str = "geometry") -> Judges:
         names = tuple(outcome.session.part(role, stage))
         if names:
             return Judges(names, words, role == "heldout")
-    return Judges(tuple(outcome.session.trials), "all trials", False)
+    return Judges(tuple(outcome.session.trials), "trials", False)
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,11 @@ class Wrenches:
     scaled: Float[Tensor, "frames 6"]
     """Residual of the scaled template with tabulated inertia."""
     used: Bool[Tensor, " frames"]
+
+
+def only(values: Float[Tensor, "frames axes"], used: Bool[Tensor, " frames"]) -> Float[Tensor, "frames axes"]:
+    """NaN in other frames: there a wrench is how the filter goes on, by 2 kN at the end of a child's walk."""
+    return values.masked_fill(~used[:, None], torch.nan)
 
 
 def wrenches(outcome: Outcome) -> dict[str, Wrenches]:

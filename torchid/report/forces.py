@@ -14,7 +14,7 @@ from torch import Tensor
 from torchid.outcome import Outcome, Residual
 from torchid.regressor.rows import runs
 from torchid.report.blocks import Block, Figure, Paragraph, Section, Table
-from torchid.report.facts import Judges, Wrenches, body_weight, force_rms, improved, judges, some, used_frames
+from torchid.report.facts import Judges, Wrenches, body_weight, force_rms, improved, judges, only, some, used_frames
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, SHADE, draw, tidy
 from torchid.report.text import ABSENT, change, clean, number, percent, plural
 
@@ -63,8 +63,8 @@ def _finding(outcome: Outcome, judge: Judges, tested: dict[str, Wrenches]) -> st
     used, frames = used_frames(outcome, list(tested))
     kind = "identified" if outcome.identified is not None else "tabulated"
     said = (
-        f"Over {used} of {frames} frames of {len(tested)} {judge.words} the {kind} inertia predicts the ground "
-        f"reaction to {number(force)} N ({percent(force / body_weight(outcome), 1)} of body weight) and "
+        f"Over {used} of {frames} frames of the {judge.words} the {kind} inertia predicts the ground reaction "
+        f"to {number(force)} N ({percent(force / body_weight(outcome), 1)} of body weight) and "
         f"{number(moment)} N m RMS"
     )
     if outcome.identified is None:
@@ -104,7 +104,7 @@ def _draw_trial(outcome: Outcome, name: str, trial: Wrenches, key: str) -> Marku
     time = trial.time
     step = max(1, -(-len(time) // POINTS))
     lines: list[tuple[Tensor, dict]] = [
-        (trial.measured, {"color": MEASURED, "linewidth": 2.4, "alpha": 0.45}),
+        (only(trial.measured, trial.used), {"color": MEASURED, "linewidth": 2.4, "alpha": 0.45}),
         (trial.prior, {"color": SCALED, "linestyle": (0, (1, 1.2)), "linewidth": 1.3}),
     ]
     if outcome.identified is not None:

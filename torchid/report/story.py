@@ -70,8 +70,10 @@ def rivals(cause: Cause) -> list[Alternative]:
 
 
 def name(one: Cause | Alternative) -> str:
-    """The cause as a label."""
+    """The cause as a label, with the coordinate that it follows: skin of one segment may slide with several."""
     text = called(one)
+    if isinstance(one, Cause) and one.place.follows is not None:
+        text = f"{text} ({segment_motion(one)})"
     return text[0].upper() + text[1:]
 
 
