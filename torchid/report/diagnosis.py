@@ -169,7 +169,7 @@ def _forces(outcome: Outcome, trials: dict[str, Sides], side: Sides) -> list[Blo
         Figure(
             draw_curves(side),
             f"The {role} trial {clean(side.name)}, where the named causes change the residual most, and the two "
-            "components that they change most. Above: measured where plates bear all contact, and predicted by the "
+            "components that they change most. Above, where plates bear all contact: measured, and predicted by the "
             "model without (base) and with them (extended); below: what is left.",
         ),
         Figure(

@@ -126,8 +126,8 @@ def _window(side: Sides, axes: list[int]) -> slice:
 
 
 def _paint_curves(axes: Axes, side: Sides, part: slice, k: int) -> None:
-    time, read = side.time[part], side.measured[part, k]
-    axes.plot(time, only(side.measured, side.used)[part, k], color=MEASURED, linewidth=2.4, alpha=0.45)
+    time, read = side.time[part], only(side.measured, side.used)[part, k]
+    axes.plot(time, read, color=MEASURED, linewidth=2.4, alpha=0.45)
     axes.plot(time, read - side.before[part, k], **BEFORE)
     axes.plot(time, read - side.after[part, k], **AFTER)
     axes.set_title(COMPONENTS[k])

@@ -49,7 +49,7 @@ class Wrenches:
 
 
 def only(values: Float[Tensor, "frames axes"], used: Bool[Tensor, " frames"]) -> Float[Tensor, "frames axes"]:
-    """NaN in other frames: there a wrench is how the filter goes on, by 2 kN at the end of a child's walk."""
+    """NaN in other frames: there a wrench is how the filter goes on, by kilonewtons in a second."""
     return values.masked_fill(~used[:, None], torch.nan)
 
 
