@@ -10,11 +10,12 @@ import pytest
 import torch
 from torch.testing import assert_close
 
+from torchid.diagnosis.answers import answer_of
 from torchid.diagnosis.cameras import Cameras
-from torchid.diagnosis.candidates import answer_of
 from torchid.diagnosis.design import Source
 from torchid.diagnosis.nuisances import SkinSlide
 from torchid.diagnosis.proposals import swaps
+from torchid.dynamics import base_rows, body_rows
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.columns import columns
 from torchid.effects.effect import Planted
@@ -126,6 +127,26 @@ def changed(one: Planted, scene: Scene, measured: Reading) -> Reading:
     return one.read(loaded)
 
 
+@pytest.mark.parametrize("name", ["body_mass", "payload"])
+def test_rigid_loads_are_inertia(subject, plain, name):
+    """What an effect adds to the inertial parameters is its load."""
+    one, scene, measured = simulated(subject, plain, name)
+    fixed = one.effect.rigid(scene, one.place)
+    assert fixed is not None
+    Y = base_rows(scene.state.plan, body_rows(scene.state, torch.zeros_like(scene.q[:3])))
+    found = torch.einsum("ipt,pk->ikt", Y, fixed.flatten(0, 1))
+    assert_close(found, columns(one.effect, scene, measured, one.place), rtol=1e-7, atol=1e-6)
+
+
+def test_masses_on_springs_are_made_at_once(subject, plain):
+    """Side by side, each is what it is alone."""
+    one, scene, measured = simulated(subject, plain, "wobbling_mass")
+    springs = ((2.5, 0.1), (4.0, 0.2), (7.0, 0.3))
+    places = [dataclasses.replace(one.place, grid={"frequency_hz": f, "damping_ratio": z}) for f, z in springs]
+    alone = torch.cat([columns(one.effect, scene, measured, place) for place in places], 1)
+    assert_close(one.effect.loads(scene, places).transpose(0, 1), alone, rtol=1e-7, atol=1e-6)
+
+
 @pytest.mark.parametrize("name", sorted(set(SIZES) - SEEN))
 def test_columns_predict_the_plates(subject, plain, name):
     """Columns times parameters are what planting changes in the total of the plates, to second order in its size."""
@@ -214,7 +235,7 @@ def test_the_fitted_motion_yields_as_predicted(subject, plain, followed, name):
         assert float((wrench - exact)[part, inner].norm()) < 0.05 * size + 0.02
     still, shown = ((p - modelled(fit, q)) for p, q in zip((plain.truth.markers, moved), both, strict=True))
     left = cameras.coarse.rows[0, 0] * (shown - still)[cameras.coarse.middle].flatten(1)
-    guess = cameras.left([answer])[:, :, :-1] @ one.theta
+    guess = cameras.coarse.left(answer.shift) @ one.theta
     assert float((guess - left)[3:-3].norm()) < 0.05 * float(left[3:-3].norm())
 
 

@@ -14,11 +14,11 @@ from torchid.diagnosis.cameras import Cameras, _usual
 from torchid.diagnosis.design import Design, Terms
 from torchid.diagnosis.expected import energy, passed
 from torchid.diagnosis.noise import estimate_noise, initial_noise, summed, unforced, unseen_noise
-from torchid.diagnosis.shaken import DRAWS, regressor, shaken
+from torchid.diagnosis.shaken import DRAWS, shaken
 from torchid.diagnosis.spectral import Rows
 from torchid.diagnosis.sums import Prior
 from torchid.diagnosis.unexplained import structure
-from torchid.dynamics import wrench_about
+from torchid.dynamics import base_rows, body_rows, wrench_about
 from torchid.effects.scene import make_scene
 from torchid.effects.sight import Sight
 from torchid.experiment.diagnosing import watch_outcome
@@ -147,9 +147,10 @@ def test_a_shaken_motion_is_a_motion(rows, cameras):
         again, plain = (smooth_motion(rows.tree, m.time, m.q, Smoother(50.0, rows.rate)) for m in (drawn, motion))
         for moved, true in ((drawn.v - motion.v, again.v - plain.v), (drawn.a - motion.a, again.a - plain.a)):
             assert float((moved - true)[20:-20].norm()) < 0.05 * float(true[20:-20].norm())
-        needed = (make_scene("", rows.tree, rows.geometry, m, phi).needed().T for m in (drawn, motion))
-        true, was = (wrench_about(wrench, motion.q[:, :3]) for wrench in needed)
-        more = torch.einsum("ipt,p->ti", regressor(rows, drawn) - regressor(rows, motion), phi.reshape(-1))
+        scenes = [make_scene("", rows.tree, rows.geometry, m, phi) for m in (drawn, motion)]
+        true, was = (wrench_about(scene.needed().T, motion.q[:, :3]) for scene in scenes)
+        Y, before = (base_rows(s.state.plan, body_rows(s.state, motion.q[:, :3].T)) for s in scenes)
+        more = torch.einsum("ipt,p->ti", Y - before, phi.reshape(-1))
         assert_close(more, true - was, rtol=1e-6, atol=1e-6)
 
 

@@ -71,11 +71,12 @@ def walk(
     return DynamicState(plan, at, body_motion(plan, at, v, a))
 
 
-def body_rows(state: DynamicState) -> BodyRows:
-    """A of every body at every frame."""
+def body_rows(state: DynamicState, about: Float[Tensor, "3 frames"] | None = None) -> BodyRows:
+    """A of every body at every frame, moments about a point, the root's origin if none is given."""
     lift = state.motion.a.new_tensor([0.0, 0.0, GRAVITY])[:, None]
     at, motion = state.at, state.motion
-    return inertial_columns(at.R, at.p - at.p[:1], motion.w, motion.alpha, motion.a + lift)
+    arm = at.p - (at.p[0] if about is None else about)
+    return inertial_columns(at.R, arm, motion.w, motion.alpha, motion.a + lift)
 
 
 def inertial_columns(
@@ -225,3 +226,12 @@ def wrench_about(wrench: Float[Tensor, "*batch 6"], point: Float[Tensor, "*batch
     """A wrench about the world's origin, taken about ``point`` instead."""
     force, moment = wrench[..., :3], wrench[..., 3:]
     return torch.cat([force, moment - torch.linalg.cross(point.expand_as(force), force)], dim=-1)
+
+
+def wrenches_about(wrench: Float[Tensor, "6 some frames"], point: Float[Tensor, "3 frames"]) -> Tensor:
+    """Several wrenches about the world's origin, frames last, taken about ``point`` instead."""
+    found, force = wrench.clone(), wrench[:3]
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        found[3 + k].addcmul_(point[i], force[j], value=-1).addcmul_(point[j], force[i])
+    return found

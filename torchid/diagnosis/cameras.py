@@ -5,8 +5,8 @@ the weighted pseudo-inverse of the markers' Jacobian J, and shows among the resi
 the dynamics sees move along.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import torch
@@ -34,6 +34,8 @@ LEFT = 0.05
 """Least share of a marker's noise that postures may leave of it."""
 CHUNK = 256
 """Frames whose Jacobians are made together."""
+TOGETHER = 64
+"""Columns that postures answer together: of all of a catalogue at once each step would read and write a gigabyte."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +45,12 @@ class Answer:
     momenta: Callable[[], Float[Tensor, "frames 9 columns"]]
     shown: Callable[[], Float[Tensor, "bins rows columns"]]
 
-    @cached_property
+    @property
     def nine(self) -> Float[Tensor, "frames 9 columns"]:
         """Vectors A, B, C of what the motion needs, see ``momentum``."""
         return self.momenta()
 
-    @cached_property
+    @property
     def shift(self) -> Float[Tensor, "bins rows columns"]:
         """Of the markers, now and then."""
         return self.shown()
@@ -73,6 +75,10 @@ class Cameras:
     """Measured minus modelled [m]; zero where nothing was seen."""
     precision: Float[Tensor, " dofs"]
     """Of the posture prior."""
+    _answers: dict[tuple[int, ...], Float[Tensor, "frames 9 some"]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    """To markers that were asked for: draw by draw, the same segments are."""
 
     @cached_property
     def arm(self) -> Float[Tensor, "markers 3 frames"]:
@@ -96,37 +102,44 @@ class Cameras:
         turned = torch.linalg.cross(own[:, :, 3:], arm[..., None].expand_as(own[:, :, 3:]), dim=2)
         return (own[:, :, :3] + turned).flatten(1, 2)
 
-    def inverse(
+    def factor(
         self, J: Float[Tensor, "frames rows dofs"], w: Float[Tensor, "frames rows"]
-    ) -> Float[Tensor, "frames dofs rows"]:
-        """K."""
+    ) -> Float[Tensor, "frames dofs dofs"]:
+        """Of J' w J and the posture prior."""
         H = J.mT @ (w[:, :, None] * J)
         scale = torch.diagonal(H, dim1=1, dim2=2).amax(1, keepdim=True)
         torch.diagonal(H, dim1=1, dim2=2).add_(self.precision + 1e-9 * scale + 1e-9)
-        return torch.cholesky_solve(J.mT * w[:, None], torch.linalg.cholesky(H))
+        return torch.linalg.cholesky(H)
+
+    @cached_property
+    def steady(self) -> Float[Tensor, " markers"]:
+        """Weight of a marker that counts as much in every frame as it is seen of the time: gaps would make steps."""
+        return self.weight.mean(1)
+
+    @cached_property
+    def steady_factor(self) -> Float[Tensor, "frames dofs dofs"]:
+        """With these weights."""
+        w, frames = self.steady.repeat_interleave(3), self.weight.shape[1]
+        some = (self.jacobian(slice(start, start + CHUNK)) for start in range(0, frames, CHUNK))
+        return torch.cat([self.factor(J, w.expand(len(J), -1)) for J in some])
 
     @cached_property
     def answer(self) -> Float[Tensor, "frames 9 rows"]:
-        """Momenta of the fitted motion's answer to displaced markers.
-
-        A marker counts as much in every frame as it is seen of the time: gaps would make steps of it.
-        """
-        w, parts = self.weight.mean(1).repeat_interleave(3), []
-        for start in range(0, self.weight.shape[1], CHUNK):
-            part = slice(start, start + CHUNK)
-            J = self.jacobian(part)
-            K = self.inverse(J, w.expand(len(J), -1))
-            parts.append((self.levers[part] @ self.carriage[part]) @ K)
-        return torch.cat(parts)
+        """Momenta of the fitted motion's answer to displaced markers: levers, carriage and K, without making J."""
+        found = torch.cholesky_solve((self.levers @ self.carriage).mT, self.steady_factor).mT @ self.carriage.mT
+        own = found.unflatten(2, (-1, 6))[:, :, self.sight.body]
+        arm = self.arm.permute(2, 0, 1)[:, None].expand_as(own[..., 3:])
+        own = own[..., :3] + torch.linalg.cross(own[..., 3:], arm, dim=3)
+        return own.mul_(self.steady[:, None]).flatten(2)
 
     def followed(self, by: Float[Tensor, "frames rows draws"]) -> Float[Tensor, "frames dofs draws"]:
         """The fitted coordinates' answer to displaced markers."""
-        w, parts = self.weight.mean(1).repeat_interleave(3), []
-        for start in range(0, len(by), CHUNK):
-            part = slice(start, start + CHUNK)
-            J = self.jacobian(part)
-            parts.append(self.inverse(J, w.expand(len(J), -1)) @ by[part])
-        return torch.cat(parts)
+        pull = by.unflatten(1, (-1, 3)) * self.steady[:, None, None]
+        arm = self.arm.permute(2, 0, 1)[..., None].expand_as(pull)
+        both = torch.cat([pull, torch.linalg.cross(arm, pull, dim=2)], 2)
+        bodies = both.new_zeros(len(by), len(self.sight.scene.tree.names), 6, by.shape[2])
+        right = self.carriage.mT @ bodies.index_add_(1, self.sight.body, both).flatten(1, 2)
+        return torch.cholesky_solve(right, self.steady_factor)
 
     @cached_property
     def scatter(self) -> Float[Tensor, "2 markers"]:
@@ -167,20 +180,30 @@ class Cameras:
         mean = (seen[:, None] * error).sum(3) / total.clamp(min=1e-30)[:, None]
         middle = torch.arange(bins, device=total.device) * group + group // 2
         J, w = self.jacobian(middle), total.T.repeat_interleave(3, 1)
-        K = self.inverse(J, w)
+        K = torch.cholesky_solve(J.mT * w[:, None], self.factor(J, w))
         return Coarse(middle, self.sight.scene.rate / group, w.sqrt(), J, K, mean.permute(2, 0, 1).flatten(1))
 
     def respond(self, which: Sequence[int], by: Float[Tensor, "columns some 3 frames"]) -> Answer:
         """To markers that are read elsewhere than the bodies carry them."""
-        every = tuple(which) == tuple(range(len(self.sight.labels)))
-        rows = slice(None) if every else torch.tensor([3 * k + i for k in which for i in range(3)], dtype=torch.long)
+        rows = self._rows(tuple(which))
 
         def shown() -> Float[Tensor, "bins rows columns"]:
             shift = by.new_zeros(len(self.coarse.middle), self.coarse.error.shape[1], len(by))
             shift[:, rows] = by[..., self.coarse.middle].permute(3, 1, 2, 0).flatten(1, 2)
             return shift
 
-        return Answer(lambda: -self.answer[:, :, rows] @ by.permute(3, 1, 2, 0).flatten(1, 2), shown)
+        return Answer(lambda: -self._answer_of(tuple(which)) @ by.permute(3, 1, 2, 0).flatten(1, 2), shown)
+
+    def _rows(self, which: tuple[int, ...]) -> slice | Tensor:
+        if which == tuple(range(len(self.sight.labels))):
+            return slice(None)
+        return torch.tensor([3 * k + i for k in which for i in range(3)], dtype=torch.long)
+
+    def _answer_of(self, which: tuple[int, ...]) -> Float[Tensor, "frames 9 some"]:
+        """To some markers."""
+        if which not in self._answers:
+            self._answers[which] = self.answer[:, :, self._rows(which)]
+        return self._answers[which]
 
     @cached_property
     def carried(self) -> Float[Tensor, "frames 9 bodies"]:
@@ -192,7 +215,12 @@ class Cameras:
 
     def moved(self, bodies: Float[Tensor, "columns bodies 6 frames"]) -> Answer:
         """To bodies that are displaced with their markers."""
-        momenta = lambda: self.carried @ bodies.permute(3, 1, 2, 0).flatten(1, 2)  # noqa: E731
+        which = bodies.abs().amax((0, 2, 3)).nonzero()[:, 0]
+
+        def momenta() -> Float[Tensor, "frames 9 columns"]:
+            own = self.carried.unflatten(2, (-1, 6))[:, :, which].flatten(2)
+            return own @ bodies[:, which].permute(3, 1, 2, 0).flatten(1, 2)
+
         return Answer(momenta, lambda: self.shown(bodies))
 
     def shown(self, bodies: Float[Tensor, "columns bodies 6 frames"]) -> Float[Tensor, "bins rows columns"]:
@@ -213,10 +241,15 @@ class Cameras:
         """That the motion needs because of displacements, about the origin of W."""
         return wrench_of(torch.cat([a.nine for a in answers], 2), self.sight.scene.rate).permute(1, 2, 0)
 
-    def left(self, answers: Sequence[Answer]) -> Float[Tensor, "bins rows columns"]:
+    def left(self, answers: Sequence[Answer]) -> Iterator[Float[Tensor, "bins rows some"]]:
         """What cameras show of displacements beyond postures, weighed; the last column is what they do show."""
-        coarse = self.coarse
-        return coarse.left(torch.cat([*(a.shift for a in answers), coarse.error[:, :, None]], 2))
+        coarse, some = self.coarse, []
+        for answer in answers:
+            some.append(answer.shift)
+            if sum(x.shape[2] for x in some) >= TOGETHER:
+                yield coarse.left(torch.cat(some, 2))
+                some = []
+        yield coarse.left(torch.cat([*some, coarse.error[:, :, None]], 2))
 
 
 def _usual(x: Float[Tensor, "frames 3"], band: tuple[float, float]) -> float:

@@ -2,29 +2,28 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import groupby
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.cameras import Answer, Cameras, beside
-from torchid.diagnosis.coarse import MarkerSums, marker_sums
+from torchid.diagnosis.answers import answer_of
+from torchid.diagnosis.cameras import Answer
+from torchid.diagnosis.coarse import MarkerSums, marker_sums, retaken_sums
+from torchid.diagnosis.covariation import covariation
 from torchid.diagnosis.design import Candidate, Columns, Design, Source, Terms, kinematic, positions
-from torchid.diagnosis.expected import Expected
 from torchid.diagnosis.idle import idle_sums
 from torchid.diagnosis.nuisances import GeometryError, SkinSlide
 from torchid.diagnosis.proposals import suggested
 from torchid.diagnosis.rates import calibrated
-from torchid.diagnosis.shaken import covariation
-from torchid.diagnosis.watched import Shaken, Watched, added
-from torchid.dynamics import wrench_about
-from torchid.effects.columns import STEP, columns
+from torchid.diagnosis.watched import Watched
+from torchid.dynamics import wrenches_about
+from torchid.effects.columns import columns
 from torchid.effects.effect import Effect
 from torchid.effects.markers import MarkerShift
 from torchid.effects.place import Place
 from torchid.effects.plates import PlateDrift, PlateOffset
-from torchid.effects.sight import Sight, View
+from torchid.effects.sight import View
 from torchid.geometry.fitted import GeometryFit
 
 PLATES = ((PlateOffset(), 0.1), (PlateDrift(), 0.02))
@@ -146,13 +145,17 @@ def retaken(watched: Watched, own: Columns, sources: Sequence[Source], others: S
     """
     cameras = watched.cameras
     assert cameras is not None, "effects on markers have been found"
-    sums = _sums(watched, _answers(watched, [s for s in sources if s.trial in (None, watched.rows.name)]))
     at, terms, extra = torch.cat([torch.arange(s.columns.start, s.columns.stop) for s in others]), own.terms, own.extra
     n, extra, noise = watched.phi.numel(), extra.clone(), terms.covariation
-    extra[:, at - n] = _about_root(watched, cameras.wrench([answer_of(cameras, s) for s in others]))
+    fresh = [answer_of(cameras, s) for s in others]
+    extra[:, at - n] = _about_root(watched, cameras.wrench(fresh))
+    assert terms.markers is not None, "they show among the markers"
+    shifts, first = (answer.shift for answer in _answers(watched, sources)), kinematic(sources).start
+    left = cameras.coarse.left(torch.cat([answer.shift for answer in fresh], 2))
+    sums = retaken_sums(cameras.coarse, terms.markers, shifts, at - first, left)
     if noise is not None and watched.expected is not None:
         noise = noise.clone()
-        noise[..., at] = _shared(watched, watched.expected, others, extra[:, at - n], inertia=False)
+        noise[..., at] = covariation(watched, watched.expected, others, extra[:, at - n], inertia=False)
     return replace(own, extra=extra, terms=replace(terms, markers=sums, covariation=noise))
 
 
@@ -172,8 +175,7 @@ def _seen_by_plates(view: View, source: Source) -> Float[Tensor, "6 columns fram
 
 
 def _about_root(watched: Watched, wrench: Float[Tensor, "6 more frames"]) -> Float[Tensor, "6 more frames"]:
-    root = watched.rows.motion.q[:, :3].expand(wrench.shape[1], -1, -1)
-    return wrench_about(wrench.permute(1, 2, 0), root).permute(2, 0, 1)
+    return wrenches_about(wrench, watched.rows.motion.q[:, :3].T)
 
 
 def _covariation(
@@ -186,51 +188,8 @@ def _covariation(
     at, _ = positions(
         live, torch.cat([torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)])
     )
-    found = _shared(watched, watched.expected, some, extra[:, at[n:] - n], inertia=True)
+    plain = torch.cat([watched.inertial, extra[:, at[n:] - n]], 1)
+    found = covariation(watched, watched.expected, some, plain, inertia=True)
     whole = found.new_zeros(*found.shape[:3], len(live))
     whole[..., at] = found
     return whole
-
-
-def _shared(
-    watched: Watched, expected: Expected, some: Sequence[Source], plain: Float[Tensor, "6 some frames"], inertia: bool
-) -> Float[Tensor, "bands 6 6 columns"]:
-    """Of columns that are ``plain`` in what the cameras saw, behind those of the inertia where these are asked for."""
-
-    def of(one: Shaken) -> Float[Tensor, "6 columns frames"]:
-        empty = plain[:, :0]
-        own = _about_root(watched, torch.cat([empty, *(_in_view(watched.cameras, one.view, s) for s in some)], 1))
-        return torch.cat([added(watched, one.motion) if inertia else empty, own - plain], 1)
-
-    return covariation(watched.rows, expected, ((of(one), one.total) for one in watched.shaken))
-
-
-def _in_view(cameras: Cameras | None, view: View, source: Source) -> Float[Tensor, "6 columns frames"]:
-    """Of a view that is not the cameras' own, whose postures answer alike."""
-    if cameras is None or view.sight is None or not source.effect.kinematic:
-        return _seen_by_plates(view, source)
-    return cameras.wrench([answer_of(cameras, source, view.sight)])
-
-
-def answer_of(cameras: Cameras, source: Source, sight: Sight | None = None) -> Answer:
-    """To unit parameters of an effect, on what the cameras saw or another sight of it."""
-    effect, place = source.effect, source.place
-    sight, slid, moved = sight or cameras.sight, [], []
-    if source.at is not None:
-        sight = effect.beneath(sight, place, sight.p_BM_B.new_tensor(source.at))
-    if (swaying := effect.courses(sight.scene, place)) is not None:
-        return cameras.swayed(*swaying)
-    for k, scale in enumerate(effect.scale(place)):
-        theta = sight.p_BM_B.new_zeros(effect.size(place))
-        theta[k] = STEP * scale
-        slid.append((effect.slide(sight, place, theta), theta[k]))
-        moved.append((effect.move(sight.scene, place, theta), theta[k]))
-    answers = []
-    seen = [(s.which, s.by / step) for s, step in slid if s is not None]
-    if seen:
-        # Where each parameter is about markers of its own, all of them would be ten times the work.
-        together = groupby(seen, key=lambda both: both[0])
-        answers.append(beside([cameras.respond(which, torch.stack([by for _, by in own])) for which, own in together]))
-    if moved[0][0] is not None:
-        answers.append(cameras.moved(torch.stack([m / step for m, step in moved if m is not None])))
-    return answers[0] if len(answers) == 1 else answers[0] + answers[1]

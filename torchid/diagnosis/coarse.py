@@ -1,7 +1,7 @@
 """Averages of markers over a few frames, and what they say band by band."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -58,14 +58,33 @@ class Coarse:
         self, left: Float[Tensor, "bins rows columns"]
     ) -> Iterator[tuple[Float[Tensor, "kept rows columns"], Int[Tensor, " kept"]]]:
         """Cosine coefficients block by block, with their bands."""
-        pieces = max(1, -(-len(left) // BLOCK))
-        for part in left.tensor_split(pieces):
-            kept = min(len(part), math.ceil(2.0 * KEPT_HZ * len(part) / self.rate))
-            C = cosine_matrix(len(part), kept).to(part)
-            frequency = 0.5 * self.rate * torch.arange(kept, dtype=torch.float64) / len(part)
+        for part, C, band in self._cosines():
+            yield (C @ left[part].flatten(1)).view(len(C), *left.shape[1:]), band
+
+    def asked(self, left: Float[Tensor, "bins rows columns"]) -> Float[Tensor, "bands bins rows columns"]:
+        """What products with displacements must be taken with for those of their coefficients, band by band.
+
+        Adjoint of ``left`` and ``spectrum``: a few columns against a catalogue cost as much as these few.
+        """
+        found = left.new_zeros(BANDS, *left.shape)
+        for part, C, band in self._cosines():
+            rows = C @ left[part].flatten(1)
+            for b in band.unique().tolist():
+                own = band == b
+                found[b, part] = (C[own].T @ rows[own]).view_as(left[part])
+        found.mul_(self.rows[:, :, None])
+        return found - self.K.mT @ (self.J.mT @ found)
+
+    def _cosines(self) -> Iterator[tuple[slice, Float[Tensor, "kept own"], Int[Tensor, " kept"]]]:
+        """Bins, cosines and bands of each block."""
+        pieces, start = max(1, -(-len(self.middle) // BLOCK)), 0
+        for size in (len(part) for part in self.middle.tensor_split(pieces)):
+            kept = min(size, math.ceil(2.0 * KEPT_HZ * size / self.rate))
+            frequency = 0.5 * self.rate * torch.arange(kept, dtype=torch.float64) / size
             band = 1 + torch.bucketize(frequency, torch.tensor(EDGES, dtype=torch.float64))
             band[0] = 0
-            yield (C @ part.flatten(1)).view(kept, *part.shape[1:]), band
+            yield slice(start, start + size), cosine_matrix(size, kept).to(self.error), band
+            start += size
 
 
 BANDS = len(EDGES) + 2
@@ -109,13 +128,39 @@ def _some(gram: Float[Tensor, "bands all all"], some: Int[Tensor, " fewer"]) -> 
     return found
 
 
-def marker_sums(coarse: Coarse, left: Float[Tensor, "bins rows columns"], least: float) -> MarkerSums:
+def marker_sums(coarse: Coarse, lefts: Iterable[Float[Tensor, "bins rows some"]], least: float) -> MarkerSums:
     """Of the last column against the others, see ``Cameras.left``; ``least`` as in ``MarkerSums``."""
-    n = left.shape[2] - 1
-    gram, count = left.new_zeros(BANDS, n + 1, n + 1), left.new_zeros(BANDS)
-    for rows, band in coarse.spectrum(left):
+    blocks = list(zip(*(coarse.spectrum(left) for left in lefts), strict=True))
+    n = sum(rows.shape[2] for rows, _ in blocks[0]) - 1
+    gram, count = coarse.error.new_zeros(BANDS, n + 1, n + 1), coarse.error.new_zeros(BANDS)
+    for parts in blocks:
+        band = parts[0][1]
         for b in band.unique().tolist():
-            flat = rows[band == b].flatten(0, 1)
+            flat = torch.cat([rows[band == b].flatten(0, 1) for rows, _ in parts], 1)
             gram[b] += half_product(flat)
             count[b] += len(flat) * coarse.free
     return MarkerSums(gram[:, :n, :n], gram[:, :n, n], gram[:, n, n], count, least)
+
+
+def retaken_sums(
+    coarse: Coarse,
+    own: MarkerSums,
+    shifts: Iterable[Float[Tensor, "bins rows some"]],
+    some: Int[Tensor, " few"],
+    left: Float[Tensor, "bins rows few"],
+) -> MarkerSums:
+    """Sums with a few columns taken elsewhere.
+
+    Args:
+        coarse: the rows.
+        own: sums of all columns.
+        shifts: displacements of all of them, as they now are, some at a time.
+        some: which were taken anew.
+        left: what they leave, see ``Coarse.left``.
+    """
+    asked = coarse.asked(left).flatten(1, 2)
+    crossed = torch.cat([shift.flatten(0, 1).T @ asked for shift in shifts], 1)
+    gram, moment = own.gram.clone(), own.moment.clone()
+    gram[:, :, some], gram[:, some] = crossed, crossed.mT
+    moment[:, some] = coarse.error.flatten() @ asked
+    return replace(own, gram=gram, moment=moment)

@@ -17,7 +17,7 @@ from torchid.diagnosis.candidates import retaken
 from torchid.diagnosis.design import Columns, Design, Source
 from torchid.diagnosis.rates import calibrated
 from torchid.diagnosis.watched import Watched
-from torchid.dynamics import wrench_about
+from torchid.dynamics import wrench_about, wrenches_about
 from torchid.effects.columns import columns
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
@@ -80,8 +80,7 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
     def slope(
         effect: Effect, reading: Reading, place: Place, at: Tensor | None = None
     ) -> Float[Tensor, "6 own frames"]:
-        found = columns(effect, watched.view.scene, reading, place, at).permute(1, 2, 0)
-        return wrench_about(found, root.expand(len(found), -1, -1)).permute(2, 0, 1)
+        return wrenches_about(columns(effect, watched.view.scene, reading, place, at), root.T)
 
     for source in sources:
         # No trial lacks them: they stand where they do in the design.

@@ -61,6 +61,7 @@ def search(
         limit: number of effects at most, of each kind (see ``_kind``).
         geometry: with which the trials were followed.
     """
+    log.info("scanning %d effects in %d trials", len(effects), len(watched))
     design = make_design(watched, effects, geometry)
     prior = make_prior(inertia, omega, design)
     noise = initial_noise(whitening, len(watched))
@@ -74,6 +75,7 @@ def search(
     while True:
         some, looked, before = open_candidates(scan.design, chosen, limit), None, (noise, sums)
         scanned = scan_all(sums, some, chosen)
+        log.info("scanned %d candidates", len(some))
         look, scan = scan.closer(noise, sums, chosen, scanned.rivals)
         if look is not None:
             noise, looked = look

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.expected import Expected, expected, loudness
 from torchid.diagnosis.idle import LOADED, Idle, find_idle
-from torchid.diagnosis.shaken import DRAWS, LOUD_DRAWS, MOST_DRAWS, regressor, shaken
+from torchid.diagnosis.shaken import DRAWS, LOUD_DRAWS, MOST_DRAWS, shaken
 from torchid.dynamics import wrench_about
 from torchid.effects.scene import PlateFrame, Reading, Scene, make_scene, reading
 from torchid.effects.sight import Sight, View
@@ -35,7 +35,6 @@ ENOUGH = 50
 class Shaken:
     """The same under another draw of the markers' noise."""
 
-    view: View
     motion: Motion
     total: Float[Tensor, "6 frames"]
     """What the draw adds to the wrench that the identified body needs, about the root's origin."""
@@ -66,15 +65,37 @@ class Watched:
         return torch.einsum("ipt,p->ti", self.inertial, phi)
 
     @cached_property
+    def identified(self) -> Float[Tensor, "frames 6"]:
+        """Wrench about the root's origin that the identified body needs."""
+        return self.needed(self.phi.reshape(-1))
+
+    @cached_property
     def shaken(self) -> tuple[Shaken, ...]:
         """Draw by draw, the more the louder the noise; none where no camera shows it."""
         if self.cameras is None:
             return ()
-        draws = (_shaken(self, motion) for motion in shaken(self.rows.motion, self.cameras))
+        draws = (self._shaken(motion) for motion in shaken(self.rows.motion, self.cameras))
         first = tuple(islice(draws, DRAWS))
         loud = loudness(self.rows, self._needed_about_root, [one.total.T for one in first])
         wanted = round(min(LOUD_DRAWS * loud, MOST_DRAWS))
         return (*first, *islice(draws, max(0, wanted - DRAWS)))
+
+    def _shaken(self, motion: Motion) -> Shaken:
+        (needed,) = self.under(motion).needed_by(self.phi)
+        return Shaken(motion, (wrench_about(needed.T, self.rows.motion.q[:, :3]) - self.identified).T)
+
+    def under(self, motion: Motion) -> Scene:
+        """The scene, had another motion been found.
+
+        Made again whenever it is asked for: to keep those of all draws took 4 GB of new memory, and longer.
+        """
+        rows, scene = self.rows, self.view.scene
+        found = make_scene(rows.name, rows.tree, rows.geometry, motion, scene.phi)
+        return replace(found, recorded_kg=scene.recorded_kg)
+
+    def bore(self, scene: Scene) -> Reading:
+        """What the plates bore by the model in a scene."""
+        return _borne(self.view.measured, *(needed.T for needed in scene.needed_by(scene.phi, self.phi)))
 
     @property
     def _needed_about_root(self) -> Float[Tensor, "frames 6"]:
@@ -85,7 +106,7 @@ class Watched:
         """What noise makes of the wrench; None where no camera shows that of the markers."""
         if self.cameras is None:
             return None
-        left = measured(self.rows) - self.needed(self.phi.reshape(-1))
+        left = measured(self.rows) - self.identified
         return expected(self.rows, self._needed_about_root, [one.total.T for one in self.shaken], self.scatter, left)
 
 
@@ -124,7 +145,7 @@ def watch(
     smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
     scene = replace(scene, recorded_kg=known.recorded_kg)
     read = replace(raw, time=rows.motion.time, wrench=smooth)
-    view = View(scene, _borne(read, scene, known.phi), read)
+    view = View(scene, _borne(read, *(x.T for x in scene.needed_by(known.prior, known.phi))), read)
     root = rows.motion.q[:, None, :3].expand(*raw.wrench.shape[:2], 3)
     scatter = _scatter(wrench_about(raw.wrench, root), raw.wrench[..., 2])
     idle = find_idle(replace(raw, time=rows.motion.time), rows.rate)
@@ -133,21 +154,6 @@ def watch(
         return Watched(rows, view, known.phi, scatter, idle, force)
     cameras = _cameras(scene, *seen)
     return Watched(rows, replace(view, sight=cameras.sight), known.phi, scatter, idle, force, cameras)
-
-
-def added(watched: Watched, motion: Motion) -> Float[Tensor, "6 params frames"]:
-    """What another motion adds to the inertial columns, about the root's origin."""
-    return regressor(watched.rows, motion) - watched.inertial
-
-
-def _shaken(watched: Watched, motion: Motion) -> Shaken:
-    rows, view = watched.rows, watched.view
-    scene = make_scene(rows.name, rows.tree, rows.geometry, motion, view.scene.phi)
-    scene = replace(scene, recorded_kg=view.scene.recorded_kg)
-    total = torch.einsum("ipt,p->it", added(watched, motion), watched.phi.reshape(-1))
-    sight = None if view.sight is None else replace(view.sight, scene=scene)
-    view = replace(view, scene=scene, reading=_borne(view.measured, scene, watched.phi), sight=sight)
-    return Shaken(view, motion, total)
 
 
 def _inner(rows: WrenchTrial) -> WrenchTrial:
@@ -167,18 +173,23 @@ def _cameras(scene: Scene, fit: GeometryFit, markers: Markers, tracked: Tracked)
     return Cameras(sight, weight, error.permute(1, 2, 0).contiguous(), posture_prior(fit).precision[:, 0])
 
 
-def _borne(measured: Reading, scene: Scene, phi: Float[Tensor, "bodies 10"]) -> Reading:
+def _borne(measured: Reading, prior: Float[Tensor, "frames 6"], needed: Float[Tensor, "frames 6"]) -> Reading:
     """What the plates bore: their readings, the model's residual taken off in proportion to their loads.
 
     Readings hold the noise that the total holds. As columns they would explain it by itself: an unloaded plate was
     found to gain 30 %.
+
+    Args:
+        measured: what they read.
+        prior: what the motion needs of a body of tables, and ...
+        needed: ... of the identified one, about the origin of W.
     """
-    read, needed = measured.wrench, replace(scene, phi=phi).needed().T
+    read = measured.wrench
     load = read[..., 2:3].clamp(min=0.0) * (read[..., 2:3] > LOADED)
     share = load / load.sum(1, keepdim=True).clamp(min=LOADED)
     read = read * (load > 0.0)
     bore = read - share * (read.sum(1) - needed)[:, None]
-    return replace(measured, wrench=bore, unborne=scene.needed().T - bore.sum(1))
+    return replace(measured, wrench=bore, unborne=prior - bore.sum(1))
 
 
 def _scatter(read: Float[Tensor, "frames plates 6"], load: Float[Tensor, "frames plates"]) -> Float[Tensor, " 6"]:

@@ -29,7 +29,7 @@ def columns(
     """
     start = reading.wrench.new_zeros(effect.size(place)) if theta is None else theta
     if place.when is not None and all(own.trial != scene.trial for own in place.when):
-        return reading.wrench.new_zeros(6, len(start), len(scene.time))
+        return reading.wrench.new_zeros(6, len(start), len(reading.wrench))
     step = STEP * start.new_tensor(effect.scale(place))
     ahead = start + step.diag()
     if theta is None and type(effect).read is Effect.read:
@@ -52,7 +52,7 @@ def _totals(
 
 def _total(effect: Effect, scene: Scene, reading: Reading, place: Place, theta: Tensor) -> Tensor:
     """Only what the effect has a say in: most of a catalogue's cost are loads."""
-    found = reading.wrench.new_zeros(6, len(scene.time))
+    found = reading.wrench.new_zeros(6, len(reading.wrench))
     if type(effect).load is not Effect.load:
         found = found + effect.load(scene, place, theta)
     if effect.inverted:

@@ -49,7 +49,8 @@ class Effect(ABC):
     anew: ClassVar[bool] = False
     """Its parameters are others in every trial."""
     accelerated: ClassVar[bool] = False
-    """Its columns follow accelerations of the found motion, or the loads that they make: markers' noise shows."""
+    """Its columns follow accelerations of the found motion, or the loads that they make: markers' noise shows. If it
+    changes readings, it maps every sample alike and linearly."""
     late: ClassVar[bool] = False
     """It shifts the plates' readings in time."""
     curved: ClassVar[bool] = False
@@ -92,6 +93,14 @@ class Effect(ABC):
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         """Wrench about the origin of W that the ground must supply because of it."""
         return theta.new_zeros(6, len(scene.time))
+
+    def rigid(self, scene: Scene, place: Place) -> Float[Tensor, "bodies 10 params"] | None:
+        """What it adds to the inertial parameters of the bodies, if its load is no more than that."""
+        return None
+
+    def loads(self, scene: Scene, places: Sequence[Place]) -> Float[Tensor, "places 6 frames"] | None:
+        """Its unit loads at places that differ in nothing but ``grid``, where it knows a way to make them at once."""
+        return None
 
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         """What the plates then read."""

@@ -186,10 +186,9 @@ class SkinLag(MarkerEffect):
 
 def _softness(sight: Sight, place: Place, theta: Float[Tensor, " segments"]) -> Float[Tensor, " markers"]:
     """Of what each marker sits on."""
-    soft = theta.new_zeros(len(sight.labels))
-    for name, own in zip(place.where, theta, strict=True):
-        soft[list(sight.on(name))] = own
-    return soft
+    soft = theta.new_zeros(len(sight.scene.tree.bodies))
+    soft[[sight.scene.at(name) for name in place.where]] = theta
+    return soft[sight.body]
 
 
 def cues(scenes: Sequence[Scene], segment: str) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter, anchor, value_of
 from torchid.effects.place import Place, within
-from torchid.effects.scene import Scene, at_origin, lift
+from torchid.effects.scene import Scene, lift
 from torchid.effects.sight import View
 from torchid.kinematics.recursion import cross
 
@@ -47,6 +47,9 @@ class BodyMass(Effect):
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         return theta / scene.mass * scene.needed()
+
+    def rigid(self, scene: Scene, place: Place) -> Float[Tensor, "bodies 10 params"]:
+        return (scene.phi / scene.mass)[:, :, None]
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         recorded = theta.new_tensor(place.grid["recorded_kg"])
@@ -84,6 +87,20 @@ class Payload(Effect):
         square = torch.where(mass > 0.0, cross(arm, swing) / mass, 0.0)
         total = torch.cat([force, cross(carrier.p, force) + cross(arm, needed) + square])
         return total * within(place, scene.trial, scene.time)
+
+    def rigid(self, scene: Scene, place: Place) -> Float[Tensor, "bodies 10 params"] | None:
+        """Mass, first moment and inertia of a point mass m at p, and of a moment d of it: m p p' + p d' + d p'."""
+        if place.when is not None:
+            return None
+        p, eye = anchor(scene, place), torch.eye(3).to(scene.phi)
+        sides = torch.cat([0.5 * p[None], eye])
+        second = p[:, None] * sides[:, None] + sides[:, :, None] * p
+        about = second.diagonal(dim1=1, dim2=2).sum(1)[:, None, None] * eye - second
+        row, column = torch.tril_indices(3, 3)
+        first = torch.cat([eye.new_tensor([[1.0, 0.0, 0.0, 0.0]]), torch.cat([p[:, None], eye], 1)])
+        found = scene.phi.new_zeros(len(scene.tree.bodies), 10, 4)
+        found[scene.tree.index(place.where[0])] = torch.cat([first, about[:, row, column].T])
+        return found
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         mass, moment = self.split(theta)
@@ -139,12 +156,16 @@ class WobblingMass(Effect):
         return (SOFT * place.grid["segment_kg"],) if "segment_kg" in place.grid else super().scale(place)
 
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
-        (segment,) = place.where
-        at = scene.point(segment, anchor(scene, place))
-        x, xdd = wobble(at.a, scene.rate, place.grid["frequency_hz"], place.grid["damping_ratio"])
-        sag = -lift(theta) / (2.0 * math.pi * place.grid["frequency_hz"]) ** 2
-        total = at_origin(at.p, theta * xdd)
-        return total + torch.cat([torch.zeros_like(x), cross(theta * (x + sag), at.a + lift(theta))])
+        return theta * self.loads(scene, (place,))[0]
+
+    def loads(self, scene: Scene, places: Sequence[Place]) -> Float[Tensor, "places 6 frames"]:
+        """Springs of one point are the work of one: its motion, and filters of its acceleration."""
+        at = scene.point(places[0].where[0], anchor(scene, places[0]))
+        springs = [(place.grid["frequency_hz"], place.grid["damping_ratio"]) for place in places]
+        x, xdd = wobble(at.a, scene.rate, springs)
+        w = 2.0 * math.pi * x.new_tensor([frequency for frequency, _ in springs])
+        sag = -lift(x) / w.square()[:, None, None]
+        return torch.cat([xdd, cross(at.p[None], xdd) + cross(x + sag, (at.a + lift(x))[None])], 1)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         spring = {key: theta.new_tensor(place.grid[key]) for key in ("frequency_hz", "damping_ratio")}
@@ -169,21 +190,29 @@ def _grain(grid: Sequence[float]) -> float:
 
 
 def wobble(
-    a: Float[Tensor, "3 frames"], rate_hz: float, frequency_hz: float, damping_ratio: float
-) -> tuple[Float[Tensor, "3 frames"], Float[Tensor, "3 frames"]]:
-    """Place and acceleration of a mass on a spring relative to its accelerated carrier, at rest before the start."""
-    w = 2.0 * math.pi * frequency_hz
-    ahead, back = _spring(rate_hz, w, damping_ratio)
-    forced = (a - a[:, :1]).detach().cpu().numpy()
-    x = np.asarray(scipy.signal.lfilter(ahead, back, forced, axis=1))
+    a: Float[Tensor, "3 frames"], rate_hz: float, springs: Sequence[tuple[float, float]]
+) -> tuple[Float[Tensor, "springs 3 frames"], Float[Tensor, "springs 3 frames"]]:
+    """Place and acceleration of a mass on springs relative to its accelerated carrier, at rest before the start.
+
+    Args:
+        a: acceleration of the carrier.
+        rate_hz: of its samples.
+        springs: frequency [Hz] and damping ratio of each.
+    """
+    force = a - a[:, :1]
+    forced = force.detach().cpu().numpy()
+    x = np.stack([scipy.signal.lfilter(*_spring(rate_hz, *own), forced, axis=1) for own in springs])
     place = torch.as_tensor(x, dtype=a.dtype, device=a.device)
-    speed = torch.as_tensor(np.gradient(x, 1.0 / rate_hz, axis=1), dtype=a.dtype, device=a.device)
-    return place, -(a - a[:, :1]) - 2.0 * damping_ratio * w * speed - w * w * place
+    (speed,) = torch.gradient(place, spacing=1.0 / rate_hz, dim=2)
+    frequency, damping = place.new_tensor(springs).T[:, :, None, None]
+    w = 2.0 * math.pi * frequency
+    return place, speed.mul_(-2.0 * damping * w).addcmul_(w.square(), place, value=-1.0).sub_(force)
 
 
 @lru_cache(maxsize=64)
-def _spring(rate_hz: float, w: float, damping_ratio: float) -> tuple[np.ndarray, np.ndarray]:
+def _spring(rate_hz: float, frequency_hz: float, damping_ratio: float) -> tuple[np.ndarray, np.ndarray]:
     """Filter that the spring is, forced along straight lines."""
+    w = 2.0 * math.pi * frequency_hz
     discrete: Any = scipy.signal.cont2discrete(([-1.0], [1.0, 2.0 * damping_ratio * w, w * w]), 1.0 / rate_hz, "foh")
     return np.ravel(discrete[0]), np.ravel(discrete[1])
 

@@ -86,8 +86,13 @@ class Scene:
 
     def needed(self) -> Float[Tensor, "6 frames"]:
         """Wrench about the origin of W that the motion needs, gravity carried."""
-        total = body_wrenches(self.state.plan, body_rows(self.state), self.phi).sum(0)
-        return torch.cat([total[:3], total[3:] + cross(self.state.at.p[0], total[:3])])
+        return self.needed_by(self.phi)[0]
+
+    def needed_by(self, *bodies: Float[Tensor, "bodies 10"]) -> list[Float[Tensor, "6 frames"]]:
+        """The same of bodies of other inertia."""
+        rows, root = body_rows(self.state), self.state.at.p[0]
+        totals = [body_wrenches(self.state.plan, rows, phi).sum(0) for phi in bodies]
+        return [torch.cat([total[:3], total[3:] + cross(root, total[:3])]) for total in totals]
 
 
 def make_scene(trial: str, tree: Tree, geometry: Geometry, motion: Motion, phi: Float[Tensor, "bodies 10"]) -> Scene:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.diagnosis.candidates import answer_of
+from torchid.diagnosis.answers import answer_of
 from torchid.diagnosis.design import Source
 from torchid.diagnosis.verdict import Cause
 from torchid.diagnosis.watched import Watched

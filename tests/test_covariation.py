@@ -1,0 +1,96 @@
+"""What columns share with the total is what it is draw by draw, and sums are the same by a shorter way."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import small_session as small
+import torch
+from torch.testing import assert_close
+
+from torchid.diagnosis.answers import answer_of
+from torchid.diagnosis.candidates import make_design, retaken, trial_columns
+from torchid.diagnosis.design import Design, Source
+from torchid.diagnosis.watched import Watched
+from torchid.dynamics import base_rows, body_rows, wrench_about
+from torchid.effects.catalogue import effect
+from torchid.effects.columns import columns
+from torchid.experiment.diagnosing import watch_outcome
+from torchid.regressor.whitening import EDGES, band_of, coefficients, cosine_matrix, frequencies
+
+TRIED = ("body_mass", "payload", "wobbling_mass", "plate_gain", "plate_pose", "plate_crosstalk", "skin_lag")
+"""Every effect whose columns follow accelerations, but for one that is only a timed payload."""
+
+
+@pytest.fixture(scope="module")
+def watched() -> Watched:
+    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
+    return next(iter(watch_outcome(small.outcome(), "fit").values()))
+
+
+@pytest.fixture(scope="module")
+def design(watched) -> Design:
+    return make_design([watched], [effect(name) for name in TRIED], small.outcome().fit)
+
+
+def seen(watched: Watched, k: int, source: Source) -> torch.Tensor:
+    """Columns of a source under a draw, about the root's origin."""
+    scene, cameras = watched.under(watched.shaken[k].motion), watched.cameras
+    if source.effect.kinematic:
+        found = cameras.wrench([answer_of(cameras, source, replace(cameras.sight, scene=scene))])
+    else:
+        found = columns(source.effect, scene, watched.bore(scene), source.place)
+    root = watched.rows.motion.q[:, :3].expand(found.shape[1], -1, -1)
+    return wrench_about(found.permute(1, 2, 0), root).permute(2, 0, 1)
+
+
+def inertial(watched: Watched, k: int) -> torch.Tensor:
+    state = watched.under(watched.shaken[k].motion).state
+    return base_rows(state.plan, body_rows(state, watched.rows.motion.q[:, :3].T))
+
+
+def products(watched: Watched, change: torch.Tensor, total: torch.Tensor) -> torch.Tensor:
+    """Of cosine coefficients, block by block and band by band, columns shrunk as they are believed."""
+    found = total.new_zeros(len(EDGES) + 1, 6, 6, change.shape[1])
+    for part in watched.rows.blocks():
+        frames = part.stop - part.start
+        kept = coefficients(watched.rows, frames)
+        C = cosine_matrix(frames, kept)[1:]
+        frequency = frequencies(frames, kept, watched.rows.rate)
+        believed, band = watched.expected.believed(frequency)[1:], band_of(frequency[1:])
+        own, other = torch.einsum("jct,kt,kj->jck", change[:, :, part], C, believed), total[:, part] @ C.T
+        for b in range(len(EDGES) + 1):
+            found[b] += torch.einsum("jck,ik->ijc", own[:, :, band == b], other[:, band == b])
+    return found
+
+
+def test_what_is_shared_is_what_every_draw_shares(watched, design):
+    """Combinations of the inertia's columns and of plates' channels stand for the effects' own columns."""
+    trial = design.trials[0]
+    live = trial.terms.live.tolist()
+    some = [s for s in design.sources if s.effect.accelerated]
+    assert {s.effect.name for s in some} == set(TRIED)
+    for source in (None, *some[:: max(1, len(some) // 40)], some[-1]):
+        at = range(design.inertia) if source is None else range(source.columns.start, source.columns.stop)
+        at = [live.index(k) for k in at]
+        plain = watched.inertial if source is None else trial.extra[:, [k - design.inertia for k in at]]
+        draws = range(len(watched.shaken))
+        change = [(inertial(watched, k) if source is None else seen(watched, k, source)) - plain for k in draws]
+        exact = [products(watched, c, one.total) for c, one in zip(change, watched.shaken, strict=True)]
+        exact = torch.stack(exact).mean(0) * watched.expected.there[:, :, None, None]
+        found = trial.terms.covariation[..., at]
+        assert_close(found, exact, rtol=1e-6, atol=1e-7 * float(exact.abs().max()))
+
+
+def test_columns_taken_elsewhere_are_those_of_a_design_made_there(watched, design):
+    """Markers' sums of the few that moved, against all, and what they share with the total."""
+    place = next(s for s in design.sources if s.effect.name == "skin_lag")
+    there = replace(place, at=(2e-3,) * len(place.scale))
+    sources = [there if s is place else s for s in design.sources]
+    found, exact = retaken(watched, design.trials[0], sources, [there]), trial_columns(watched, sources)
+    assert not math.isclose(float((exact.extra - design.trials[0].extra).norm()), 0.0)
+    assert_close(found.extra, exact.extra, rtol=1e-9, atol=1e-9)
+    for name in ("gram", "moment", "energy", "count"):
+        was, now = getattr(found.terms.markers, name), getattr(exact.terms.markers, name)
+        assert_close(was, now, rtol=1e-7, atol=1e-9 * float(now.abs().max()))
+    assert_close(found.terms.covariation, exact.terms.covariation, rtol=1e-7, atol=1e-9)

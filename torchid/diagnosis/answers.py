@@ -1,0 +1,34 @@
+"""How the cameras' rows answer to unit parameters of an effect."""
+
+from itertools import groupby
+
+import torch
+
+from torchid.diagnosis.cameras import Answer, Cameras, beside
+from torchid.diagnosis.design import Source
+from torchid.effects.columns import STEP
+from torchid.effects.sight import Sight
+
+
+def answer_of(cameras: Cameras, source: Source, sight: Sight | None = None) -> Answer:
+    """To unit parameters of an effect, on what the cameras saw or another sight of it."""
+    effect, place = source.effect, source.place
+    sight, slid, moved = sight or cameras.sight, [], []
+    if source.at is not None:
+        sight = effect.beneath(sight, place, sight.p_BM_B.new_tensor(source.at))
+    if (swaying := effect.courses(sight.scene, place)) is not None:
+        return cameras.swayed(*swaying)
+    for k, scale in enumerate(effect.scale(place)):
+        theta = sight.p_BM_B.new_zeros(effect.size(place))
+        theta[k] = STEP * scale
+        slid.append((effect.slide(sight, place, theta), theta[k]))
+        moved.append((effect.move(sight.scene, place, theta), theta[k]))
+    answers = []
+    seen = [(s.which, s.by / step) for s, step in slid if s is not None]
+    if seen:
+        # Where each parameter is about markers of its own, all of them would be ten times the work.
+        together = groupby(seen, key=lambda both: both[0])
+        answers.append(beside([cameras.respond(which, torch.stack([by for _, by in own])) for which, own in together]))
+    if moved[0][0] is not None:
+        answers.append(cameras.moved(torch.stack([m / step for m, step in moved if m is not None])))
+    return answers[0] if len(answers) == 1 else answers[0] + answers[1]
