@@ -16,7 +16,7 @@ from torchid.geometry.fitted import parameters
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.placing import start_fit
 from torchid.geometry.start import settle
-from torchid.geometry.steady import leaps, steadied
+from torchid.geometry.steady import leaps, regained, steadied
 from torchid.geometry.tracking import modelled, track
 from torchid.geometry.trials import posture_prior, settled, trial_problem
 from torchid.geometry.turned import turned_back
@@ -221,6 +221,25 @@ def test_a_run_of_frames_that_leaps_away_is_followed_from_before_it():
     assert float((found - q).abs().amax()) < 1e-3
     assert_close(found[:, 48:], q[:, 48:], atol=0, rtol=0)
     assert_close(steadied(problem, astray, fit.xi, held.rate, near=q), found, atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_an_arm_that_turned_about_while_it_was_lost_is_taken_back(lost):
+    """No marker tells that it leaps: the frames beside it and the cost do. Elsewhere nothing changes."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    problem = trial_problem(fit, held, posture_prior(fit))
+    q, names = settled(fit, problem), fit.model.tree.dof_names
+    assert_close(regained(problem, q, fit.xi, held.rate), q, atol=0, rtol=0)
+    arm = torch.tensor(["arm_r" in fit.model.tree.bodies[k].name for k in fit.attachment.body.tolist()])
+    weight, astray = problem.weight.clone(), q.clone()
+    weight[arm, 40:50] *= 0.0 if lost else 1.0
+    problem = replace(problem, weight=weight)
+    astray[[k for k, name in enumerate(names) if name.startswith("shoulder_r")], 40:50] += 1.5
+    found = regained(problem, astray, fit.xi, held.rate)
+    near = q[:, 40:50] if not lost else q[:, [39]]
+    assert float((found[:, 40:50] - near).abs().amax()) < 0.2
+    rest = [k for k in range(q.shape[1]) if not 40 <= k < 50]
+    assert_close(found[:, rest], q[:, rest], atol=0, rtol=0)
 
 
 def test_markers_that_leap_themselves_are_followed():

@@ -5,7 +5,7 @@ the pelvis can cost about the same. In eight frames of a landing the pelvis turn
 back: 800 N that nobody felt.
 """
 
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import torch
 from jaxtyping import Float, Int
@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchid.geometry.inverse import solve_poses
 from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.start import hold
 
 LEAP = 0.03
 """Both the change of pace of a modelled marker and of its way from the measured one, from one frame to the next [m]: a
@@ -21,6 +22,8 @@ LONGEST_S = 0.4
 """Of a run at most: what lasts longer may be right, and what is around it wrong."""
 TRIED = 12
 """Runs that are tried at most."""
+CHEAPER = 0.99
+"""Times its cost that a run must not exceed from where the frames beside it lead, to be there."""
 DEARER = 2.0
 """Times its cost that a run may have on the way on which nothing leaps."""
 
@@ -57,14 +60,41 @@ def steadied(
     return q
 
 
+def regained(
+    problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"], rate_hz: float
+) -> Float[Tensor, "dofs frames"]:
+    """Runs to which the model leaps and back, followed from the frames beside them, each kept where it costs less.
+
+    Where an upper arm is lost, its forearm alone shows two. Rest led to the dearer one for 0.13 s, and what an arm that
+    turned about by 2 rad needs was an object in the hand, at 1.0.
+    """
+    flagged = (_pace(problem.residual(q, xi)[1]) > LEAP).any(0)
+    first = (flagged & ~torch.nn.functional.pad(flagged, (1, -1))).nonzero()[:, 0].tolist()
+    runs = [torch.arange(a + 1, b + 1) for a, b in pairwise(first) if b - a <= round(LONGEST_S * rate_hz)]
+    if not runs:
+        return q
+    some, good = torch.cat(runs).to(q.device), torch.ones(q.shape[1], dtype=torch.bool, device=q.device)
+    good[some] = False
+    part, lengths, found = problem.frames(some), [len(run) for run in runs], q.clone()
+    again, cost = solve_poses(part, hold(q, good)[:, some], xi)
+    sides = (x.split(lengths, dim=-1) for x in (part.frame_cost(q[:, some], xi), cost, again))
+    for run, before, after, posture in zip(runs, *sides, strict=True):
+        if after.sum() < CHEAPER * before.sum():
+            found[:, run] = posture
+    return found
+
+
 def leaps(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]) -> Int[Tensor, " leaps"]:
     """Frames after which the model leaps and the markers do not."""
     _, p, residual = problem.residual(q, xi)
     both = (problem.weight[:, 1:] > 0) & (problem.weight[:, :-1] > 0)
     away = torch.where(both, residual.diff(dim=2).norm(dim=1), 0.0)
-    step = p.diff(dim=2)
-    pace = torch.nn.functional.pad(step.diff(dim=2).norm(dim=1), (1, 0))
-    return (torch.minimum(away, pace) > LEAP).any(0).nonzero()[:, 0]
+    return (torch.minimum(away, _pace(p)) > LEAP).any(0).nonzero()[:, 0]
+
+
+def _pace(p: Float[Tensor, "markers 3 frames"]) -> Float[Tensor, "markers steps"]:
+    """Change of a modelled marker's step to the next frame against the step before it."""
+    return torch.nn.functional.pad(p.diff(dim=2).diff(dim=2).norm(dim=1), (1, 0))
 
 
 def _followed(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: int) -> Tensor | None:

@@ -10,7 +10,7 @@ from torchid.geometry.bridge import bridge_gaps, typical_variance
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.problem import MarkerProblem
 from torchid.geometry.start import evenly
-from torchid.geometry.steady import steadied
+from torchid.geometry.steady import regained, steadied
 from torchid.geometry.trials import posture_prior, settled, trial_problem
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
@@ -83,7 +83,7 @@ def _track(
     problem = trial_problem(fit, markers, posture_prior(fit))
     q = settled(fit, problem, near)
     if q.shape[1] > 2:
-        q = steadied(problem, q, fit.xi, markers.rate, near)
+        q = steadied(problem, regained(problem, q, fit.xi, markers.rate), fit.xi, markers.rate, near)
     if bridge and not bool((problem.weight > 0).all()):
         q = bridge_gaps(problem, q, fit.xi, typical)
     _, _, residual = problem.residual(q, fit.xi)
