@@ -228,7 +228,9 @@ def wrench_about(wrench: Float[Tensor, "*batch 6"], point: Float[Tensor, "*batch
     return torch.cat([force, moment - torch.linalg.cross(point.expand_as(force), force)], dim=-1)
 
 
-def wrenches_about(wrench: Float[Tensor, "6 some frames"], point: Float[Tensor, "3 frames"]) -> Tensor:
+def wrenches_about(
+    wrench: Float[Tensor, "6 some frames"], point: Float[Tensor, "3 frames"]
+) -> Float[Tensor, "6 some frames"]:
     """Several wrenches about the world's origin, frames last, taken about ``point`` instead."""
     found, force = wrench.clone(), wrench[:3]
     for k in range(3):

@@ -112,34 +112,34 @@ class Cameras:
         return torch.linalg.cholesky(H)
 
     @cached_property
-    def steady(self) -> Float[Tensor, " markers"]:
-        """Weight of a marker that counts as much in every frame as it is seen of the time: gaps would make steps."""
+    def mean_weight(self) -> Float[Tensor, " markers"]:
+        """Over the frames: a marker counts as much in each as it is seen of the time, for gaps would make steps."""
         return self.weight.mean(1)
 
     @cached_property
-    def steady_factor(self) -> Float[Tensor, "frames dofs dofs"]:
+    def mean_factor(self) -> Float[Tensor, "frames dofs dofs"]:
         """With these weights."""
-        w, frames = self.steady.repeat_interleave(3), self.weight.shape[1]
+        w, frames = self.mean_weight.repeat_interleave(3), self.weight.shape[1]
         some = (self.jacobian(slice(start, start + CHUNK)) for start in range(0, frames, CHUNK))
         return torch.cat([self.factor(J, w.expand(len(J), -1)) for J in some])
 
     @cached_property
     def answer(self) -> Float[Tensor, "frames 9 rows"]:
         """Momenta of the fitted motion's answer to displaced markers: levers, carriage and K, without making J."""
-        found = torch.cholesky_solve((self.levers @ self.carriage).mT, self.steady_factor).mT @ self.carriage.mT
+        found = torch.cholesky_solve((self.levers @ self.carriage).mT, self.mean_factor).mT @ self.carriage.mT
         own = found.unflatten(2, (-1, 6))[:, :, self.sight.body]
         arm = self.arm.permute(2, 0, 1)[:, None].expand_as(own[..., 3:])
         own = own[..., :3] + torch.linalg.cross(own[..., 3:], arm, dim=3)
-        return own.mul_(self.steady[:, None]).flatten(2)
+        return own.mul_(self.mean_weight[:, None]).flatten(2)
 
     def followed(self, by: Float[Tensor, "frames rows draws"]) -> Float[Tensor, "frames dofs draws"]:
         """The fitted coordinates' answer to displaced markers."""
-        pull = by.unflatten(1, (-1, 3)) * self.steady[:, None, None]
+        pull = by.unflatten(1, (-1, 3)) * self.mean_weight[:, None, None]
         arm = self.arm.permute(2, 0, 1)[..., None].expand_as(pull)
         both = torch.cat([pull, torch.linalg.cross(arm, pull, dim=2)], 2)
         bodies = both.new_zeros(len(by), len(self.sight.scene.tree.names), 6, by.shape[2])
         right = self.carriage.mT @ bodies.index_add_(1, self.sight.body, both).flatten(1, 2)
-        return torch.cholesky_solve(right, self.steady_factor)
+        return torch.cholesky_solve(right, self.mean_factor)
 
     @cached_property
     def scatter(self) -> Float[Tensor, "2 markers"]:

@@ -67,10 +67,15 @@ def regained(
 
     Where an upper arm is lost, its forearm alone shows two. Rest led to the dearer one for 0.13 s, and what an arm that
     turned about by 2 rad needs was an object in the hand, at 1.0.
+
+    Args:
+        problem: consecutive frames of one trial.
+        q: postures of all of them.
+        xi: geometry and marker places.
+        rate_hz: of the frames.
     """
-    flagged = (_pace(problem.residual(q, xi)[1]) > LEAP).any(0)
-    first = (flagged & ~torch.nn.functional.pad(flagged, (1, -1))).nonzero()[:, 0].tolist()
-    runs = [torch.arange(a + 1, b + 1) for a, b in pairwise(first) if b - a <= round(LONGEST_S * rate_hz)]
+    at = (_pace(problem.residual(q, xi)[1]) > LEAP).any(0).nonzero()[:, 0].tolist()
+    runs = [torch.arange(a + 1, b + 1) for a, b in pairwise(at) if b - a <= round(LONGEST_S * rate_hz)]
     if not runs:
         return q
     some, good = torch.cat(runs).to(q.device), torch.ones(q.shape[1], dtype=torch.bool, device=q.device)
