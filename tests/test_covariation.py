@@ -1,6 +1,7 @@
 """What columns share with the total is what it is draw by draw, and sums are the same by a shorter way."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -8,8 +9,10 @@ import small_session as small
 import torch
 from torch.testing import assert_close
 
+import torchid.diagnosis.watched as watched_trials
 from torchid.diagnosis.answers import answer_of
 from torchid.diagnosis.candidates import make_design, retaken, trial_columns
+from torchid.diagnosis.covariation import covariation
 from torchid.diagnosis.design import Design, Source
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import base_rows, body_rows, wrench_about
@@ -23,9 +26,11 @@ TRIED = ("body_mass", "payload", "wobbling_mass", "plate_gain", "plate_pose", "p
 
 
 @pytest.fixture(scope="module")
-def watched() -> Watched:
+def watched() -> Iterator[Watched]:
     print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
-    return next(iter(watch_outcome(small.outcome(), "fit").values()))
+    with pytest.MonkeyPatch.context() as every_frame:
+        every_frame.setattr(watched_trials, "ENOUGH_HZ", math.inf)
+        yield next(iter(watch_outcome(small.outcome(), "fit").values()))
 
 
 @pytest.fixture(scope="module")
@@ -94,3 +99,19 @@ def test_columns_taken_elsewhere_are_those_of_a_design_made_there(watched, desig
         was, now = getattr(found.terms.markers, name), getattr(exact.terms.markers, name)
         assert_close(was, now, rtol=1e-7, atol=1e-9 * float(now.abs().max()))
     assert_close(found.terms.covariation, exact.terms.covariation, rtol=1e-7, atol=1e-9)
+
+
+def test_few_frames_say_what_all_of_them_do(watched, design):
+    """Every second one of a hundred a second."""
+    assert watched.thinning == 1
+    some = [s for s in design.sources if s.effect.accelerated]
+    every = covariation(watched, watched.expected, some, inertia=True)
+    few = replace(watched)
+    with pytest.MonkeyPatch.context() as half:
+        half.setattr(watched_trials, "ENOUGH_HZ", 0.49 * watched.rows.rate / watched.rows.motion.smoother.cutoff_hz)
+        assert few.thinning == 2
+        found = covariation(few, watched.expected, some, inertia=True)
+    off = (found - every).flatten(0, 2).norm(dim=0) / every.flatten(0, 2).norm(dim=0).clamp(min=1e-12)
+    # So many draws scatter by more: eight by a third.
+    assert float(off.median()) < 0.03
+    assert float(off.max()) < 0.2

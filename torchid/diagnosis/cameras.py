@@ -6,7 +6,7 @@ the dynamics sees move along.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import torch
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchid.diagnosis.coarse import Coarse
 from torchid.effects.momentum import carriage, levers, wrench_of
+from torchid.effects.scene import Scene
 from torchid.effects.sight import Sight
 from torchid.regressor.rows import runs
 from torchid.regressor.whitening import QUIET, cosine_matrix
@@ -79,6 +80,11 @@ class Cameras:
         default_factory=dict, init=False, repr=False, compare=False
     )
     """To markers that were asked for: draw by draw, the same segments are."""
+
+    def frames(self, part: slice, scene: Scene) -> "Cameras":
+        """Some of the frames, of which this is the scene."""
+        sight = replace(self.sight, scene=scene)
+        return replace(self, sight=sight, weight=self.weight[:, part], error=self.error[..., part])
 
     @cached_property
     def arm(self) -> Float[Tensor, "markers 3 frames"]:

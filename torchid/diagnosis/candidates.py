@@ -131,7 +131,7 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
     idle = idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources])
-    return Columns(extra, Terms(live, sums, idle, _covariation(watched, sources, live, extra)))
+    return Columns(extra, Terms(live, sums, idle, _covariation(watched, sources, live)))
 
 
 def retaken(watched: Watched, own: Columns, sources: Sequence[Source], others: Sequence[Source]) -> Columns:
@@ -155,7 +155,7 @@ def retaken(watched: Watched, own: Columns, sources: Sequence[Source], others: S
     sums = retaken_sums(cameras.coarse, terms.markers, shifts, at - first, left)
     if noise is not None and watched.expected is not None:
         noise = noise.clone()
-        noise[..., at] = covariation(watched, watched.expected, others, extra[:, at - n], inertia=False)
+        noise[..., at] = covariation(watched, watched.expected, others, inertia=False)
     return replace(own, extra=extra, terms=replace(terms, markers=sums, covariation=noise))
 
 
@@ -179,7 +179,7 @@ def _about_root(watched: Watched, wrench: Float[Tensor, "6 more frames"]) -> Flo
 
 
 def _covariation(
-    watched: Watched, sources: Sequence[Source], live: Int[Tensor, " live"], extra: Float[Tensor, "6 more frames"]
+    watched: Watched, sources: Sequence[Source], live: Int[Tensor, " live"]
 ) -> Float[Tensor, "bands 6 6 live"] | None:
     """See ``Columns``; zero for what no acceleration enters."""
     if watched.expected is None:
@@ -188,8 +188,7 @@ def _covariation(
     at, _ = positions(
         live, torch.cat([torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)])
     )
-    plain = torch.cat([watched.inertial, extra[:, at[n:] - n]], 1)
-    found = covariation(watched, watched.expected, some, plain, inertia=True)
+    found = covariation(watched, watched.expected, some, inertia=True)
     whole = found.new_zeros(*found.shape[:3], len(live))
     whole[..., at] = found
     return whole

@@ -34,7 +34,7 @@ Pair = Float[Tensor, "6 rows frames"]
 
 
 def covariation(
-    watched: Watched, expected: Expected, sources: Sequence[Source], plain: Float[Tensor, "6 all frames"], inertia: bool
+    watched: Watched, expected: Expected, sources: Sequence[Source], inertia: bool
 ) -> Float[Tensor, "bands 6 6 all"]:
     """Products of the noise of each channel of the total with that of each channel of columns, band by band.
 
@@ -42,28 +42,39 @@ def covariation(
         watched: the trial.
         expected: what columns are shrunk to, and how much of the noise is there.
         sources: of the columns; without the inertia's, of such as are no combinations of others.
-        plain: the columns in what the cameras saw, about the root's origin.
         inertia: whether the inertia's stand before them.
     """
+    few, thin = watched.thinned, slice(None, None, watched.thinning)
+    whole, found = torch.zeros(1, 1, 1).to(few.rows.wrench), None
+    for one in watched.shaken:
+        pair = watched.thinning * _paired(watched.rows, expected, one.total)[:, :, thin]
+        own = _products(few, few.under(one.motion.frames(thin)), sources, inertia, pair)
+        whole, found = whole + pair, own if found is None else found + own
+    assert found is not None, "somebody expects its noise"
+    found = found - _products(few, few.view.scene, sources, inertia, whole)
+    found = found.unflatten(1, (-1, 6)).permute(1, 2, 0, 3) / len(watched.shaken)
+    return found * expected.there[:, :, None, None]
+
+
+def _products(
+    watched: Watched, scene: Scene, sources: Sequence[Source], inertia: bool, pair: Pair
+) -> Float[Tensor, "6 rows all"]:
+    """With all columns as they are in a scene."""
     rigid = [s.effect.rigid(watched.view.scene, s.place) for s in sources]
     reads = [type(s.effect).read is not Effect.read for s in sources]
     own = [s for s, fixed, read in zip(sources, rigid, reads, strict=True) if fixed is None and not read]
     assert inertia or len(own) == len(sources), "combinations need what they combine"
-    whole, body, plates, rest = torch.zeros(4, 1, 1, 1).to(plain)
-    for one in watched.shaken:
-        pair, scene = _paired(watched.rows, expected, one.total), watched.under(one.motion)
-        whole, rest = whole + pair, rest + _of_columns(watched, scene, own, pair)
-        if inertia:
-            body, plates = body + _of_inertia(watched, scene, pair), plates + _of_plates(watched, scene, pair)
-    parts, each = [body] if inertia else [], iter(rest.split([len(s.scale) for s in own], 2))
+    each = iter(_of_columns(watched, scene, own, pair).split([len(s.scale) for s in own], 2))
+    if not inertia:
+        return torch.cat(list(each), 2)
+    body, plates = _of_inertia(watched, scene, pair), _of_plates(watched, scene, pair)
+    parts = [body]
     for source, fixed, read in zip(sources, rigid, reads, strict=True):
         if fixed is not None:
             parts.append(body @ fixed.flatten(0, 1))
         else:
             parts.append(_mapped(plates, _unit(watched.view, source)) if read else next(each))
-    found = torch.cat(parts, 2) - whole @ plain.mT
-    found = found.unflatten(1, (-1, 6)).permute(1, 2, 0, 3) / len(watched.shaken)
-    return found * expected.there[:, :, None, None]
+    return torch.cat(parts, 2)
 
 
 def _of_inertia(watched: Watched, scene: Scene, pair: Pair) -> Float[Tensor, "6 rows params"]:

@@ -151,17 +151,18 @@ class _Scan:
 
     def settled(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Noise, "_Scan"]:
         """Late and curved effects linearised where they are."""
-        small, own, which = only(self.design, chosen)
-        prior, theta, n = self.prior.widened(small), [self.prior.mean.clone() for _ in self.rows], small.inertia
+        design, theta, n = self.design, [self.prior.mean.clone() for _ in self.rows], self.design.inertia
         for step in range(NEWTON):
             if step:
-                small = settled(self.watched, small, [x[which][n:] for x in theta])
-            rows = _rows(self.watched, small)
+                # All columns at once: taken of the chosen effects alone, they were taken again behind this.
+                design = settled(self.watched, design, [x[n:] for x in theta])
+            small, own, which = only(design, chosen)
+            rows, prior = _rows(self.watched, small), self.prior.widened(small)
             noise = estimate_noise(rows, prior, small, own, noise)
             fitted = fit(summed(rows, prior, small, noise), own)
             for k, x in enumerate(theta):
                 x[which] = prior.theta(fitted.z(len(prior.mean), k))
-        design = settled(self.watched, self.design, [x[n:] for x in theta])
+        design = settled(self.watched, design, [x[n:] for x in theta])
         return noise, replace(self, rows=_rows(self.watched, design), design=design)
 
     def timed(self, noise: Noise, sums: Sums, chosen: Sequence[Candidate]) -> tuple["_Scan", Candidate]:

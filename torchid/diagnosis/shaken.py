@@ -26,10 +26,12 @@ def shaken(motion: Motion, cameras: Cameras) -> Iterator[Motion]:
     generator = torch.Generator().manual_seed(zlib.crc32(cameras.sight.scene.trial.encode()))
     shape = len(motion.q), 3 * len(cameras.sight.labels), DRAWS
     low, high = cameras.scatter.repeat_interleave(3, 1)[:, :, None]
+    uneven = (low != high)[:, 0]
     for _ in range(MOST_DRAWS // DRAWS):
         white = torch.randn(*shape, generator=generator, dtype=torch.float64).to(motion.q)
-        slow = Smoother(NEAR_HZ[1], motion.smoother.rate_hz)(white)
-        for step in cameras.followed(white.mul_(high).addcmul_(slow, low - high)).unbind(2):
+        slow = Smoother(NEAR_HZ[1], motion.smoother.rate_hz)(white[:, uneven])
+        white.mul_(high)[:, uneven] += slow.mul_((low - high)[uneven])
+        for step in cameras.followed(white).unbind(2):
             yield _moved(motion, motion.smoother(step))
 
 

@@ -27,6 +27,9 @@ from torchid.regressor.whitening import white_scatter
 ENDS = 0.6
 """Periods of the cut-off from an end of the clock within which no column is trusted: those of displacements are second
 derivatives of what a filter knows from one side only. A landing's last frames made a filter's lag out of 13 kN."""
+ENOUGH_HZ = 6.0
+"""Frames per second that are enough, over the cut-off: products of a column, which has up to twice the motion's
+frequencies, with noise that has no more than 1.2 of the cut-off."""
 ENOUGH = 50
 """Frames that tell the noise of a plate that bears nothing."""
 
@@ -92,6 +95,25 @@ class Watched:
         rows, scene = self.rows, self.view.scene
         found = make_scene(rows.name, rows.tree, rows.geometry, motion, scene.phi)
         return replace(found, recorded_kg=scene.recorded_kg)
+
+    @property
+    def thinning(self) -> int:
+        """Of how many frames one is enough for what a motion and a draw of its noise have in common."""
+        return max(1, int(self.rows.rate / (ENOUGH_HZ * self.rows.motion.smoother.cutoff_hz)))
+
+    @cached_property
+    def thinned(self) -> "Watched":
+        """With as few frames as that."""
+        part, motion = slice(None, None, self.thinning), self.rows.motion
+        rate = replace(motion.smoother, rate_hz=self.rows.rate / self.thinning)
+        rows = replace(self.rows.frames(part), motion=replace(motion.frames(part), smoother=rate))
+        less = replace(self, rows=rows, view=replace(self.view, scene=self.under(rows.motion)))
+        reading, measured = self.view.reading.samples(part), self.view.measured.samples(part)
+        view = replace(less.view, reading=reading, measured=measured)
+        if self.cameras is None:
+            return replace(less, view=view)
+        cameras = self.cameras.frames(part, view.scene)
+        return replace(less, view=replace(view, sight=cameras.sight), cameras=cameras)
 
     def bore(self, scene: Scene) -> Reading:
         """What the plates bore by the model in a scene."""

@@ -200,21 +200,37 @@ def wobble(
         springs: frequency [Hz] and damping ratio of each.
     """
     force = a - a[:, :1]
-    forced = force.detach().cpu().numpy()
-    x = np.stack([scipy.signal.lfilter(*_spring(rate_hz, *own), forced, axis=1) for own in springs])
-    place = torch.as_tensor(x, dtype=a.dtype, device=a.device)
-    (speed,) = torch.gradient(place, spacing=1.0 / rate_hz, dim=2)
+    forced = _curved(force.detach().cpu().numpy())
+    found = np.stack([_on_spring(forced, rate_hz, *own) for own in springs])
+    place, speed = torch.as_tensor(found, dtype=a.dtype, device=a.device).unbind(1)
     frequency, damping = place.new_tensor(springs).T[:, :, None, None]
     w = 2.0 * math.pi * frequency
-    return place, speed.mul_(-2.0 * damping * w).addcmul_(w.square(), place, value=-1.0).sub_(force)
+    return place, speed.mul(-2.0 * damping * w).addcmul_(w.square(), place, value=-1.0).sub_(force)
+
+
+def _curved(force: np.ndarray) -> np.ndarray:
+    """Samples whose straight lines do what a smooth course through the given ones does.
+
+    A line through it is h^2 / 12 f'' higher in the mean: at 50 frames/s, 7 Hz came out 6 % too weak.
+    """
+    bent = force.copy()
+    bent[:, 1:-1] -= np.diff(force, 2, axis=1) / 12.0
+    return bent
+
+
+def _on_spring(force: np.ndarray, rate_hz: float, frequency_hz: float, damping_ratio: float) -> np.ndarray:
+    """Place and speed."""
+    both, own = _spring(rate_hz, frequency_hz, damping_ratio)
+    return np.stack([scipy.signal.lfilter(one, own, force, axis=1) for one in both])
 
 
 @lru_cache(maxsize=64)
 def _spring(rate_hz: float, frequency_hz: float, damping_ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """Filter that the spring is, forced along straight lines."""
+    """Filters that the spring is, for place and speed, forced along straight lines."""
     w = 2.0 * math.pi * frequency_hz
-    discrete: Any = scipy.signal.cont2discrete(([-1.0], [1.0, 2.0 * damping_ratio * w, w * w]), 1.0 / rate_hz, "foh")
-    return np.ravel(discrete[0]), np.ravel(discrete[1])
+    system = [[0.0, -1.0], [-1.0, 0.0]], [1.0, 2.0 * damping_ratio * w, w * w]
+    discrete: Any = scipy.signal.cont2discrete(system, 1.0 / rate_hz, "foh")
+    return discrete[0], np.ravel(discrete[1])
 
 
 class Flywheel(Effect):

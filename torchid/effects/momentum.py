@@ -37,17 +37,18 @@ def wrench_of(nine: Float[Tensor, "frames 9 columns"], rate_hz: float) -> Float[
 
 
 def rate_of(x: Float[Tensor, "frames *some"], rate_hz: float) -> Float[Tensor, "frames *some"]:
-    """Time derivative: fourth-order differences, second-order ones at the ends.
+    """Time derivative: sixth-order differences, second-order ones at the ends.
 
-    For what a filter has left of frequencies far below the frame rate: 0.5 % off at a tenth of it.
+    For what a filter has left of frequencies far below the frame rate: 0.04 % off at a tenth of it.
     """
     found = torch.empty_like(x)
-    found[2:-2] = (8.0 * (x[3:-1] - x[1:-3]) - x[4:] + x[:-4]) * (rate_hz / 12.0)
-    for k, near in ((0, (0, 1, 2)), (1, (0, 1, 2)), (-1, (-1, -2, -3)), (-2, (-1, -2, -3))):
-        a, b, c = (x[j] for j in near)
-        sign = 1.0 if k >= 0 else -1.0
-        slope = (-1.5 * a + 2.0 * b - 0.5 * c) if k in (0, -1) else 0.5 * (c - a)
-        found[k] = sign * rate_hz * slope
+    inner = found[3:-3]
+    torch.sub(x[4:-2], x[2:-4], out=inner)
+    inner.mul_(45.0).sub_(x[5:-1], alpha=9.0).add_(x[1:-5], alpha=9.0).add_(x[6:]).sub_(x[:-6]).mul_(rate_hz / 60.0)
+    for k, step in ((0, 1), (-1, -1)):
+        found[k] = step * rate_hz * (-1.5 * x[k] + 2.0 * x[k + step] - 0.5 * x[k + 2 * step])
+    for k in (1, 2, -2, -3):
+        found[k] = 0.5 * rate_hz * (x[k + 1] - x[k - 1])
     return found
 
 

@@ -141,6 +141,11 @@ class Reading:
         names = [frame.name for frame in self.frames]
         return names.index(plate) if plate in names else None
 
+    def samples(self, part: slice) -> "Reading":
+        """Some of the samples."""
+        unborne = None if self.unborne is None else self.unborne[part]
+        return replace(self, time=self.time[part], wrench=self.wrench[part], unborne=unborne)
+
     def with_plate(self, k: int, wrench: Float[Tensor, "samples 6"]) -> "Reading":
         """The same with another reading of one plate."""
         return replace(self, wrench=torch.cat([self.wrench[:, :k], wrench[:, None], self.wrench[:, k + 1 :]], 1))
