@@ -196,7 +196,7 @@ class HeldOut:
         found, n = torch.zeros_like(watched.rows.wrench), self.found.design.inertia
         for one, share in zip(fitted.chosen, fitted.shares(len(self.found.prior.mean), trial), strict=True):
             theta = self.found.prior.scale * share[n:]
-            added = torch.einsum("ipt,p->ti", columns.extra, theta[columns.terms.live[n:] - n])
+            added = (theta[columns.terms.live[n:] - n] @ columns.extra).T
             found += added - one.effect.trusted(added, watched.rows.rate, one.place, theta[one.columns - n])
         return found
 

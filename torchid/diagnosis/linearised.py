@@ -90,7 +90,7 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
         if effect.late:
             back = effect.undone(measured, source.place, theta[part])
             extra[:, part] = calibrated(slope(effect, back, source.place), watched.rows, watched.scatter)
-            line = torch.einsum("ipt,p->ti", extra[:, part], theta[part])
+            line = (theta[part] @ extra[:, part]).T
             beyond += (measured.total - back.total).T - wrench_about(line, -root)
     return replace(own, extra=extra, beyond=beyond)
 

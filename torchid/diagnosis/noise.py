@@ -163,7 +163,7 @@ def _left_by(
 
 def _left(block: Spectrum, theta: Float[Tensor, " params"]) -> Spectrum:
     """Residual of a block, which no column is to explain further."""
-    return Spectrum(block.Y[:, :0], block.F - torch.einsum("ipk,p->ik", block.Y, theta), block.frequency)
+    return Spectrum(block.Y[:, :0], block.F - theta @ block.Y, block.frequency)
 
 
 def _scaled(block: Spectrum, by: Tensor) -> Spectrum:

@@ -5,7 +5,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -220,7 +219,7 @@ def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, t
     late = any(one.effect.late for one in fitted.chosen)
     rows = without_beyond(watched.rows, columns) if late else watched.rows
     own = theta[columns.terms.live[n:]]
-    known = watched.needed(theta[:n]) + torch.einsum("ipt,p->ti", columns.extra, own)
+    known = watched.needed(theta[:n]) + (own @ columns.extra).T
     return measured(rows) - known
 
 

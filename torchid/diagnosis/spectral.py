@@ -45,7 +45,7 @@ def rows_of(watched: Watched, columns: Columns, late: Sequence[bool]) -> Rows:
 def _shrunk(block: Spectrum, believed: Belief, phi: Float[Tensor, " params"], late: Sequence[bool]) -> Spectrum:
     """What the identified body needs is taken off unshrunk: its noise is accounted for, its shrinkage would not be."""
     part = believed(block.frequency).T
-    rest = (1.0 - part) * torch.einsum("ipk,p->ik", block.Y[:, : len(phi)], phi)
+    rest = (1.0 - part) * (phi @ block.Y[:, : len(phi)])
     part = part[:, None].repeat(1, block.Y.shape[1], 1)
     part[:, torch.tensor([False] * (block.Y.shape[1] - len(late)) + list(late))] = 1.0
     return Spectrum(part * block.Y, block.F - rest, block.frequency)

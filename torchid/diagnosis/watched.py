@@ -65,7 +65,7 @@ class Watched:
 
     def needed(self, phi: Float[Tensor, " params"]) -> Float[Tensor, "frames 6"]:
         """Wrench about the root's origin that a body needs."""
-        return torch.einsum("ipt,p->ti", self.inertial, phi)
+        return (phi @ self.inertial).T
 
     @cached_property
     def identified(self) -> Float[Tensor, "frames 6"]:

@@ -170,11 +170,11 @@ def _added(watched: Watched, one: Planted) -> Float[Tensor, "frames 6"]:
     if one.effect.kinematic:
         assert watched.cameras is not None
         source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
-        added = torch.einsum("ipt,p->ti", watched.cameras.wrench([answer_of(watched.cameras, source)]), one.theta)
+        added = (one.theta @ watched.cameras.wrench([answer_of(watched.cameras, source)])).T
         return one.effect.trusted(added, watched.rows.rate, one.place, one.theta)
     view = watched.view
     if one.effect.inverted:
         back = one.effect.undone(view.measured, one.place, one.theta)
         return (view.measured.total - back.total).T
     where = one.theta if one.effect.curved else None
-    return torch.einsum("ipt,p->ti", columns(one.effect, view.scene, view.reading, one.place, where), one.theta)
+    return (one.theta @ columns(one.effect, view.scene, view.reading, one.place, where)).T

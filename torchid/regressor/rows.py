@@ -70,7 +70,7 @@ def predict(trial: WrenchTrial, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor
     for start in range(0, len(out), BLOCK):
         part = slice(start, min(start + BLOCK, len(out)))
         Y, _ = trial.rows(part)
-        out[part] = torch.einsum("ipt,p->ti", Y, phi.reshape(-1))
+        out[part] = (phi.reshape(-1) @ Y).T
     return out
 
 

@@ -162,7 +162,7 @@ def estimate_whitening(fitted: Iterable[tuple[Spectrum, Float[Tensor, " params"]
         if not n.dim():
             scatter, n = phi.new_zeros(count, 6, 6), phi.new_zeros(count)
         # The mean of a block (k = 0) is left out: estimated from its own misfit it would excuse a wrong total mass.
-        band, residual = block.band[1:], (block.F - torch.einsum("ipk,p->ik", block.Y, phi))[:, 1:]
+        band, residual = block.band[1:], (block.F - phi @ block.Y)[:, 1:]
         scatter.index_add_(0, band, torch.einsum("ik,jk->kij", residual, residual))
         n.index_add_(0, band, torch.ones_like(band, dtype=n.dtype))
     free = (n * (1.0 - lost / (6.0 * n.sum()).clamp(min=1.0))).clamp(min=1e-9)
