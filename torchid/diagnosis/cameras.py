@@ -79,7 +79,7 @@ class Cameras:
     _answers: dict[tuple[int, ...], Float[Tensor, "frames 9 some"]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    """To markers that were asked for: draw by draw, the same segments are."""
+    """To markers that were asked for, see ``_against``: draw by draw, the same segments are."""
 
     def frames(self, part: slice, scene: Scene) -> "Cameras":
         """Some of the frames, of which this is the scene."""
@@ -198,17 +198,17 @@ class Cameras:
             shift[:, rows] = by[..., self.coarse.middle].permute(3, 1, 2, 0).flatten(1, 2)
             return shift
 
-        return Answer(lambda: -self._answer_of(tuple(which)) @ by.permute(3, 1, 2, 0).flatten(1, 2), shown)
+        return Answer(lambda: self._against(tuple(which)) @ by.permute(3, 1, 2, 0).flatten(1, 2), shown)
 
     def _rows(self, which: tuple[int, ...]) -> slice | Tensor:
         if which == tuple(range(len(self.sight.labels))):
             return slice(None)
         return torch.tensor([3 * k + i for k in which for i in range(3)], dtype=torch.long)
 
-    def _answer_of(self, which: tuple[int, ...]) -> Float[Tensor, "frames 9 some"]:
-        """To some markers."""
+    def _against(self, which: tuple[int, ...]) -> Float[Tensor, "frames 9 some"]:
+        """Minus the answer to some markers: bodies seem to go where these went."""
         if which not in self._answers:
-            self._answers[which] = self.answer[:, :, self._rows(which)]
+            self._answers[which] = -self.answer[:, :, self._rows(which)]
         return self._answers[which]
 
     @cached_property

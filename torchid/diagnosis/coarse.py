@@ -139,7 +139,7 @@ def marker_sums(coarse: Coarse, lefts: Iterable[Float[Tensor, "bins rows some"]]
             flat = torch.cat([rows[band == b].flatten(0, 1) for rows, _ in parts], 1)
             gram[b] += half_product(flat)
             count[b] += len(flat) * coarse.free
-    return MarkerSums(gram[:, :n, :n], gram[:, :n, n], gram[:, n, n], count, least)
+    return MarkerSums(gram[:, :n, :n].contiguous(), gram[:, :n, n], gram[:, n, n], count, least)
 
 
 def retaken_sums(

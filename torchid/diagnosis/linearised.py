@@ -74,7 +74,10 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
         sources: of all columns.
         theta: parameters of all columns.
     """
-    extra, beyond, first = own.extra.clone(), torch.zeros_like(watched.rows.wrench), watched.phi.numel()
+    first = watched.phi.numel()
+    if own.beyond is None and not any(bool(theta[_part(s, first)].any()) for s in sources if _plates_bend(s.effect)):
+        return own
+    extra, beyond = own.extra.clone(), torch.zeros_like(watched.rows.wrench)
     measured, root = watched.view.measured, watched.rows.motion.q[:, :3]
 
     def slope(
@@ -93,6 +96,11 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
             line = (theta[part] @ extra[:, part]).T
             beyond += (measured.total - back.total).T - wrench_about(line, -root)
     return replace(own, extra=extra, beyond=beyond)
+
+
+def _plates_bend(effect: Effect) -> bool:
+    """Whether plates show more of an effect than its columns."""
+    return effect.late or (effect.curved and not effect.kinematic)
 
 
 def without_beyond(rows: WrenchTrial, own: Columns) -> WrenchTrial:
