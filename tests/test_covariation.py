@@ -29,7 +29,7 @@ TRIED = ("body_mass", "payload", "wobbling_mass", "plate_gain", "plate_pose", "p
 def watched() -> Iterator[Watched]:
     print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
     with pytest.MonkeyPatch.context() as every_frame:
-        every_frame.setattr(watched_trials, "ENOUGH_HZ", math.inf)
+        every_frame.setattr(watched_trials, "OVER_CUTOFF", math.inf)
         yield next(iter(watch_outcome(small.outcome(), "fit").values()))
 
 
@@ -108,7 +108,7 @@ def test_few_frames_say_what_all_of_them_do(watched, design):
     every = covariation(watched, watched.expected, some, inertia=True)
     few = replace(watched)
     with pytest.MonkeyPatch.context() as half:
-        half.setattr(watched_trials, "ENOUGH_HZ", 0.49 * watched.rows.rate / watched.rows.motion.smoother.cutoff_hz)
+        half.setattr(watched_trials, "OVER_CUTOFF", 0.49 * watched.rows.rate / watched.rows.motion.smoother.cutoff_hz)
         assert few.thinning == 2
         found = covariation(few, watched.expected, some, inertia=True)
     off = (found - every).flatten(0, 2).norm(dim=0) / every.flatten(0, 2).norm(dim=0).clamp(min=1e-12)

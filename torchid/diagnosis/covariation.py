@@ -9,7 +9,7 @@ nothing.
 Most columns are fixed combinations of those of the inertia, or of what plates bore, and so is what they share.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 
@@ -44,37 +44,34 @@ def covariation(
         sources: of the columns; without the inertia's, of such as are no combinations of others.
         inertia: whether the inertia's stand before them.
     """
-    few, thin = watched.thinned, slice(None, None, watched.thinning)
-    whole, found = torch.zeros(1, 1, 1).to(few.rows.wrench), None
-    for one in watched.shaken:
-        pair = watched.thinning * _paired(watched.rows, expected, one.total)[:, :, thin]
-        own = _products(few, few.under(one.motion.frames(thin)), sources, inertia, pair)
-        whole, found = whole + pair, own if found is None else found + own
-    assert found is not None, "somebody expects its noise"
-    found = found - _products(few, few.view.scene, sources, inertia, whole)
-    found = found.unflatten(1, (-1, 6)).permute(1, 2, 0, 3) / len(watched.shaken)
-    return found * expected.there[:, :, None, None]
-
-
-def _products(
-    watched: Watched, scene: Scene, sources: Sequence[Source], inertia: bool, pair: Pair
-) -> Float[Tensor, "6 rows all"]:
-    """With all columns as they are in a scene."""
+    few = watched.thinned
     rigid = [s.effect.rigid(watched.view.scene, s.place) for s in sources]
     reads = [type(s.effect).read is not Effect.read for s in sources]
     own = [s for s, fixed, read in zip(sources, rigid, reads, strict=True) if fixed is None and not read]
     assert inertia or len(own) == len(sources), "combinations need what they combine"
-    each = iter(_of_columns(watched, scene, own, pair).split([len(s.scale) for s in own], 2))
-    if not inertia:
-        return torch.cat(list(each), 2)
-    body, plates = _of_inertia(watched, scene, pair), _of_plates(watched, scene, pair)
-    parts = [body]
+    body, plates, rest = torch.zeros(3, 1, 1, 1).to(few.rows.wrench)
+    for scene, pair in _draws(watched, expected):
+        rest = rest + _of_columns(few, scene, own, pair)
+        if inertia:
+            body, plates = body + _of_inertia(few, scene, pair), plates + _of_plates(few, scene, pair)
+    parts, each = [body] if inertia else [], iter(rest.split([len(s.scale) for s in own], 2))
     for source, fixed, read in zip(sources, rigid, reads, strict=True):
         if fixed is not None:
             parts.append(body @ fixed.flatten(0, 1))
         else:
             parts.append(_mapped(plates, _unit(watched.view, source)) if read else next(each))
-    return torch.cat(parts, 2)
+    found = torch.cat(parts, 2).unflatten(1, (-1, 6)).permute(1, 2, 0, 3) / len(watched.shaken)
+    return found * expected.there[:, :, None, None]
+
+
+def _draws(watched: Watched, expected: Expected) -> Iterator[tuple[Scene, Pair]]:
+    """Scene and noise of each draw at a few frames; at last the scene as it was found, to take off all noise."""
+    thin, whole = slice(None, None, watched.thinning), torch.zeros(1, 1, 1).to(watched.rows.wrench)
+    for one in watched.shaken:
+        pair = watched.thinning * _paired(watched.rows, expected, one.total)[:, :, thin]
+        whole = whole + pair
+        yield watched.thinned.under(one.motion.frames(thin)), pair
+    yield watched.thinned.view.scene, -whole
 
 
 def _of_inertia(watched: Watched, scene: Scene, pair: Pair) -> Float[Tensor, "6 rows params"]:

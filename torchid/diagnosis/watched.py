@@ -27,8 +27,8 @@ from torchid.regressor.whitening import white_scatter
 ENDS = 0.6
 """Periods of the cut-off from an end of the clock within which no column is trusted: those of displacements are second
 derivatives of what a filter knows from one side only. A landing's last frames made a filter's lag out of 13 kN."""
-ENOUGH_HZ = 6.0
-"""Frames per second that are enough, over the cut-off: products of a column, which has up to twice the motion's
+OVER_CUTOFF = 6.0
+"""Frames per second over the cut-off that are enough: products of a column, which has up to twice the motion's
 frequencies, with noise that has no more than 1.2 of the cut-off."""
 ENOUGH = 50
 """Frames that tell the noise of a plate that bears nothing."""
@@ -99,7 +99,7 @@ class Watched:
     @property
     def thinning(self) -> int:
         """Of how many frames one is enough for what a motion and a draw of its noise have in common."""
-        return max(1, int(self.rows.rate / (ENOUGH_HZ * self.rows.motion.smoother.cutoff_hz)))
+        return max(1, int(self.rows.rate / (OVER_CUTOFF * self.rows.motion.smoother.cutoff_hz)))
 
     @cached_property
     def thinned(self) -> "Watched":
