@@ -20,6 +20,8 @@ from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.columns import columns
 from torchid.effects.effect import Planted
 from torchid.effects.joints import courses
+from torchid.effects.masses import wobble
+from torchid.effects.momentum import rate_of
 from torchid.effects.place import Angle, Interval, Place, mean_within, within
 from torchid.effects.scene import Reading, Scene, make_scene
 from torchid.effects.sight import Sight, View
@@ -476,3 +478,26 @@ def test_a_trial_that_ends_in_motion_is_smoothed_like_any_other(followed):
     wanted = -float(theta[0]) * 1.3**4 * wave
     assert float((slid.by - wanted)[..., 5:-5].abs().max()) < 0.05 * float(wanted.abs().max())
     assert float(slid.by.abs().max()) < 1.05 * float(wanted.abs().max())
+
+
+@pytest.mark.parametrize("rate", [100.0, 50.0])
+@pytest.mark.parametrize("spring", [(2.5, 0.1), (7.0, 0.17), (7.0, 0.3)])
+def test_a_mass_on_a_spring_follows_its_equation(spring, rate):
+    """x'' + 2 z w x' + w^2 x = -a of a carrier that swings at 5 Hz, once the start has died away."""
+    own, damping = 2.0 * math.pi * spring[0], spring[1]
+    w, t = 2.0 * math.pi * 5.0, torch.arange(round(20.0 * rate), dtype=torch.float64) / rate
+    exact = -1.0 / complex(own**2 - w**2, 2.0 * damping * own * w)
+    course = torch.exp(1j * w * t)
+    x, xdd = wobble(course.imag.expand(3, -1), rate, [spring])
+    part = slice(len(t) // 2, -10)
+    for found, way in ((x, exact), (xdd, -(w**2) * exact)):
+        error = found[0, 0, part] - (way * course[part]).imag
+        assert float(error.abs().max()) < 0.15 * abs(way) * (w / rate) ** 4
+
+
+@pytest.mark.parametrize("rate", [60.0, 100.0])
+def test_rates_are_of_sixth_order(rate):
+    """Differences of that order are short by (w h)^6 / 140."""
+    w, t = 2.0 * math.pi * rate / 10.0, torch.arange(200, dtype=torch.float64) / rate
+    off = (rate_of(torch.sin(w * t), rate) / w - torch.cos(w * t))[3:-3].abs().max()
+    assert_close(float(off), (w / rate) ** 6 / 140.0, rtol=0.1, atol=0.0)

@@ -107,13 +107,12 @@ class Watched:
         part, motion = slice(None, None, self.thinning), self.rows.motion
         rate = replace(motion.smoother, rate_hz=self.rows.rate / self.thinning)
         rows = replace(self.rows.frames(part), motion=replace(motion.frames(part), smoother=rate))
-        less = replace(self, rows=rows, view=replace(self.view, scene=self.under(rows.motion)))
         reading, measured = self.view.reading.samples(part), self.view.measured.samples(part)
-        view = replace(less.view, reading=reading, measured=measured)
+        view = replace(self.view, scene=self.under(rows.motion), reading=reading, measured=measured)
         if self.cameras is None:
-            return replace(less, view=view)
+            return replace(self, rows=rows, view=view)
         cameras = self.cameras.frames(part, view.scene)
-        return replace(less, view=replace(view, sight=cameras.sight), cameras=cameras)
+        return replace(self, rows=rows, view=replace(view, sight=cameras.sight), cameras=cameras)
 
     def bore(self, scene: Scene) -> Reading:
         """What the plates bore by the model in a scene."""
