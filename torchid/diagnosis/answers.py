@@ -29,6 +29,7 @@ def answer_of(cameras: Cameras, source: Source, sight: Sight | None = None) -> A
         # Where each parameter is about markers of its own, all of them would be ten times the work.
         together = groupby(seen, key=lambda both: both[0])
         answers.append(beside([cameras.respond(which, torch.stack([by for _, by in own])) for which, own in together]))
-    if moved[0][0] is not None:
-        answers.append(cameras.moved(torch.stack([m / step for m, step in moved if m is not None])))
+    away = [(m, step) for m, step in moved if m is not None]
+    if away:
+        answers.append(cameras.moved([m for m, _ in away]).per(torch.stack([step for _, step in away])))
     return answers[0] if len(answers) == 1 else answers[0] + answers[1]

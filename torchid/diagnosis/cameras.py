@@ -5,7 +5,7 @@ the weighted pseudo-inverse of the markers' Jacobian J, and shows among the resi
 the dynamics sees move along.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -35,8 +35,6 @@ LEFT = 0.05
 """Least share of a marker's noise that postures may leave of it."""
 CHUNK = 256
 """Frames whose Jacobians are made together."""
-TOGETHER = 64
-"""Columns that postures answer together: of all of a catalogue at once each step would read and write a gigabyte."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +53,10 @@ class Answer:
     def shift(self) -> Float[Tensor, "bins rows columns"]:
         """Of the markers, now and then."""
         return self.shown()
+
+    def per(self, step: Float[Tensor, " columns"]) -> "Answer":
+        """To unit parameters of which these were parts."""
+        return Answer(lambda: self.nine / step, lambda: self.shift / step)
 
     def __add__(self, other: "Answer") -> "Answer":
         return Answer(lambda: self.nine + other.nine, lambda: self.shift + other.shift)
@@ -82,9 +84,11 @@ class Cameras:
     """To markers that were asked for, see ``_against``: draw by draw, the same segments are."""
 
     def frames(self, part: slice, scene: Scene) -> "Cameras":
-        """Some of the frames, of which this is the scene."""
+        """Some of the frames, of which this is the scene; postures answer in them as they do among all."""
         sight = replace(self.sight, scene=scene)
-        return replace(self, sight=sight, weight=self.weight[:, part], error=self.error[..., part])
+        found = replace(self, sight=sight, weight=self.weight[:, part], error=self.error[..., part])
+        found.__dict__["answer"] = self.answer[part]
+        return found
 
     @cached_property
     def arm(self) -> Float[Tensor, "markers 3 frames"]:
@@ -219,25 +223,27 @@ class Cameras:
         found = self.levers.unflatten(2, (-1, 6)).clone()
         return found.index_add_(2, self.sight.body, torch.cat([own, turned], 3), alpha=-1.0).flatten(2)
 
-    def moved(self, bodies: Float[Tensor, "columns bodies 6 frames"]) -> Answer:
-        """To bodies that are displaced with their markers."""
-        which = bodies.abs().amax((0, 2, 3)).nonzero()[:, 0]
+    def moved(self, bodies: Sequence[Float[Tensor, "bodies 6 frames"]]) -> Answer:
+        """To bodies that are displaced with their markers, in several ways."""
 
         def momenta() -> Float[Tensor, "frames 9 columns"]:
+            reach = torch.stack([torch.linalg.vector_norm(one, dim=(1, 2)) for one in bodies])
+            which = reach.amax(0).nonzero()[:, 0]
             own = self.carried.unflatten(2, (-1, 6))[:, :, which].flatten(2)
-            return own @ bodies[:, which].permute(3, 1, 2, 0).flatten(1, 2)
+            # Stacked behind the frames, a product of 186 of them takes a third as long as of a view.
+            return own @ torch.stack([one[which].flatten(0, 1) for one in bodies], 2).permute(1, 0, 2)
 
-        return Answer(momenta, lambda: self.shown(bodies))
+        return Answer(momenta, lambda: self.shown(torch.stack([one[..., self.coarse.middle] for one in bodies])))
 
-    def shown(self, bodies: Float[Tensor, "columns bodies 6 frames"]) -> Float[Tensor, "bins rows columns"]:
-        """How far bodies that are displaced take their markers, now and then."""
-        own, arm = bodies[..., self.coarse.middle][:, self.sight.body], self.arm[..., self.coarse.middle]
+    def shown(self, bodies: Float[Tensor, "columns bodies 6 bins"]) -> Float[Tensor, "bins rows columns"]:
+        """How far bodies that are displaced in the middle of averages take their markers."""
+        own, arm = bodies[:, self.sight.body], self.arm[..., self.coarse.middle]
         shift = own[:, :, :3] + torch.linalg.cross(own[:, :, 3:], arm.expand_as(own[:, :, 3:]), dim=2)
         return shift.permute(3, 1, 2, 0).flatten(1, 2)
 
     def swayed(self, bodies: Float[Tensor, "ways bodies 6 frames"], courses: Float[Tensor, "modes frames"]) -> Answer:
         """To each displacement along each course."""
-        one, later = self.moved(bodies), courses[:, self.coarse.middle]
+        one, later = self.moved(bodies.unbind()), courses[:, self.coarse.middle]
         return Answer(
             lambda: torch.einsum("fiw,mf->fiwm", one.nine, courses).flatten(2),
             lambda: torch.einsum("biw,mb->biwm", one.shift, later).flatten(2),
@@ -246,16 +252,6 @@ class Cameras:
     def wrench(self, answers: Sequence[Answer]) -> Float[Tensor, "6 columns frames"]:
         """That the motion needs because of displacements, about the origin of W."""
         return wrench_of(torch.cat([a.nine for a in answers], 2), self.sight.scene.rate).permute(1, 2, 0)
-
-    def left(self, answers: Sequence[Answer]) -> Iterator[Float[Tensor, "bins rows some"]]:
-        """What cameras show of displacements beyond postures, weighed; the last column is what they do show."""
-        coarse, some = self.coarse, []
-        for answer in answers:
-            some.append(answer.shift)
-            if sum(x.shape[2] for x in some) >= TOGETHER:
-                yield coarse.left(torch.cat(some, 2))
-                some = []
-        yield coarse.left(torch.cat([*some, coarse.error[:, :, None]], 2))
 
 
 def _usual(x: Float[Tensor, "frames 3"], band: tuple[float, float]) -> float:

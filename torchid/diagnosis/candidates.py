@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.diagnosis.answers import answer_of
-from torchid.diagnosis.cameras import Answer
+from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.coarse import MarkerSums, marker_sums, retaken_sums
 from torchid.diagnosis.covariation import covariation
 from torchid.diagnosis.design import Candidate, Columns, Design, Source, Terms, kinematic, positions
@@ -29,6 +29,9 @@ from torchid.geometry.fitted import GeometryFit
 PLATES = ((PlateOffset(), 0.1), (PlateDrift(), 0.02))
 """Small errors that every plate has, part of their priors as effects: 0.5 N and the 0.01 N/s that charge amplifiers are
 sold with are nobody's discovery. With 0.025 N/s usual on three other plates, 0.25 N/s had an sd of a third."""
+
+TOGETHER = 64
+"""Columns that postures answer together: of all of a catalogue at once each step would read and write a gigabyte."""
 
 PERIODS = 2.0
 """Of what repeats itself that a trial must show: a walk of a second takes slow ground for an offset of its own. Walks
@@ -117,17 +120,15 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     sources = [s for s in sources if s.trial in (None, watched.rows.name)]
     own, first = kinematic(sources), watched.phi.numel()
     live = torch.cat([torch.arange(first), *(torch.arange(s.columns.start, s.columns.stop) for s in sources)])
-    wrench, at = watched.rows.wrench.new_zeros(6, len(live) - first, len(watched.rows.used)), 0
+    extra, at, sums = watched.rows.wrench.new_zeros(6, len(live) - first, len(watched.rows.used)), 0, None
     for source in sources:
         part = slice(at, at + len(source.scale))
         if not source.effect.kinematic:
-            wrench[:, part] = _seen_by_plates(watched.view, source)
+            extra[:, part] = _about_root(watched, _seen_by_plates(watched.view, source))
         at = part.stop
-    cameras, answers = watched.cameras, _answers(watched, sources)
-    sums = _sums(watched, answers)
-    if cameras is not None and answers:
-        wrench[:, own.start - first : own.stop - first] = cameras.wrench(answers)
-    extra = _about_root(watched, wrench)
+    if watched.cameras is not None and own.stop > own.start:
+        sums, wrench = _of_cameras(watched.cameras, sources)
+        extra[:, own.start - first : own.stop - first] = _about_root(watched, wrench)
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
     idle = idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources])
@@ -150,7 +151,7 @@ def retaken(watched: Watched, own: Columns, sources: Sequence[Source], others: S
     fresh = [answer_of(cameras, s) for s in others]
     extra[:, at - n] = _about_root(watched, cameras.wrench(fresh))
     assert terms.markers is not None, "they show among the markers"
-    shifts, first = (answer.shift for answer in _answers(watched, sources)), kinematic(sources).start
+    shifts, first = (answer_of(cameras, s).shift for s in sources if s.effect.kinematic), kinematic(sources).start
     left = cameras.coarse.left(torch.cat([answer.shift for answer in fresh], 2))
     sums = retaken_sums(cameras.coarse, terms.markers, shifts, at - first, left)
     if noise is not None and watched.expected is not None:
@@ -159,15 +160,32 @@ def retaken(watched: Watched, own: Columns, sources: Sequence[Source], others: S
     return replace(own, extra=extra, terms=replace(terms, markers=sums, covariation=noise))
 
 
-def _answers(watched: Watched, sources: Sequence[Source]) -> list[Answer]:
-    return [] if watched.cameras is None else [answer_of(watched.cameras, s) for s in sources if s.effect.kinematic]
+def _of_cameras(cameras: Cameras, sources: Sequence[Source]) -> tuple[MarkerSums, Float[Tensor, "6 columns frames"]]:
+    """Sums of what markers show of the columns, and the wrench about the origin of W that the motion needs by them.
+
+    Some columns at a time: answers to all of a catalogue would fill a gigabyte.
+    """
+    coarse, spectra, wrenches = cameras.coarse, [], []
+    for some in _together([s for s in sources if s.effect.kinematic]):
+        answers = [answer_of(cameras, s) for s in some]
+        shift = torch.cat([answer.shift for answer in answers], 2)
+        spectra.append(list(coarse.spectrum(coarse.left(shift))))
+        wrenches.append(cameras.wrench(answers))
+    shown = list(coarse.spectrum(coarse.left(coarse.error[:, :, None])))
+    return marker_sums(coarse, [*spectra, shown], cameras.least), torch.cat(wrenches, 1)
 
 
-def _sums(watched: Watched, answers: Sequence[Answer]) -> MarkerSums | None:
-    cameras = watched.cameras
-    if cameras is None or not answers:
-        return None
-    return marker_sums(cameras.coarse, cameras.left(answers), cameras.least)
+def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:
+    """Neighbours that have as many columns as are best worked on at once."""
+    some, columns = [], 0
+    for source in sources:
+        some.append(source)
+        columns += len(source.scale)
+        if columns >= TOGETHER:
+            yield some
+            some, columns = [], 0
+    if some:
+        yield some
 
 
 def _seen_by_plates(view: View, source: Source) -> Float[Tensor, "6 columns frames"]:

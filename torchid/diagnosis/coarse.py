@@ -1,7 +1,7 @@
 """Averages of markers over a few frames, and what they say band by band."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -128,15 +128,27 @@ def _some(gram: Float[Tensor, "bands all all"], some: Int[Tensor, " fewer"]) -> 
     return found
 
 
-def marker_sums(coarse: Coarse, lefts: Iterable[Float[Tensor, "bins rows some"]], least: float) -> MarkerSums:
-    """Of the last column against the others, see ``Cameras.left``; ``least`` as in ``MarkerSums``."""
-    blocks = list(zip(*(coarse.spectrum(left) for left in lefts), strict=True))
+def marker_sums(
+    coarse: Coarse,
+    spectra: Sequence[Sequence[tuple[Float[Tensor, "_ rows _"], Int[Tensor, " _"]]]],
+    least: float,
+) -> MarkerSums:
+    """Of the last column against the others.
+
+    Args:
+        coarse: the rows.
+        spectra: of what postures leave of some columns after others, see ``Coarse.spectrum``.
+        least: as in ``MarkerSums``.
+    """
+    blocks = list(zip(*spectra, strict=True))
     n = sum(rows.shape[2] for rows, _ in blocks[0]) - 1
     gram, count = coarse.error.new_zeros(BANDS, n + 1, n + 1), coarse.error.new_zeros(BANDS)
     for parts in blocks:
-        band = parts[0][1]
-        for b in band.unique().tolist():
-            flat = torch.cat([rows[band == b].flatten(0, 1) for rows, _ in parts], 1)
+        band, start = parts[0][1], 0
+        # Coefficients rise in frequency: those of a band lie together.
+        for b, rise in zip(*band.unique_consecutive(return_counts=True), strict=True):
+            part = slice(start, start := start + int(rise))
+            flat = torch.cat([rows[part].flatten(0, 1) for rows, _ in parts], 1)
             gram[b] += half_product(flat)
             count[b] += len(flat) * coarse.free
     return MarkerSums(gram[:, :n, :n].contiguous(), gram[:, :n, n], gram[:, n, n], count, least)

@@ -125,6 +125,8 @@ def swaps(cameras: Cameras) -> list[Place]:
     odds = 1.0 / (len(pairs) * len(time))
     for a, b in pairs:
         exchanged = _exchanged(cameras, a, b)
+        if int(exchanged.sum()) < SWAPPED:
+            continue
         for start, stop in runs(exchanged | ~(seen[a] | seen[b])):
             inside = start + exchanged[start:stop].nonzero()[:, 0]
             if int((seen[a] & seen[b])[inside].sum()) >= SWAPPED:
@@ -147,7 +149,7 @@ def _loosest(effect: MissingDof, watched: Sequence[Watched]) -> tuple[Place, ...
     if watched[0].cameras is None:
         return ()
     places = effect.places([w.view for w in watched])
-    score = torch.tensor([sum(_loose(effect, place, w) for w in watched) for place in places])
+    score = torch.tensor([_loose(effect, places, w) for w in watched]).sum(0)
     best = []
     for turning in (0.0, 1.0):
         own = [k for k, place in enumerate(places) if place.grid["turning"] == turning]
@@ -155,20 +157,34 @@ def _loosest(effect: MissingDof, watched: Sequence[Watched]) -> tuple[Place, ...
     return tuple(replace(places[k], odds=1.0 / len(places)) for k in best)
 
 
-def _loose(effect: MissingDof, place: Place, watched: Watched) -> float:
-    """Evidence of free courses of a joint in one trial, geometry held, residuals' scatter as it is."""
+def _loose(effect: MissingDof, places: Sequence[Place], watched: Watched) -> list[float]:
+    """Evidence of free courses of each joint in one trial, geometry held, residuals' scatter as it is."""
     cameras, scene = watched.cameras, watched.view.scene
     assert cameras is not None
-    bodies, modes = effect.courses(scene, place)
     coarse = cameras.coarse
-    both = coarse.left(torch.cat([cameras.shown(bodies), coarse.error[:, :, None]], 2))
-    left, residual = both[:, :, :-1], both[:, :, -1]
-    spread = residual.square().sum() / (coarse.free * residual.numel())
-    # Geometry that errs is a constant.
-    modes = modes[1:, coarse.middle]
+    swaying = [effect.courses(scene, place) for place in places]
+    shifts = [cameras.shown(bodies[..., coarse.middle]) for bodies, _ in swaying]
+    left = coarse.left(torch.cat([*shifts, coarse.error[:, :, None]], 2))
+    *ways, residual = left.split([*(s.shape[2] for s in shifts), 1], 2)
+    found = []
+    for place, own, (_, modes) in zip(places, ways, swaying, strict=True):
+        # Geometry that errs is a constant.
+        found.append(_free(own, residual[:, :, 0], modes[1:, coarse.middle], effect.scale(place)[0], coarse.free))
+    return found
+
+
+def _free(
+    left: Float[Tensor, "bins rows ways"],
+    residual: Float[Tensor, "bins rows"],
+    modes: Float[Tensor, "modes bins"],
+    scale: float,
+    free: float,
+) -> float:
+    """Evidence of courses along some ways that are combinations of modes with coefficients of this scale; ``free`` as
+    in ``Coarse``."""
+    spread = residual.square().sum() / (free * residual.numel())
     A = torch.einsum("tri,trj->tij", left, left) / spread
     b = torch.einsum("tri,tr->ti", left, residual) / spread
-    scale = effect.scale(place)[0]
     gram = scale**2 * torch.einsum("tij,kt,lt->ikjl", A, modes, modes).flatten(2).flatten(0, 1)
     moment = scale * torch.einsum("ti,kt->ik", b, modes).flatten()
     L = torch.linalg.cholesky(gram + torch.eye(len(gram)).to(gram))

@@ -61,14 +61,10 @@ def search(
         geometry: with which the trials were followed.
     """
     log.info("scanning %d effects in %d trials", len(effects), len(watched))
-    design = make_design(watched, effects, geometry)
-    prior = make_prior(inertia, omega, design)
-    noise = initial_noise(whitening, len(watched))
     chosen: list[Candidate] = []
     rounds: list[Round] = []
-    rows = _rows(watched, design)
-    design = with_slides(rows, prior, design, noise)
-    scan = _Scan(watched, rows, design, prior.widened(design), limit)
+    noise = initial_noise(whitening, len(watched))
+    scan = _begun(watched, effects, inertia, omega, noise, limit, geometry)
     noise = scan.noise(chosen, noise)
     sums = scan.sums(noise)
     while True:
@@ -90,6 +86,22 @@ def search(
         scan, noise, sums = scan.took(noise, sums, chosen, looked)
         scan, sums, chosen = scan.opened(sums, chosen, beside(scan.design, chosen, rounds))
     return pruned(reduced(scan.design, scan.prior, noise, chosen, rounds, sums))
+
+
+def _begun(
+    watched: Sequence[Watched],
+    effects: Sequence[Effect],
+    inertia: InertialPrior,
+    omega: float,
+    noise: Noise,
+    limit: int,
+    geometry: GeometryFit | None,
+) -> "_Scan":
+    """Apart from the search, which would hold on to gigabytes of columns that it later does without."""
+    design = make_design(watched, effects, geometry)
+    prior, rows = make_prior(inertia, omega, design), _rows(watched, design)
+    design = with_slides(rows, prior, design, noise)
+    return _Scan(watched, rows, design, prior.widened(design), limit)
 
 
 def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:

@@ -96,6 +96,15 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
     return q if problem.robust is None else solve_poses(problem, q, xi)[0]
 
 
+def mended(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
+    """Inverse kinematics from postures that are nearly right: no limb is looked for that was not lost there.
+
+    Least squares first here too: names that were put right move markers by more than a robust loss believes.
+    """
+    q, _ = solve_poses(replace(problem, robust=None), q, xi)
+    return q if problem.robust is None else solve_poses(problem, q, xi)[0]
+
+
 def _turn_back(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> None:
     """Frames with a joint beyond its limits again from its other angles; in place."""
     other = turned_back(problem.plan.tree, problem.posture, q)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.problem import MarkerProblem, PosturePrior
-from torchid.geometry.start import initial_posture, settle
+from torchid.geometry.start import initial_posture, mended, settle
 from torchid.kinematics.plan import plan_tree
 from torchid.recording import Markers
 
@@ -65,7 +65,9 @@ def settled(
     fit: GeometryFit, problem: MarkerProblem, near: Float[Tensor, "dofs frames"] | None = None
 ) -> Float[Tensor, "dofs frames"]:
     """Postures of all frames at the fit's geometry, found from those near them, or from rest."""
-    return settle(problem, initial_posture(problem, fit.xi, _rest(fit)) if near is None else near, fit.xi)
+    if near is None:
+        return settle(problem, initial_posture(problem, fit.xi, _rest(fit)), fit.xi)
+    return mended(problem, near, fit.xi)
 
 
 def _rest(fit: GeometryFit) -> Float[Tensor, " dofs"]:

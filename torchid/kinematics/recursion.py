@@ -8,6 +8,7 @@ Reference: Featherstone, Rigid Body Dynamics Algorithms (2008), sections 4.1 and
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -52,7 +53,7 @@ class Poses:
         moved = turned(self.local.index_select(0, self.tables.turn_before), axis[n:])
         return torch.cat([turned(R[:n], axis[:n]), turned(R[n:], moved)])
 
-    @property
+    @cached_property
     def hinge_axis(self) -> Float[Tensor, "hinges 3 frames"]:
         """Axes of the turns by hinge angles, signs included."""
         local = turned(_padded(self.local).index_select(0, self.tables.hinge_before), self.joints.hinge[:, :, None])

@@ -13,7 +13,7 @@ _ROUNDING = 1e-9
 """Relative error that sums of float64 rows may show; sums of float32 rows show 1e-6 and more."""
 
 
-_BLOCK, _FEW = 384, 256
+_BLOCK, _FEW = 256, 256
 """Columns whose products are taken together, and up to which all are."""
 
 

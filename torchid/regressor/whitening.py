@@ -112,11 +112,11 @@ def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = N
 
 def _spectrum(trial: WrenchTrial, part: slice, extra: Tensor | None) -> Spectrum:
     Y, F = trial.rows(part)
-    Y = Y if extra is None else torch.cat([Y, extra[:, :, part]], dim=1)
     frames = part.stop - part.start
     kept = coefficients(trial, frames)
     C = cosine_matrix(frames, kept).to(F)
-    return Spectrum(Y @ C.T, F @ C.T, frequencies(frames, kept, trial.rate).to(F.device))
+    both = [own @ C.T for own in ((Y,) if extra is None else (Y, extra[:, :, part]))]
+    return Spectrum(torch.cat(both, 1), F @ C.T, frequencies(frames, kept, trial.rate).to(F.device))
 
 
 def column_spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"]) -> list[Float[Tensor, "6 more kept"]]:
