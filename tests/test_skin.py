@@ -24,7 +24,7 @@ def learned(watched: list[Watched], effects: list[SoftTissue]) -> set[float]:
     outcome = small.outcome()
     assert outcome.identified is not None
     design = make_design(watched, effects, outcome.fit)
-    rows = [rows_of(w, c, design.late) for w, c in zip(watched, design.trials, strict=True)]
+    rows = [rows_of(w, c, design.noisy) for w, c in zip(watched, design.trials, strict=True)]
     prior = make_prior(outcome.prior, outcome.identified.fit.omega_2, design)
     found = with_slides(rows, prior, design, initial_noise(outcome.identified.whitening, len(watched)))
     return {s.scale[0] for s in found.sources if isinstance(s.effect, SkinSlide)}

@@ -136,9 +136,9 @@ class Design:
         return self.sources[-1].columns.stop if self.sources else self.inertia
 
     @property
-    def late(self) -> list[bool]:
-        """Which columns behind the inertia are rates of what plates read."""
-        return [s.effect.late for s in self.sources for _ in s.scale]
+    def noisy(self) -> list[bool]:
+        """Which columns behind the inertia come from accelerations that were found, see ``Effect.noisy``."""
+        return [s.effect.noisy for s in self.sources for _ in s.scale]
 
     @property
     def mean(self) -> Float[Tensor, " more"]:

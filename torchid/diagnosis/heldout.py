@@ -53,7 +53,7 @@ class HeldOut:
         self.columns = [trial_columns(w, found.design.sources) for w in heldout]
         if any(one.effect.late or one.effect.curved for one in found.chosen):
             self.columns = self._settled()
-        rows = [rows_of(w, c, found.design.late) for w, c in zip(heldout, self.columns, strict=True)]
+        rows = [rows_of(w, c, found.design.noisy) for w, c in zip(heldout, self.columns, strict=True)]
         noise = found.noise.typical(len(heldout))
         if heldout:
             typical = self._beside(summed(rows, found.prior, found.design, noise))

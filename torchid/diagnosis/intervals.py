@@ -38,7 +38,7 @@ def timed(
             break
         tried = _with(design, best, (best.place, *some))
         extra, wide = _extra(watched[trial], tried), prior.widened(tried)
-        own = with_columns(rows[trial], _terms(tried, trial, extra), watched[trial], extra)
+        own = with_columns(rows[trial], _terms(tried, trial, extra), watched[trial], extra, best.effect.noisy)
         raws = list(sums.trials)
         raws[trial] = standardised(own, wide, tried, noise, trial)[0]
         gain = gains(replace(sums, trials=tuple(raws)), base, tried.candidates)[0]
@@ -47,7 +47,7 @@ def timed(
     extra, trials, found = _extra(watched[trial], final), list(design.trials), list(rows)
     terms, before = _terms(final, trial, extra), trials[trial]
     trials[trial] = replace(before, extra=torch.cat([before.extra, extra], 1), terms=terms)
-    found[trial] = with_columns(rows[trial], terms, watched[trial], extra)
+    found[trial] = with_columns(rows[trial], terms, watched[trial], extra, best.effect.noisy)
     (best,) = final.candidates
     whole = replace(final, candidates=(*design.candidates, best), trials=tuple(trials))
     return found, whole, prior.widened(whole), best

@@ -105,7 +105,7 @@ def _begun(
 
 
 def _rows(watched: Sequence[Watched], design: Design) -> list[Rows]:
-    return [rows_of(w, c, design.late) for w, c in zip(watched, design.trials, strict=True)]
+    return [rows_of(w, c, design.noisy) for w, c in zip(watched, design.trials, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,12 @@ class Effect(ABC):
     whole: ClassVar[bool] = False
     """Its one parameter is one, or it is not there."""
 
+    @property
+    def noisy(self) -> bool:
+        """Its columns are second derivatives of what markers led to, and hold their noise; a rail or a rope pulls by
+        what it is."""
+        return self.kinematic or self.accelerated
+
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         """Everywhere it could sit in a session."""
         raise NotImplementedError

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter, anchor
-from torchid.effects.place import Interval, Place, mean_within, within
-from torchid.effects.scene import Point, Scene, at_origin
+from torchid.effects.place import Interval, Place, mean_within
+from torchid.effects.scene import Point, Scene, at_origin, passing
 from torchid.effects.sight import View
 
 
@@ -31,7 +31,7 @@ class PointForce(Effect):
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         (segment,) = place.where
         at = scene.point(segment, anchor(scene, place))
-        force = self.force(scene, at, theta) * within(place, scene.trial, scene.time)
+        force = self.force(scene, at, theta) * passing(scene, place)
         return -at_origin(at.p, force)
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
@@ -130,7 +130,7 @@ class UnmeasuredContact(PointForce):
             return super().load(scene, place, theta)
         (segment,) = place.where
         at = scene.point(segment, anchor(scene, place))
-        return -at_origin(at.p, theta.view(-1, 3).T @ _hats(place, scene))
+        return -at_origin(at.p, theta.view(-1, 3).T @ scene.passed(_hats(place, scene)))
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return theta[:, None].expand(3, len(scene.time))

@@ -16,8 +16,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter, anchor, value_of
-from torchid.effects.place import Place, within
-from torchid.effects.scene import Scene, lift
+from torchid.effects.place import Place
+from torchid.effects.scene import Scene, lift, passing
 from torchid.effects.sight import View
 from torchid.kinematics.recursion import cross
 
@@ -86,7 +86,7 @@ class Payload(Effect):
         force = mass * needed + swing
         square = torch.where(mass > 0.0, cross(arm, swing) / mass, 0.0)
         total = torch.cat([force, cross(carrier.p, force) + cross(arm, needed) + square])
-        return total * within(place, scene.trial, scene.time)
+        return total * passing(scene, place)
 
     def rigid(self, scene: Scene, place: Place) -> Float[Tensor, "bodies 10 params"] | None:
         """Mass, first moment and inertia of a point mass m at p, and of a moment d of it: m p p' + p d' + d p'."""

@@ -8,6 +8,8 @@ from torch import Tensor
 
 from torchid.conventions import GRAVITY
 from torchid.dynamics import DynamicState, body_rows, body_wrenches, dynamic_state
+from torchid.effects.place import Place, within
+from torchid.filters import Smoother
 from torchid.kinematics.recursion import cross
 from torchid.model.model import Geometry
 from torchid.model.tree import Tree
@@ -34,6 +36,8 @@ class Scene:
     q: Float[Tensor, "dofs frames"]
     state: DynamicState
     phi: Float[Tensor, "bodies 10"]
+    smoother: Smoother
+    """What its motion and what plates read have passed."""
     recorded_kg: float = float("nan")
     """Mass of the body before any force was seen."""
     _points: dict[tuple[str, tuple[float, ...]], Point] = field(
@@ -73,6 +77,13 @@ class Scene:
         """R_WB b."""
         return torch.einsum("crt,c->rt", self.state.at.R[self.at(segment)], b)
 
+    def passed(self, course: Float[Tensor, "*some frames"]) -> Float[Tensor, "*some frames"]:
+        """What is left of a course that no motion gives, as plates read it.
+
+        Ground that shook at 3.9 Hz came out 21 % too weak behind a filter of 4 Hz.
+        """
+        return self.smoother(course.movedim(-1, 0)).movedim(0, -1)
+
     @property
     def mass(self) -> Tensor:
         """Of all bodies [kg]."""
@@ -98,7 +109,13 @@ class Scene:
 def make_scene(trial: str, tree: Tree, geometry: Geometry, motion: Motion, phi: Float[Tensor, "bodies 10"]) -> Scene:
     """The scene of a motion."""
     q, v, a = (x.T.contiguous() for x in (motion.q, motion.v, motion.a))
-    return Scene(trial, motion.time, tree, q, dynamic_state(tree, geometry, q, v, a), phi)
+    return Scene(trial, motion.time, tree, q, dynamic_state(tree, geometry, q, v, a), phi, motion.smoother)
+
+
+def passing(scene: Scene, place: Place) -> Float[Tensor, " frames"]:
+    """How much of what comes and goes at a place is there, as plates read it."""
+    inside = within(place, scene.trial, scene.time)
+    return inside if place.when is None else scene.passed(inside)
 
 
 @dataclass(frozen=True)

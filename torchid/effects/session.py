@@ -61,7 +61,8 @@ class MovingGround(Effect):
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         sine, cosine = self.split(theta)
         phase = 2.0 * math.pi * place.grid["frequency_hz"] * scene.time
-        shake = sine[:, None] * torch.sin(phase) + cosine[:, None] * torch.cos(phase)
+        course = scene.passed(torch.stack([torch.sin(phase), torch.cos(phase)]))
+        shake = torch.stack([sine, cosine], 1) @ course
         return at_origin(scene.centre_of_mass, scene.mass * shake)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
