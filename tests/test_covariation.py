@@ -14,12 +14,13 @@ from torchid.diagnosis.answers import answer_of
 from torchid.diagnosis.candidates import make_design, retaken, trial_columns
 from torchid.diagnosis.covariation import covariation
 from torchid.diagnosis.design import Design, Source
+from torchid.diagnosis.spectral import rows_of
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import base_rows, body_rows, wrench_about
 from torchid.effects.catalogue import effect
 from torchid.effects.columns import columns
 from torchid.experiment.diagnosing import watch_outcome
-from torchid.regressor.whitening import EDGES, band_of, coefficients, cosine_matrix, frequencies
+from torchid.regressor.whitening import EDGES, band_of, coefficients, column_spectra, cosine_matrix, frequencies
 
 TRIED = ("body_mass", "payload", "wobbling_mass", "plate_gain", "plate_pose", "plate_crosstalk", "skin_lag")
 """Every effect whose columns follow accelerations, but for one that is only a timed payload."""
@@ -115,3 +116,20 @@ def test_few_frames_say_what_all_of_them_do(watched, design):
     # So many draws scatter by more: eight by a third.
     assert float(off.median()) < 0.03
     assert float(off.max()) < 0.2
+
+
+def test_only_what_accelerations_give_is_doubted(watched):
+    """A rope pulls by what it is: its columns stay whole where those of a load are shrunk to what is believed."""
+    design = make_design([watched], [effect("tether"), effect("payload")], small.outcome().fit)
+    rows = rows_of(watched, design.trials[0], design.noisy)
+    doubted = {name: [] for name in ("tether", "payload")}
+    for block, plain in zip(rows.forces, column_spectra(watched.rows, design.trials[0].extra), strict=True):
+        believed = watched.expected.believed(block.frequency).T[:, None]
+        assert float(believed.min()) < 0.9
+        for source in design.sources:
+            if source.effect.name in doubted:
+                part = slice(source.columns.start - design.inertia, source.columns.stop - design.inertia)
+                own = block.Y[:, design.inertia :][:, part]
+                assert_close(own, (believed if source.effect.noisy else 1.0) * plain[:, part])
+                doubted[source.effect.name].append(source.effect.noisy)
+    assert not any(doubted["tether"]) and all(doubted["payload"]) and doubted["payload"]
