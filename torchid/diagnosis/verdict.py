@@ -16,9 +16,9 @@ from torchid.effects.effect import Planted
 from torchid.effects.place import Interval, Place
 
 REFUTED = 3.0
-"""Nats by which held-out motion must speak against a cause, beyond its leeway. Where that is the standard deviation
-(2 m)^0.5 of a log likelihood ratio that should be m, a true cause in a true model would fall below -4.5 once in 700;
-models of bodies are not true, and a scale of the cameras told to a tenth of itself lost 5 where 12 were promised."""
+"""Nats by which held-out motion must speak against a cause, beyond its leeway. A log likelihood ratio that should be m
+has a standard deviation of (2 m)^0.5: that of a true cause in a true model falls below -3 once in 140 at most, whatever
+m. Models of bodies are not true, and a scale of the cameras told to a tenth of itself lost 5 where 12 were promised."""
 RIVALS = 4
 """Alternatives that are listed at most."""
 

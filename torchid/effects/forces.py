@@ -130,7 +130,8 @@ class UnmeasuredContact(PointForce):
             return super().load(scene, place, theta)
         (segment,) = place.where
         at = scene.point(segment, anchor(scene, place))
-        return -at_origin(at.p, theta.view(-1, 3).T @ scene.passed(_hats(place, scene)))
+        course = scene.passed((place.when, _knots(place), "knots"), lambda: _hats(place, scene))
+        return -at_origin(at.p, theta.view(-1, 3).T @ course)
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return theta[:, None].expand(3, len(scene.time))

@@ -1,5 +1,6 @@
 """A trial as effects see it: bodies that move and carry inertia, and plates that read."""
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -8,7 +9,7 @@ from torch import Tensor
 
 from torchid.conventions import GRAVITY
 from torchid.dynamics import DynamicState, body_rows, body_wrenches, dynamic_state
-from torchid.effects.place import Place, within
+from torchid.effects.place import Place, edge, within
 from torchid.filters import Smoother
 from torchid.kinematics.recursion import cross
 from torchid.model.model import Geometry
@@ -44,6 +45,7 @@ class Scene:
         default_factory=dict, init=False, repr=False, compare=False
     )
     """Those that were asked for: a catalogue asks for the same few thousands of times."""
+    _courses: dict[Hashable, Tensor] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def rate(self) -> float:
@@ -77,12 +79,16 @@ class Scene:
         """R_WB b."""
         return torch.einsum("crt,c->rt", self.state.at.R[self.at(segment)], b)
 
-    def passed(self, course: Float[Tensor, "*some frames"]) -> Float[Tensor, "*some frames"]:
-        """What is left of a course that no motion gives, as plates read it.
+    def passed(
+        self, key: Hashable, course: Callable[[], Float[Tensor, "*some frames"]]
+    ) -> Float[Tensor, "*some frames"]:
+        """What is left of a course that no motion gives, as plates read it; ``key`` tells it from other courses.
 
         Ground that shook at 3.9 Hz came out 21 % too weak behind a filter of 4 Hz.
         """
-        return self.smoother(course.movedim(-1, 0)).movedim(0, -1)
+        if key not in self._courses:
+            self._courses[key] = self.smoother(course().movedim(-1, 0)).movedim(0, -1)
+        return self._courses[key]
 
     @property
     def mass(self) -> Tensor:
@@ -114,8 +120,9 @@ def make_scene(trial: str, tree: Tree, geometry: Geometry, motion: Motion, phi: 
 
 def passing(scene: Scene, place: Place) -> Float[Tensor, " frames"]:
     """How much of what comes and goes at a place is there, as plates read it."""
-    inside = within(place, scene.trial, scene.time)
-    return inside if place.when is None else scene.passed(inside)
+    if place.when is None:
+        return torch.ones_like(scene.time)
+    return scene.passed((place.when, edge(place)), lambda: within(place, scene.trial, scene.time))
 
 
 @dataclass(frozen=True)

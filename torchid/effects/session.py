@@ -61,7 +61,7 @@ class MovingGround(Effect):
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         sine, cosine = self.split(theta)
         phase = 2.0 * math.pi * place.grid["frequency_hz"] * scene.time
-        course = scene.passed(torch.stack([torch.sin(phase), torch.cos(phase)]))
+        course = scene.passed(place.grid["frequency_hz"], lambda: torch.stack([torch.sin(phase), torch.cos(phase)]))
         shake = torch.stack([sine, cosine], 1) @ course
         return at_origin(scene.centre_of_mass, scene.mass * shake)
 
