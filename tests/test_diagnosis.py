@@ -17,8 +17,9 @@ from torchid.diagnosis.doubtful import stands_out
 from torchid.diagnosis.evidence import fit, gains
 from torchid.diagnosis.found import estimate, internal
 from torchid.diagnosis.plates import SessionPlate, recognise
+from torchid.diagnosis.residual import residuals
 from torchid.diagnosis.rivals import CHANCE
-from torchid.diagnosis.search import residuals, search
+from torchid.diagnosis.search import search
 from torchid.diagnosis.sums import Sums, make_prior
 from torchid.diagnosis.unexplained import Structure
 from torchid.diagnosis.verdict import Diagnosis

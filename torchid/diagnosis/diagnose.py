@@ -12,9 +12,10 @@ from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import Search, estimate, instead, internal, pruned, support, without
 from torchid.diagnosis.heldout import HeldOut, Judged
 from torchid.diagnosis.plates import SessionPlate
+from torchid.diagnosis.residual import residuals
 from torchid.diagnosis.rivals import Round, Share, named_in, same, shares, twins
 from torchid.diagnosis.scan import scan_all
-from torchid.diagnosis.search import residuals, search
+from torchid.diagnosis.search import search
 from torchid.diagnosis.unexplained import P_VALUE, Structure, structure
 from torchid.diagnosis.verdict import RIVALS, Alternative, Cause, Diagnosis, Near, Refuted, Twin
 from torchid.diagnosis.vibration import with_vibration

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.evidence import fit
 from torchid.diagnosis.found import Search, without
-from torchid.diagnosis.search import residuals
+from torchid.diagnosis.residual import residuals
 from torchid.diagnosis.watched import Watched
 
 PLAIN = 0.05

@@ -17,8 +17,8 @@ from torchid.diagnosis.evidence import Fitted, fit
 from torchid.diagnosis.found import Search, support, without
 from torchid.diagnosis.linearised import linearised
 from torchid.diagnosis.noise import summed, unforced, unseen_noise
+from torchid.diagnosis.residual import residual
 from torchid.diagnosis.rivals import NAMED, PART
-from torchid.diagnosis.search import residual
 from torchid.diagnosis.spectral import rows_of
 from torchid.diagnosis.sums import Sums
 from torchid.diagnosis.verdict import REFUTED, Errors

@@ -5,17 +5,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from jaxtyping import Float
-from torch import Tensor
-
 from torchid.diagnosis.anew import eliminated
 from torchid.diagnosis.candidates import make_design
-from torchid.diagnosis.design import Candidate, Columns, Design, narrower, only
-from torchid.diagnosis.evidence import Fitted, fit, gains
+from torchid.diagnosis.design import Candidate, Design, narrower, only
+from torchid.diagnosis.evidence import fit, gains
 from torchid.diagnosis.found import Search, beside, pruned, reduced
 from torchid.diagnosis.intervals import timed
-from torchid.diagnosis.linearised import settled, without_beyond
+from torchid.diagnosis.linearised import settled
 from torchid.diagnosis.noise import Noise, estimate_noise, initial_noise, summed
+from torchid.diagnosis.residual import residuals
 from torchid.diagnosis.rivals import NAMED, Rival, Round
 from torchid.diagnosis.scan import scan_all
 from torchid.diagnosis.skin import with_slides
@@ -26,7 +24,6 @@ from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect
 from torchid.geometry.fitted import GeometryFit
 from torchid.model.model import InertialPrior
-from torchid.regressor.rows import measured
 from torchid.regressor.whitening import Whitening
 
 log = logging.getLogger(__name__)
@@ -215,24 +212,6 @@ class _Scan:
         fitted = fit(sums, base)
         gain = float(gains(sums, fitted, own[-1:])[0]) + math.log(rival.candidate.odds) - rival.ordinary
         return None if gain < NAMED else (fitted.log_evidence + gain + sums.constant, other)
-
-
-def residuals(
-    watched: Sequence[Watched], design: Design, prior: Prior, fitted: Fitted
-) -> list[Float[Tensor, "frames 6"]]:
-    """Of the trials a model was fitted to, about the root's origin."""
-    both = enumerate(zip(watched, design.trials, strict=True))
-    return [residual(own, columns, prior, fitted, k) for k, (own, columns) in both]
-
-
-def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, trial: int) -> Float[Tensor, "frames 6"]:
-    """Of one trial about the root's origin, with everything that the model knows taken off."""
-    theta, n = prior.theta(fitted.z(len(prior.mean), trial)), len(prior.inertia)
-    late = any(one.effect.late for one in fitted.chosen)
-    rows = without_beyond(watched.rows, columns) if late else watched.rows
-    own = theta[columns.terms.live[n:]]
-    known = watched.needed(theta[:n]) + (own @ columns.extra).T
-    return measured(rows) - known
 
 
 def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
