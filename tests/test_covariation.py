@@ -22,8 +22,11 @@ from torchid.effects.columns import columns
 from torchid.experiment.diagnosing import watch_outcome
 from torchid.regressor.whitening import EDGES, band_of, coefficients, column_spectra, cosine_matrix, frequencies
 
-TRIED = ("body_mass", "payload", "wobbling_mass", "plate_gain", "plate_pose", "plate_crosstalk", "skin_lag")
-"""Every effect whose columns follow accelerations, but for one that is only a timed payload."""
+TRIED = (
+    "body_mass", "payload", "grasped_object", "wobbling_mass",
+    "plate_gain", "plate_pose", "plate_crosstalk", "skin_lag",
+)  # fmt: skip
+"""Every effect whose columns follow accelerations."""
 
 
 @pytest.fixture(scope="module")

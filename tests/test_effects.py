@@ -194,8 +194,11 @@ def test_columns_of_curved_effects_are_exact_where_they_were_found(subject, plai
     assert miss[1] < 1e-5 * float(exact.norm())
 
 
-@pytest.mark.parametrize("name", ["moving_ground", "unmeasured_contact", "grasped_object"])
-def test_what_no_motion_gives_is_read_through_the_filter(subject, plain, name):
+@pytest.mark.parametrize(
+    ("name", "grid"),
+    [("moving_ground", {}), ("unmeasured_contact", {}), ("unmeasured_contact", {"knots": 4.0}), ("grasped_object", {})],
+)
+def test_what_no_motion_gives_is_read_through_the_filter(subject, plain, name, grid):
     """Courses of ground that shakes, and of what comes and goes, are what plates read of them behind a filter."""
     one, scene, measured = simulated(subject, plain, name)
     draw = torch.Generator().manual_seed(SEED)
@@ -203,6 +206,9 @@ def test_what_no_motion_gives_is_read_through_the_filter(subject, plain, name):
     if name == "moving_ground":
         place = dataclasses.replace(one.place, grid={"frequency_hz": 0.97 * smoother.cutoff_hz})
         one = dataclasses.replace(one, place=place)
+    if grid:
+        place = dataclasses.replace(one.place, grid=grid)
+        one = dataclasses.replace(one, place=place, theta=torch.randn(12, generator=draw).double())
     exact = smoother(one.load(scene).T).T
     behind = dataclasses.replace(scene, smoother=smoother)
     left = [
@@ -211,6 +217,14 @@ def test_what_no_motion_gives_is_read_through_the_filter(subject, plain, name):
     ]
     # A load in a hand is accelerated as well, by a motion that was smoothed before.
     assert left[0] < (0.6 if name == "grasped_object" else 1e-4) * left[1]
+    # One that comes later, or less quickly, is another course.
+    if one.place.when is not None:
+        own = one.place.when[0]
+        later = dataclasses.replace(own, t0=own.t0 + 0.3)
+        for other in ({"when": (later,)}, {"grid": {"knots": 5.0} if grid else {"edge_s": 0.3}}):
+            place = dataclasses.replace(one.place, **other)
+            both = [columns(one.effect, seen, measured, place) for seen in (behind, dataclasses.replace(behind))]
+            assert_close(*both, rtol=0, atol=0)
 
 
 @pytest.fixture(scope="module")

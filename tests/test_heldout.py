@@ -124,7 +124,7 @@ def test_what_cameras_saw_elsewhere_may_cost_a_part_of_what_it_told(name, leeway
     told.share = 0.5
     # Of a column of unit prior with a moment b: b^2 / 4 - log(2) / 2.
     assert told._leeway([here], here) == pytest.approx(leeway, abs=0.05)
-    promised = 0.5 * support(sums, [everywhere], everywhere) if leeway else 0.0
+    promised = 0.0 if name == "drag" else 0.5 * support(sums, [everywhere], everywhere)
     assert told._leeway([everywhere], everywhere) == pytest.approx(math.sqrt(2.0 * promised))
 
 

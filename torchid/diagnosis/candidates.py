@@ -31,7 +31,7 @@ PLATES = ((PlateOffset(), 0.1), (PlateDrift(), 0.02))
 sold with are nobody's discovery. With 0.025 N/s usual on three other plates, 0.25 N/s had an sd of a third."""
 
 TOGETHER = 64
-"""Columns that postures answer together: of all of a catalogue at once each step would read and write a gigabyte."""
+"""Columns that postures answer together: of all of a catalogue at once, each step would fill a gigabyte."""
 
 PERIODS = 2.0
 """Of what repeats itself that a trial must show: a walk of a second takes slow ground for an offset of its own. Walks
@@ -161,10 +161,7 @@ def retaken(watched: Watched, own: Columns, sources: Sequence[Source], others: S
 
 
 def _of_cameras(cameras: Cameras, sources: Sequence[Source]) -> tuple[MarkerSums, Float[Tensor, "6 columns frames"]]:
-    """Sums of what markers show of the columns, and the wrench about the origin of W that the motion needs by them.
-
-    Some columns at a time: answers to all of a catalogue would fill a gigabyte.
-    """
+    """Sums of what markers show of the columns, and the wrench about the origin of W that the motion needs by them."""
     coarse, spectra, wrenches = cameras.coarse, [], []
     for some in _together([s for s in sources if s.effect.kinematic]):
         answers = [answer_of(cameras, s) for s in some]

@@ -149,7 +149,7 @@ def _loosest(effect: MissingDof, watched: Sequence[Watched]) -> tuple[Place, ...
     if watched[0].cameras is None:
         return ()
     places = effect.places([w.view for w in watched])
-    score = torch.tensor([_loose(effect, places, w) for w in watched]).sum(0)
+    score = torch.tensor([_loose(effect, places, w) for w in watched], dtype=torch.float64).sum(0)
     best = []
     for turning in (0.0, 1.0):
         own = [k for k, place in enumerate(places) if place.grid["turning"] == turning]
@@ -162,15 +162,16 @@ def _loose(effect: MissingDof, places: Sequence[Place], watched: Watched) -> lis
     cameras, scene = watched.cameras, watched.view.scene
     assert cameras is not None
     coarse = cameras.coarse
-    swaying = [effect.courses(scene, place) for place in places]
-    shifts = [cameras.shown(bodies[..., coarse.middle]) for bodies, _ in swaying]
+    shifts, courses = [], []
+    for place in places:
+        bodies, modes = effect.courses(scene, place)
+        shifts.append(cameras.shown(bodies[..., coarse.middle]))
+        # Geometry that errs is a constant.
+        courses.append(modes[1:, coarse.middle])
     left = coarse.left(torch.cat([*shifts, coarse.error[:, :, None]], 2))
     *ways, residual = left.split([*(s.shape[2] for s in shifts), 1], 2)
-    found = []
-    for place, own, (_, modes) in zip(places, ways, swaying, strict=True):
-        # Geometry that errs is a constant.
-        found.append(_free(own, residual[:, :, 0], modes[1:, coarse.middle], effect.scale(place)[0], coarse.free))
-    return found
+    each = zip(places, ways, courses, strict=True)
+    return [_free(own, residual[:, :, 0], modes, effect.scale(p)[0], coarse.free) for p, own, modes in each]
 
 
 def _free(

@@ -104,9 +104,8 @@ class Watched:
     @cached_property
     def thinned(self) -> "Watched":
         """With as few frames as that."""
-        part, motion = slice(None, None, self.thinning), self.rows.motion
-        rate = replace(motion.smoother, rate_hz=self.rows.rate / self.thinning)
-        rows = replace(self.rows.frames(part), motion=replace(motion.frames(part), smoother=rate))
+        part = slice(None, None, self.thinning)
+        rows = self.rows.frames(part)
         reading, measured = self.view.reading.samples(part), self.view.measured.samples(part)
         view = replace(self.view, scene=self.under(rows.motion), reading=reading, measured=measured)
         if self.cameras is None:

@@ -70,8 +70,8 @@ class Effect(ABC):
 
     @property
     def noisy(self) -> bool:
-        """Its columns are second derivatives of what markers led to, and hold their noise; a rail or a rope pulls by
-        what it is."""
+        """Its columns are accelerations that were found, or loads that these make, and hold the markers' noise; in what
+        goes with places or speeds, as ropes and drag do, it is neglected."""
         return self.kinematic or self.accelerated
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:

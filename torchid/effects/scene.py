@@ -46,6 +46,7 @@ class Scene:
     )
     """Those that were asked for: a catalogue asks for the same few thousands of times."""
     _courses: dict[Hashable, Tensor] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """Those that have passed the filter, kept as long as the scene."""
 
     @property
     def rate(self) -> float:
@@ -82,7 +83,9 @@ class Scene:
     def passed(
         self, key: Hashable, course: Callable[[], Float[Tensor, "*some frames"]]
     ) -> Float[Tensor, "*some frames"]:
-        """What is left of a course that no motion gives, as plates read it; ``key`` tells it from other courses.
+        """What is left of a course that no motion gives, as plates read it; no gradient passes.
+
+        The key tells it from other courses: no parameter that is sought may enter it.
 
         Ground that shook at 3.9 Hz came out 21 % too weak behind a filter of 4 Hz.
         """

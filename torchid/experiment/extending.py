@@ -55,8 +55,13 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
     if any(moves_markers(cause) for cause in causes):
         session = extend_session(relabelled)
         fit = folder.stage("geometry_extended", key, lambda: fit_session(config, session, True, progress))
+        # All others are followed from where the markers that were measured led.
+        renamed = {own.trial for cause in swaps(causes) for own in cause.when or ()}
         for name, trial in session.trials.items():
-            tracked[name] = folder.stage(f"extended_{name}", key, lambda t=trial: _mended(fit, t, tracked))
+            near = None if name in renamed else tracked[name].q
+            tracked[name] = folder.stage(
+                f"extended_{name}", key, lambda t=trial, near=near: track(fit, t.markers, near=near)
+            )
     with folder.timed("extend"):
         followed = follow_extended(config, relabelled, session, fit, tracked)
         added = effect_wrenches(relabelled)
@@ -68,11 +73,6 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
     more = _residuals(outcome, "+ named causes")
     notes = (*outcome.notes, *_worse_notes(base.residuals, more))
     return replace(outcome, residuals=(*base.residuals, *more), notes=notes)
-
-
-def _mended(fit: GeometryFit, trial: Trial, tracked: dict[str, Tracked]) -> Tracked:
-    """A trial whose corrected markers are followed from where those that were measured led."""
-    return track(fit, trial.markers, near=tracked[trial.name].q)
 
 
 def _worse_notes(base: Sequence[Residual], extended: Sequence[Residual]) -> list[Note]:

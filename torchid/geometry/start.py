@@ -97,9 +97,9 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
 
 
 def mended(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
-    """Inverse kinematics from postures that are nearly right: no limb is looked for that was not lost there.
+    """Inverse kinematics from postures that are nearly right: no frame is tried from others.
 
-    Least squares first here too: names that were put right move markers by more than a robust loss believes.
+    Least squares first here too: markers may have been corrected by more than a robust loss believes.
     """
     q, _ = solve_poses(replace(problem, robust=None), q, xi)
     return q if problem.robust is None else solve_poses(problem, q, xi)[0]

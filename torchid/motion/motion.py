@@ -28,8 +28,9 @@ class Motion:
     smoother: Smoother
 
     def frames(self, part: slice) -> "Motion":
-        """Some of the frames."""
-        return replace(self, time=self.time[part], q=self.q[part], v=self.v[part], a=self.a[part])
+        """Some of the frames, at equal steps."""
+        smoother = replace(self.smoother, rate_hz=self.smoother.rate_hz / (part.step or 1))
+        return Motion(self.time[part], self.q[part], self.v[part], self.a[part], smoother)
 
 
 def smooth_motion(

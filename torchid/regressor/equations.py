@@ -13,14 +13,14 @@ _ROUNDING = 1e-9
 """Relative error that sums of float64 rows may show; sums of float32 rows show 1e-6 and more."""
 
 
-_BLOCK, _FEW = 256, 256
-"""Columns whose products are taken together, and up to which all are."""
+_BLOCK = 256
+"""Columns whose products are taken together."""
 
 
 def half_product(Y: Float[Tensor, "rows params"]) -> Float[Tensor, "params params"]:
     """Y' Y, of which only one half is computed."""
     n = Y.shape[1]
-    if n <= _FEW:
+    if n <= _BLOCK:
         return Y.mT @ Y
     found, size = Y.new_empty(n, n), min(_BLOCK, -(-n // 2))
     for start in range(0, n, size):
