@@ -175,8 +175,8 @@ class HeldOut:
         Where it acts, by the standard deviation of what fit trials promise. What cameras saw in some trials alone, by a
         part of what those say for it: two toe markers that were swapped for half a second, at 1800 nats, went for the
         16 nats by which the geometry that they had bent was the better one for other trials. What acts on forces
-        alone has no such excuse: of 648 causes of that kind that batteries named rightly 4 lost more than 3 nats, of
-        154 that they named wrongly 14.
+        alone has no such excuse: in the table of sessions, 4 of 648 such causes that were right lost more than 3 nats,
+        and 14 of 154 that were wrong.
         """
         if not (one.effect.kinematic or one.effect.anew):
             return 0.0
