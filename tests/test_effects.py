@@ -4,12 +4,14 @@ import dataclasses
 import math
 import os
 import time as clock
+from itertools import product
 
 import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
 
+from torchid.diagnosis import coarse
 from torchid.diagnosis.answers import answer_of
 from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.design import Source
@@ -144,7 +146,10 @@ def test_masses_on_springs_are_made_at_once(subject, plain):
     """Side by side, each is what it is alone."""
     one, scene, measured = simulated(subject, plain, "wobbling_mass")
     springs = ((2.5, 0.1), (4.0, 0.2), (7.0, 0.3))
-    places = [dataclasses.replace(one.place, grid={"frequency_hz": f, "damping_ratio": z}) for f, z in springs]
+    places = [
+        dataclasses.replace(one.place, where=(segment,), grid={"frequency_hz": f, "damping_ratio": z})
+        for segment, (f, z) in [("pelvis", springs[2]), *product(("abdomen", "thigh_l"), springs)]
+    ]
     alone = torch.cat([columns(one.effect, scene, measured, place) for place in places], 1)
     assert_close(one.effect.loads(scene, places).transpose(0, 1), alone, rtol=1e-7, atol=1e-6)
 
@@ -270,8 +275,31 @@ def test_the_fitted_motion_yields_as_predicted(subject, plain, followed, name):
         assert float((wrench - exact)[part, inner].norm()) < 0.05 * size + 0.02
     still, shown = ((p - modelled(fit, q)) for p, q in zip((plain.truth.markers, moved), both, strict=True))
     left = cameras.coarse.rows[0, 0] * (shown - still)[cameras.coarse.middle].flatten(1)
-    guess = cameras.coarse.left(answer.shift) @ one.theta
+    guess = torch.tensordot(one.theta, cameras.coarse.left(answer.shift), 1)
     assert float((guess - left)[3:-3].norm()) < 0.05 * float(left[3:-3].norm())
+
+
+@pytest.mark.parametrize("name", ["marker_shift", "soft_tissue", "skin_slide", "joint_centre_shift", "missing_dof"])
+def test_what_sways_is_answered_as_any_displacement_is(followed, name, monkeypatch):
+    """Fixed ways times courses, against differences of the effect itself, in several blocks of coefficients."""
+    fit, cameras = followed
+    monkeypatch.setattr(coarse, "BLOCK", 12)
+    cameras = dataclasses.replace(cameras)
+    if name == "skin_slide":
+        effect, place = (
+            SkinSlide(fit.attachment.labels, fit.place),
+            Place(("thigh_r",), follows=Angle("knee_r_flexion")),
+        )
+    else:
+        effect, place = CATALOGUE[name], planted(options(name)).place
+    source = Source(effect, place, slice(0, 0), (), effect.scale(place))
+    quick, plain = answer_of(cameras, source), answer_of(cameras, source, cameras.sight)
+    for own, other in (
+        (quick.nine, plain.nine), (quick.shift, plain.shift),
+        (quick.spectrum(cameras.coarse), plain.spectrum(cameras.coarse)),
+    ):  # fmt: skip
+        assert float(other.abs().max()) > 0.0
+        assert_close(own, other, rtol=0.0, atol=1e-9 * float(other.abs().max()))
 
 
 def test_what_soft_flesh_adds_is_known_from_the_motion_that_was_seen_through_it(subject, plain, followed):
@@ -522,7 +550,7 @@ def test_a_mass_on_a_spring_follows_its_equation(spring, rate):
     w, t = 2.0 * math.pi * 5.0, torch.arange(round(20.0 * rate), dtype=torch.float64) / rate
     exact = -1.0 / complex(own**2 - w**2, 2.0 * damping * own * w)
     course = torch.exp(1j * w * t)
-    x, xdd = wobble(course.imag.expand(3, -1), rate, [spring])
+    (x,), (xdd,) = wobble(course.imag.expand(1, 3, -1), rate, [spring])
     part = slice(len(t) // 2, -10)
     for found, way in ((x, exact), (xdd, -(w**2) * exact)):
         error = found[0, 0, part] - (way * course[part]).imag

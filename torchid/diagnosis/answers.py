@@ -6,18 +6,26 @@ import torch
 
 from torchid.diagnosis.cameras import Answer, Cameras, beside
 from torchid.diagnosis.design import Source
+from torchid.diagnosis.fixed import Fixed
 from torchid.effects.columns import STEP
 from torchid.effects.sight import Sight
 
 
-def answer_of(cameras: Cameras, source: Source, sight: Sight | None = None) -> Answer:
-    """To unit parameters of an effect, on what the cameras saw or another sight of it."""
+def answer_of(cameras: Cameras, source: Source, sight: Sight | None = None, fixed: Fixed | None = None) -> Answer:
+    """To unit parameters of an effect, on what the cameras saw or another sight of it.
+
+    Args:
+        cameras: what they saw.
+        source: of the columns.
+        sight: another one.
+        fixed: answers to displacements that last, for several sources.
+    """
     effect, place = source.effect, source.place
+    if sight is None and (sway := effect.sway(cameras.sight, place)) is not None:
+        return (fixed or Fixed(cameras)).swayed(sway)
     sight, slid, moved = sight or cameras.sight, [], []
     if source.at is not None:
         sight = effect.beneath(sight, place, sight.p_BM_B.new_tensor(source.at))
-    if (swaying := effect.courses(sight.scene, place)) is not None:
-        return cameras.swayed(*swaying)
     for k, scale in enumerate(effect.scale(place)):
         theta = sight.p_BM_B.new_zeros(effect.size(place))
         theta[k] = STEP * scale

@@ -41,22 +41,28 @@ CHUNK = 256
 class Answer:
     """What a displacement does to the rows of a trial, per unit parameter; worked out as far as it is asked for."""
 
-    momenta: Callable[[], Float[Tensor, "frames 9 columns"]]
-    shown: Callable[[], Float[Tensor, "bins rows columns"]]
+    momenta: Callable[[], Float[Tensor, "columns 9 frames"]]
+    shown: Callable[[], Float[Tensor, "columns bins rows"]]
+    spectral: Callable[[], Float[Tensor, "columns kept rows"]] | None = None
+    """Coefficients of what postures leave, where there is a shorter way to them."""
 
     @property
-    def nine(self) -> Float[Tensor, "frames 9 columns"]:
+    def nine(self) -> Float[Tensor, "columns 9 frames"]:
         """Vectors A, B, C of what the motion needs, see ``momentum``."""
         return self.momenta()
 
     @property
-    def shift(self) -> Float[Tensor, "bins rows columns"]:
+    def shift(self) -> Float[Tensor, "columns bins rows"]:
         """Of the markers, now and then."""
         return self.shown()
 
+    def spectrum(self, coarse: Coarse) -> Float[Tensor, "columns kept rows"]:
+        """Coefficients of what postures leave of the shift."""
+        return coarse.spectrum(coarse.left(self.shift)) if self.spectral is None else self.spectral()
+
     def per(self, step: Float[Tensor, " columns"]) -> "Answer":
         """To unit parameters of which these were parts."""
-        return Answer(lambda: self.nine / step, lambda: self.shift / step)
+        return Answer(lambda: self.nine / step[:, None, None], lambda: self.shift / step[:, None, None])
 
     def __add__(self, other: "Answer") -> "Answer":
         return Answer(lambda: self.nine + other.nine, lambda: self.shift + other.shift)
@@ -64,7 +70,7 @@ class Answer:
 
 def beside(answers: Sequence[Answer]) -> Answer:
     """To the parameters of all, one after the other."""
-    return Answer(lambda: torch.cat([a.nine for a in answers], 2), lambda: torch.cat([a.shift for a in answers], 2))
+    return Answer(lambda: torch.cat([a.nine for a in answers]), lambda: torch.cat([a.shift for a in answers]))
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,11 @@ class Cameras:
         # As its ``cached_property`` would keep it: made again, it took as long as two draws.
         found.__dict__["answer"] = self.answer[part]
         return found
+
+    def forget(self) -> None:
+        """Let go of what only the making of columns asks for, half of what a trial holds: new memory takes longest."""
+        for name in ("carriage", "mean_factor", "levers", "carried"):
+            self.__dict__.pop(name, None)
 
     @cached_property
     def arm(self) -> Float[Tensor, "markers 3 frames"]:
@@ -198,12 +209,15 @@ class Cameras:
         """To markers that are read elsewhere than the bodies carry them."""
         rows = self._rows(tuple(which))
 
-        def shown() -> Float[Tensor, "bins rows columns"]:
-            shift = by.new_zeros(len(self.coarse.middle), self.coarse.error.shape[1], len(by))
-            shift[:, rows] = by[..., self.coarse.middle].permute(3, 1, 2, 0).flatten(1, 2)
+        def shown() -> Float[Tensor, "columns bins rows"]:
+            shift = by.new_zeros(len(by), *self.coarse.error.shape)
+            shift[:, :, rows] = by[..., self.coarse.middle].permute(0, 3, 1, 2).flatten(2)
             return shift
 
-        return Answer(lambda: self._against(tuple(which)) @ by.permute(3, 1, 2, 0).flatten(1, 2), shown)
+        def momenta() -> Float[Tensor, "columns 9 frames"]:
+            return (self._against(tuple(which)) @ by.permute(3, 1, 2, 0).flatten(1, 2)).permute(2, 1, 0)
+
+        return Answer(momenta, shown)
 
     def _rows(self, which: tuple[int, ...]) -> slice | Tensor:
         if which == tuple(range(len(self.sight.labels))):
@@ -227,32 +241,25 @@ class Cameras:
     def moved(self, bodies: Sequence[Float[Tensor, "bodies 6 frames"]]) -> Answer:
         """To bodies that are displaced with their markers, in several ways."""
 
-        def momenta() -> Float[Tensor, "frames 9 columns"]:
+        def momenta() -> Float[Tensor, "columns 9 frames"]:
             reach = torch.stack([torch.linalg.vector_norm(one, dim=(1, 2)) for one in bodies])
             which = reach.amax(0).nonzero()[:, 0]
             own = self.carried.unflatten(2, (-1, 6))[:, :, which].flatten(2)
             # With columns side by side in memory, the product takes a third of the time.
-            return own @ torch.stack([one[which].flatten(0, 1) for one in bodies], 2).permute(1, 0, 2)
+            found = own @ torch.stack([one[which].flatten(0, 1) for one in bodies], 2).permute(1, 0, 2)
+            return found.permute(2, 1, 0)
 
         return Answer(momenta, lambda: self.shown(torch.stack([one[..., self.coarse.middle] for one in bodies])))
 
-    def shown(self, bodies: Float[Tensor, "columns bodies 6 bins"]) -> Float[Tensor, "bins rows columns"]:
+    def shown(self, bodies: Float[Tensor, "columns bodies 6 bins"]) -> Float[Tensor, "columns bins rows"]:
         """How far bodies that are displaced in the middle of averages take their markers."""
         own, arm = bodies[:, self.sight.body], self.arm[..., self.coarse.middle]
         shift = own[:, :, :3] + torch.linalg.cross(own[:, :, 3:], arm.expand_as(own[:, :, 3:]), dim=2)
-        return shift.permute(3, 1, 2, 0).flatten(1, 2)
-
-    def swayed(self, bodies: Float[Tensor, "ways bodies 6 frames"], courses: Float[Tensor, "modes frames"]) -> Answer:
-        """To each displacement along each course."""
-        one, later = self.moved(bodies.unbind()), courses[:, self.coarse.middle]
-        return Answer(
-            lambda: torch.einsum("fiw,mf->fiwm", one.nine, courses).flatten(2),
-            lambda: torch.einsum("biw,mb->biwm", one.shift, later).flatten(2),
-        )
+        return shift.permute(0, 3, 1, 2).flatten(2)
 
     def wrench(self, answers: Sequence[Answer]) -> Float[Tensor, "6 columns frames"]:
         """That the motion needs because of displacements, about the origin of W."""
-        return wrench_of(torch.cat([a.nine for a in answers], 2), self.sight.scene.rate).permute(1, 2, 0)
+        return wrench_of(torch.cat([a.nine for a in answers]), self.sight.scene.rate).transpose(0, 1)
 
 
 def _usual(x: Float[Tensor, "frames 3"], band: tuple[float, float]) -> float:

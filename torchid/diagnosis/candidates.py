@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import torch
 from jaxtyping import Float, Int
@@ -12,6 +13,7 @@ from torchid.diagnosis.cameras import Cameras
 from torchid.diagnosis.coarse import MarkerSums, marker_sums, retaken_sums
 from torchid.diagnosis.covariation import covariation
 from torchid.diagnosis.design import Candidate, Columns, Design, Source, Terms, kinematic, positions
+from torchid.diagnosis.fixed import Fixed
 from torchid.diagnosis.idle import idle_sums
 from torchid.diagnosis.nuisances import GeometryError, SkinSlide
 from torchid.diagnosis.proposals import suggested
@@ -121,10 +123,11 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     own, first = kinematic(sources), watched.phi.numel()
     live = torch.cat([torch.arange(first), *(torch.arange(s.columns.start, s.columns.stop) for s in sources)])
     extra, at, sums = watched.rows.wrench.new_zeros(6, len(live) - first, len(watched.rows.used)), 0, None
-    for source in sources:
-        part = slice(at, at + len(source.scale))
-        if not source.effect.kinematic:
-            extra[:, part] = _about_root(watched, _seen_by_plates(watched.view, source))
+    for effect, some in groupby(sources, key=lambda s: s.effect):
+        alike = list(some)
+        part = slice(at, at + sum(len(s.scale) for s in alike))
+        if not effect.kinematic:
+            extra[:, part] = _about_root(watched, _seen_by_plates(watched.view, alike))
         at = part.stop
     if watched.cameras is not None and own.stop > own.start:
         sums, wrench = _of_cameras(watched.cameras, sources)
@@ -132,7 +135,10 @@ def trial_columns(watched: Watched, sources: Sequence[Source]) -> Columns:
     late = torch.tensor([s.effect.late for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], watched.rows, watched.scatter)
     idle = idle_sums(watched.idle, [(s.effect, s.place, s.columns) for s in sources])
-    return Columns(extra, Terms(live, sums, idle, _covariation(watched, sources, live)))
+    found = Columns(extra, Terms(live, sums, idle, _covariation(watched, sources, live)))
+    if watched.cameras is not None:
+        watched.cameras.forget()
+    return found
 
 
 def retaken(watched: Watched, own: Columns, sources: Sequence[Source], others: Sequence[Source]) -> Columns:
@@ -146,30 +152,37 @@ def retaken(watched: Watched, own: Columns, sources: Sequence[Source], others: S
     """
     cameras = watched.cameras
     assert cameras is not None, "effects on markers have been found"
-    at, terms, extra = torch.cat([torch.arange(s.columns.start, s.columns.stop) for s in others]), own.terms, own.extra
-    n, extra, noise = watched.phi.numel(), extra.clone(), terms.covariation
+    at, terms = torch.cat([torch.arange(s.columns.start, s.columns.stop) for s in others]), own.terms
+    n, noise = watched.phi.numel(), terms.covariation
+    extra = own.copied
     fresh = [answer_of(cameras, s) for s in others]
     extra[:, at - n] = _about_root(watched, cameras.wrench(fresh))
     assert terms.markers is not None, "they show among the markers"
-    shifts, first = (answer_of(cameras, s).shift for s in sources if s.effect.kinematic), kinematic(sources).start
-    left = cameras.coarse.left(torch.cat([answer.shift for answer in fresh], 2))
+    every, first = _together([s for s in sources if s.effect.kinematic]), kinematic(sources).start
+    fixed = Fixed(cameras)
+    shifts = (torch.cat([answer_of(cameras, s, fixed=fixed).shift for s in some]) for some in every)
+    left = cameras.coarse.left(torch.cat([answer.shift for answer in fresh]))
     sums = retaken_sums(cameras.coarse, terms.markers, shifts, at - first, left)
     if noise is not None and watched.expected is not None:
         noise = noise.clone()
         noise[..., at] = covariation(watched, watched.expected, others, inertia=False)
-    return replace(own, extra=extra, terms=replace(terms, markers=sums, covariation=noise))
+    return replace(own, wide=extra, kept=None, terms=replace(terms, markers=sums, covariation=noise))
 
 
 def _of_cameras(cameras: Cameras, sources: Sequence[Source]) -> tuple[MarkerSums, Float[Tensor, "6 columns frames"]]:
     """Sums of what markers show of the columns, and the wrench about the origin of W that the motion needs by them."""
-    coarse, spectra, wrenches = cameras.coarse, [], []
-    for some in _together([s for s in sources if s.effect.kinematic]):
-        answers = [answer_of(cameras, s) for s in some]
-        shift = torch.cat([answer.shift for answer in answers], 2)
-        spectra.append(list(coarse.spectrum(coarse.left(shift))))
+    coarse, fixed, wrenches, at = cameras.coarse, Fixed(cameras), [], 0
+    own = [s for s in sources if s.effect.kinematic]
+    n = sum(len(s.scale) for s in own)
+    spectra = coarse.error.new_empty(n + 1, len(coarse.band), coarse.error.shape[1])
+    for some in _together(own):
+        answers = [answer_of(cameras, s, fixed=fixed) for s in some]
+        for answer, source in zip(answers, some, strict=True):
+            spectra[at : at + len(source.scale)] = answer.spectrum(coarse)
+            at += len(source.scale)
         wrenches.append(cameras.wrench(answers))
-    shown = list(coarse.spectrum(coarse.left(coarse.error[:, :, None])))
-    return marker_sums(coarse, [*spectra, shown], cameras.least), torch.cat(wrenches, 1)
+    spectra[n:] = coarse.spectrum(coarse.left(coarse.error[None]))
+    return marker_sums(coarse, spectra, cameras.least), torch.cat(wrenches, 1)
 
 
 def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:
@@ -185,8 +198,12 @@ def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:
         yield some
 
 
-def _seen_by_plates(view: View, source: Source) -> Float[Tensor, "6 columns frames"]:
-    return columns(source.effect, view.scene, view.read(source.effect.inverted), source.place)
+def _seen_by_plates(view: View, alike: Sequence[Source]) -> Float[Tensor, "6 columns frames"]:
+    """Columns of one effect."""
+    effect = alike[0].effect
+    if (at_once := effect.loads(view.scene, [s.place for s in alike])) is not None:
+        return at_once.transpose(0, 1)
+    return torch.cat([columns(effect, view.scene, view.read(effect.inverted), s.place) for s in alike], 1)
 
 
 def _about_root(watched: Watched, wrench: Float[Tensor, "6 more frames"]) -> Float[Tensor, "6 more frames"]:

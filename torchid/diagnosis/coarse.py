@@ -1,8 +1,9 @@
 """Averages of markers over a few frames, and what they say band by band."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise, product
 
 import torch
@@ -33,9 +34,10 @@ class Coarse:
     K: Float[Tensor, "bins dofs rows"]
     error: Float[Tensor, "bins rows"]
 
-    def left(self, D: Float[Tensor, "bins rows columns"]) -> Float[Tensor, "bins rows columns"]:
+    def left(self, D: Float[Tensor, "columns bins rows"]) -> Float[Tensor, "columns bins rows"]:
         """(1 - J K) D, weighed. Of the error: at the least-squares posture, for robust fits stop elsewhere."""
-        return torch.baddbmm(D, self.J, self.K @ D, alpha=-1.0).mul_(self.rows[:, :, None])
+        own = D.transpose(0, 1)
+        return torch.baddbmm(own, own @ self.K.mT, self.J.mT, alpha=-1.0).mul_(self.rows[:, None]).transpose(0, 1)
 
     @property
     def free(self) -> float:
@@ -55,36 +57,48 @@ class Coarse:
         return float((self.rows > 0.0).sum())
 
     def spectrum(
-        self, left: Float[Tensor, "bins rows columns"]
-    ) -> Iterator[tuple[Float[Tensor, "kept rows columns"], Int[Tensor, " kept"]]]:
-        """Cosine coefficients block by block, with their bands."""
-        for part, C, band in self._cosines():
-            yield (C @ left[part].flatten(1)).view(len(C), *left.shape[1:]), band
+        self, left: Float[Tensor, "columns bins rows"], course: Float[Tensor, " bins"] | None = None
+    ) -> Float[Tensor, "columns kept rows"]:
+        """Cosine coefficients, block by block, of columns times a course."""
+        parts = []
+        for part, C in self._cosines:
+            parts.append((C if course is None else C * course[part]) @ left[:, part])
+        return parts[0] if len(parts) == 1 else torch.cat(parts, 1)
 
-    def asked(self, left: Float[Tensor, "bins rows columns"]) -> Float[Tensor, "bands bins rows columns"]:
+    def asked(self, left: Float[Tensor, "columns bins rows"]) -> Float[Tensor, "bands columns bins rows"]:
         """What products with displacements must be taken with for those of their coefficients, band by band.
 
         Adjoint of ``left`` and ``spectrum``: a few columns against a catalogue cost as much as these few.
         """
-        found = left.new_zeros(BANDS, *left.shape)
-        for part, C, band in self._cosines():
-            rows = C @ left[part].flatten(1)
+        found, start = left.new_zeros(BANDS, *left.shape), 0
+        for part, C in self._cosines:
+            rows, band = C @ left[:, part], self.band[start : start + len(C)]
             for b in band.unique().tolist():
                 own = band == b
-                found[b, part] = (C[own].T @ rows[own]).view_as(left[part])
-        found.mul_(self.rows[:, :, None])
-        return found - self.K.mT @ (self.J.mT @ found)
+                found[b, :, part] = C[own].T @ rows[:, own]
+            start += len(C)
+        own = found.mul_(self.rows).flatten(0, 1).transpose(0, 1)
+        return torch.baddbmm(own, own @ self.J, self.K, alpha=-1.0).transpose(0, 1).view_as(found)
 
-    def _cosines(self) -> Iterator[tuple[slice, Float[Tensor, "kept own"], Int[Tensor, " kept"]]]:
-        """Bins, cosines and bands of each block."""
-        pieces, start = max(1, -(-len(self.middle) // BLOCK)), 0
+    @cached_property
+    def band(self) -> Int[Tensor, " kept"]:
+        """Of each coefficient."""
+        edges, found = torch.tensor(EDGES, dtype=torch.float64), []
+        for part, C in self._cosines:
+            frequency = 0.5 * self.rate * torch.arange(len(C), dtype=torch.float64) / (part.stop - part.start)
+            found.append(1 + torch.bucketize(frequency, edges))
+            found[-1][0] = 0
+        return torch.cat(found)
+
+    @cached_property
+    def _cosines(self) -> list[tuple[slice, Float[Tensor, "kept own"]]]:
+        """Bins and cosines of each block."""
+        pieces, start, found = max(1, -(-len(self.middle) // BLOCK)), 0, []
         for size in (len(part) for part in self.middle.tensor_split(pieces)):
             kept = min(size, math.ceil(2.0 * KEPT_HZ * size / self.rate))
-            frequency = 0.5 * self.rate * torch.arange(kept, dtype=torch.float64) / size
-            band = 1 + torch.bucketize(frequency, torch.tensor(EDGES, dtype=torch.float64))
-            band[0] = 0
-            yield slice(start, start + size), cosine_matrix(size, kept).to(self.error), band
+            found.append((slice(start, start + size), cosine_matrix(size, kept).to(self.error)))
             start += size
+        return found
 
 
 BANDS = len(EDGES) + 2
@@ -128,38 +142,31 @@ def _some(gram: Float[Tensor, "bands all all"], some: Int[Tensor, " fewer"]) -> 
     return found
 
 
-def marker_sums(
-    coarse: Coarse,
-    spectra: Sequence[Sequence[tuple[Float[Tensor, "_ rows _"], Int[Tensor, " _"]]]],
-    least: float,
-) -> MarkerSums:
+def marker_sums(coarse: Coarse, spectra: Float[Tensor, "columns kept rows"], least: float) -> MarkerSums:
     """Of the last column against the others.
 
     Args:
         coarse: the rows.
-        spectra: of what postures leave of some columns after others, see ``Coarse.spectrum``.
+        spectra: of what postures leave of the columns, see ``Coarse.spectrum``.
         least: as in ``MarkerSums``.
     """
-    blocks = list(zip(*spectra, strict=True))
-    n = sum(rows.shape[2] for rows, _ in blocks[0]) - 1
-    gram, count = coarse.error.new_zeros(BANDS, n + 1, n + 1), coarse.error.new_zeros(BANDS)
-    for parts in blocks:
-        band, start = parts[0][1], 0
-        # Coefficients rise in frequency: those of a band lie together.
-        for b, rise in zip(*band.unique_consecutive(return_counts=True), strict=True):
-            part = slice(start, start := start + int(rise))
-            flat = torch.cat([rows[part].flatten(0, 1) for rows, _ in parts], 1)
-            gram[b] += half_product(flat)
-            count[b] += len(flat) * coarse.free
+    n, flat, start = len(spectra) - 1, spectra.flatten(1).T, 0
+    gram, count = flat.new_zeros(BANDS, n + 1, n + 1), flat.new_zeros(BANDS)
+    # Coefficients rise in frequency: those of a band lie together.
+    for b, rise in zip(*coarse.band.unique_consecutive(return_counts=True), strict=True):
+        own = int(rise) * spectra.shape[2]
+        gram[b] += half_product(flat[start : start + own])
+        count[b] += own * coarse.free
+        start += own
     return MarkerSums(gram[:, :n, :n].contiguous(), gram[:, :n, n], gram[:, n, n], count, least)
 
 
 def retaken_sums(
     coarse: Coarse,
     own: MarkerSums,
-    shifts: Iterable[Float[Tensor, "bins rows some"]],
+    shifts: Iterable[Float[Tensor, "some bins rows"]],
     some: Int[Tensor, " few"],
-    left: Float[Tensor, "bins rows few"],
+    left: Float[Tensor, "few bins rows"],
 ) -> MarkerSums:
     """Sums with a few columns taken elsewhere.
 
@@ -170,9 +177,10 @@ def retaken_sums(
         some: which were taken anew.
         left: what they leave, see ``Coarse.left``.
     """
-    asked = coarse.asked(left).flatten(1, 2)
-    crossed = torch.cat([shift.flatten(0, 1).T @ asked for shift in shifts], 1)
+    asked = coarse.asked(left).flatten(2)
+    crossed = torch.cat([shift.flatten(1) @ asked.flatten(0, 1).T for shift in shifts])
+    crossed = crossed.unflatten(1, asked.shape[:2]).transpose(0, 1)
     gram, moment = own.gram.clone(), own.moment.clone()
     gram[:, :, some], gram[:, some] = crossed, crossed.mT
-    moment[:, some] = coarse.error.flatten() @ asked
+    moment[:, some] = asked @ coarse.error.flatten()
     return replace(own, gram=gram, moment=moment)

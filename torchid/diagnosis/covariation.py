@@ -118,13 +118,13 @@ def _unit(view: View, source: Source) -> Float[Tensor, "6 channels params"]:
 def _of_columns(watched: Watched, scene: Scene, sources: Sequence[Source], pair: Pair) -> Float[Tensor, "6 rows some"]:
     """Products with columns as they are in another scene."""
     root, parts = _root(watched), [pair[:, :, :0]]
-    for _, alike in groupby(sources, key=lambda s: (s.effect, s.place.where, s.place.point, s.place.when)):
+    for _, alike in groupby(sources, key=lambda s: s.effect):
         parts.append(pair @ wrenches_about(_seen(watched, scene, list(alike)), root).mT)
     return torch.cat(parts, 2)
 
 
 def _seen(watched: Watched, scene: Scene, alike: Sequence[Source]) -> Float[Tensor, "6 some frames"]:
-    """Columns that differ in nothing but what the effect makes of one point; postures answer as they did."""
+    """Columns of one effect; postures answer as they did."""
     effect, cameras = alike[0].effect, watched.cameras
     if effect.kinematic and cameras is not None:
         sight = replace(cameras.sight, scene=scene)

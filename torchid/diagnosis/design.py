@@ -101,11 +101,35 @@ class Terms:
 class Columns:
     """Of those sources that could act in one trial."""
 
-    extra: Float[Tensor, "6 more frames"]
-    """Behind those of the inertia, about the root's origin."""
+    wide: Float[Tensor, "6 wide frames"]
+    """Behind those of the inertia, about the root's origin; see ``kept``."""
     terms: Terms
     beyond: Float[Tensor, "frames 6"] | None = None
     """What late effects do beyond their columns, about the origin of W, where those are linearised elsewhere."""
+    kept: Int[Tensor, " more"] | None = None
+    """Those of a wider design's that these are: to copy them out took a second of five trials of 25 s."""
+
+    @property
+    def extra(self) -> Float[Tensor, "6 more frames"]:
+        """Behind those of the inertia, about the root's origin; made anew where some of many were kept."""
+        return self.wide if self.kept is None else self.wide[:, self.kept]
+
+    @property
+    def copied(self) -> Float[Tensor, "6 more frames"]:
+        """The same, to be changed."""
+        return self.wide.clone() if self.kept is None else self.extra
+
+    def only(self, some: "Selection", inertia: int) -> "Columns":
+        """Of a narrower design, in which nuisances stand where they did."""
+        at, _ = positions(self.terms.live, some.all)
+        at = at[inertia:] - inertia
+        return replace(self, kept=at if self.kept is None else self.kept[at], terms=self.terms.only(some))
+
+    def added(self, theta: Float[Tensor, " more"]) -> Float[Tensor, "frames 6"]:
+        """By these parameters."""
+        if self.kept is not None:
+            theta = theta.new_zeros(self.wide.shape[1]).index_copy(0, self.kept, theta)
+        return (theta @ self.wide).T
 
 
 @dataclass(frozen=True)
@@ -176,12 +200,7 @@ def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[C
 def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:
     """A design of the base and some candidates, these in it, and which columns of all it keeps."""
     small, own, which = narrower(design, some)
-    trials = []
-    for one in design.trials:
-        at, _ = positions(one.terms.live, which.all)
-        extra = one.extra[:, at[design.inertia :] - design.inertia]
-        trials.append(replace(one, extra=extra, terms=one.terms.only(which)))
-    return replace(small, trials=tuple(trials)), own, which.all
+    return replace(small, trials=tuple(one.only(which, design.inertia) for one in design.trials)), own, which.all
 
 
 def positions(

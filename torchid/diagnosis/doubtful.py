@@ -56,7 +56,7 @@ def stands_out(found: Search, watched: Sequence[Watched], k: int) -> float:
     left = residuals(watched, found.design, found.prior, found.fitted)
     for trial, (columns, own) in enumerate(zip(found.design.trials, left, strict=True)):
         share = found.prior.scale * found.fitted.shares(len(found.prior.mean), trial)[k, n:]
-        more.append(own + (share[columns.terms.live[n:] - n] @ columns.extra).T)
+        more.append(own + columns.added(share[columns.terms.live[n:] - n]))
     return 1.0 - float((sizes(watched, left) - sizes(watched, more)).exp().min())
 
 

@@ -200,7 +200,7 @@ class HeldOut:
         found, n = torch.zeros_like(watched.rows.wrench), self.found.design.inertia
         for one, share in zip(fitted.chosen, fitted.shares(len(self.found.prior.mean), trial), strict=True):
             theta = self.found.prior.scale * share[n:]
-            added = (theta[columns.terms.live[n:] - n] @ columns.extra).T
+            added = columns.added(theta[columns.terms.live[n:] - n])
             found += added - one.effect.trusted(added, watched.rows.rate, one.place, theta[one.columns - n])
         return found
 

@@ -46,7 +46,7 @@ def timed(
     final = _with(design, best, (best.place,))
     extra, trials, found = _extra(watched[trial], final), list(design.trials), list(rows)
     terms, before = _terms(final, trial, extra), trials[trial]
-    trials[trial] = replace(before, extra=torch.cat([before.extra, extra], 1), terms=terms)
+    trials[trial] = replace(before, wide=torch.cat([before.extra, extra], 1), kept=None, terms=terms)
     found[trial] = with_columns(rows[trial], terms, watched[trial], extra, best.effect.noisy)
     (best,) = final.candidates
     whole = replace(final, candidates=(*design.candidates, best), trials=tuple(trials))

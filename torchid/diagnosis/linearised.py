@@ -77,7 +77,7 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
     first = watched.phi.numel()
     if own.beyond is None and not any(bool(theta[_part(s, first)].any()) for s in sources if _plates_bend(s.effect)):
         return own
-    extra, beyond = own.extra.clone(), torch.zeros_like(watched.rows.wrench)
+    extra, beyond = own.copied, torch.zeros_like(watched.rows.wrench)
     measured, root = watched.view.measured, watched.rows.motion.q[:, :3]
 
     def slope(
@@ -95,7 +95,7 @@ def linearised(watched: Watched, own: Columns, sources: Sequence[Source], theta:
             extra[:, part] = calibrated(slope(effect, back, source.place), watched.rows, watched.scatter)
             line = (theta[part] @ extra[:, part]).T
             beyond += (measured.total - back.total).T - wrench_about(line, -root)
-    return replace(own, extra=extra, beyond=beyond)
+    return replace(own, wide=extra, kept=None, beyond=beyond)
 
 
 def _plates_bend(effect: Effect) -> bool:

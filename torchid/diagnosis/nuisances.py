@@ -13,7 +13,7 @@ from torchid.effects.markers import MarkerEffect, SoftTissue, cues
 from torchid.effects.momentum import below
 from torchid.effects.place import Angle, Place
 from torchid.effects.scene import Scene
-from torchid.effects.sight import Sight, Slid, View
+from torchid.effects.sight import Along, Sight, Slid, Sway, View
 from torchid.kinematics.recursion import cross
 from torchid.model.model import GeometryPrior
 
@@ -81,6 +81,12 @@ class SkinSlide(MarkerEffect):
         arm = sight.p[list(which)] - sight.scene.state.at.p[sight.scene.at(place.where[0])]
         slid = shift + cross(turn.expand_as(arm), arm)
         return Slid(tuple(which), slid * bend(sight.scene, place)[0])
+
+    def sway(self, sight: Sight, place: Place) -> Sway:
+        which, eye = sight.on(place.where[0]), torch.eye(3).to(sight.p_BM_B)
+        arm = sight.p_BM_B[list(which)].expand(3, -1, 3)
+        ways = torch.cat([eye[:, None].expand_as(arm), torch.linalg.cross(eye[:, None].expand_as(arm), arm)])
+        return Sway(Along(which, ways), bend(sight.scene, place)[:1], tuple((k, 0) for k in range(6)))
 
     def part_of(self, own: Place, effect: Effect, place: Place) -> Float[Tensor, "params 6"] | None:
         """By how much it shifts each marker of a place of ``soft_tissue``, in the segment's axes."""

@@ -4,6 +4,7 @@ A proposal is no verdict. Each one stands among the others that could have been 
 is paid for.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -13,6 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.diagnosis.cameras import Cameras
+from torchid.diagnosis.fixed import Fixed
 from torchid.diagnosis.watched import Watched
 from torchid.effects.effect import Effect
 from torchid.effects.joints import MissingDof
@@ -35,6 +37,8 @@ AROUND, NEAR = 40, 5
 """Steps of the grid of frequencies to compare with, and that count as the same peak."""
 SWAPPED = 5
 """Frames that a swap lasts at least."""
+EVERY, AT_ONCE = 5, 1024
+"""Frames of which one is looked at for pairs of markers that come near each other, and that many together."""
 CLOSER = 0.5
 """Part of the squared distances that must be left after a swap is undone."""
 
@@ -123,7 +127,7 @@ def swaps(cameras: Cameras) -> list[Place]:
     found: dict[tuple[int, int], list[Interval]] = {}
     trial, time = sight.scene.trial, sight.scene.time
     odds = 1.0 / (len(pairs) * len(time))
-    for a, b in pairs:
+    for a, b in _near(cameras):
         exchanged = _exchanged(cameras, a, b)
         if int(exchanged.sum()) < SWAPPED:
             continue
@@ -133,6 +137,21 @@ def swaps(cameras: Cameras) -> list[Place]:
                 t0, t1 = float(time[inside[0]]), float(time[inside[-1]])
                 found.setdefault((a, b), []).append(Interval(trial, t0, t1))
     return [Place((sight.labels[a], sight.labels[b]), tuple(own), odds=odds) for (a, b), own in found.items()]
+
+
+def _near(cameras: Cameras) -> list[tuple[int, int]]:
+    """Pairs of which one may be where the other is: all others are farther apart than errors reach.
+
+    With e the errors of a pair and D what exchanging adds to them, |e + D|^2 < c |e|^2 wants |D| < (1 + c^0.5) |e|.
+    """
+    p, seen = cameras.sight.p.permute(2, 0, 1), cameras.weight > 0.0
+    error = (seen * torch.linalg.vector_norm(cameras.error, dim=1)).amax(1)
+    # Every few frames: none strays farther between them than it is from the last that was looked at.
+    looked = p[::EVERY]
+    strays = (p - looked.repeat_interleave(EVERY, 0)[: len(p)]).norm(dim=2).amax(0)
+    least = torch.stack([torch.cdist(some, some).amin(0) for some in looked.split(AT_ONCE)]).amin(0)
+    reach = (1.0 + math.sqrt(CLOSER)) * torch.hypot(error[:, None], error)
+    return [(a, b) for a, b in (least - strays[:, None] - strays < reach).nonzero().tolist() if a < b]
 
 
 def _exchanged(cameras: Cameras, a: int, b: int) -> Bool[Tensor, " frames"]:
@@ -159,23 +178,23 @@ def _loosest(effect: MissingDof, watched: Sequence[Watched]) -> tuple[Place, ...
 
 def _loose(effect: MissingDof, places: Sequence[Place], watched: Watched) -> list[float]:
     """Evidence of free courses of each joint in one trial, geometry held, residuals' scatter as it is."""
-    cameras, scene = watched.cameras, watched.view.scene
+    cameras = watched.cameras
     assert cameras is not None
-    coarse = cameras.coarse
+    coarse, fixed = cameras.coarse, Fixed(cameras)
     shifts, courses = [], []
     for place in places:
-        bodies, modes = effect.courses(scene, place)
-        shifts.append(cameras.shown(bodies[..., coarse.middle]))
+        sway = effect.sway(cameras.sight, place)
+        shifts.append(fixed.shown(sway.ways))
         # Geometry that errs is a constant.
-        courses.append(modes[1:, coarse.middle])
-    left = coarse.left(torch.cat([*shifts, coarse.error[:, :, None]], 2))
-    *ways, residual = left.split([*(s.shape[2] for s in shifts), 1], 2)
+        courses.append(sway.courses[1:, coarse.middle])
+    left = coarse.left(torch.cat([*shifts, coarse.error[None]]))
+    *ways, residual = left.split([*(len(s) for s in shifts), 1])
     each = zip(places, ways, courses, strict=True)
-    return [_free(own, residual[:, :, 0], modes, effect.scale(p)[0], coarse.free) for p, own, modes in each]
+    return [_free(own, residual[0], modes, effect.scale(p)[0], coarse.free) for p, own, modes in each]
 
 
 def _free(
-    left: Float[Tensor, "bins rows ways"],
+    left: Float[Tensor, "ways bins rows"],
     residual: Float[Tensor, "bins rows"],
     modes: Float[Tensor, "modes bins"],
     scale: float,
@@ -184,8 +203,8 @@ def _free(
     """Evidence of courses along some ways that are combinations of modes with coefficients of this scale; ``free`` as
     in ``Coarse``."""
     spread = residual.square().sum() / (free * residual.numel())
-    A = torch.einsum("tri,trj->tij", left, left) / spread
-    b = torch.einsum("tri,tr->ti", left, residual) / spread
+    A = torch.einsum("itr,jtr->tij", left, left) / spread
+    b = torch.einsum("itr,tr->ti", left, residual) / spread
     gram = scale**2 * torch.einsum("tij,kt,lt->ikjl", A, modes, modes).flatten(2).flatten(0, 1)
     moment = scale * torch.einsum("ti,kt->ik", b, modes).flatten()
     L = torch.linalg.cholesky(gram + torch.eye(len(gram)).to(gram))

@@ -27,5 +27,5 @@ def residual(watched: Watched, columns: Columns, prior: Prior, fitted: Fitted, t
     late = any(one.effect.late for one in fitted.chosen)
     rows = without_beyond(watched.rows, columns) if late else watched.rows
     own = theta[columns.terms.live[n:]]
-    known = watched.needed(theta[:n]) + (own @ columns.extra).T
+    known = watched.needed(theta[:n]) + columns.added(own)
     return measured(rows) - known

@@ -17,7 +17,7 @@ from torch import Tensor
 from torchid.effects.momentum import displaced
 from torchid.effects.place import Place
 from torchid.effects.scene import Reading, Scene
-from torchid.effects.sight import Sight, Slid, View
+from torchid.effects.sight import Sight, Slid, Sway, View
 from torchid.errors import ConfigError
 
 
@@ -105,7 +105,7 @@ class Effect(ABC):
         return None
 
     def loads(self, scene: Scene, places: Sequence[Place]) -> Float[Tensor, "places 6 frames"] | None:
-        """Its unit loads at places that differ in nothing but ``grid``, where it knows a way to make them at once."""
+        """Its unit loads at several places, where it knows a way to make them at once."""
         return None
 
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
@@ -122,10 +122,8 @@ class Effect(ABC):
         """Displacement of bodies that the model holds elsewhere: of their origins [m] and rotation [rad], in W."""
         return None
 
-    def courses(
-        self, scene: Scene, place: Place
-    ) -> tuple[Float[Tensor, "ways bodies 6 frames"], Float[Tensor, "modes frames"]] | None:
-        """Displacements whose courses in time its parameters are coefficients of, way after way, if they are."""
+    def sway(self, sight: Sight, place: Place) -> Sway | None:
+        """The same as ``move`` and ``slide``, where it is fixed ways times courses in time."""
         return None
 
     def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid | None:

@@ -6,6 +6,7 @@ Damsgaard, Ramsey & Rasmussen, J Biomech 43 (2010), on constrained joints agains
 
 import math
 from collections.abc import Sequence
+from itertools import product
 
 import torch
 from jaxtyping import Float
@@ -16,7 +17,7 @@ from torchid.effects.effect import Effect, Parameter, value_of
 from torchid.effects.momentum import below
 from torchid.effects.place import Place
 from torchid.effects.scene import Scene
-from torchid.effects.sight import View
+from torchid.effects.sight import Carried, Sight, Sway, View
 from torchid.errors import ConfigError
 from torchid.kinematics.recursion import cross
 from torchid.model.tree import Body
@@ -78,6 +79,10 @@ class JointCentreShift(Effect):
         shift = torch.einsum("crt,ct->rt", scene.state.at.R[before(scene, body)], local)
         moved = torch.cat([shift, torch.zeros_like(shift)])
         return below(scene, body)[:, None, None] * moved
+
+    def sway(self, sight: Sight, place: Place) -> Sway:
+        pairs = tuple((axis, course) for course in range(2) for axis in range(3))
+        return Sway(_ways(sight.scene, place, range(3), turning=False), bend(sight.scene, place), pairs)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         return {"shift_90_seg_m": theta.view(2, 3).sum(0)}
@@ -170,14 +175,12 @@ class MissingDof(Effect):
     def move(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "bodies 6 frames"]:
         course = theta.new_zeros(3, len(scene.time))
         course[axes(place)] = theta.view(len(axes(place)), -1) @ courses(scene.time, int(place.grid["modes"]))
-        return directed(scene, place, course)
+        return directed(scene, place.where[0], course, bool(place.grid["turning"]))
 
-    def courses(
-        self, scene: Scene, place: Place
-    ) -> tuple[Float[Tensor, "ways bodies 6 frames"], Float[Tensor, "modes frames"]]:
-        ones = torch.eye(3).to(scene.q)[axes(place), :, None].expand(-1, 3, len(scene.time))
-        ways = torch.stack([directed(scene, place, one) for one in ones])
-        return ways, courses(scene.time, int(place.grid["modes"]))
+    def sway(self, sight: Sight, place: Place) -> Sway:
+        scene, modes = sight.scene, int(place.grid["modes"])
+        ways = _ways(scene, place, axes(place), bool(place.grid["turning"]))
+        return Sway(ways, courses(scene.time, modes), tuple(product(range(len(axes(place))), range(modes))))
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         free = axes(place)
@@ -216,10 +219,22 @@ def axes(place: Place) -> list[int]:
     return [k for k, axis in enumerate("xyz") if place.grid[axis]]
 
 
-def directed(scene: Scene, place: Place, course: Float[Tensor, "3 frames"]) -> Float[Tensor, "bodies 6 frames"]:
+def _ways(scene: Scene, place: Place, along: Sequence[int], turning: bool) -> Carried:
+    """Everything beyond a joint moved or turned by one, see ``directed``."""
+
+    def bodies() -> Float[Tensor, "ways bodies 6 frames"]:
+        ones = torch.eye(3).to(scene.q)[list(along), :, None].expand(-1, 3, len(scene.time))
+        return torch.stack([directed(scene, place.where[0], one, turning) for one in ones])
+
+    return Carried((place.where[0], tuple(along), turning), bodies)
+
+
+def directed(
+    scene: Scene, joint: str, course: Float[Tensor, "3 frames"], turning: bool
+) -> Float[Tensor, "bodies 6 frames"]:
     """Everything beyond a joint moved along axes of the segment before it, or turned about those of the one there."""
-    body = carried_by(scene, place.where[0])
-    k, at, turning = scene.at(body), scene.state.at, place.grid["turning"]
+    body = carried_by(scene, joint)
+    k, at = scene.at(body), scene.state.at
     world = torch.einsum("crt,ct->rt", at.R[k if turning else before(scene, body)], course)
     arm = at.p - at.p[k]
     moved = cross(world.expand_as(arm), arm) if turning else world.expand_as(arm)

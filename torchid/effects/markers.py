@@ -17,7 +17,7 @@ from torchid.effects.angles import bend, lively, orders
 from torchid.effects.effect import Effect, Parameter, value_of
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import Scene
-from torchid.effects.sight import Sight, Slid, View
+from torchid.effects.sight import Along, Sight, Slid, Sway, View
 
 
 class MarkerEffect(Effect):
@@ -51,6 +51,11 @@ class MarkerShift(MarkerEffect):
         which = [k for k, label in enumerate(sight.labels) if label in place.where]
         moved = sight.turned(theta.expand(len(which), 3)[:, :, None], which)
         return Slid(tuple(which), moved * within(place, sight.scene.trial, sight.scene.time, 0.0))
+
+    def sway(self, sight: Sight, place: Place) -> Sway:
+        which = (sight.labels.index(place.where[0]),)
+        there = within(place, sight.scene.trial, sight.scene.time, 0.0)
+        return Sway(Along(which), there[None], ((0, 0), (1, 0), (2, 0)))
 
 
 def _whole(scene: Scene) -> Interval:
@@ -130,6 +135,10 @@ class SoftTissue(MarkerEffect):
         which = [sight.labels.index(label) for label in place.markers]
         local = theta.view(-1, 3, 1) * bend(sight.scene, place)[0]
         return Slid(tuple(which), sight.turned(local, which))
+
+    def sway(self, sight: Sight, place: Place) -> Sway:
+        which = tuple(sight.labels.index(label) for label in place.markers)
+        return Sway(Along(which), bend(sight.scene, place)[:1], tuple((k, 0) for k in range(self.size(place))))
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         return {"shift_90_m": theta.view(-1, 3)}

@@ -1,7 +1,7 @@
 """What cameras see of one trial: markers on bodies."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -73,6 +73,34 @@ class Slid:
     which: tuple[int, ...]
     by: Float[Tensor, "some 3 frames"]
     """In W [m]."""
+
+
+@dataclass(frozen=True)
+class Along:
+    """Markers displaced by units along the axes of their segments, in some ways."""
+
+    which: tuple[int, ...]
+    ways: Float[Tensor, "ways some 3"] | None = None
+    """None: each along each axis."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """Bodies displaced with their markers by units, in some ways."""
+
+    key: Hashable
+    """The same for the same ways, whatever their courses."""
+    bodies: Callable[[], Float[Tensor, "ways bodies 6 frames"]]
+
+
+@dataclass(frozen=True)
+class Sway:
+    """A displacement in fixed ways that comes and goes."""
+
+    ways: Along | Carried
+    courses: Float[Tensor, "courses frames"]
+    pairs: tuple[tuple[int, int], ...]
+    """Way and course of which each parameter is the coefficient."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ _ROUNDING = 1e-9
 """Relative error that sums of float64 rows may show; sums of float32 rows show 1e-6 and more."""
 
 
-_BLOCK = 256
+_BLOCK = 192
 """Columns whose products are taken together."""
 
 

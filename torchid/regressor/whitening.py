@@ -27,7 +27,7 @@ FLOOR = (0.5, 0.1)
 """Least noise of a force [N] and moment [N m] channel per coefficient: no plate is better."""
 KEPT = 30_000
 """Frames of a trial up to which its spectra are kept in memory."""
-TOGETHER = 1000
+TOGETHER = 3000
 """Rows whose products are summed at once."""
 SHRINK = 10.0
 """Equivalent observations by which a band's covariance is drawn to its diagonal and to its neighbours."""
