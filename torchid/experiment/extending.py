@@ -63,8 +63,8 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
                 f"extended_{name}", key, lambda t=trial, near=near: track(fit, t.markers, near=near)
             )
     with folder.timed("extend"):
-        followed = follow_extended(config, relabelled, session, fit, tracked)
         added = effect_wrenches(relabelled)
+        followed = follow_extended(config, relabelled, session, fit, tracked, added)
     outcome = replace(
         base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
     )
@@ -139,16 +139,26 @@ def corrected_config(config: Config, causes: tuple[Cause, ...]) -> Config:
 
 
 def follow_extended(
-    config: Config, base: Outcome, session: Session, fit: GeometryFit, tracked: dict[str, Tracked]
-) -> dict[str, Followed]:
-    """All trials followed by the extended model; wrenches are those that it has to explain by motion alone."""
+    config: Config, base: Outcome, session: Session, fit: GeometryFit, tracked: dict[str, Tracked],
+    added: dict[str, Float[Tensor, "frames 6"]],
+) -> dict[str, Followed]:  # fmt: skip
+    """All trials followed by the extended model; wrenches are those that it has to explain by motion alone.
+
+    Args:
+        config: corrected by what was found.
+        base: with the verdict.
+        session: corrected by it.
+        fit: to the corrected markers.
+        tracked: by that.
+        added: what the named effects add to the plates' total, see ``effect_wrenches``.
+    """
     assert base.diagnosis is not None
     found = {name: follow(fit, trial, tracked[name], base.cutoff_hz, config) for name, trial in session.trials.items()}
-    for name, added in effect_wrenches(base).items():
+    for name, wrong in added.items():
         wrench = found[name].wrench
         if wrench is not None:
             aside = inside_any(base.diagnosis.aside, name, wrench.motion.time)
-            left = replace(wrench, wrench=wrench.wrench - added, used=wrench.used & ~aside)
+            left = replace(wrench, wrench=wrench.wrench - wrong, used=wrench.used & ~aside)
             found[name] = replace(found[name], wrench=left)
     return found
 
