@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import small_session as small
 import torch
@@ -13,7 +14,7 @@ import torchid.diagnosis.watched as watched_trials
 from torchid.diagnosis.answers import answer_of
 from torchid.diagnosis.candidates import make_design, retaken, trial_columns
 from torchid.diagnosis.covariation import covariation
-from torchid.diagnosis.design import Design, Source
+from torchid.diagnosis.design import Design, Source, only
 from torchid.diagnosis.spectral import rows_of
 from torchid.diagnosis.watched import Watched
 from torchid.dynamics import base_rows, body_rows, wrench_about
@@ -89,6 +90,21 @@ def test_what_is_shared_is_what_every_draw_shares(watched, design):
         exact = torch.stack(exact).mean(0) * watched.expected.there[:, :, None, None]
         found = trial.terms.covariation[..., at]
         assert_close(found, exact, rtol=1e-6, atol=1e-7 * float(exact.abs().max()))
+
+
+def test_a_design_of_some_columns_has_them_as_the_whole_has(design):
+    """Chosen from twice: columns, what they add with some parameters, and a copy without the others."""
+    rng = np.random.default_rng([small.SEED, 21])
+    some = [design.candidates[k] for k in sorted(rng.choice(len(design.candidates), 40, replace=False))]
+    few, own, first = only(design, some)
+    fewer, _, second = only(few, own[::3])
+    (whole,), (found,) = design.trials, fewer.trials
+    wanted = whole.extra[:, first[second][design.inertia :] - design.inertia]
+    theta = torch.tensor(rng.normal(size=wanted.shape[1]))
+    assert_close(found.extra, wanted, rtol=0.0, atol=0.0)
+    assert_close(found.added(theta), torch.einsum("p,ipt->ti", theta, wanted))
+    assert found.alone.kept is None
+    assert_close(found.alone.wide, wanted, rtol=0.0, atol=0.0)
 
 
 def test_columns_taken_elsewhere_are_those_of_a_design_made_there(watched, design):

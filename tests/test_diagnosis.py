@@ -348,7 +348,7 @@ def test_a_marker_that_stays_knocked_is_seen_so_on_held_out_motion(tmp_path):
     rng = np.random.default_rng([SEED, 8])
     label = str(rng.choice(["LTIB", "RTHI", "T10"]))
     when = tuple(Interval(name, 0.0, 6.0) for name in ("trunk", "arms"))
-    # Of 13 mm, two trials of 6 s tell too little against what is ordinary at 60 markers: 1.7 nats at one seed.
+    # Of 13 mm, two trials of 6 s told 1.7 nats at one seed, more than what is ordinary at 60 markers.
     shift = PlantedOptions("marker_shift", (label,), when, {"shift_seg_m": draw(rng, 0.015, 0.03, 3)})
     options = SimulateOptions(
         fit=("squats", "trunk"), heldout=("arms", "hip_rom"), duration_s=6.0, effects=(shift,), skin_motion_mm=0.0

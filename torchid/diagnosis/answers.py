@@ -18,10 +18,11 @@ def answer_of(cameras: Cameras, source: Source, sight: Sight | None = None, fixe
         cameras: what they saw.
         source: of the columns.
         sight: another one.
-        fixed: answers to displacements that last, for several sources.
+        fixed: answers to displacements in fixed ways, which several sources share.
     """
     effect, place = source.effect, source.place
-    if sight is None and (sway := effect.sway(cameras.sight, place)) is not None:
+    plain = sight is None and source.at is None
+    if plain and (sway := effect.sway(cameras.sight, place)) is not None:
         return (fixed or Fixed(cameras)).swayed(sway)
     sight, slid, moved = sight or cameras.sight, [], []
     if source.at is not None:

@@ -98,7 +98,9 @@ class Cameras:
         return found
 
     def forget(self) -> None:
-        """Let go of what only the making of columns asks for, half of what a trial holds: new memory takes longest."""
+        """Let go of what is asked for once more at most, half of what a trial holds: the next one's is made in its
+        memory, and to touch a new gigabyte takes a second."""
+        self._answers.clear()
         for name in ("carriage", "mean_factor", "levers", "carried"):
             self.__dict__.pop(name, None)
 

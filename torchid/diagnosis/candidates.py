@@ -33,7 +33,7 @@ PLATES = ((PlateOffset(), 0.1), (PlateDrift(), 0.02))
 sold with are nobody's discovery. With 0.025 N/s usual on three other plates, 0.25 N/s had an sd of a third."""
 
 TOGETHER = 64
-"""Columns that postures answer together: of all of a catalogue at once, each step would fill a gigabyte."""
+"""Columns whose momenta are turned into wrenches at once: of a whole catalogue, each step would fill a gigabyte."""
 
 PERIODS = 2.0
 """Of what repeats itself that a trial must show: a walk of a second takes slow ground for an offset of its own. Walks
@@ -213,7 +213,7 @@ def _about_root(watched: Watched, wrench: Float[Tensor, "6 more frames"]) -> Flo
 def _covariation(
     watched: Watched, sources: Sequence[Source], live: Int[Tensor, " live"]
 ) -> Float[Tensor, "bands 6 6 live"] | None:
-    """See ``Columns``; zero for what no acceleration enters."""
+    """See ``Terms``; zero for what no acceleration enters."""
     if watched.expected is None:
         return None
     some, n = [s for s in sources if s.effect.accelerated], watched.phi.numel()

@@ -158,7 +158,7 @@ def marker_sums(coarse: Coarse, spectra: Float[Tensor, "columns kept rows"], lea
         gram[b] += half_product(flat[start : start + own])
         count[b] += own * coarse.free
         start += own
-    return MarkerSums(gram[:, :n, :n].contiguous(), gram[:, :n, n], gram[:, n, n], count, least)
+    return MarkerSums(gram[:, :n, :n].contiguous(), gram[:, :n, n].clone(), gram[:, n, n].clone(), count, least)
 
 
 def retaken_sums(

@@ -119,6 +119,11 @@ class Columns:
         """The same, to be changed."""
         return self.wide.clone() if self.kept is None else self.extra
 
+    @property
+    def alone(self) -> "Columns":
+        """Without the others of the wider design, which go when nothing else holds them."""
+        return replace(self, wide=self.extra, kept=None)
+
     def only(self, some: "Selection", inertia: int) -> "Columns":
         """Of a narrower design, in which nuisances stand where they did."""
         at, _ = positions(self.terms.live, some.all)

@@ -22,7 +22,7 @@ class Fixed:
 
     def __init__(self, cameras: Cameras) -> None:
         self.cameras = cameras
-        self._carried: dict[tuple[str, Hashable], Tensor] = {}
+        self._made: dict[tuple[str, Hashable], Tensor] = {}
 
     def swayed(self, sway: Sway) -> Answer:
         """To unit parameters."""
@@ -51,7 +51,8 @@ class Fixed:
         n, own = len(ways.which), self._axes(ways.which)[..., middle]
         rows = own.new_zeros(n, 3, len(middle), len(self.cameras.sight.labels), 3)
         rows[range(n), :, :, list(ways.which)] = own.mT
-        return _along(rows.flatten(3), replace(ways, which=tuple(range(n))))
+        each = rows.flatten(3)
+        return each.flatten(0, 1) if ways.ways is None else _along(each, replace(ways, which=tuple(range(n))))
 
     def _spectrum(self, sway: Sway) -> Float[Tensor, "params kept rows"]:
         """See ``Answer.spectrum``."""
@@ -69,9 +70,9 @@ class Fixed:
 
     def _once(self, what: str, ways: Carried, found: Callable[[], Tensor]) -> Tensor:
         """Kept: a centre glides along the same ways whatever it follows."""
-        if (what, ways.key) not in self._carried:
-            self._carried[what, ways.key] = found()
-        return self._carried[what, ways.key]
+        if (what, ways.key) not in self._made:
+            self._made[what, ways.key] = found()
+        return self._made[what, ways.key]
 
     def _axes(self, which: tuple[int, ...]) -> Float[Tensor, "some 3 3 frames"]:
         """Of the segments that carry some markers, one after the other."""

@@ -54,6 +54,7 @@ def reduced(
     stand_ins = tuple((own[id(first)], own[id(other)]) for first, other in pairs)
     weigh, doubles = (tuple(own[id(c)] for c in some) for some in (more, alike))
     fitted, prior = fit(less, kept), prior.widened(small)
+    small = replace(small, trials=tuple(one.alone for one in small.trials))
     return Search(small, prior, noise, kept, tuple(rounds), less, fitted, stand_ins, weigh, doubles)
 
 

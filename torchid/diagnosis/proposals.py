@@ -7,7 +7,6 @@ is paid for.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
 
 import torch
 from jaxtyping import Bool, Float
@@ -123,10 +122,9 @@ def swaps(cameras: Cameras) -> list[Place]:
     named, and the other half as a marker that was moved.
     """
     sight, seen = cameras.sight, cameras.weight > 0.0
-    pairs = list(combinations(range(len(sight.labels)), 2))
     found: dict[tuple[int, int], list[Interval]] = {}
     trial, time = sight.scene.trial, sight.scene.time
-    odds = 1.0 / (len(pairs) * len(time))
+    odds = 1.0 / (math.comb(len(sight.labels), 2) * len(time))
     for a, b in _near(cameras):
         exchanged = _exchanged(cameras, a, b)
         if int(exchanged.sum()) < SWAPPED:
@@ -142,11 +140,12 @@ def swaps(cameras: Cameras) -> list[Place]:
 def _near(cameras: Cameras) -> list[tuple[int, int]]:
     """Pairs of which one may be where the other is: all others are farther apart than errors reach.
 
-    With e the errors of a pair and D what exchanging adds to them, |e + D|^2 < c |e|^2 wants |D| < (1 + c^0.5) |e|.
+    With e the errors of a pair and D what exchanging adds to them, |e + D|^2 < c |e|^2 wants |D| < (1 + c^0.5) |e|,
+    and |D| is the distance at least.
     """
     p, seen = cameras.sight.p.permute(2, 0, 1), cameras.weight > 0.0
     error = (seen * torch.linalg.vector_norm(cameras.error, dim=1)).amax(1)
-    # Every few frames: none strays farther between them than it is from the last that was looked at.
+    # Between the frames that are looked at, a distance shrinks by what both markers stray at most.
     looked = p[::EVERY]
     strays = (p - looked.repeat_interleave(EVERY, 0)[: len(p)]).norm(dim=2).amax(0)
     least = torch.stack([torch.cdist(some, some).amin(0) for some in looked.split(AT_ONCE)]).amin(0)

@@ -82,7 +82,7 @@ class JointCentreShift(Effect):
 
     def sway(self, sight: Sight, place: Place) -> Sway:
         pairs = tuple((axis, course) for course in range(2) for axis in range(3))
-        return Sway(_ways(sight.scene, place, range(3), turning=False), bend(sight.scene, place), pairs)
+        return Sway(_ways(sight.scene, place.where[0], range(3), turning=False), bend(sight.scene, place), pairs)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         return {"shift_90_seg_m": theta.view(2, 3).sum(0)}
@@ -179,7 +179,7 @@ class MissingDof(Effect):
 
     def sway(self, sight: Sight, place: Place) -> Sway:
         scene, modes = sight.scene, int(place.grid["modes"])
-        ways = _ways(scene, place, axes(place), bool(place.grid["turning"]))
+        ways = _ways(scene, place.where[0], axes(place), bool(place.grid["turning"]))
         return Sway(ways, courses(scene.time, modes), tuple(product(range(len(axes(place))), range(modes))))
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
@@ -219,14 +219,14 @@ def axes(place: Place) -> list[int]:
     return [k for k, axis in enumerate("xyz") if place.grid[axis]]
 
 
-def _ways(scene: Scene, place: Place, along: Sequence[int], turning: bool) -> Carried:
+def _ways(scene: Scene, joint: str, along: Sequence[int], turning: bool) -> Carried:
     """Everything beyond a joint moved or turned by one, see ``directed``."""
 
     def bodies() -> Float[Tensor, "ways bodies 6 frames"]:
         ones = torch.eye(3).to(scene.q)[list(along), :, None].expand(-1, 3, len(scene.time))
-        return torch.stack([directed(scene, place.where[0], one, turning) for one in ones])
+        return torch.stack([directed(scene, joint, one, turning) for one in ones])
 
-    return Carried((place.where[0], tuple(along), turning), bodies)
+    return Carried((joint, tuple(along), turning), bodies)
 
 
 def directed(

@@ -53,9 +53,9 @@ class MarkerShift(MarkerEffect):
         return Slid(tuple(which), moved * within(place, sight.scene.trial, sight.scene.time, 0.0))
 
     def sway(self, sight: Sight, place: Place) -> Sway:
-        which = (sight.labels.index(place.where[0]),)
+        (label,) = place.where
         there = within(place, sight.scene.trial, sight.scene.time, 0.0)
-        return Sway(Along(which), there[None], ((0, 0), (1, 0), (2, 0)))
+        return Sway(Along((sight.labels.index(label),)), there[None], ((0, 0), (1, 0), (2, 0)))
 
 
 def _whole(scene: Scene) -> Interval:

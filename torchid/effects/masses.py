@@ -161,19 +161,15 @@ class WobblingMass(Effect):
     def loads(self, scene: Scene, places: Sequence[Place]) -> Float[Tensor, "places 6 frames"]:
         """Springs of one point share its motion, and points on one spring its filters."""
         own = [(place.grid["frequency_hz"], place.grid["damping_ratio"]) for place in places]
-        springs, points = list(dict.fromkeys(own)), list(dict.fromkeys((p.where[0], p.point) for p in places))
-        at = [scene.point(p.where[0], anchor(scene, p)) for p in (Place((n,), point=b) for n, b in points)]
+        springs, points = list(dict.fromkeys(own)), {(place.where, place.point): place for place in places}
+        at = [scene.point(place.where[0], anchor(scene, place)) for place in points.values()]
         p, a = torch.stack([one.p for one in at]), torch.stack([one.a for one in at])
         x, xdd = wobble(a, scene.rate, springs)
         w = 2.0 * math.pi * x.new_tensor([frequency for frequency, _ in springs])
         sag = -lift(x) / w.square()[:, None, None]
         moment = cross(p[:, None], xdd) + cross(x + sag, (a + lift(x))[:, None])
-        found = torch.cat([xdd, moment], 2).flatten(0, 1)
-        which = [
-            points.index((place.where[0], place.point)) * len(springs) + springs.index(spring)
-            for place, spring in zip(places, own, strict=True)
-        ]
-        return found if which == list(range(len(found))) else found[which]
+        found, point = torch.cat([xdd, moment], 2), {key: k for k, key in enumerate(points)}
+        return found[[point[place.where, place.point] for place in places], [springs.index(spring) for spring in own]]
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         spring = {key: theta.new_tensor(place.grid[key]) for key in ("frequency_hz", "damping_ratio")}
