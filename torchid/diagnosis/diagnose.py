@@ -9,6 +9,7 @@ from torch import Tensor
 from torchid.diagnosis.design import Candidate
 from torchid.diagnosis.doubtful import PLAIN, relevant, stands_out, without_opposed
 from torchid.diagnosis.evidence import fit
+from torchid.diagnosis.field import misfits, with_misfits
 from torchid.diagnosis.found import Search, estimate, instead, internal, pruned, support, without
 from torchid.diagnosis.heldout import HeldOut, Judged
 from torchid.diagnosis.plates import SessionPlate
@@ -29,6 +30,8 @@ from torchid.regressor.whitening import Whitening
 
 ALONE = 0.5
 """Times the confidence of what forces of a single short trial tell."""
+BENT = 0.5
+"""Times the confidence of a named force that a field beside it contradicts."""
 
 
 def wanted(include: Sequence[str], exclude: Sequence[str]) -> tuple[Effect, ...]:
@@ -74,10 +77,14 @@ def diagnose(
     rest = _remains(found, watched, heldout)
     extended = unseen.judged(found.chosen)
     names = [w.rows.name for w in (*watched, *heldout)]
+    bent = [] if rest.alone else misfits(found, watched)
     causes = _trusted(found, watched, rest, _causes(found, unseen, extended, names))
+    for one in bent:
+        causes[one.index] = replace(causes[one.index].scaled(BENT), doubted=True)
     strength = [support(found.sums, found.chosen, one) for one in found.chosen]
     order = sorted(range(len(causes)), key=lambda k: (after_forces(causes[k]), -strength[k]))
-    rest, idle, near = with_vibration(rest, watched), _idle(watched, plates), _nearest(found.rounds[-1])
+    rest = with_misfits(with_vibration(rest, watched), found, bent)
+    idle, near = _idle(watched, plates), _nearest(found.rounds[-1])
     kept = {id(one) for one in found.chosen}
     instead = {id(first): other.place.where for first, other in found.stand_ins if id(other) in kept}
     against = tuple(Refuted(one.effect.name, one.place.where, says, instead.get(id(one))) for one, says in refuted)

@@ -37,16 +37,16 @@ def timed(
     for places in (moved_ends, best.effect.finer):
         if not (some := tuple(places(best.place))):
             break
-        tried = _with(design, best, (best.place, *some))
-        extra, wide = _extra(watched[trial], tried), prior.widened(tried)
-        own = with_columns(rows[trial], _terms(tried, trial, extra), watched[trial], extra, best.effect.noisy)
+        tried = with_places(design, best, (best.place, *some))
+        extra, wide = extra_columns(watched[trial], tried), prior.widened(tried)
+        own = with_columns(rows[trial], extra_terms(tried, trial, extra), watched[trial], extra, best.effect.noisy)
         raws = list(sums.trials)
         raws[trial] = standardised(own, wide, tried, noise, trial)[0]
         gain = gains(replace(sums, trials=tuple(raws)), base, tried.candidates)[0]
         best = tried.candidates[int(gain.argmax())]
-    final = _with(design, best, (best.place,))
-    extra, trials, found = _extra(watched[trial], final), list(design.trials), list(rows)
-    terms, before = _terms(final, trial, extra), trials[trial]
+    final = with_places(design, best, (best.place,))
+    extra, trials, found = extra_columns(watched[trial], final), list(design.trials), list(rows)
+    terms, before = extra_terms(final, trial, extra), trials[trial]
     trials[trial] = replace(before, wide=torch.cat([before.extra, extra], 1), kept=None, terms=terms)
     found[trial] = with_columns(rows[trial], terms, watched[trial], extra, best.effect.noisy)
     (best,) = final.candidates
@@ -64,7 +64,7 @@ def moved_ends(place: Place) -> Iterator[Place]:
             yield replace(place, when=(Interval(own.trial, t0, t1),), grid={"edge_s": edge})
 
 
-def _with(design: Design, one: Candidate, places: Sequence[Place]) -> Design:
+def with_places(design: Design, one: Candidate, places: Sequence[Place]) -> Design:
     """Further places of an effect as the only candidates; columns are not there yet."""
     at, sources = design.width, []
     for place in places:
@@ -76,7 +76,7 @@ def _with(design: Design, one: Candidate, places: Sequence[Place]) -> Design:
     return replace(design, sources=(*design.sources, *sources), candidates=fresh)
 
 
-def _terms(design: Design, trial: int, extra: Tensor) -> Terms:
+def extra_terms(design: Design, trial: int, extra: Tensor) -> Terms:
     """With columns of further places behind the others."""
     own, n = design.trials[trial].terms, extra.shape[1]
     live = torch.cat([own.live, torch.arange(design.width - n, design.width)])
@@ -84,7 +84,7 @@ def _terms(design: Design, trial: int, extra: Tensor) -> Terms:
     return replace(own, live=live, covariation=noise)
 
 
-def _extra(watched: Watched, design: Design) -> Float[Tensor, "6 more frames"]:
+def extra_columns(watched: Watched, design: Design) -> Float[Tensor, "6 more frames"]:
     """Columns of the candidates about the root's origin."""
     view, root = watched.view, watched.rows.motion.q[:, :3]
     some = [columns(c.effect, view.scene, view.reading, c.place) for c in design.candidates]

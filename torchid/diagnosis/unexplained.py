@@ -35,7 +35,7 @@ class Structure:
     share_of_residual: float
     description: str
     beyond: bool = False
-    """It lies above the filter alone, where no cause was told."""
+    """It lies where no cause was told, above the filter, or in what one named force leaves out of itself."""
     alone: bool = False
     """Too little to tell, and no other trial that could agree."""
 

@@ -1,0 +1,67 @@
+"""A named force that changes with the place of its point as its cause does not: a magnet, and what is none."""
+
+import json
+import os
+import time as clock
+
+import numpy as np
+import pytest
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.config import load_config
+from torchid.effects.catalogue import CATALOGUE
+from torchid.effects.effect import Parameter
+from torchid.effects.forces import PointForce
+from torchid.effects.scene import Point, Scene
+from torchid.experiment import run_experiment
+from torchid.simulate.options import PlantedOptions, SimulateOptions
+from torchid.simulate.session import simulate_session
+
+SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
+KNOWN = ("external_force", "tether", "drag", "payload")
+
+
+class Magnet(PointForce):
+    """Pulls with the inverse square of the distance."""
+
+    name = "magnet"
+    parameters = (Parameter("force_N", 20.0), Parameter("centre_m", 1.0, 3))
+
+    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+        way = theta[1:, None] - at.p
+        far = torch.linalg.vector_norm(way, dim=0)
+        return 0.25 * theta[0] * way / (far * (far.square() + 0.04))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["magnet", "external_force", "tether"])
+def test_a_force_that_goes_another_way_with_its_place_is_told(name, tmp_path, monkeypatch):
+    """Whatever a magnet is taken for is in doubt; a cable and a spring are what they are."""
+    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
+    monkeypatch.setitem(CATALOGUE, "magnet", Magnet())
+    rng = np.random.default_rng([SEED, 31])
+    away = [float(rng.uniform(0.4, 0.7)), float(rng.uniform(-0.4, 0.4)), float(rng.uniform(0.8, 1.4))]
+    way = rng.normal(size=3)
+    parameters = {
+        "magnet": {"force_N": float(rng.uniform(25.0, 40.0)), "centre_m": away},
+        "external_force": {"force_N": (20.0 * way / np.linalg.norm(way)).tolist()},
+        "tether": {"stiffness_N_m": float(rng.uniform(20.0, 40.0)), "anchor_m": [2.0 * x for x in away]},
+    }[name]
+    where = str(rng.choice(["hand_l", "hand_r"])) if name == "magnet" else "thorax"
+    hidden = PlantedOptions(name, (where,), None, parameters)
+    options = SimulateOptions(
+        fit=("squats", "arms", "trunk"), heldout=("sway_steps",), duration_s=6.0, effects=(hidden,), skin_motion_mm=0.0
+    )
+    config = load_config(simulate_session(options, SEED, tmp_path).config)
+    asked = config.diagnosis.model_copy(update={"include": KNOWN})
+    run_experiment(config.model_copy(update={"diagnosis": asked}))
+    said = json.loads((config.out / "diagnosis.json").read_text())
+    print([(c["effect"], c["where"], c["confidence"]) for c in said["causes"]], said["unexplained"])  # noqa: T201
+    assert said["unexplained"]["significant"] == (name == "magnet")
+    if name == "magnet":
+        assert "changes with the place" in said["unexplained"]["description"]
+        assert all(cause["confidence"] <= 0.5 for cause in said["causes"] if cause["where"] == [where])
+    else:
+        assert said["causes"][0]["effect"] == name
