@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from torchid.config import Config, load_config
-from torchid.diagnosis.verdict import Cause
+from torchid.diagnosis.verdict.records import Cause
 from torchid.experiment import run_experiment, run_simulation
 from torchid.outcome import Outcome
-from torchid.report.story import chance, told
-from torchid.report.telling import called
+from torchid.report.cause_sentences import chance, told
+from torchid.report.effect_words import called
 from torchid.simulate.hiding import draw_hidden, judge
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "demo.yaml"

@@ -21,13 +21,13 @@ from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
-from torchid.geometry.arrow import Solution, solve_arrow
+from torchid.geometry.arrow.solver import Solution, solve_arrow
+from torchid.geometry.first_scale import start_fit
 from torchid.geometry.fit import finish_fit, joint_problem
-from torchid.geometry.fitted import GeometryFit
-from torchid.geometry.gradient import Q_SCALE, Q_STEP, XI_STEP, accumulate_gradients
-from torchid.geometry.placing import start_fit
+from torchid.geometry.gradient_solvers import Q_SCALE, Q_STEP, XI_STEP, accumulate_gradients
+from torchid.geometry.marker_weights import reweighted
 from torchid.geometry.problem import MarkerProblem
-from torchid.geometry.scatter import reweighted
+from torchid.geometry.result import GeometryFit
 from torchid.snapshot import from_bytes, to_bytes
 
 SHOWN = 50

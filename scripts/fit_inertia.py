@@ -19,7 +19,7 @@ from torchid.experiment.read import Session, read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, subject_prior
 from torchid.geometry.fit import fit_geometry
-from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import determined

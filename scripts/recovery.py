@@ -16,7 +16,7 @@ from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.experiment import run_experiment
 from torchid.experiment.stages import follow
-from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
 from torchid.inertia.transform import move_frame
 from torchid.kinematics.chain import chain_poses

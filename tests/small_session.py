@@ -17,8 +17,8 @@ from torchid.experiment import run_experiment
 from torchid.filters import Smoother
 from torchid.geometry.assign import Assignment, assign_markers
 from torchid.geometry.fit import fit_geometry
-from torchid.geometry.fitted import GeometryFit
 from torchid.geometry.options import GeometryOptions
+from torchid.geometry.result import GeometryFit
 from torchid.io.resample import synchronise
 from torchid.model.marker_set import load_marker_set
 from torchid.model.model import Model

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from torchid.effects.angles import bend, lively, orders
 from torchid.effects.effect import Planted
+from torchid.effects.joint_angles import bend, lively, orders
 from torchid.effects.joints import JointCentreShift
 from torchid.effects.place import Angle, Place, parse_angle
 from torchid.effects.scene import make_scene

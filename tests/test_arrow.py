@@ -10,9 +10,9 @@ from roma import rotvec_to_rotmat
 from scipy.optimize import least_squares
 from torch.testing import assert_close
 
-from torchid.geometry.arrow import solve_arrow
-from torchid.geometry.coarse import between, coarse_frames
-from torchid.geometry.inverse import solve_poses
+from torchid.geometry.arrow.coarse_to_fine import between, coarse_frames
+from torchid.geometry.arrow.inverse_kinematics import solve_poses
+from torchid.geometry.arrow.solver import solve_arrow
 from torchid.geometry.problem import retract
 from torchid.kinematics.recursion import poses
 

@@ -22,11 +22,14 @@ from batteries.power import draw_reliability, half_sizes, reliability
 from batteries.sizes import SIZES
 
 from torchid.config import load_config
-from torchid.diagnosis.design import Candidate, Design, Source
-from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import Search, estimate
-from torchid.diagnosis.noise import initial_noise
-from torchid.diagnosis.sums import Prior, Sums
+from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.columns.design import Design
+from torchid.diagnosis.evidence.noise import initial_noise
+from torchid.diagnosis.evidence.posterior import fit
+from torchid.diagnosis.evidence.prior import Prior
+from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.diagnosis.search.estimates import estimate
+from torchid.diagnosis.search.result import SearchResult
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
 from torchid.experiment import run_experiment
@@ -123,8 +126,8 @@ def test_what_can_be_known_at_best_is_known_of_the_effect_alone():
         for k in range(2)
     ]
     chosen = tuple(Candidate(one, source.place, source, frozenset({0})) for source in sources)
-    sums, noise = Sums(0, 0, (raw,)), initial_noise(initial_whitening(torch.ones(2)), 1)
-    said = Search(Design(0, 0, tuple(sources), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
+    sums, noise = Statistics(0, 0, (raw,)), initial_noise(initial_whitening(torch.ones(2)), 1)
+    said = SearchResult(Design(0, 0, tuple(sources), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
     keys = ("force_plate_N", "moment_plate_Nm")
     bound, stated = known_else(said, 0), estimate(said, 0)
     best = torch.cat([bound[key] for key in keys])

@@ -11,20 +11,20 @@ import torch
 from torch.testing import assert_close
 
 from torchid.config import load_config
-from torchid.diagnosis.candidates import make_design
-from torchid.diagnosis.diagnose import PLAIN, diagnose, wanted
-from torchid.diagnosis.doubtful import stands_out
-from torchid.diagnosis.evidence import fit, gains
-from torchid.diagnosis.found import estimate, internal
-from torchid.diagnosis.plates import SessionPlate, recognise
-from torchid.diagnosis.residual import residuals
-from torchid.diagnosis.rivals import CHANCE
-from torchid.diagnosis.search import search
-from torchid.diagnosis.sums import Sums, make_prior
-from torchid.diagnosis.unexplained import Structure
-from torchid.diagnosis.verdict import Diagnosis
-from torchid.diagnosis.vibration import with_vibration
-from torchid.diagnosis.watched import Known, Watched, watch
+from torchid.diagnosis.columns.assemble import make_design
+from torchid.diagnosis.diagnose import diagnose, select_effects
+from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.evidence.gains import gains
+from torchid.diagnosis.evidence.posterior import fit
+from torchid.diagnosis.evidence.prior import make_prior
+from torchid.diagnosis.evidence.residuals import residuals
+from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.diagnosis.search.elimination import PLAIN, stands_out
+from torchid.diagnosis.search.estimates import estimate, internal
+from torchid.diagnosis.search.rivals import CHANCE
+from torchid.diagnosis.search.stepwise import search
+from torchid.diagnosis.testing.vibration import with_vibration
+from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.dynamics import wrench_about
 from torchid.effects.catalogue import BODILY
 from torchid.effects.effect import Planted
@@ -33,12 +33,14 @@ from torchid.effects.masses import Payload
 from torchid.effects.place import Interval, Place
 from torchid.errors import ConfigError
 from torchid.experiment import run_experiment
-from torchid.experiment.extending import _added
+from torchid.experiment.correction import _added
 from torchid.filters import Smoother
 from torchid.inertia.identify import Identified, identify_inertia
 from torchid.io.resample import synchronise
 from torchid.model.model import InertialPrior
 from torchid.motion import smooth_motion
+from torchid.observation.plate_registry import SessionPlate, recognise
+from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
 from torchid.recording import Forces, Plate
 from torchid.regressor.rows import WrenchTrial
 from torchid.regressor.whitening import accumulate, initial_whitening, spectra
@@ -124,13 +126,13 @@ def simulated(effects: tuple[PlantedOptions, ...], seed: int) -> Session:
 
 def verdict(session: Session) -> Diagnosis:
     """Of a session whose motion and geometry are known, forces noisy: the rest of the chain is tested elsewhere."""
-    watched, plates, prior, found = seen(session)
-    fits, held = [watched[n] for n in FIT], [watched[n] for n in HELDOUT]
-    effects = wanted((), ())
+    observed, plates, prior, found = seen(session)
+    fits, held = [observed[n] for n in FIT], [observed[n] for n in HELDOUT]
+    effects = select_effects((), ())
     return diagnose(fits, held, plates, effects, prior, found.fit.omega_2, found.whitening, 2)
 
 
-def seen(session: Session) -> tuple[dict[str, Watched], tuple[SessionPlate, ...], InertialPrior, Identified]:
+def seen(session: Session) -> tuple[dict[str, TrialObservation], tuple[SessionPlate, ...], InertialPrior, Identified]:
     """Its trials, plates, prior and inertial fit."""
     subject = session.subject
     tree, geometry, prior = subject.model.tree, subject.geometry, subject.model.inertia
@@ -149,8 +151,8 @@ def seen(session: Session) -> tuple[dict[str, Watched], tuple[SessionPlate, ...]
     prior = dataclasses.replace(prior, mean=scale * prior.mean)
     found = identify_inertia([rows[n] for n in FIT], prior)
     plates, frames = recognise(forces)
-    known = Known(prior.mean, found.fit.phi, subject.recorded_mass)
-    return {n: watch(r, forces[n], r.used, frames[n], known) for n, r in rows.items()}, plates, prior, found
+    known = BodyEstimate(prior.mean, found.fit.phi, subject.recorded_mass)
+    return {n: observe_trial(r, forces[n], r.used, frames[n], known) for n, r in rows.items()}, plates, prior, found
 
 
 @pytest.mark.slow
@@ -204,38 +206,40 @@ def test_a_named_drift_is_all_of_it():
     rng = np.random.default_rng([SEED, 11])
     rate = torch.tensor([*draw(rng, 0.4, 0.8, 3), *draw(rng, 0.05, 0.1, 3)], dtype=torch.float64)
     planted = PlantedOptions("plate_drift", ("plate_1",), None, {"rate_plate": rate.tolist()})
-    watched, _, prior, found = seen(simulated((planted,), int(rng.integers(2**31))))
-    fits = [watched[name] for name in FIT]
-    said = search(fits, wanted(("plate_drift",), ()), prior, found.fit.omega_2, found.whitening, 1)
+    observed, _, prior, found = seen(simulated((planted,), int(rng.integers(2**31))))
+    fits = [observed[name] for name in FIT]
+    said = search(fits, select_effects(("plate_drift",), ()), prior, found.fit.omega_2, found.whitening, 1)
     assert [one.place.where for one in said.chosen] == [("plate_1",)]
     value, sd = estimate(said, 0)["rate_plate"]
     assert float(((value - rate) / sd).abs().max()) < 5.0, (value, sd, rate)
     # Told apart from what is usual there, each would be uncertain by the share of it that data leave open.
     at = said.design.base + torch.arange(6)
-    apart = value.new_tensor(said.chosen[0].effect.scale(said.chosen[0].place)) * said.fitted.covariance[at, at].sqrt()
+    apart = (
+        value.new_tensor(said.chosen[0].effect.scale(said.chosen[0].place)) * said.posterior.covariance[at, at].sqrt()
+    )
     assert bool((sd < apart).all())
 
 
 def test_an_extension_takes_out_all_of_a_curved_load():
     """A load's square of distance and a spring's rest length too: what is named is what is corrected."""
-    watched = seen(simulated((), SEED % 2**31))[0]["arms"]
-    scene = watched.view.scene
+    observed = seen(simulated((), SEED % 2**31))[0]["arms"]
+    scene = observed.view.scene
     load = Planted(Payload(), Place(("forearm_l",), point=(0.0, 0.0, 0.0)), scene.phi.new_tensor([3.0, 0.3, 0.2, -0.9]))
     spring = Planted(Tether(), Place(("forearm_r",)), scene.phi.new_tensor([14.0, 12.0, 11.0, 20.0, 9.0]))
     for one in (load, spring):
         exact = one.load(scene).T
-        assert float((_added(watched, one) - exact).norm()) < 1e-5 * float(exact.norm())
+        assert float((_added(observed, one) - exact).norm()) < 1e-5 * float(exact.norm())
 
 
 def test_what_stands_out_is_what_its_own_load_takes_away():
     """Of the residual that everything leaves; a hundredth of the load would not stand out."""
     rng = np.random.default_rng([SEED, 13])
     planted = PlantedOptions("drag", ("thorax",), None, {"coefficient_Ns_m": draw(rng, 30.0, 60.0)})
-    watched, _, prior, found = seen(simulated((planted,), int(rng.integers(2**31))))
-    fits = [watched[name] for name in FIT]
-    said = search(fits, wanted(("drag",), ()), prior, found.fit.omega_2, found.whitening, 1)
+    observed, _, prior, found = seen(simulated((planted,), int(rng.integers(2**31))))
+    fits = [observed[name] for name in FIT]
+    said = search(fits, select_effects(("drag",), ()), prior, found.fit.omega_2, found.whitening, 1)
     (one,) = said.chosen
-    left = residuals(fits, said.design, said.prior, said.fitted)
+    left = residuals(fits, said.design, said.prior, said.posterior)
 
     def grown(part: float) -> float:
         """By the load itself, trial by trial, in the middle of the force's and moment's logarithms."""
@@ -256,15 +260,15 @@ def test_what_stands_out_is_what_its_own_load_takes_away():
 def test_a_vibration_above_the_filter_is_no_secret(where):
     """A motor that runs in every trial is flagged, with its frequency; one that rests in one of them is not."""
     rng = np.random.default_rng([SEED, 9])
-    hz, clean = float(rng.uniform(13.5, 18.0)), Structure(False, 0.5, 0.1, "")
-    watched = seen(simulated((), int(rng.integers(2**31))))[0]
-    assert with_vibration(clean, [watched[name] for name in FIT]) == clean
+    hz, clean = float(rng.uniform(13.5, 18.0)), Adequacy(False, 0.5, 0.1, "")
+    observed = seen(simulated((), int(rng.integers(2**31))))[0]
+    assert with_vibration(clean, [observed[name] for name in FIT]) == clean
     some = []
     for name in FIT:
-        phase = 2.0 * np.pi * (hz * watched[name].rows.motion.time + rng.uniform())
+        phase = 2.0 * np.pi * (hz * observed[name].rows.motion.time + rng.uniform())
         motor = 6.0 * torch.stack([torch.cos(phase), 0.0 * phase, torch.sin(phase)], 1)
-        raw = watched[name].raw + (motor if name in where else 0.0)
-        some.append(dataclasses.replace(watched[name], raw=raw))
+        raw = observed[name].raw + (motor if name in where else 0.0)
+        some.append(dataclasses.replace(observed[name], raw=raw))
     said = with_vibration(clean, some)
     assert said.significant == (where == FIT)
     if said.significant:
@@ -277,17 +281,17 @@ def test_a_vibration_above_the_filter_is_no_secret(where):
 def test_evidence_is_that_of_the_marginal_likelihood():
     """Gains by Schur complements equal differences of log densities of the whitened data under each model."""
     session = simulated((), SEED % 2**31)
-    watched = [seen(session)[0][name] for name in FIT[:2]]
-    design = make_design(watched, wanted(("time_offset", "drag", "payload"), ()))
+    observed = [seen(session)[0][name] for name in FIT[:2]]
+    design = make_design(observed, select_effects(("time_offset", "drag", "payload"), ()))
     prior = make_prior(session.subject.model.inertia, 1.0, design)
     trials = []
-    for own, columns in zip(watched, design.trials, strict=True):
+    for own, columns in zip(observed, design.trials, strict=True):
         both = accumulate(spectra(own.rows, columns.extra), initial_whitening(prior.mean))
         trials.append(prior.standard(both.gram, both.moment, columns.terms.live))
-    sums = Sums(design.base, design.shared, tuple(trials))
-    base = fit(sums)
-    for one, found in zip(design.candidates, gains(sums, base, design.candidates)[0], strict=True):
-        more = fit(sums, (one,))
+    statistics = Statistics(design.base, design.shared, tuple(trials))
+    base = fit(statistics)
+    for one, found in zip(design.candidates, gains(statistics, base, design.candidates)[0], strict=True):
+        more = fit(statistics, (one,))
         exact = more.log_evidence - base.log_evidence
         for at in range(design.base, design.base + one.effect.positives(one.place)):
             z, sd = more.mean[at], more.covariance[at, at].sqrt()
@@ -315,8 +319,8 @@ def test_plates_are_known_again():
 def test_unknown_effects_are_refused():
     """As entries of ``diagnosis.include``."""
     with pytest.raises(ConfigError, match="no such effect"):
-        wanted(("plate_gian",), ())
-    assert [e.name for e in wanted(("drag", "plate_gain"), ("drag",))] == ["plate_gain"]
+        select_effects(("plate_gian",), ())
+    assert [e.name for e in select_effects(("drag", "plate_gain"), ("drag",))] == ["plate_gain"]
 
 
 @pytest.mark.slow

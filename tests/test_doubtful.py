@@ -6,24 +6,27 @@ import pytest
 import small_session as small
 import torch
 
-from torchid.diagnosis import doubtful
-from torchid.diagnosis.anew import eliminated, told
-from torchid.diagnosis.design import Candidate, Design, Source
-from torchid.diagnosis.diagnose import trust, visible
-from torchid.diagnosis.doubtful import without_opposed
-from torchid.diagnosis.evidence import fit, gains
-from torchid.diagnosis.found import Search, pruned, support, without_negative
-from torchid.diagnosis.noise import initial_noise
-from torchid.diagnosis.rivals import NAMED
-from torchid.diagnosis.sums import Prior, Sums
-from torchid.diagnosis.unexplained import structure
+from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.columns.design import Design
+from torchid.diagnosis.evidence.adequacy import assess_adequacy
+from torchid.diagnosis.evidence.gains import gains
+from torchid.diagnosis.evidence.noise import initial_noise
+from torchid.diagnosis.evidence.per_trial import marginalise_per_trial, trial_posteriors
+from torchid.diagnosis.evidence.posterior import fit
+from torchid.diagnosis.evidence.prior import Prior
+from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.diagnosis.search import elimination
+from torchid.diagnosis.search.elimination import drop_negative, drop_opposed, drop_unsupported
+from torchid.diagnosis.search.result import SearchResult, support
+from torchid.diagnosis.search.rivals import NAMED
+from torchid.diagnosis.verdict.confidence import trust, visible
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
-from torchid.experiment.diagnosing import watch_outcome
+from torchid.experiment.diagnosis_stage import observe_outcome
 from torchid.regressor.whitening import initial_whitening
 
 
-def found(columns: torch.Tensor, rows: torch.Tensor) -> Search:
+def found(columns: torch.Tensor, rows: torch.Tensor) -> SearchResult:
     """Three drags, each with a column of its own, fitted to two trials of the same rows."""
     drag, n = effect("drag"), columns.shape[1]
     sources = [Source(drag, Place((name,)), slice(k + 1, k + 2), (0.0,), (1.0,)) for k, name in enumerate("abc")]
@@ -34,9 +37,11 @@ def found(columns: torch.Tensor, rows: torch.Tensor) -> Search:
     every = torch.cat([torch.zeros(len(columns), 1).double(), columns], 1)
     prior = Prior(torch.zeros(n + 1).double(), torch.eye(1).double(), torch.ones(n).double())
     raw = prior.standard(every.T @ every, every.T @ rows, torch.arange(n + 1))
-    sums = Sums(1, n + 1, (raw, raw))
+    statistics = Statistics(1, n + 1, (raw, raw))
     noise = initial_noise(initial_whitening(columns), 2)
-    return Search(Design(1, 1, tuple(sources), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
+    return SearchResult(
+        Design(1, 1, tuple(sources), chosen, ()), prior, noise, chosen, (), statistics, fit(statistics, chosen)
+    )
 
 
 @pytest.mark.parametrize("opposed", [True, False])
@@ -47,7 +52,7 @@ def test_causes_that_undo_each_other_are_none(opposed):
     near = one + 0.1 * other
     rows = 30.0 * one - 28.0 * near if opposed else 30.0 * one + 28.0 * near
     search = found(torch.stack([one, near, third], 1), rows + 9.0 * third)
-    kept = [c.place.where[0] for c in without_opposed(search).chosen]
+    kept = [c.place.where[0] for c in drop_opposed(search).chosen]
     assert kept == (["c"] if opposed else ["a", "b", "c"])
 
 
@@ -57,9 +62,9 @@ def test_what_stood_by_a_cause_goes_with_it(gone):
     one, other, third = torch.linalg.qr(torch.randn(400, 3, generator=torch.Generator().manual_seed(9)).double()).Q.T
     search = found(20.0 * torch.stack([one, 0.1 * other - one, third], 1), 60.0 * third + 10.0 * other)
     chosen = search.chosen[1:] if gone else search.chosen
-    search = pruned(replace(search, chosen=chosen, fitted=fit(search.sums, chosen)))
+    search = drop_unsupported(replace(search, chosen=chosen, posterior=fit(search.statistics, chosen)))
     assert [c.place.where[0] for c in search.chosen] == (["c"] if gone else ["a", "b", "c"])
-    assert len(search.fitted.chosen) == len(search.chosen)
+    assert len(search.posterior.chosen) == len(search.chosen)
 
 
 def test_what_is_left_is_supported():
@@ -67,8 +72,8 @@ def test_what_is_left_is_supported():
     for seed in range(300):
         draw = torch.Generator().manual_seed(seed)
         columns = torch.randn(40, 3, generator=draw, dtype=torch.float64) @ torch.randn(3, 3, generator=draw).double()
-        search = pruned(found(columns, 1.5 * columns @ torch.rand(3, generator=draw).double()))
-        assert all(support(search.sums, search.chosen, one) >= NAMED for one in search.chosen), seed
+        search = drop_unsupported(found(columns, 1.5 * columns @ torch.rand(3, generator=draw).double()))
+        assert all(support(search.statistics, search.chosen, one) >= NAMED for one in search.chosen), seed
 
 
 def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):
@@ -76,18 +81,21 @@ def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):
     search = found(torch.eye(3).double(), torch.ones(3).double())
     names = ("body_mass", "drag", "marker_swap")
     chosen = tuple(replace(one, effect=effect(name)) for one, name in zip(search.chosen, names, strict=True))
-    monkeypatch.setattr(doubtful, "_takes_away", lambda *_: 0.0)
-    kept = doubtful.relevant(replace(search, chosen=chosen), ())
+    monkeypatch.setattr(elimination, "_takes_away", lambda *_: 0.0)
+    kept = elimination.relevant(replace(search, chosen=chosen), ())
     assert [one.effect.name for one in kept.chosen] == ["body_mass", "marker_swap"]
 
 
 def test_what_one_short_trial_tells_is_half_as_sure():
     """Nobody can say whether its residual is noise, and nothing else agrees; another trial does, held-out or not."""
-    (watched, *_) = watch_outcome(small.outcome(), "fit").values()
-    used = torch.zeros_like(watched.rows.used)
+    (observed, *_) = observe_outcome(small.outcome(), "fit").values()
+    used = torch.zeros_like(observed.rows.used)
     used[40:52] = True
-    short, left = replace(watched, rows=replace(watched.rows, used=used)), torch.zeros_like(watched.rows.wrench)
-    alone, others = structure([short], [left]), (structure([short] * 2, [left] * 2), structure([short], [left], 1))
+    short, left = replace(observed, rows=replace(observed.rows, used=used)), torch.zeros_like(observed.rows.wrench)
+    alone, others = (
+        assess_adequacy([short], [left]),
+        (assess_adequacy([short] * 2, [left] * 2), assess_adequacy([short], [left], 1)),
+    )
     assert alone.alone and not alone.significant and trust(alone) == 0.5 and "no other trial" in alone.description
     assert all(not one.alone and trust(one) == 1.0 and "too few seconds" in one.description for one in others)
 
@@ -116,7 +124,7 @@ def test_of_what_all_markers_do_only_forces_tell(name, where, alone):
 def test_a_negative_spring_is_none(softness, kept):
     """All of them always; one of many, surely so, when nothing else goes any more."""
     search = springs(torch.tensor(softness).double(), 1e6)
-    assert tuple(bool(without_negative(search, last).chosen) for last in (False, True)) == kept
+    assert tuple(bool(drop_negative(search, last).chosen) for last in (False, True)) == kept
 
 
 def test_springs_that_cannot_be_negative_have_the_evidence_of_half_a_prior():
@@ -127,11 +135,11 @@ def test_springs_that_cannot_be_negative_have_the_evidence_of_half_a_prior():
     weight = (2.0 / (2.0 * torch.pi) ** 0.5) * torch.exp(-0.5 * theta.square())
     likelihood = torch.exp(size[:, None] * theta - 0.5 * theta.square())
     exact = torch.trapezoid(weight * likelihood, theta).log().sum()
-    found = gains(search.sums, fit(search.sums), search.chosen)[0, 0]
+    found = gains(search.statistics, fit(search.statistics), search.chosen)[0, 0]
     torch.testing.assert_close(found, exact, rtol=1e-6, atol=1e-6)
 
 
-def springs(softness: torch.Tensor, scale: float) -> Search:
+def springs(softness: torch.Tensor, scale: float) -> SearchResult:
     """Of three segments, each measured once with an error of one."""
     flesh, at = effect("skin_lag"), Place(("pelvis", "thigh_l", "thigh_r"))
     source = Source(flesh, at, slice(1, 4), (0.0,), flesh.scale(at))
@@ -140,8 +148,10 @@ def springs(softness: torch.Tensor, scale: float) -> Search:
     moment = columns.T @ torch.cat([softness, torch.zeros(1).double()])
     raw = prior.standard(columns.T @ columns, moment, torch.arange(4))
     chosen = (Candidate(flesh, at, source, frozenset({0})),)
-    sums, noise = Sums(1, 4, (raw,)), initial_noise(initial_whitening(columns), 1)
-    return Search(Design(1, 1, (source,), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
+    statistics, noise = Statistics(1, 4, (raw,)), initial_noise(initial_whitening(columns), 1)
+    return SearchResult(
+        Design(1, 1, (source,), chosen, ()), prior, noise, chosen, (), statistics, fit(statistics, chosen)
+    )
 
 
 def test_what_shares_a_column_with_a_nuisance_adds_to_it():
@@ -151,7 +161,7 @@ def test_what_shares_a_column_with_a_nuisance_adds_to_it():
     unit = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double())
     raw = unit.standard(column.T @ column, column.T @ (9.0 * column[:, 0]), torch.arange(1))
     source = Source(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
-    found = fit(Sums(1, 1, (raw,)), [Candidate(effect("drag"), source.place, source, frozenset({0}))])
+    found = fit(Statistics(1, 1, (raw,)), [Candidate(effect("drag"), source.place, source, frozenset({0}))])
     assert float(found.z(1, 0)[0]) == pytest.approx(9.0, rel=0.01)
 
 
@@ -167,14 +177,16 @@ def test_columns_of_one_trial_are_nothing_in_the_others():
         whole.append((dense.T @ dense, dense.T @ right))
         own = rows[:, live]
         trials.append(prior.standard(own.T @ own, own.T @ right, torch.tensor(live)))
-    sums = Sums(shared, shared, tuple(trials))
+    statistics = Statistics(shared, shared, tuple(trials))
     which = torch.tensor([1, 3, 4])
     for seen in (frozenset({0}), frozenset({1})):
         (k,) = seen
-        torch.testing.assert_close(sums.block(which, which, seen), whole[k][0][which][:, which])
-        torch.testing.assert_close(sums.moment(which, seen), whole[k][1][which])
+        torch.testing.assert_close(statistics.block(which, which, seen), whole[k][0][which][:, which])
+        torch.testing.assert_close(statistics.moment(which, seen), whole[k][1][which])
     both = torch.tensor([2, 0])
-    torch.testing.assert_close(sums.block(slice(3), both, sums.all), (whole[0][0] + whole[1][0])[:3][:, both])
+    torch.testing.assert_close(
+        statistics.block(slice(3), both, statistics.all), (whole[0][0] + whole[1][0])[:3][:, both]
+    )
     less = trials[0].only(torch.tensor([0, 2, 4, 5]))
     assert less.live.tolist() == [0, 1, 3]
     torch.testing.assert_close(less.gram[:-1, :-1], whole[0][0][[0, 2, 5]][:, [0, 2, 5]])
@@ -184,7 +196,7 @@ def test_what_is_anew_in_every_trial_may_be_left_out_first():
     """Integrated out trial by trial or fitted jointly: the same evidence, the same mean, in every trial."""
 
     class Gust(type(effect("drag"))):
-        anew = True
+        per_trial = True
 
     gust, generator, n = Gust(), torch.Generator().manual_seed(8), 6
     prior = Prior(torch.zeros(n).double(), torch.eye(2).double(), torch.ones(n - 2).double())
@@ -192,11 +204,11 @@ def test_what_is_anew_in_every_trial_may_be_left_out_first():
     for live in ([0, 1, 2, 3, 4], [0, 1, 2, 3, 5]):
         rows, right = torch.randn(50, 5, generator=generator).double(), torch.randn(50, generator=generator).double()
         trials.append(prior.standard(rows.T @ rows, rows.T @ right, torch.tensor(live)))
-    sums, place = Sums(3, 4, tuple(trials)), Place(("a",))
+    statistics, place = Statistics(3, 4, tuple(trials)), Place(("a",))
     one = Candidate(gust, place, Source(gust, place, slice(3, 4), (0.0,), gust.scale(place)), frozenset({0, 1}))
-    less, rest = eliminated(sums, [one])
-    jointly = fit(sums, [one])
+    less, rest = marginalise_per_trial(statistics, [one])
+    jointly = fit(statistics, [one])
     assert not rest
     assert fit(less).log_evidence + less.constant == pytest.approx(jointly.log_evidence)
-    for k, each in enumerate(told(sums, [one])):
+    for k, each in enumerate(trial_posteriors(statistics, [one])):
         torch.testing.assert_close(each.z(n), jointly.z(n, k))

@@ -11,31 +11,31 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from torchid.diagnosis import coarse
-from torchid.diagnosis.answers import answer_of
-from torchid.diagnosis.cameras import Cameras
-from torchid.diagnosis.design import Source
-from torchid.diagnosis.nuisances import SkinSlide
-from torchid.diagnosis.proposals import swaps
+from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.marker_swaps import propose_swaps
+from torchid.diagnosis.candidates.nuisances import SkinSlide
+from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.dynamics import base_rows, body_rows
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.columns import columns
+from torchid.effects.displacement import rate_of
 from torchid.effects.effect import Planted
 from torchid.effects.joints import courses
+from torchid.effects.marker_scene import Sight, View
 from torchid.effects.masses import wobble
-from torchid.effects.momentum import rate_of
 from torchid.effects.place import Angle, Interval, Place, mean_within, within
 from torchid.effects.scene import Reading, Scene, make_scene
-from torchid.effects.sight import Sight, View
 from torchid.errors import ConfigError
 from torchid.filters import Smoother
+from torchid.geometry.arrow.inverse_kinematics import solve_poses
 from torchid.geometry.attachment import Attachment
-from torchid.geometry.fitted import GeometryFit
-from torchid.geometry.inverse import solve_poses
 from torchid.geometry.options import GeometryOptions
+from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import modelled, track
-from torchid.geometry.trials import posture_prior, trial_problem
+from torchid.geometry.trial_problem import posture_prior, trial_problem
 from torchid.motion import smooth_motion
+from torchid.observation import marker_bands
+from torchid.observation.marker_response import MarkerResponse
 from torchid.recording import Markers
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.planting import planted, session_plates
@@ -75,8 +75,8 @@ SIZES: dict[str, tuple[tuple[str, ...], dict]] = {
     "joint_centre_shift": (("knee_r",), {"shift_90_seg_m": [0.006, 0.0, 0.004]}),
     "missing_dof": (("knee_l",), {"axis_seg": [0.0, 0.0, 1.0], "range_rad": 0.05}),
 }  # fmt: skip
-TIMED = {name for name, one in CATALOGUE.items() if one.timed}
-SEEN = {name for name, one in CATALOGUE.items() if one.kinematic}
+TIMED = {name for name, one in CATALOGUE.items() if one.intermittent}
+SEEN = {name for name, one in CATALOGUE.items() if one.moves_markers}
 """By cameras."""
 FOLLOWS = {"soft_tissue": "knee_r_flexion", "joint_centre_shift": "knee_r_flexion"}
 
@@ -161,7 +161,7 @@ def test_columns_predict_the_plates(subject, plain, name):
     for share in (1.0, 0.5):
         one, scene, measured = simulated(subject, plain, name, share)
         read = changed(one, scene, measured)
-        exact, known = read.total - measured.total, read if one.effect.inverted else measured
+        exact, known = read.total - measured.total, read if one.effect.reads_measured else measured
         guess = torch.einsum("ipt,p->it", columns(one.effect, scene, known, one.place), one.theta)
         # Beyond the ends of a recording nobody knows what a later clock would read.
         change.append(tuple(float(x[:, 5:-5].norm()) for x in (exact, exact - guess)))
@@ -180,7 +180,7 @@ CURVED = {
 }
 
 
-@pytest.mark.parametrize("name", [one.name for one in CATALOGUE.values() if one.curved and not one.kinematic])
+@pytest.mark.parametrize("name", [one.name for one in CATALOGUE.values() if one.nonlinear and not one.moves_markers])
 def test_columns_of_curved_effects_are_exact_where_they_were_found(subject, plain, name):
     """Absent, a load has no place and a spring no direction; found, columns times parameters are all of the load."""
     one, (_, scene, measured) = planted(CURVED[name]), simulated(subject, plain, name)
@@ -238,7 +238,7 @@ def followed(subject, plain):
     return known_cameras(subject, plain)
 
 
-def known_cameras(subject, plain) -> tuple[GeometryFit, Cameras]:
+def known_cameras(subject, plain) -> tuple[GeometryFit, MarkerResponse]:
     prior, n = subject.model.geometry, len(subject.labels)
     tree = subject.model.tree
     body = torch.tensor([tree.index(segment) for segment in subject.segments])
@@ -248,16 +248,18 @@ def known_cameras(subject, plain) -> tuple[GeometryFit, Cameras]:
     scene = make_scene("squats", tree, subject.geometry, plain.truth.motion, subject.phi)
     sight = Sight(scene, subject.labels, torch.tensor(scene.state.plan.position)[body], subject.p_BM_B)
     weight = torch.full((n, len(scene.time)), 1e6).double()
-    return fit, Cameras(sight, weight, torch.zeros(n, 3, len(scene.time)).double(), posture_prior(fit).precision[:, 0])
+    return fit, MarkerResponse(
+        sight, weight, torch.zeros(n, 3, len(scene.time)).double(), posture_prior(fit).precision[:, 0]
+    )
 
 
 @pytest.mark.parametrize("name", sorted(SEEN - {"filter_lag"}))
 def test_the_fitted_motion_yields_as_predicted(subject, plain, followed, name):
     """Markers moved by the effect and followed anew: residuals, and the wrench that the found motion lacks."""
-    fit, cameras = followed
-    scene, one = cameras.sight.scene, planted(options(name))
+    fit, response = followed
+    scene, one = response.sight.scene, planted(options(name))
     one = dataclasses.replace(one, theta=0.2 * one.theta)
-    moved = plain.truth.markers + one.seen(cameras.sight).permute(2, 0, 1)
+    moved = plain.truth.markers + one.seen(response.sight).permute(2, 0, 1)
     both = [track(fit, Markers(subject.labels, scene.time, p)).q for p in (plain.truth.markers, moved)]
     smoother = Smoother(8.0, 100.0)
     before, after = (smooth_motion(scene.tree, scene.time, q, smoother) for q in both)
@@ -266,25 +268,25 @@ def test_the_fitted_motion_yields_as_predicted(subject, plain, followed, name):
         for sign, m in ((1.0, after), (-1.0, before))
     )
     source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
-    answer = answer_of(cameras, source)
-    wrench = smoother(smoother(cameras.wrench([answer]).permute(2, 0, 1) @ one.theta)).T
+    answer = response_of(response, source)
+    wrench = smoother(smoother(response.wrench([answer]).permute(2, 0, 1) @ one.theta)).T
     exact = smoother(lacks.T).T
     inner = slice(30, -30)
     for part in (slice(0, 3), slice(3, 6)):
         size = float(exact[part, inner].norm())
         assert float((wrench - exact)[part, inner].norm()) < 0.05 * size + 0.02
     still, shown = ((p - modelled(fit, q)) for p, q in zip((plain.truth.markers, moved), both, strict=True))
-    left = cameras.coarse.rows[0, 0] * (shown - still)[cameras.coarse.middle].flatten(1)
-    guess = torch.tensordot(one.theta, cameras.coarse.left(answer.shift), 1)
+    left = response.bands.rows[0, 0] * (shown - still)[response.bands.middle].flatten(1)
+    guess = torch.tensordot(one.theta, response.bands.left(answer.shift), 1)
     assert float((guess - left)[3:-3].norm()) < 0.05 * float(left[3:-3].norm())
 
 
 @pytest.mark.parametrize("name", ["marker_shift", "soft_tissue", "skin_slide", "joint_centre_shift", "missing_dof"])
 def test_what_sways_is_answered_as_any_displacement_is(followed, name, monkeypatch):
     """Fixed ways times courses, against differences of the effect itself, in several blocks of coefficients."""
-    fit, cameras = followed
-    monkeypatch.setattr(coarse, "BLOCK", 12)
-    cameras = dataclasses.replace(cameras)
+    fit, response = followed
+    monkeypatch.setattr(marker_bands, "BLOCK", 12)
+    response = dataclasses.replace(response)
     if name == "skin_slide":
         effect, place = (
             SkinSlide(fit.attachment.labels, fit.place),
@@ -293,10 +295,10 @@ def test_what_sways_is_answered_as_any_displacement_is(followed, name, monkeypat
     else:
         effect, place = CATALOGUE[name], planted(options(name)).place
     source = Source(effect, place, slice(0, 0), (), effect.scale(place))
-    quick, plain = answer_of(cameras, source), answer_of(cameras, source, cameras.sight)
+    quick, plain = response_of(response, source), response_of(response, source, response.sight)
     for own, other in (
         (quick.nine, plain.nine), (quick.shift, plain.shift),
-        (quick.spectrum(cameras.coarse), plain.spectrum(cameras.coarse)),
+        (quick.spectrum(response.bands), plain.spectrum(response.bands)),
     ):  # fmt: skip
         assert float(other.abs().max()) > 0.0
         assert_close(own, other, rtol=0.0, atol=1e-9 * float(other.abs().max()))
@@ -304,17 +306,17 @@ def test_what_sways_is_answered_as_any_displacement_is(followed, name, monkeypat
 
 def test_what_soft_flesh_adds_is_known_from_the_motion_that_was_seen_through_it(subject, plain, followed):
     """The seen motion is livelier than the bones'; taken as theirs, a tenth too much came off."""
-    fit, cameras = followed
-    scene, smoother = cameras.sight.scene, Smoother(20.0, 100.0)
-    where = tuple(name for name in scene.tree.names if cameras.sight.on(name))
+    fit, response = followed
+    scene, smoother = response.sight.scene, Smoother(20.0, 100.0)
+    where = tuple(name for name in scene.tree.names if response.sight.on(name))
     place = Place(where)
     theta = 0.001 + 0.005 * torch.rand(len(where), generator=torch.Generator().manual_seed(SEED)).double()
     flesh = Planted(CATALOGUE["skin_lag"], place, theta)
-    off = flesh.seen(cameras.sight)
+    off = flesh.seen(response.sight)
     q = track(fit, Markers(subject.labels, scene.time, plain.truth.markers + off.permute(2, 0, 1))).q
     motion = smooth_motion(scene.tree, scene.time, q, smoother)
     sight = dataclasses.replace(
-        cameras.sight, scene=make_scene("squats", scene.tree, subject.geometry, motion, subject.phi)
+        response.sight, scene=make_scene("squats", scene.tree, subject.geometry, motion, subject.phi)
     )
     inner = (..., slice(50, -50))
     miss = [
@@ -326,8 +328,8 @@ def test_what_soft_flesh_adds_is_known_from_the_motion_that_was_seen_through_it(
 
 def test_skin_that_slides_as_one_is_part_of_what_slides(followed):
     """Written as shifts of the segment's markers, a shift and a turn move them as they do."""
-    fit, cameras = followed
-    skin, sight = SkinSlide(fit.attachment.labels, fit.place), cameras.sight
+    fit, response = followed
+    skin, sight = SkinSlide(fit.attachment.labels, fit.place), response.sight
     labels = tuple(sight.labels[k] for k in sight.on("thigh_r"))
     place = Place(("thigh_r",), follows=Angle("knee_r_flexion"), markers=labels)
     theta = torch.tensor(np.random.default_rng([SEED, 16]).normal(size=6)) * 0.01
@@ -340,20 +342,20 @@ def test_skin_that_slides_as_one_is_part_of_what_slides(followed):
 
 def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed):
     """The column of filtered markers is the wrench that their motion lacks, however much the filter took."""
-    fit, cameras = followed
-    one, scene, smoother = planted(options("filter_lag")), cameras.sight.scene, Smoother(8.0, 100.0)
-    seen = cameras.sight.p + one.seen(cameras.sight)
+    fit, response = followed
+    one, scene, smoother = planted(options("filter_lag")), response.sight.scene, Smoother(8.0, 100.0)
+    seen = response.sight.p + one.seen(response.sight)
     filtered_markers = Markers(subject.labels, scene.time, seen.permute(2, 0, 1))
     # 5 Hz take less of a squat than the solver's usual stop leaves.
     problem = trial_problem(fit, filtered_markers, posture_prior(fit))
     q = solve_poses(problem, track(fit, filtered_markers).q.T, fit.xi, tolerance=1e-12)[0].T
     filtered = smooth_motion(scene.tree, scene.time, q, Smoother(50.0, 100.0))
     found = make_scene("squats", scene.tree, subject.geometry, filtered, subject.phi)
-    sight = dataclasses.replace(cameras.sight, scene=found)
-    known = Cameras(sight, cameras.weight, cameras.error, posture_prior(fit).precision[:, 0])
+    sight = dataclasses.replace(response.sight, scene=found)
+    known = MarkerResponse(sight, response.weight, response.error, posture_prior(fit).precision[:, 0])
     source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
     lacks = smoother((scene.needed() - found.needed()).T)[40:-40]
-    guess = smoother(known.wrench([answer_of(known, source)]).permute(2, 0, 1) @ one.theta)[40:-40]
+    guess = smoother(known.wrench([response_of(known, source)]).permute(2, 0, 1) @ one.theta)[40:-40]
     # Of ten subjects, forces were 0.3 to 4 % off, and the moments of a squat, which are small, 4 to 27 %.
     for part, most in ((slice(0, 3), 0.1), (slice(3, 6), 0.4)):
         assert float((lacks - guess)[:, part].norm()) < most * float(lacks[:, part].norm())
@@ -362,18 +364,18 @@ def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed)
 @pytest.mark.parametrize("lost", [(), (0,), (1,), (0, 1)])
 def test_a_swap_is_proposed_whole(followed, lost):
     """Also where one of the markers is lost meanwhile, or both are."""
-    cameras = followed[1]
+    response = followed[1]
     rng = np.random.default_rng([SEED, 12])
-    a, b = sorted(rng.choice(len(cameras.sight.labels), 2, replace=False).tolist())
-    apart = torch.zeros_like(cameras.error[a])
-    apart[:, 60:120] = (cameras.sight.p[b] - cameras.sight.p[a])[:, 60:120]
-    error, weight = cameras.error.clone(), cameras.weight.clone()
+    a, b = sorted(rng.choice(len(response.sight.labels), 2, replace=False).tolist())
+    apart = torch.zeros_like(response.error[a])
+    apart[:, 60:120] = (response.sight.p[b] - response.sight.p[a])[:, 60:120]
+    error, weight = response.error.clone(), response.weight.clone()
     error[a], error[b] = error[a] + apart, error[b] - apart
     for k in lost:
         error[(a, b)[k], :, 80:100] = weight[(a, b)[k], 80:100] = 0.0
-    time = cameras.sight.scene.time
-    (place,) = swaps(dataclasses.replace(cameras, error=error, weight=weight))
-    assert place.where == (cameras.sight.labels[a], cameras.sight.labels[b])
+    time = response.sight.scene.time
+    (place,) = propose_swaps(dataclasses.replace(response, error=error, weight=weight))
+    assert place.where == (response.sight.labels[a], response.sight.labels[b])
     assert [(one.t0, one.t1) for one in place.when] == [(float(time[60]), float(time[119]))]
 
 
@@ -529,8 +531,8 @@ def test_a_column_per_parameter_is_finite(subject, plain):
 
 def test_a_trial_that_ends_in_motion_is_smoothed_like_any_other(followed):
     """What the filter takes of an oscillation is as much of it to the last frames: no end of a trial rings."""
-    _, cameras = followed
-    lag, sight = CATALOGUE["filter_lag"], dataclasses.replace(cameras.sight)
+    _, response = followed
+    lag, sight = CATALOGUE["filter_lag"], dataclasses.replace(response.sight)
     time, (place,) = sight.scene.time, lag.places([])
     wave = torch.sin(2.0 * torch.pi * 1.3 * time + 0.7)
     sight.__dict__["p"] = wave.expand(len(sight.labels), 3, -1)

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from torchid.cli import app
 from torchid.config import load_config
 from torchid.experiment import run_experiment
-from torchid.experiment.extending import _worse_notes
+from torchid.experiment.correction import _worse_notes
 from torchid.experiment.stages import legs
 from torchid.io.c3d_write import write_c3d
 from torchid.outcome import Residual

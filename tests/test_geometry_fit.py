@@ -9,17 +9,18 @@ import torch
 from torch.testing import assert_close
 
 from torchid.errors import DataError
-from torchid.geometry import bridge, tracking
-from torchid.geometry import start as start_module
+from torchid.geometry import tracking
+from torchid.geometry.first_scale import start_fit
 from torchid.geometry.fit import fit_geometry
-from torchid.geometry.fitted import parameters
 from torchid.geometry.options import GeometryOptions
-from torchid.geometry.placing import start_fit
-from torchid.geometry.start import settle
-from torchid.geometry.steady import leaps, regained, steadied
+from torchid.geometry.posture import gap_filling
+from torchid.geometry.posture import initial_posture as start_module
+from torchid.geometry.posture.angle_wrapping import turned_back
+from torchid.geometry.posture.initial_posture import settle
+from torchid.geometry.posture.leap_repair import leaps, regained, steadied
+from torchid.geometry.result import parameters
 from torchid.geometry.tracking import modelled, track
-from torchid.geometry.trials import posture_prior, settled, trial_problem
-from torchid.geometry.turned import turned_back
+from torchid.geometry.trial_problem import posture_prior, settled, trial_problem
 from torchid.kinematics.chain import chain_poses
 from torchid.recording import Markers
 
@@ -126,7 +127,7 @@ def test_gaps_are_bridged_better_with_the_temporal_prior():
     whole = track(fit, held).q
     spoilt = small.without(held, lost, gap)
     rows = [k for k, name in enumerate(fit.model.tree.dof_names) if name.startswith("elbow_l")]
-    bridged, plain = (track(fit, spoilt, bridge=b) for b in (True, False))
+    bridged, plain = (track(fit, spoilt, gap_filling=b) for b in (True, False))
     errors = [(found.q - whole)[gap][:, rows].square().mean() for found in (bridged, plain)]
     assert errors[0] < errors[1]
     assert not bool(plain.observable[gap].any()) and bool(plain.observable[:100].all())
@@ -137,16 +138,16 @@ def test_a_course_is_not_drawn_where_seen_markers_would_pay(monkeypatch):
     """A marker that no frame shows makes no gap; a course that leads astray leaves the frames as they were."""
     fit, held = small.fit(), small.markers("fit")["arms"]
     never, some = small.without(held, ("LELB",)), small.without(held, ("LELB",), slice(150, 170))
-    assert_close(track(fit, never).q, track(fit, never, bridge=False).q)
-    course = bridge.smooth_course
+    assert_close(track(fit, never).q, track(fit, never, gap_filling=False).q)
+    course = gap_filling.smooth_course
 
     def astray(problem, q, xi, typical=None):
         prior = course(problem, q, xi, typical)
         drawn = prior.precision > problem.posture.precision
         return replace(prior, mean=torch.where(drawn, prior.mean + 0.5, prior.mean), precision=prior.precision + 1e6)
 
-    monkeypatch.setattr(bridge, "smooth_course", astray)
-    assert_close(track(fit, some).q, track(fit, some, bridge=False).q)
+    monkeypatch.setattr(gap_filling, "smooth_course", astray)
+    assert_close(track(fit, some).q, track(fit, some, gap_filling=False).q)
 
 
 def beyond_limits(fit, q: torch.Tensor) -> torch.Tensor:

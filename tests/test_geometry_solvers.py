@@ -7,10 +7,10 @@ import torch
 from torch.testing import assert_close
 from trees import BASE
 
-from torchid.geometry import gradient
-from torchid.geometry.arrow import solve_arrow
-from torchid.geometry.gradient import accumulate_gradients, solve_adam, solve_lbfgs
-from torchid.geometry.inverse import solve_poses
+from torchid.geometry import gradient_solvers
+from torchid.geometry.arrow.inverse_kinematics import solve_poses
+from torchid.geometry.arrow.solver import solve_arrow
+from torchid.geometry.gradient_solvers import accumulate_gradients, solve_adam, solve_lbfgs
 from torchid.geometry.problem import MarkerProblem, PosturePrior
 from torchid.kinematics.plan import plan_tree
 from torchid.model.model import GeometryPrior
@@ -109,7 +109,7 @@ def test_gradients_do_not_depend_on_the_chunks(problem, monkeypatch):
     given, q, _ = problem
     found = []
     for chunk in (FRAMES, 3):
-        monkeypatch.setattr(gradient, "CHUNK", chunk)
+        monkeypatch.setattr(gradient_solvers, "CHUNK", chunk)
         leaves = q.clone().requires_grad_(), given.xi_mean.clone().requires_grad_()
         found.append((accumulate_gradients(given, *leaves), *(leaf.grad for leaf in leaves)))
     assert_close(found[1], found[0])

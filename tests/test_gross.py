@@ -10,40 +10,40 @@ import small_session as small
 import torch
 from torch.testing import assert_close
 
-from torchid.diagnosis.gross import REACH_M, find_gross, set_aside
-from torchid.diagnosis.watched import Watched
+from torchid.diagnosis.candidates.missing_weight import REACH_M, find_missing_weight, set_aside
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import at_origin
-from torchid.experiment.diagnosing import watch_outcome
+from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.observation.trial import TrialObservation
 from torchid.recording import Forces
 
 SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
 
 
 @pytest.fixture
-def trial() -> Watched:
+def trial() -> TrialObservation:
     print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
-    return watch_outcome(small.outcome(), "fit")["squats"]
+    return observe_outcome(small.outcome(), "fit")["squats"]
 
 
-def seen(trial: Watched, forces: Forces):
+def seen(trial: TrialObservation, forces: Forces):
     item = small.outcome().followed[trial.rows.name]
     assert item.contact is not None
-    return find_gross(trial, forces, item.contact, item.tracked.observable)
+    return find_missing_weight(trial, forces, item.contact, item.tracked.observable)
 
 
-def plates(trial: Watched) -> Forces:
+def plates(trial: TrialObservation) -> Forces:
     forces = small.outcome().session.trials[trial.rows.name].forces
     assert forces is not None
     return forces
 
 
-def centre(trial: Watched, segment: str) -> torch.Tensor:
+def centre(trial: TrialObservation, segment: str) -> torch.Tensor:
     scene = trial.view.scene
     return scene.point(segment, scene.centre(segment)).p
 
 
-def interval(trial: Watched, rng: np.random.Generator) -> Interval:
+def interval(trial: TrialObservation, rng: np.random.Generator) -> Interval:
     time = trial.rows.motion.time
     length = rng.uniform(0.6, 1.2)
     t0 = float(time[0]) + rng.uniform(0.4, float(time[-1] - time[0]) - length - 0.4)
@@ -88,5 +88,5 @@ def test_plates_that_read_too_little_are_no_seat(trial):
 
 def test_a_plain_recording_has_none():
     for role in ("fit", "heldout"):
-        for trial in watch_outcome(small.outcome(), role).values():
+        for trial in observe_outcome(small.outcome(), role).values():
             assert seen(trial, plates(trial)) is None

@@ -6,15 +6,17 @@ from dataclasses import replace
 import pytest
 import torch
 
-from torchid.diagnosis import heldout
-from torchid.diagnosis.design import Candidate, Design, Source
-from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import Search, support
-from torchid.diagnosis.heldout import REFUTED, HeldOut
-from torchid.diagnosis.noise import initial_noise
-from torchid.diagnosis.search import open_candidates
-from torchid.diagnosis.sums import Prior, Sums
-from torchid.diagnosis.verdict import Alternative, Cause
+from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.columns.design import Design
+from torchid.diagnosis.evidence.noise import initial_noise
+from torchid.diagnosis.evidence.posterior import fit
+from torchid.diagnosis.evidence.prior import Prior
+from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.diagnosis.search.result import SearchResult, support
+from torchid.diagnosis.search.stepwise import open_candidates
+from torchid.diagnosis.testing import heldout
+from torchid.diagnosis.testing.heldout import REFUTED, HeldOut
+from torchid.diagnosis.verdict.records import Alternative, Cause
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Interval, Place
 from torchid.regressor.whitening import initial_whitening
@@ -34,10 +36,12 @@ class Told(HeldOut):
         raw = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double()).standard(
             torch.eye(1).double(), torch.ones(1).double(), torch.arange(1)
         )
-        sums, prior = Sums(1, 1, (raw,)), Prior(torch.zeros(1).double(), torch.zeros(0, 0), torch.ones(1))
+        statistics, prior = Statistics(1, 1, (raw,)), Prior(torch.zeros(1).double(), torch.zeros(0, 0), torch.ones(1))
         noise = initial_noise(initial_whitening(torch.ones(2)), 1)
-        stand_ins = tuple((chosen[0], other) for other in spare)
-        self.found = Search(Design(1, 1, (), (), ()), prior, noise, chosen, (), sums, fit(sums), stand_ins)
+        alternative_places = tuple((chosen[0], other) for other in spare)
+        self.found = SearchResult(
+            Design(1, 1, (), (), ()), prior, noise, chosen, (), statistics, fit(statistics), alternative_places
+        )
         self.trials, self.first, self.share = (None, None), 1, 0.5  # type: ignore[assignment]
         self.gains, self.promised, self.worse = gains, promised, worse
 
@@ -105,7 +109,7 @@ def test_what_is_refuted_at_a_place_may_sit_elsewhere(monkeypatch, others, worse
     already."""
     gains = {"a": -20.0, "b": 5.0, "v": 9.0, "w": 8.0, "x": -1.0, "y": 1.05 * REFUTED, "z": 30.0}
     told = Told("ab", gains, dict.fromkeys(gains, 0.0), others, worse)
-    monkeypatch.setattr(heldout, "support", lambda sums, some, one: -1.0 if one.place.where == ("v",) else 9.0)
+    monkeypatch.setattr(heldout, "support", lambda statistics, some, one: -1.0 if one.place.where == ("v",) else 9.0)
     kept, refuted = told.upheld(told.found.chosen)
     assert [one.place.where[0] for one in kept] == ["b", *found] and len(refuted) == 1
 
@@ -118,13 +122,13 @@ def test_what_cameras_saw_elsewhere_may_cost_a_part_of_what_it_told(name, leeway
     source = Source(effect(name), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
     here, everywhere = (Candidate(effect(name), source.place, source, frozenset(some)) for some in ({0}, {0, 1}))
     told = HeldOut.__new__(HeldOut)
-    sums = Sums(0, 1, (raw, raw))
+    statistics = Statistics(0, 1, (raw, raw))
     noise = initial_noise(initial_whitening(torch.ones(2)), 2)
-    told.found = Search(Design(0, 0, (), (), ()), unit, noise, (here,), (), sums, fit(sums))
+    told.found = SearchResult(Design(0, 0, (), (), ()), unit, noise, (here,), (), statistics, fit(statistics))
     told.share = 0.5
     # Of a column of unit prior with a moment b: b^2 / 4 - log(2) / 2.
     assert told._leeway([here], here) == pytest.approx(leeway, abs=0.05)
-    promised = 0.0 if name == "drag" else 0.5 * support(sums, [everywhere], everywhere)
+    promised = 0.0 if name == "drag" else 0.5 * support(statistics, [everywhere], everywhere)
     assert told._leeway([everywhere], everywhere) == pytest.approx(math.sqrt(2.0 * promised))
 
 

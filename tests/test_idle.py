@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from torchid.diagnosis.idle import find_idle
 from torchid.effects.scene import PlateFrame, Reading
+from torchid.observation.unloaded_plates import find_unloaded
 
 RATE = 100.0
 FRAME = PlateFrame("plate_1", torch.zeros(3, dtype=torch.float64), torch.eye(3, dtype=torch.float64))
@@ -23,7 +23,7 @@ def test_a_foot_that_bears_least_is_no_zero_error(seed, least, hz):
     """While the weight is on the other leg, a plate reads little, and not long the same."""
     time = torch.arange(1000, dtype=torch.float64) / RATE
     load = least + 300.0 * (1.0 - torch.cos(2.0 * torch.pi * hz * time))
-    assert not find_idle(read(load, seed), RATE).runs
+    assert not find_unloaded(read(load, seed), RATE).runs
 
 
 @pytest.mark.parametrize("drift", [0.0, 1.0, -1.0])
@@ -31,6 +31,6 @@ def test_an_unloaded_plate_tells_its_zero(seed, drift):
     """Between two stances, also where it drifts."""
     time = torch.arange(1000, dtype=torch.float64) / RATE
     load = 4.0 + drift * time + torch.where((time < 2.0) | (time > 6.0), 400.0, 0.0)
-    ((plate, part, mean, error),) = find_idle(read(load, seed), RATE).runs
+    ((plate, part, mean, error),) = find_unloaded(read(load, seed), RATE).runs
     assert plate == 0 and abs(part.start - 204) < 4 and abs(part.stop - 597) < 4
     assert abs(float(mean[2]) - 4.0 - 4.0 * drift) < 4.0 * float(error[2])

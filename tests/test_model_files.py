@@ -13,12 +13,13 @@ from torchid.conventions import Inertial
 from torchid.dynamics import inverse_dynamics
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.kinematics.chain import chain_points, chain_poses
-from torchid.model.files import load_model, write_osim, write_urdf
+from torchid.model.files import load_model
 from torchid.model.mechanics import axis_rotation, matrix_to_rpy, rpy_to_matrix
 from torchid.model.model import Geometry, Model
-from torchid.model.osim import osim_coordinates, osim_names
+from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.tree import BASE_DOFS, Tree
 from torchid.model.tree_of_links import FileScatter
+from torchid.model.urdf import write_urdf
 from torchid.model.whole_body import whole_body
 
 TIGHT = {"rtol": 1e-9, "atol": 1e-9}

@@ -9,25 +9,25 @@ import small_session as small
 import torch
 from torch.testing import assert_close
 
-from torchid.diagnosis.belief import belief
-from torchid.diagnosis.cameras import Cameras, _usual
-from torchid.diagnosis.design import Design, Terms
-from torchid.diagnosis.expected import energy, passed
-from torchid.diagnosis.noise import estimate_noise, initial_noise, summed, unforced, unseen_noise
-from torchid.diagnosis.shaken import DRAWS, shaken
-from torchid.diagnosis.spectral import Rows
-from torchid.diagnosis.sums import Prior
-from torchid.diagnosis.unexplained import structure
+from torchid.diagnosis.columns.design import Design, Terms
+from torchid.diagnosis.evidence.adequacy import assess_adequacy
+from torchid.diagnosis.evidence.noise import estimate_noise, initial_noise, summed, unforced, unseen_noise
+from torchid.diagnosis.evidence.prior import Prior
+from torchid.diagnosis.evidence.spectra import TrialSpectra
 from torchid.dynamics import base_rows, body_rows, wrench_about
+from torchid.effects.marker_scene import Sight
 from torchid.effects.scene import make_scene
-from torchid.effects.sight import Sight
-from torchid.experiment.diagnosing import watch_outcome
+from torchid.experiment.diagnosis_stage import observe_outcome
 from torchid.filters import Smoother
-from torchid.geometry.trials import posture_prior
+from torchid.geometry.trial_problem import posture_prior
 from torchid.kinematics.plan import plan_tree
 from torchid.motion import smooth_motion
+from torchid.observation.marker_response import MarkerResponse, _usual
+from torchid.observation.noise_budget import energy, passed
+from torchid.observation.noise_draws import DRAWS, draw_noise
+from torchid.observation.reliability import estimate_reliability
 from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import Spectrum, frequencies, initial_whitening
+from torchid.regressor.whitening import BlockSpectrum, frequencies, initial_whitening
 
 NOISE = 1e-3
 """Of the markers [m]."""
@@ -46,7 +46,7 @@ def rows() -> WrenchTrial:
 
 
 @pytest.fixture(scope="module")
-def cameras(rows) -> Cameras:
+def response(rows) -> MarkerResponse:
     """That see nothing but white noise, a jump of half a metre in one marker and a gap in another."""
     subject, tree = small.session().subject, rows.tree
     scene = make_scene(rows.name, tree, rows.geometry, rows.motion, subject.phi)
@@ -58,7 +58,7 @@ def cameras(rows) -> Cameras:
     error[0, :, frames // 2 : frames // 2 + 20] += 0.5
     weight = torch.full((n, frames), 1e6).double()
     weight[1, : frames // 3] = error[1, :, : frames // 3] = 0.0
-    return Cameras(Sight(scene, labels, body, subject.p_BM_B), weight, error, posture_prior(fit).precision[:, 0])
+    return MarkerResponse(Sight(scene, labels, body, subject.p_BM_B), weight, error, posture_prior(fit).precision[:, 0])
 
 
 def test_noise_under_a_steep_spectrum_is_told_at_each_frequency():
@@ -68,7 +68,7 @@ def test_noise_under_a_steep_spectrum_is_told_at_each_frequency():
     signal = 30.0 * torch.exp(-frequency)
     drawn = torch.randn(400, 2, generator=generator, dtype=torch.float64)
     energy = (signal[:, None] * drawn[:, :1] + drawn[:, 1:]).square()
-    part = belief(frequency, energy, torch.ones_like(energy))(frequency)[:, 0]
+    part = estimate_reliability(frequency, energy, torch.ones_like(energy))(frequency)[:, 0]
     true = signal.square() / (signal.square() + 1.0)
     assert float(part[0]) == 1.0
     assert float((part - true).abs().mean()) < 0.16
@@ -77,35 +77,37 @@ def test_noise_under_a_steep_spectrum_is_told_at_each_frequency():
     assert float(inside[: len(inside) // 3].mean()) > float(inside[-(len(inside) // 3) :].mean())
 
 
-def test_noise_is_what_markers_do_most_of_the_time(cameras):
+def test_noise_is_what_markers_do_most_of_the_time(response):
     """Neither a gap nor an arm that is lost for a fifth of a second makes 1 mm more than that.
 
     The postures' share is given back for noise that a fit has left: here none has taken any.
     """
-    found = cameras.scatter * cameras.coarse.kept.view(-1, 3).mean(1).sqrt()
-    assert_close(found, torch.full_like(cameras.scatter, NOISE), rtol=0.35, atol=0.0)
+    found = response.scatter * response.bands.kept.view(-1, 3).mean(1).sqrt()
+    assert_close(found, torch.full_like(response.scatter, NOISE), rtol=0.35, atol=0.0)
 
 
-def test_each_segment_is_given_back_what_its_posture_took(rows, cameras):
+def test_each_segment_is_given_back_what_its_posture_took(rows, response):
     """A foot with three markers has lost more of its noise to its posture than an arm with seven."""
-    drawn = NOISE * np.random.default_rng(small.SEED + 1).normal(size=cameras.error.shape)
+    drawn = NOISE * np.random.default_rng(small.SEED + 1).normal(size=response.error.shape)
     error = torch.tensor(drawn).flatten(0, 1).T[:, :, None]
-    seen = replace(cameras, weight=torch.full_like(cameras.weight, 1e6))
+    seen = replace(response, weight=torch.full_like(response.weight, 1e6))
     x, J = seen.followed(error), seen.jacobian(slice(None))
-    left = (error - J @ x)[:, :, 0].T.reshape(cameras.error.shape)
+    left = (error - J @ x)[:, :, 0].T.reshape(response.error.shape)
     after = replace(seen, error=left)
-    kept = after.coarse.kept.view(-1, 3).mean(1)
+    kept = after.bands.kept.view(-1, 3).mean(1)
     assert_close(left.square().mean((1, 2)) / NOISE**2, kept, rtol=0.15, atol=0.0)
     assert float(kept.max() / kept.min()) > 1.3
     assert_close(after.scatter, torch.full_like(after.scatter, NOISE), rtol=0.35, atol=0.0)
 
 
-def test_noise_that_was_filtered_shakes_no_faster(rows, cameras):
+def test_noise_that_was_filtered_shakes_no_faster(rows, response):
     """Where the cameras' maker has passed 8 Hz, draws hold next to nothing above 15 Hz."""
-    quiet = Smoother(8.0, rows.rate)(cameras.error.flatten(0, 1).T).T.reshape(cameras.error.shape)
-    after = replace(cameras, error=quiet)
+    quiet = Smoother(8.0, rows.rate)(response.error.flatten(0, 1).T).T.reshape(response.error.shape)
+    after = replace(response, error=quiet)
     assert bool((after.scatter[1] < 0.3 * after.scatter[0]).all())
-    moved = [[drawn.q - rows.motion.q for drawn in islice(shaken(rows.motion, c), DRAWS)] for c in (cameras, after)]
+    moved = [
+        [drawn.q - rows.motion.q for drawn in islice(draw_noise(rows.motion, c), DRAWS)] for c in (response, after)
+    ]
     fast, slow = (torch.stack([(x - Smoother(15.0, rows.rate)(x)).square().mean() for x in some]) for some in moved)
     assert float(slow.mean()) < 0.3 * float(fast.mean())
 
@@ -120,8 +122,8 @@ def test_what_a_filter_leaves_of_white_noise_is_known(rows):
 def test_noise_alone_is_as_unlikely_as_it_says(scatter):
     """Of plates so loud that markers do not matter, residuals of noise are flagged as seldom as they should."""
     generator, loud = torch.Generator().manual_seed(small.SEED), torch.tensor(scatter).double()
-    watched = [replace(w, scatter=loud) for w in watch_outcome(small.outcome(), "fit").values()]
-    said = [structure(watched, [white(w.rows, loud, generator) for w in watched]) for _ in range(100)]
+    observed = [replace(w, scatter=loud) for w in observe_outcome(small.outcome(), "fit").values()]
+    said = [assess_adequacy(observed, [white(w.rows, loud, generator) for w in observed]) for _ in range(100)]
     assert 2 <= sum(one.p_value < 0.2 for one in said) <= 30
     assert sum(one.significant for one in said) <= 3
 
@@ -140,10 +142,10 @@ def test_noise_is_told_by_short_runs_of_fast_cameras():
         assert 0.4 < float(np.mean(found)) < 2.5
 
 
-def test_a_shaken_motion_is_a_motion(rows, cameras):
+def test_a_shaken_motion_is_a_motion(rows, response):
     """Its rates, the base's rotation among them, are those of its coordinates; its wrench is about the found root."""
     motion, phi = rows.motion, small.session().subject.phi
-    for drawn in islice(shaken(motion, cameras), DRAWS):
+    for drawn in islice(draw_noise(motion, response), DRAWS):
         again, plain = (smooth_motion(rows.tree, m.time, m.q, Smoother(50.0, rows.rate)) for m in (drawn, motion))
         for moved, true in ((drawn.v - motion.v, again.v - plain.v), (drawn.a - motion.a, again.a - plain.a)):
             assert float((moved - true)[20:-20].norm()) < 0.05 * float(true[20:-20].norm())
@@ -163,8 +165,8 @@ def test_every_trial_has_its_own_noise():
         for _ in range(4):
             Y = torch.randn(6, 1, kept, generator=generator, dtype=torch.float64)
             noise = size * torch.randn(6, kept, generator=generator, dtype=torch.float64)
-            blocks.append(Spectrum(Y, 3.0 * Y[:, 0] + noise, frequencies(2 * kept, kept, 12.0)))
-        trials.append(Rows(tuple(blocks), Terms(torch.arange(1), None)))
+            blocks.append(BlockSpectrum(Y, 3.0 * Y[:, 0] + noise, frequencies(2 * kept, kept, 12.0)))
+        trials.append(TrialSpectra(tuple(blocks), Terms(torch.arange(1), None)))
     prior = Prior(torch.zeros(1).double(), torch.eye(1).double(), torch.zeros(0).double())
     start = initial_noise(initial_whitening(torch.zeros(()).double()), 2)
     noise = estimate_noise(trials, prior, Design(1, 1, (), (), ()), (), start)
@@ -174,13 +176,15 @@ def test_every_trial_has_its_own_noise():
         assert float(own.mean().sqrt()) == pytest.approx(size, rel=0.1)
 
 
-def _plain(sizes: tuple[float, ...]) -> tuple[list[Rows], Prior, Design]:
+def _plain(sizes: tuple[float, ...]) -> tuple[list[TrialSpectra], Prior, Design]:
     """Trials of one parameter beside noise of these sizes."""
     generator, kept, found = torch.Generator().manual_seed(small.SEED % 2**31), 96, []
     for size in sizes:
         Y = torch.randn(6, 1, kept, generator=generator, dtype=torch.float64)
         F = Y[:, 0] + size * torch.randn(6, kept, generator=generator, dtype=torch.float64)
-        found.append(Rows((Spectrum(Y, F, frequencies(2 * kept, kept, 20.0)),), Terms(torch.arange(1), None)))
+        found.append(
+            TrialSpectra((BlockSpectrum(Y, F, frequencies(2 * kept, kept, 20.0)),), Terms(torch.arange(1), None))
+        )
     one = torch.ones(1).double()
     return found, Prior(0.0 * one, one[None], one[:0]), Design(1, 1, (), (), ())
 
@@ -190,7 +194,8 @@ def test_sums_at_hand_change_no_noise():
     trials, prior, design = _plain((1.0, 3.0))
     start = initial_noise(initial_whitening(torch.ones(1).double()), 2)
     one, other = (
-        estimate_noise(trials, prior, design, (), start, sums) for sums in (None, summed(trials, prior, design, start))
+        estimate_noise(trials, prior, design, (), start, statistics)
+        for statistics in (None, summed(trials, prior, design, start))
     )
     assert_close(one.forces.covariance, other.forces.covariance)
     assert_close(one.trials, other.trials)

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from torchid.diagnosis.ordinary import SCALES, ordinary
-from torchid.diagnosis.rivals import NAMED
+from torchid.diagnosis.evidence.background import SCALES, background_evidence
+from torchid.diagnosis.search.rivals import NAMED
 
 PLACES, PRIOR = 200, 1.0
 PRECISE = 1e5
@@ -28,7 +28,7 @@ def excess(found: torch.Tensor) -> torch.Tensor:
     left = PRECISE * found
     grown = PRIOR**2 * PRECISE + 1.0
     named = 0.5 * (left.square().sum(1) * PRIOR**2 / grown) - 1.5 * math.log(grown)
-    return named - ordinary(told, left)
+    return named - background_evidence(told, left)
 
 
 def evidence(score: torch.Tensor) -> float:
@@ -48,7 +48,7 @@ def test_ordinary_is_students_t():
         size = 0.5 * PRECISE * found.square().sum(1)[:, None]
         each = size * variance / (1.0 + variance) - 1.5 * torch.log1p(variance)
         tried[scale] = (torch.logsumexp(each + weight, 1) - torch.logsumexp(weight, 0)).clamp(min=0.0)
-    least = min(float((ordinary(told, left) - own).abs().max()) for own in tried.values())
+    least = min(float((background_evidence(told, left) - own).abs().max()) for own in tried.values())
     assert least < 0.02
 
 

@@ -3,7 +3,7 @@
 import small_session as small
 import torch
 
-from torchid.diagnosis.rates import calibrated
+from torchid.diagnosis.columns.rate_calibration import calibrated
 from torchid.filters import differentiate
 
 

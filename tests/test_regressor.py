@@ -13,8 +13,8 @@ from torchid.motion import Motion
 from torchid.regressor.equations import NormalEquations, half_product
 from torchid.regressor.rows import BLOCK, SHORTEST, WrenchTrial, measured, predict, residual_rms, runs
 from torchid.regressor.whitening import (
-    EDGES,
-    Spectrum,
+    BAND_EDGES_HZ,
+    BlockSpectrum,
     Whitening,
     accumulate,
     band_of,
@@ -110,9 +110,9 @@ def test_cosine_rows_are_orthonormal(frames, kept):
     assert_close(C @ C.T, torch.eye(kept, dtype=torch.float64), rtol=0, atol=1e-12)
 
 
-def coloured(count: int, params: int) -> tuple[list[Spectrum], torch.Tensor, torch.Tensor]:
+def coloured(count: int, params: int) -> tuple[list[BlockSpectrum], torch.Tensor, torch.Tensor]:
     """Blocks whose six channels have another covariance in every band; also the parameters and those covariances."""
-    U, _, Vh = torch.linalg.svd(torch.randn(len(EDGES) + 1, 6, 6, dtype=torch.float64))
+    U, _, Vh = torch.linalg.svd(torch.randn(len(BAND_EDGES_HZ) + 1, 6, 6, dtype=torch.float64))
     # Singular values within a factor of two: along a near-singular direction the floor of the noise would rule.
     root = U @ torch.diag_embed(0.7 + 0.7 * torch.rand(len(U), 6, dtype=torch.float64)) @ Vh
     root = root * torch.linspace(12.0, 3.0, len(root), dtype=torch.float64)[:, None, None]
@@ -122,7 +122,7 @@ def coloured(count: int, params: int) -> tuple[list[Spectrum], torch.Tensor, tor
         band = band_of(frequency)
         Y = 20.0 * torch.randn(6, params, len(band), dtype=torch.float64)
         noise = torch.einsum("kij,kj->ik", root[band], torch.randn(len(band), 6, dtype=torch.float64))
-        blocks.append(Spectrum(Y, torch.einsum("ipk,p->ik", Y, phi) + noise, frequency))
+        blocks.append(BlockSpectrum(Y, torch.einsum("ipk,p->ik", Y, phi) + noise, frequency))
     return blocks, phi, root @ root.mT
 
 

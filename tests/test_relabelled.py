@@ -8,16 +8,17 @@ import small_session
 import torch
 
 from torchid.config import load_config
-from torchid.diagnosis.unexplained import Structure
-from torchid.diagnosis.verdict import Cause, Diagnosis, Errors, Twin
+from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.testing.heldout import Errors
+from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
 from torchid.effects.place import Interval, Place
-from torchid.experiment import relabelled
-from torchid.experiment.diagnosing import diagnose_outcome
-from torchid.experiment.relabelled import beside, fitted_anew, put_right, relabel
+from torchid.experiment import swapped_markers
+from torchid.experiment.diagnosis_stage import diagnose_outcome
+from torchid.experiment.swapped_markers import fitted_anew, merged, put_right, relabel
 from torchid.outcome import Outcome
 from torchid.results import OutputFolder
 
-QUIET, LOUD = Structure(False, 0.5, 0.1, ""), Structure(True, 1e-9, 0.6, "much")
+QUIET, LOUD = Adequacy(False, 0.5, 0.1, ""), Adequacy(True, 1e-9, 0.6, "much")
 
 
 def cause(effect: str, where: tuple[str, ...], when: tuple[Interval, ...] | None = None, sure: float = 1.0) -> Cause:
@@ -104,7 +105,7 @@ def test_a_fit_with_the_names_put_right_is_that_of_clean_recordings(fits):
 
 def test_a_swap_that_is_taken_back_changes_nothing(swap, fits, monkeypatch, tmp_path):
     """The verdict stays the first."""
-    monkeypatch.setattr(relabelled, "diagnose_outcome", lambda *_: fits["whole"].diagnosis)
+    monkeypatch.setattr(swapped_markers, "diagnose_outcome", lambda *_: fits["whole"].diagnosis)
     with OutputFolder(tmp_path) as folder:
         assert put_right(fits["whole"], folder, "back", _silent) == (fits["whole"], fits["whole"])
 
@@ -116,12 +117,12 @@ def test_doubt_is_that_of_what_is_contradicted_now(swap):
     twins = (Twin("marker_swap", ("RANK", "RHEE"), 0.2),)
     doubted = replace(swap, confidence=0.7, indistinguishable=twins, doubted=True)
     others = (cause("plate_gain", ("plate_1",)), cause("soft_tissue", ("thigh_l",)))
-    found = beside(before, replace(empty, causes=others, baseline=Errors(1.0, 1.0)), [doubted])
+    found = merged(before, replace(empty, causes=others, baseline=Errors(1.0, 1.0)), [doubted])
     assert [c.effect for c in found.causes] == ["plate_gain", "marker_swap", "soft_tissue"]
     assert found.causes[1].confidence == pytest.approx(1.0) and not found.causes[1].doubted
     assert found.causes[1].indistinguishable[0].confidence == pytest.approx(0.2 / 0.7)
     assert found.baseline == before.baseline
     beyond = replace(empty, unexplained=replace(LOUD, beyond=True))
-    assert beside(before, beyond, [doubted]).causes[0].confidence == pytest.approx(1.0)
-    still = beside(before, before, [doubted])
+    assert merged(before, beyond, [doubted]).causes[0].confidence == pytest.approx(1.0)
+    still = merged(before, before, [doubted])
     assert still.causes[0].confidence == pytest.approx(0.7) and still.causes[0].doubted

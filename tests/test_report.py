@@ -12,27 +12,28 @@ import pytest
 import torch
 
 from torchid.config import load_config
-from torchid.diagnosis.unexplained import Structure
-from torchid.diagnosis.verdict import Alternative, Cause, Diagnosis, Errors, Near, Refuted, Twin
-from torchid.effects.apart import APART, RECORD, tell_apart
+from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.testing.heldout import Errors
+from torchid.diagnosis.verdict.records import Alternative, Cause, Diagnosis, Near, Refuted, Twin
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.place import Angle, Interval, Place
+from torchid.effects.recommendations import APART, RECORD, tell_apart
 from torchid.errors import DataError
 from torchid.experiment import run_experiment
 from torchid.outcome import Outcome
 from torchid.regressor.rows import residual_rms
+from torchid.report.before_after import draw_curves, sides, spectrum
 from torchid.report.blocks import Figure, Paragraph, Table
+from torchid.report.cause_sentences import STORY, surely, told
+from torchid.report.cause_sentences import name as labelled
+from torchid.report.data_handling import grouped, handling_section
 from torchid.report.diagnosis import diagnosis_section, gained
-from torchid.report.extension import draw_curves, sides, spectrum
+from torchid.report.effect_words import NOUN
 from torchid.report.facts import wrenches
 from torchid.report.forces import Score, _draw_trial, instructive
-from torchid.report.handling import grouped, handling_section
-from torchid.report.head import _named, head_section
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
-from torchid.report.story import STORY, surely, told
-from torchid.report.story import name as labelled
-from torchid.report.telling import NOUN
+from torchid.report.summary import _named, head_section
 from torchid.report.text import bind, change, clean, listing, merge, number, pattern, segment, spread
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session, write_session
@@ -321,7 +322,7 @@ def cause(name: str, scale: float = 1.0) -> Cause:
     where = next((WHERE[k] for k in sorted(WHERE, reverse=True) if name.startswith(k)), ("thorax",))
     if name in ("time_offset", "filter_lag", "gravity_tilt", "moving_ground", "body_mass", "marker_scale"):
         where = ("session",)
-    when = (Interval(TRIAL, 0.5, 1.25),) if own.timed or name == "marker_shift" else None
+    when = (Interval(TRIAL, 0.5, 1.25),) if own.intermittent or name == "marker_shift" else None
     follows = Angle("knee_l_flexion") if name in ("soft_tissue", "joint_centre_shift") else None
     place = Place(where, when, (0.0, 0.0, 0.1), GRID, follows=follows, markers=("LTHI", "LKNE"))
     theta = scale * torch.tensor(own.scale(place), dtype=torch.float64)
@@ -347,10 +348,10 @@ def test_what_cannot_be_told_apart_has_a_size():
 
 def test_the_page_begins_with_what_is_named_and_how_sure_that_is():
     """A doubtful cause is no plain fact, and what no cause explains is said beside it."""
-    loud, quiet = (Structure(flag, 1e-9 if flag else 0.5, 0.6, "much") for flag in (True, False))
+    loud, quiet = (Adequacy(flag, 1e-9 if flag else 0.5, 0.6, "much") for flag in (True, False))
     causes = (replace(cause("time_offset"), confidence=0.55), cause("drag"))
 
-    def said(causes: tuple[Cause, ...], rest: Structure) -> str:
+    def said(causes: tuple[Cause, ...], rest: Adequacy) -> str:
         found = Diagnosis((), Errors(1.0, 1.0), Errors(1.0, 1.0), causes, rest)
         (block,) = _named(found)
         return block.text
@@ -401,7 +402,7 @@ def extended(outcome: Outcome) -> Outcome:
     base = replace(outcome, identified=table, fit=replace(outcome.fit))
     errors = Errors(10.0, 3.0)
     causes = (cause("payload"), replace(cause("marker_shift"), where=(LABEL,)))
-    rest = Structure(False, 0.2, 0.1, "")
+    rest = Adequacy(False, 0.2, 0.1, "")
     found = Diagnosis((), errors, errors, causes, rest, {"plate_gain": "not of plate_3: nobody steps there"})
     return replace(outcome, diagnosis=found, base=base)
 
@@ -461,12 +462,12 @@ def test_bands_add_up_to_the_residual(run):
     ("rest", "said"),
     [
         (
-            Structure(False, math.nan, math.nan, "cannot be told: no camera"),
+            Adequacy(False, math.nan, math.nan, "cannot be told: no camera"),
             "remains unexplained cannot be told: no camera",
         ),
-        (Structure(False, 0.4, 0.1, ""), "too little to matter"),
-        (Structure(False, 1e-4, 0.3, ""), "a little more than the noise"),
-        (Structure(True, 1e-5, 0.6, "60 % of <b>it</b>"), "no effect of the catalogue explains: 60 %"),
+        (Adequacy(False, 0.4, 0.1, ""), "too little to matter"),
+        (Adequacy(False, 1e-4, 0.3, ""), "a little more than the noise"),
+        (Adequacy(True, 1e-5, 0.6, "60 % of <b>it</b>"), "no effect of the catalogue explains: 60 %"),
     ],
 )
 def test_what_remains_is_said(run, rest, said):
@@ -483,7 +484,7 @@ def test_what_remains_is_said(run, rest, said):
 def test_what_came_nearest_is_said(run, nats, said):
     """In words, where nothing is named and something is likelier than nothing; else not a word."""
     none, near = Errors(math.nan, math.nan), Near("wobbling_mass", ("upper_arm_l",), nats)
-    found = Diagnosis((), none, none, (), Structure(False, 0.4, 0.1, ""), nearest=(near,))
+    found = Diagnosis((), none, none, (), Adequacy(False, 0.4, 0.1, ""), nearest=(near,))
     section = diagnosis_section(replace(run.outcome, diagnosis=found))
     assert section is not None
     assert said in section.finding if said else "nearest" not in section.finding
@@ -500,7 +501,7 @@ def test_what_came_nearest_is_said(run, nats, said):
 def test_what_held_out_motion_contradicts_is_said(run, nats, instead, said):
     """In words, with what it says against it, and where it has it instead."""
     none, against = Errors(math.nan, math.nan), Refuted("wobbling_mass", ("upper_arm_l",), nats, instead)
-    found = Diagnosis((), none, none, (), Structure(False, 0.4, 0.1, ""), refuted=(against,))
+    found = Diagnosis((), none, none, (), Adequacy(False, 0.4, 0.1, ""), refuted=(against,))
     section = diagnosis_section(replace(run.outcome, diagnosis=found))
     assert section is not None
     assert "mass of the left upper arm, but held-out " in section.finding and said in section.finding

@@ -23,15 +23,7 @@ from torchid.files import atomic_write, file_sha256, safe_name, write_json, writ
 from torchid.provenance import provenance, stage_key
 from torchid.recording import Event, Markers, Trial
 from torchid.results import OutputFolder
-from torchid.snapshot import (
-    SnapshotError,
-    from_bytes,
-    load_snapshot,
-    release,
-    swap_out,
-    to_bytes,
-    write_snapshot,
-)
+from torchid.snapshot import SnapshotError, from_bytes, load_snapshot, release, swap_out, to_bytes, write_snapshot
 
 
 class Killed(BaseException):

@@ -8,13 +8,16 @@ import torch
 from test_doubtful import found as searched
 from torch.testing import assert_close
 
-from torchid.diagnosis.design import Candidate, Source
-from torchid.diagnosis.diagnose import cause_of, weighed_again
-from torchid.diagnosis.evidence import fit
-from torchid.diagnosis.found import estimate, reduced
-from torchid.diagnosis.rivals import ALIKE, NAMED, Rival, Round
-from torchid.diagnosis.scan import scan_all
-from torchid.diagnosis.sums import Prior, Sums
+from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.evidence.posterior import fit
+from torchid.diagnosis.evidence.prior import Prior
+from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.diagnosis.search.elimination import restore_record
+from torchid.diagnosis.search.estimates import estimate
+from torchid.diagnosis.search.result import reduced
+from torchid.diagnosis.search.rivals import ALIKE, NAMED, Rival, Round
+from torchid.diagnosis.search.scan import scan_all
+from torchid.diagnosis.verdict.causes import cause_of
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
 from torchid.effects.session import SESSION
@@ -33,7 +36,7 @@ def scanned(columns: torch.Tensor, rows: torch.Tensor, widths: list[float], name
         some.append(Candidate(own, place, source, frozenset(range(TRIALS)), widened=width))
     prior = Prior(torch.zeros(n).double(), torch.eye(0).double(), torch.ones(n).double())
     raw = prior.standard(columns.T @ columns, columns.T @ rows, torch.arange(n))
-    return scan_all(Sums(0, n, (raw,) * TRIALS), some, ()).round
+    return scan_all(Statistics(0, n, (raw,) * TRIALS), some, ()).round
 
 
 def by_place(rivals: tuple[Rival, ...]) -> list[Rival]:
@@ -123,14 +126,14 @@ def test_a_twin_is_told_with_its_size(lead):
     own, other, third = search.chosen
     design = replace(search.design, candidates=search.chosen)
     rounds = [round_of((own, 12.0, 12.0), (other, 11.0, 12.0 - lead)), round_of((third, 9.0, 9.0))]
-    found = reduced(design, search.prior, search.noise, [own, third], rounds, search.sums)
+    found = reduced(design, search.prior, search.noise, [own, third], rounds, search.statistics)
     said = cause_of(found, 0, rounds, {}, ("a", "b"))
     assert len(found.twins) == len(said.indistinguishable) == (lead == 0.0)
     for twin in said.indistinguishable:
         assert twin.where == twin.place.where == other.place.where
         (key,) = twin.parameters
         chosen = (*found.twins, found.chosen[1])
-        wanted = estimate(replace(found, chosen=chosen, fitted=fit(found.sums, chosen)), 0)[key]
+        wanted = estimate(replace(found, chosen=chosen, posterior=fit(found.statistics, chosen)), 0)[key]
         assert_close((twin.parameters[key]["value"], twin.parameters[key]["sd"]), wanted)
 
 
@@ -155,11 +158,14 @@ def test_places_that_fit_trials_support_nearly_as_well_are_kept(name, first, kep
     own = [replace(c, effect=effect(name)) for c in search.chosen]
     design = replace(search.design, candidates=tuple(own))
     rounds = [round_of((own[0], first, first), (own[1], NAMED + 0.1, 0.0), (own[2], NAMED - 0.1, 0.0))]
-    found = reduced(design, search.prior, search.noise, own[:1], rounds, search.sums)
+    found = reduced(design, search.prior, search.noise, own[:1], rounds, search.statistics)
     assert not found.scales
-    assert [other.place.where[0] for first, other in found.stand_ins if first is found.chosen[0]] == kept
-    for one, whole in zip((*found.chosen, *(other for _, other in found.stand_ins)), own, strict=False):
-        assert_close(found.sums.moment(one.columns, found.sums.all), search.sums.moment(whole.columns, search.sums.all))
+    assert [other.place.where[0] for first, other in found.alternative_places if first is found.chosen[0]] == kept
+    for one, whole in zip((*found.chosen, *(other for _, other in found.alternative_places)), own, strict=False):
+        assert_close(
+            found.statistics.moment(one.columns, found.statistics.all),
+            search.statistics.moment(whole.columns, search.statistics.all),
+        )
 
 
 def test_what_weighs_is_kept_to_the_end():
@@ -170,7 +176,7 @@ def test_what_weighs_is_kept_to_the_end():
     both[1] = replace(both[1], place=Place(("plate_1", "plate_2")))
     design = replace(search.design, candidates=(drag, *both))
     rounds = [round_of((one, 9.0, 9.0)) for one in (drag, *both)]
-    found = reduced(design, search.prior, search.noise, [drag, both[0]], rounds, search.sums)
+    found = reduced(design, search.prior, search.noise, [drag, both[0]], rounds, search.statistics)
     assert found.scales[0] is found.chosen[1] and [c.effect.name for c in found.scales] == ["body_mass", "plate_gain"]
 
 
@@ -183,8 +189,8 @@ def test_weight_is_asked_about_again_when_forces_are_dropped(dropped, size, name
     left = before.chosen[2:] if dropped else before.chosen[1:]
     last = round_of((before.chosen[1], 1.0, 1.0))
     before = replace(before, chosen=before.chosen[1:], scales=(weight,), rounds=(last,))
-    after = weighed_again(before, replace(before, chosen=left, fitted=fit(before.sums, left)))
-    assert after.chosen == ((*left, weight) if named else left) == after.fitted.chosen
+    after = restore_record(before, replace(before, chosen=left, posterior=fit(before.statistics, left)))
+    assert after.chosen == ((*left, weight) if named else left) == after.posterior.chosen
     assert after.rounds[-1] is last and len(after.rounds) == 1 + named
     if named:
         assert cause_of(after, len(left), after.rounds, {}, ("a", "b")).effect == "body_mass"
@@ -196,7 +202,7 @@ def test_what_stands_for_a_refuted_place_is_as_sure_as_without_that():
     gone, other, third = search.chosen
     asked = replace(gone, place=Place(("asked",)))
     pairs = ((gone, asked), (gone, other), (gone, third))
-    search = replace(search, chosen=(other,), fitted=fit(search.sums, (other,)), stand_ins=pairs)
+    search = replace(search, chosen=(other,), posterior=fit(search.statistics, (other,)), alternative_places=pairs)
     scores = (gone, 15.0, 15.0), (asked, 14.0, 14.0), (other, 12.0, 12.0), (third, 7.0, 7.0)
     said = cause_of(search, 0, [round_of(*scores)], {}, ("a", "b"))
     assert said.where == other.place.where and said.confidence == pytest.approx(1.0 / (1.0 + math.exp(-5.0)), abs=1e-3)

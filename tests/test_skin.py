@@ -7,55 +7,55 @@ import pytest
 import small_session as small
 import torch
 
-from torchid.diagnosis.candidates import make_design
-from torchid.diagnosis.noise import initial_noise
-from torchid.diagnosis.nuisances import SkinSlide
-from torchid.diagnosis.skin import SLIDES_M, TOGETHER, with_slides
-from torchid.diagnosis.spectral import rows_of
-from torchid.diagnosis.sums import make_prior
-from torchid.diagnosis.watched import Watched
+from torchid.diagnosis.candidates.nuisances import SkinSlide
+from torchid.diagnosis.columns.assemble import make_design
+from torchid.diagnosis.evidence.noise import initial_noise
+from torchid.diagnosis.evidence.prior import make_prior
+from torchid.diagnosis.evidence.skin_prior import SLIDES_M, TOGETHER, with_slides
+from torchid.diagnosis.evidence.spectra import trial_spectra
 from torchid.effects.markers import SoftTissue
 from torchid.effects.place import Place
-from torchid.experiment.diagnosing import watch_outcome
+from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.observation.trial import TrialObservation
 
 
-def learned(watched: list[Watched], effects: list[SoftTissue]) -> set[float]:
+def learned(observed: list[TrialObservation], effects: list[SoftTissue]) -> set[float]:
     """Prior of what segments' markers slide as one [m]."""
     outcome = small.outcome()
     assert outcome.identified is not None
-    design = make_design(watched, effects, outcome.fit)
-    rows = [rows_of(w, c, design.noisy) for w, c in zip(watched, design.trials, strict=True)]
+    design = make_design(observed, effects, outcome.fit)
+    rows = [trial_spectra(w, c, design.noisy) for w, c in zip(observed, design.trials, strict=True)]
     prior = make_prior(outcome.prior, outcome.identified.fit.omega_2, design)
-    found = with_slides(rows, prior, design, initial_noise(outcome.identified.whitening, len(watched)))
+    found = with_slides(rows, prior, design, initial_noise(outcome.identified.whitening, len(observed)))
     return {s.scale[0] for s in found.sources if isinstance(s.effect, SkinSlide)}
 
 
-def slid(watched: list[Watched], size: float) -> list[Watched]:
+def slid(observed: list[TrialObservation], size: float) -> list[TrialObservation]:
     """The trials with markers that slide on their segments."""
-    rng, found = np.random.default_rng([small.SEED, 61]), watched
-    for place in SoftTissue().places([one.view for one in watched]):
+    rng, found = np.random.default_rng([small.SEED, 61]), observed
+    for place in SoftTissue().places([one.view for one in observed]):
         theta = torch.tensor(size * rng.normal(size=3 * len(place.markers)))
         found = [_slid(one, place, theta) for one in found]
     return found
 
 
-def _slid(one: Watched, place: Place, theta: torch.Tensor) -> Watched:
-    assert one.cameras is not None
-    more, error = SoftTissue().slide(one.cameras.sight, place, theta), one.cameras.error.clone()
+def _slid(one: TrialObservation, place: Place, theta: torch.Tensor) -> TrialObservation:
+    assert one.response is not None
+    more, error = SoftTissue().slide(one.response.sight, place, theta), one.response.error.clone()
     which = list(more.which)
-    error[which] += more.by * (one.cameras.weight[which, None] > 0.0)
-    return replace(one, cameras=replace(one.cameras, error=error))
+    error[which] += more.by * (one.response.weight[which, None] > 0.0)
+    return replace(one, response=replace(one.response, error=error))
 
 
 @pytest.mark.parametrize("size", [0.0, 0.4e-3, 1.2e-3, 6e-3])
 def test_segments_may_slide_as_far_as_their_markers_do_against_each_other(size):
     """From nothing, on a robot's shell, up to what a person's skin does."""
     print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
-    watched = slid(list(watch_outcome(small.outcome(), "fit").values()), size)
-    (scale,) = learned(watched, [SoftTissue()])
+    observed = slid(list(observe_outcome(small.outcome(), "fit").values()), size)
+    (scale,) = learned(observed, [SoftTissue()])
     usual = SkinSlide.parameters[0].scale
     if size == 0.0:
         assert scale < 3.0 * TOGETHER * SLIDES_M[0]
     else:
         assert 0.6 * min(usual, TOGETHER * size) < scale <= min(usual, 1.7 * TOGETHER * size)
-    assert learned(watched, []) == {usual}, "without sliding skin among the effects nothing is learned"
+    assert learned(observed, []) == {usual}, "without sliding skin among the effects nothing is learned"

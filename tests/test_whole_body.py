@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from torchid.errors import ConfigError
 from torchid.kinematics.plan import plan_tree
+from torchid.model.geometry_prior import group, tie_sides
 from torchid.model.landmarks import COVER, LANDMARKS, PELVIC_TILT
 from torchid.model.skeleton import SEGMENTS
-from torchid.model.whole_body import group, joint_table, lock_bodies, tie_sides, whole_body
+from torchid.model.whole_body import joint_table, lock_bodies, whole_body
 
 PEOPLE = [(1.755, 77.0, "male"), (1.63, 60.0, "female"), (None, None, "unknown"), (1.2, 25.0, "unknown")]
 MIRROR = np.diag([1.0, -1.0, 1.0])

@@ -20,14 +20,15 @@ from torch import Tensor
 from batteries.judge import UNNAMED
 from batteries.mujoco_session import draw_effect, simulate
 from torchid.config import load_config
-from torchid.diagnosis.found import Search, estimate, internal
-from torchid.diagnosis.search import search
+from torchid.diagnosis.search.estimates import estimate, internal
+from torchid.diagnosis.search.result import SearchResult
+from torchid.diagnosis.search.stepwise import search
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.experiment import run_experiment
-from torchid.experiment.diagnosing import watch_outcome
+from torchid.experiment.diagnosis_stage import observe_outcome
 
 
-def found(name: str, seed: int, out: Path) -> tuple[Search, dict]:
+def found(name: str, seed: int, out: Path) -> tuple[SearchResult, dict]:
     """What a search for this effect alone finds in a session that hides it, and the truth."""
     hidden = draw_effect(name, "medium", np.random.default_rng((seed, 7)))
     config = load_config(simulate(out, seed, [hidden]))
@@ -35,17 +36,17 @@ def found(name: str, seed: int, out: Path) -> tuple[Search, dict]:
     outcome = run_experiment(config.model_copy(update={"diagnosis": plain}))
     identified = outcome.identified
     assert identified is not None, "the session has forces"
-    watched = list(watch_outcome(outcome, "fit").values())
+    observed = list(observe_outcome(outcome, "fit").values())
     known = identified.fit.omega_2, identified.whitening
-    return search(watched, [effect(name)], outcome.prior, *known, 1, outcome.fit), hidden
+    return search(observed, [effect(name)], outcome.prior, *known, 1, outcome.fit), hidden
 
 
-def known_else(said: Search, k: int) -> dict[str, Tensor]:
+def known_else(said: SearchResult, k: int) -> dict[str, Tensor]:
     """Standard deviations of the named parameters of the k-th chosen effect, all others given."""
     one = said.chosen[k]
     precision = torch.diag(one.relative**-2)
     for trial in sorted(one.trials):
-        raw = said.sums.trials[trial]
+        raw = said.statistics.trials[trial]
         at = raw.at(one.columns)
         precision = precision + raw.gram[at][:, at]
     scale = torch.tensor(one.source.scale, dtype=torch.float64)
@@ -76,7 +77,7 @@ def told(name: str, seed: int, out: Path) -> str:
 def main() -> None:
     """Session by session."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    once = [name for name, one in CATALOGUE.items() if not one.anew]
+    once = [name for name, one in CATALOGUE.items() if not one.per_trial]
     parser.add_argument("--effects", nargs="+", choices=once, default=["plate_pose", "plate_crosstalk"])
     parser.add_argument("--each", type=int, default=4, help="sessions per effect")
     parser.add_argument("--first", type=int, default=int(time.time()) % 10**6, help="seed (default: the clock's)")

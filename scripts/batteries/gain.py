@@ -18,14 +18,14 @@ import torch
 from torch import Tensor
 
 from torchid.config import load_config
-from torchid.diagnosis.verdict import Cause
+from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Angle, Interval, Place
 from torchid.experiment import run_experiment
-from torchid.experiment.extending import extend_outcome
+from torchid.experiment.correction import extend_outcome
 from torchid.outcome import Outcome
 from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import Spectrum, Whitening, accumulate, estimate_whitening, spectra
+from torchid.regressor.whitening import BlockSpectrum, Whitening, accumulate, estimate_whitening, spectra
 from torchid.results import OutputFolder
 
 UNTOLD = ("moving_ground", "missing_dof", "unmeasured_contact")
@@ -93,10 +93,10 @@ def _rows(outcome: Outcome) -> list[WrenchTrial]:
     return [rows for rows in found if rows is not None]
 
 
-def _left(outcome: Outcome) -> list[Spectrum]:
+def _left(outcome: Outcome) -> list[BlockSpectrum]:
     phi = outcome.phi.reshape(-1)
     return [
-        Spectrum(block.Y[:, :0], block.F - torch.einsum("ipk,p->ik", block.Y, phi), block.frequency)
+        BlockSpectrum(block.Y[:, :0], block.F - torch.einsum("ipk,p->ik", block.Y, phi), block.frequency)
         for rows in _rows(outcome)
         for block in spectra(rows)
     ]

@@ -8,10 +8,10 @@ import torch
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from torchid.geometry.blocks import make_gradient
-from torchid.geometry.layout import make_layout
+from torchid.geometry.arrow.index_tables import make_layout
+from torchid.geometry.arrow.normal_blocks import make_gradient
+from torchid.geometry.arrow.twists import column_twists, moments
 from torchid.geometry.problem import MarkerProblem
-from torchid.geometry.twists import column_twists, moments
 
 CHUNK = 1024
 Trace = list[tuple[float, float]]

@@ -4,7 +4,7 @@ import time
 
 from benchmarks.first_order import Trace, adam, scipy_sparse
 from benchmarks.subject import Session, make_session
-from torchid.geometry.arrow import solve_arrow
+from torchid.geometry.arrow.solver import solve_arrow
 
 CLOSE = 1e-4
 FEW, ALL = 3, 50

@@ -12,7 +12,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from benchmarks.subject import RATE, Session, by_turns, make_session
-from torchid.geometry.inverse import solve_poses
+from torchid.geometry.arrow.inverse_kinematics import solve_poses
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 
 PEER_PYTHON = Path(__file__).resolve().parents[2] / ".venv-bench" / "bin" / "python"

@@ -8,7 +8,7 @@ import torch
 
 from benchmarks.subject import RATE, make_session
 from torchid.dynamics import BodyRows, base_gram, body_rows, dynamic_state
-from torchid.geometry.inverse import solve_poses
+from torchid.geometry.arrow.inverse_kinematics import solve_poses
 
 MINUTE = int(60 * RATE)
 

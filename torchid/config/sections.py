@@ -132,7 +132,7 @@ class Inertia(InertiaOptions):
     """Keep each centre of mass within three prior standard deviations of the template's."""
 
 
-class Diagnosis(Section):
+class DiagnosisSection(Section):
     """What the identified model still gets wrong."""
 
     enabled: bool = True
@@ -154,7 +154,7 @@ class Config(Section):
     motion: Motion = Motion()
     contact: ContactOptions = ContactOptions()
     inertia: Inertia = Inertia()
-    diagnosis: Diagnosis = Diagnosis()
+    diagnosis: DiagnosisSection = DiagnosisSection()
     simulate: SimulateOptions | None = None
     device: Literal["cpu", "cuda"] = "cpu"
     threads: Annotated[Count, Field(le=1024)] | None = None

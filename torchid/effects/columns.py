@@ -55,6 +55,6 @@ def _total(effect: Effect, scene: Scene, reading: Reading, place: Place, theta: 
     found = reading.wrench.new_zeros(6, len(reading.wrench))
     if type(effect).load is not Effect.load:
         found = found + effect.load(scene, place, theta)
-    if effect.inverted:
+    if effect.reads_measured:
         return found - effect.undone(reading, place, theta).total
     return found if type(effect).read is Effect.read else found + effect.read(reading, place, theta).total

@@ -14,10 +14,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.momentum import displaced
+from torchid.effects.displacement import displaced
+from torchid.effects.marker_scene import Sight, Slid, Sway, View
 from torchid.effects.place import Place
 from torchid.effects.scene import Reading, Scene
-from torchid.effects.sight import Sight, Slid, Sway, View
 from torchid.errors import ConfigError
 
 
@@ -40,39 +40,39 @@ class Effect(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     bodily: ClassVar[bool] = False
     """Every living body has some of it: named when it is there, and counted apart from errors of the laboratory."""
-    overall: ClassVar[bool] = False
+    whole_body: ClassVar[bool] = False
     """It is all over the body at once: however many single places are named, it is looked for beside them."""
-    recorded: ClassVar[bool] = False
+    on_record: ClassVar[bool] = False
     """What was written down of the subject is wrong, not what was measured."""
-    kinematic: ClassVar[bool] = False
+    moves_markers: ClassVar[bool] = False
     """It changes what cameras see (``move``, ``slide``)."""
-    anew: ClassVar[bool] = False
+    per_trial: ClassVar[bool] = False
     """Its parameters are others in every trial."""
-    accelerated: ClassVar[bool] = False
+    follows_acceleration: ClassVar[bool] = False
     """Its columns follow accelerations of the found motion, or the loads that they make: markers' noise shows. If it
     changes readings, it maps every sample alike and linearly."""
-    late: ClassVar[bool] = False
+    shifts_time: ClassVar[bool] = False
     """It shifts the plates' readings in time."""
-    curved: ClassVar[bool] = False
+    nonlinear: ClassVar[bool] = False
     """What it does is not linear in its parameters, but columns taken where it was found, times its parameters there,
     are all of it."""
-    inverted: ClassVar[bool] = False
+    reads_measured: ClassVar[bool] = False
     """Its columns are what taking it out of the plates' readings takes away (``undone``)."""
-    lasting: ClassVar[bool] = False
+    per_recording: ClassVar[bool] = False
     """A state of single recordings: where it is in some, only another recording itself says whether it is there."""
-    timed: ClassVar[bool] = False
+    intermittent: ClassVar[bool] = False
     """It comes and goes: its places need intervals."""
-    strewn: ClassVar[bool] = False
+    widespread: ClassVar[bool] = False
     """Living bodies do some of it at every place: what is named must stand out from the others. All its places have
     equally many parameters."""
-    whole: ClassVar[bool] = False
+    all_or_nothing: ClassVar[bool] = False
     """Its one parameter is one, or it is not there."""
 
     @property
     def noisy(self) -> bool:
         """Its columns are accelerations that were found, or loads that these make, and hold the markers' noise; in what
         goes with places or speeds, as ropes and drag do, it is neglected."""
-        return self.kinematic or self.accelerated
+        return self.moves_markers or self.follows_acceleration
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         """Everywhere it could sit in a session."""
@@ -140,7 +140,7 @@ class Effect(ABC):
 
     def weighs(self, place: Place) -> bool:
         """Whether it is that all weight is wrong by a factor, which inertia takes on."""
-        return self.recorded
+        return self.on_record
 
     def part_of(self, own: Place, effect: "Effect", place: Place) -> Float[Tensor, "params own"] | None:
         """What its parameters at its own place add to those of another effect, where it is part of that."""

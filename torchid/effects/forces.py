@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter, anchor
+from torchid.effects.marker_scene import View
 from torchid.effects.place import Interval, Place, mean_within
 from torchid.effects.scene import Point, Scene, at_origin, passing
-from torchid.effects.sight import View
 
 
 class PointForce(Effect):
@@ -79,7 +79,7 @@ class Tether(PointForce):
     """
 
     name = "tether"
-    curved = True
+    nonlinear = True
     parameters = (
         Parameter("stiffness_N_m", 30.0, positive=True), Parameter("pull_N", 30.0, 3), Parameter("slack_N", 30.0),
     )  # fmt: skip
@@ -111,7 +111,7 @@ class UnmeasuredContact(PointForce):
 
     name = "unmeasured_contact"
     parameters = (Parameter("force_N", 50.0, 3),)
-    timed = True
+    intermittent = True
 
     def finer(self, place: Place) -> tuple[Place, ...]:
         assert place.when is not None

@@ -12,12 +12,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.angles import bend, lively, orders
+from torchid.effects.displacement import below
 from torchid.effects.effect import Effect, Parameter, value_of
-from torchid.effects.momentum import below
+from torchid.effects.joint_angles import bend, lively, orders
+from torchid.effects.marker_scene import Carried, Sight, Sway, View
 from torchid.effects.place import Place
 from torchid.effects.scene import Scene
-from torchid.effects.sight import Carried, Sight, Sway, View
 from torchid.errors import ConfigError
 from torchid.kinematics.recursion import cross
 from torchid.model.tree import Body
@@ -59,7 +59,7 @@ class JointCentreShift(Effect):
     name = "joint_centre_shift"
     bodily = True
     parameters = (Parameter("sine_m", 0.01, 3), Parameter("cosine_m", 0.01, 3))
-    kinematic = True
+    moves_markers = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         scenes = [v.scene for v in views]
@@ -151,8 +151,8 @@ class MissingDof(Effect):
     name = "missing_dof"
     bodily = True
     parameters = (Parameter("course", 0.02, 3 * MODES),)
-    kinematic = True
-    anew = True
+    moves_markers = True
+    per_trial = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         scene, modes, found = views[0].scene, float(_modes(views)), []

@@ -13,25 +13,25 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.effects.angles import bend, lively, orders
 from torchid.effects.effect import Effect, Parameter, value_of
+from torchid.effects.joint_angles import bend, lively, orders
+from torchid.effects.marker_scene import Along, Sight, Slid, Sway, View
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import Scene
-from torchid.effects.sight import Along, Sight, Slid, Sway, View
 
 
 class MarkerEffect(Effect):
     """An effect on what cameras see."""
 
-    kinematic = True
+    moves_markers = True
 
 
 class MarkerShift(MarkerEffect):
     """A marker was knocked or stuck on again: in some trials it sits elsewhere on its segment."""
 
     name = "marker_shift"
-    lasting = True
-    strewn = True
+    per_recording = True
+    widespread = True
     parameters = (Parameter("shift_seg_m", 0.015, 3),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -66,7 +66,7 @@ class MarkerSwap(MarkerEffect):
     """Two labels are exchanged for a while. The parameter is how much of the swap is there: one, or nothing."""
 
     name = "marker_swap"
-    timed = True
+    intermittent = True
     parameters = (Parameter("share", 1.0, positive=True),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -158,8 +158,8 @@ class SkinLag(MarkerEffect):
 
     name = "skin_lag"
     bodily = True
-    overall = True
-    accelerated = curved = True
+    whole_body = True
+    follows_acceleration = nonlinear = True
     parameters = (Parameter("shift_1g_m", 0.0025, positive=True),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:

@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter, anchor, value_of
+from torchid.effects.marker_scene import View
 from torchid.effects.place import Place
 from torchid.effects.scene import Scene, lift, passing
-from torchid.effects.sight import View
 from torchid.kinematics.recursion import cross
 
 FREQUENCIES = (2.5, 2.9, 3.3, 3.9, 4.5, 5.2, 6.0, 7.0)
@@ -38,8 +38,8 @@ class BodyMass(Effect):
     """
 
     name = "body_mass"
-    recorded = True
-    accelerated = True
+    on_record = True
+    follows_acceleration = True
     parameters = (Parameter("excess_kg", 4.0),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -68,7 +68,7 @@ class Payload(Effect):
     """
 
     name = "payload"
-    accelerated = curved = True
+    follows_acceleration = nonlinear = True
     parameters = (Parameter("mass_kg", 2.0, positive=True), Parameter("moment_seg_kgm", 0.3, 3))
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
@@ -116,8 +116,8 @@ class GraspedObject(Payload):
     """A payload of a hand that comes and goes."""
 
     name = "grasped_object"
-    timed = True
-    curved = False
+    intermittent = True
+    nonlinear = False
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return tuple(place for place in super().places(views) if place.where[0].startswith("hand"))
@@ -141,7 +141,7 @@ class WobblingMass(Effect):
     """
 
     name = "wobbling_mass"
-    accelerated = True
+    follows_acceleration = True
     bodily = True
     parameters = (Parameter("mass_kg", 2.0, positive=True),)
 

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect, Parameter
+from torchid.effects.marker_scene import View
 from torchid.effects.place import Place
 from torchid.effects.scene import PlateFrame, Reading
-from torchid.effects.sight import View
 
 CROSSTALK = [[i, j] for i in range(6) for j in range(6) if i != j]
 """Rows and columns of the off-diagonals of a plate's 6 x 6 map."""
@@ -37,7 +37,7 @@ def to_world(frame: PlateFrame, wrench: Float[Tensor, "samples 6"]) -> Float[Ten
 class PlateMap(Effect):
     """An effect on what single plates read, each alike."""
 
-    accelerated = True
+    follows_acceleration = True
     together = False
     """Could also sit on all plates alike."""
 
@@ -97,7 +97,7 @@ class PlateOffset(PlateMap):
     """A constant wrench on every sample of a plate, loaded or not: it was zeroed under load, or not at all."""
 
     name = "plate_offset"
-    accelerated = False
+    follows_acceleration = False
     parameters = (Parameter("force_plate_N", 5.0, 3), Parameter("moment_plate_Nm", 1.0, 3))
 
     def map(self, frame: PlateFrame, time: Tensor, wrench: Tensor, theta: Tensor) -> Float[Tensor, "samples 6"]:
@@ -108,7 +108,7 @@ class PlateDrift(PlateMap):
     """An offset that grows with time since the recording began: charge amplifiers and warming bridges do."""
 
     name = "plate_drift"
-    accelerated = False
+    follows_acceleration = False
     parameters = (Parameter("rate_plate", 0.5, 6),)
 
     def scale(self, place: Place) -> tuple[float, ...]:
@@ -179,9 +179,9 @@ class PlateAssignment(PlateMap):
     """
 
     name = "plate_assignment"
-    accelerated = False
+    follows_acceleration = False
     parameters = (Parameter("share", 1.0, positive=True),)
-    inverted = whole = True
+    reads_measured = all_or_nothing = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         names = sorted({frame.name for v in views for frame in v.reading.frames})

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from torchid.conventions import GRAVITY
 from torchid.effects.effect import Effect, Parameter, value_of
+from torchid.effects.marker_scene import Sight, Slid, View
 from torchid.effects.place import Place, covers
 from torchid.effects.scene import Reading, Scene, at_origin
-from torchid.effects.sight import Sight, Slid, View
 from torchid.filters import Smoother
 
 SESSION = Place(("session",))
@@ -50,7 +50,7 @@ class MovingGround(Effect):
 
     name = "moving_ground"
     parameters = (Parameter("sine_m_s2", 0.3, 3), Parameter("cosine_m_s2", 0.3, 3))
-    anew = True
+    per_trial = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return tuple(Place(("session",), grid={"frequency_hz": f}) for f in SHAKES)
@@ -90,7 +90,7 @@ class FilterLag(Effect):
 
     name = "filter_lag"
     parameters = (Parameter("slowness", 5e-4, positive=True),)
-    kinematic = True
+    moves_markers = True
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return (SESSION,)
@@ -135,7 +135,7 @@ class TimeOffset(Effect):
     """Cameras and plates disagree about when: forces come late by a lag, in all trials or in one."""
 
     name = "time_offset"
-    late = inverted = True
+    shifts_time = reads_measured = True
     parameters = (Parameter("lag_s", 0.01),)
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:

@@ -7,18 +7,18 @@ import torch
 from torchid.config import Config
 from torchid.errors import DataError
 from torchid.geometry.fit import fit_geometry
-from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import Identified, identify_inertia
 from torchid.model.model import InertialPrior
 from torchid.outcome import Outcome, Session
 
-Progress = Callable[[str, float], None]
+OnStage = Callable[[str, float], None]
 UNSEEN = 0.35
 """Share of the mass on bodies without markers above which inertia is not identified. Head, hands and abdomen together
 are 0.24; trunk and arms held rigid on the pelvis, 0.5, left 42 N and 25 N m in a walk and cost the thorax 8 kg."""
 
 
-def fit_session(config: Config, session: Session, free: bool, progress: Progress) -> GeometryFit:
+def fit_session(config: Config, session: Session, free: bool, progress: OnStage) -> GeometryFit:
     """Geometry on the fit trials; not free, the template is scaled."""
     options, static = config.geometry, session.static
     trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
@@ -32,7 +32,7 @@ def fit_session(config: Config, session: Session, free: bool, progress: Progress
     )  # fmt: skip
 
 
-def identify(config: Config, outcome: Outcome, progress: Progress) -> Identified:
+def identify(config: Config, outcome: Outcome, progress: OnStage) -> Identified:
     """Inertia on the fit trials.
 
     Raises:

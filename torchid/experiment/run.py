@@ -7,16 +7,16 @@ import torch
 
 from torchid.config import Config, dump_config
 from torchid.errors import DataError, Note
-from torchid.experiment.diagnosing import diagnose_outcome
-from torchid.experiment.extending import extend_outcome
-from torchid.experiment.fits import Progress, fit_session, identify
+from torchid.experiment.correction import extend_outcome
+from torchid.experiment.diagnosis_stage import diagnose_outcome
+from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.read import read_session
-from torchid.experiment.relabelled import put_right
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, subject_prior, torques
+from torchid.experiment.swapped_markers import put_right
 from torchid.experiment.write import write_outcome
 from torchid.files import file_sha256, write_json, write_text
-from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
 from torchid.outcome import Followed, Outcome, Residual, Session
 from torchid.provenance import provenance, stage_key
@@ -30,7 +30,7 @@ UNFILTERED_HZ = 20.0
 """What stands for no filter in the table of contributions: above it nothing of a person's motion is left."""
 
 
-def run_experiment(config: Config, progress: Progress = lambda stage, fraction: None) -> Outcome:
+def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: None) -> Outcome:
     """Everything the config asks for, into its ``out`` folder; a second call takes up finished stages.
 
     Raises:
@@ -65,7 +65,7 @@ def _inputs(config: Config) -> list:
 
 
 def _compute(
-    config: Config, session: Session, folder: OutputFolder, progress: Progress
+    config: Config, session: Session, folder: OutputFolder, progress: OnStage
 ) -> tuple[Outcome, DataError | None]:
     key = stage_key(
         inputs=[file_sha256(path) for path in _inputs(config)],
@@ -108,7 +108,7 @@ def _compute(
 
 
 def _geometry(
-    config: Config, session: Session, folder: OutputFolder, key: str, progress: Progress
+    config: Config, session: Session, folder: OutputFolder, key: str, progress: OnStage
 ) -> tuple[GeometryFit, GeometryFit]:
     def fit(free: bool) -> GeometryFit:
         return fit_session(config, session, free, progress)
@@ -119,7 +119,7 @@ def _geometry(
 
 
 def _track_all(
-    session: Session, folder: OutputFolder, key: str, fits: dict[str, GeometryFit], progress: Progress
+    session: Session, folder: OutputFolder, key: str, fits: dict[str, GeometryFit], progress: OnStage
 ) -> dict[str, dict[str, Tracked]]:
     found: dict[str, dict[str, Tracked]] = {kind: {} for kind in fits}
     done, total = 0, len(fits) * len(session.trials)

@@ -9,7 +9,7 @@ from torchid.contact.contact import find_contact
 from torchid.dynamics import body_rows, body_wrenches, dynamic_state, generalised_forces, wrench_about
 from torchid.experiment.read import SHORTEST
 from torchid.filters import Smoother
-from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses

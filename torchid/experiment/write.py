@@ -13,8 +13,6 @@ from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.urdf import write_urdf
 from torchid.outcome import Followed, Outcome
 from torchid.outcome.tables import diagnosis_table, geometry_table, inertia_table
-from torchid.outcome.tables import marker_errors as marker_errors
-from torchid.outcome.tables import segment_lengths as segment_lengths
 from torchid.regressor.rows import predict
 from torchid.results import OutputFolder
 from torchid.snapshot import release

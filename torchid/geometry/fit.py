@@ -5,16 +5,16 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchid.geometry.arrow import Progress, Solution, solve_arrow
+from torchid.geometry.arrow.solver import OnIteration, Solution, solve_arrow
 from torchid.geometry.attachment import Attachment
-from torchid.geometry.fitted import GeometryFit
-from torchid.geometry.gradient import solve_adam, solve_lbfgs
+from torchid.geometry.first_scale import start_fit
+from torchid.geometry.gradient_solvers import solve_adam, solve_lbfgs
+from torchid.geometry.marker_weights import reweighted
 from torchid.geometry.options import GeometryOptions
-from torchid.geometry.placing import start_fit
+from torchid.geometry.posture.initial_posture import evenly
 from torchid.geometry.problem import MarkerProblem
-from torchid.geometry.scatter import reweighted
-from torchid.geometry.start import evenly
-from torchid.geometry.trials import posture_prior, settled, side_by_side, trial_problem
+from torchid.geometry.result import GeometryFit
+from torchid.geometry.trial_problem import posture_prior, settled, side_by_side, trial_problem
 from torchid.geometry.uncertainty import estimate_uncertainty
 from torchid.model.model import Model
 from torchid.recording import Markers
@@ -30,7 +30,7 @@ def fit_geometry(
     static: Markers | None,
     options: GeometryOptions = GeometryOptions(),
     free: bool = True,
-    progress: Progress | None = None,
+    progress: OnIteration | None = None,
 ) -> GeometryFit:
     """Identify geometry and marker places.
 
@@ -52,7 +52,7 @@ def fit_geometry(
 
 
 def _jointly(
-    fit: GeometryFit, trials: dict[str, Markers], static: Markers | None, progress: Progress | None
+    fit: GeometryFit, trials: dict[str, Markers], static: Markers | None, progress: OnIteration | None
 ) -> GeometryFit:
     """All fit trials and the static one in one problem; weights from the residuals, then once more.
 
@@ -87,7 +87,7 @@ def joint_problem(
 
 
 def _solve(
-    fit: GeometryFit, problem: MarkerProblem, q: Tensor, xi: Tensor, tolerance: float, progress: Progress | None
+    fit: GeometryFit, problem: MarkerProblem, q: Tensor, xi: Tensor, tolerance: float, progress: OnIteration | None
 ) -> Solution:
     options = fit.options
     if options.solver == "adam":

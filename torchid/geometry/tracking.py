@@ -6,12 +6,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.geometry.bridge import bridge_gaps, typical_variance
-from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.posture.gap_filling import bridge_gaps, typical_variance
+from torchid.geometry.posture.initial_posture import evenly
+from torchid.geometry.posture.leap_repair import regained, steadied
 from torchid.geometry.problem import MarkerProblem
-from torchid.geometry.start import evenly
-from torchid.geometry.steady import regained, steadied
-from torchid.geometry.trials import posture_prior, settled, trial_problem
+from torchid.geometry.result import GeometryFit
+from torchid.geometry.trial_problem import posture_prior, settled, trial_problem
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
 from torchid.recording import Markers

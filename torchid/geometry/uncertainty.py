@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.geometry.gradient import chain_residual
+from torchid.geometry.gradient_solvers import chain_residual
 from torchid.geometry.problem import MarkerProblem
 from torchid.kinematics.chain import base_transform, chain_of, chain_transforms
 from torchid.model.tree import BASE_DOFS
@@ -35,7 +35,7 @@ class Direction:
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class GeometryUncertainty:
     """Posterior of xi at the solution."""
 
     covariance: Float[Tensor, "xi xi"]
@@ -97,7 +97,7 @@ def estimate_uncertainty(
     q: Float[Tensor, "dofs frames"],
     xi: Float[Tensor, " xi"],
     names: tuple[str, ...],
-) -> Uncertainty:
+) -> GeometryUncertainty:
     """Posterior covariance of xi, directions left to the prior, and residuals of the chain.
 
     Args:
@@ -116,7 +116,7 @@ def estimate_uncertainty(
     information *= frames / len(index)
     prior = problem.xi_precision
     covariance = torch.linalg.inv(information + torch.diag(prior))
-    return Uncertainty(
+    return GeometryUncertainty(
         covariance=0.5 * (covariance + covariance.T),
         undetermined=_undetermined(information, prior.rsqrt(), names),
         residual=torch.where(problem.weight[:, None] > 0, residual, torch.nan),

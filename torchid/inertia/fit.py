@@ -13,7 +13,7 @@ from torchid.inertia import cone, entropic
 from torchid.inertia.base_parameters import BaseParameters, base_parameters, structure
 from torchid.inertia.certificate import MESSAGES, Certificate, InertiaStatus, certify, judge
 from torchid.inertia.options import InertiaOptions
-from torchid.inertia.posterior import Progress, Uncertainty, progress, uncertainty
+from torchid.inertia.posterior import InertiaUncertainty, Progress, progress, uncertainty
 from torchid.inertia.problem import Problem, pose
 from torchid.inertia.pseudo import com, inertia_com, mass
 from torchid.inertia.spectrum import cholesky, diagonalise
@@ -38,7 +38,7 @@ class InertiaFit:
     omega_2: float
     log_evidence: float
     """Of the Gaussian problem; compare only fits of the same rows [nat]."""
-    sd: Uncertainty
+    sd: InertiaUncertainty
     progress: Progress
     base: BaseParameters | None
     """None when not asked for or when the data have rank 0."""

@@ -15,7 +15,7 @@ from torchid.model.model import InertialPrior
 from torchid.regressor.equations import NormalEquations
 from torchid.regressor.rows import WrenchTrial
 from torchid.regressor.whitening import (
-    Spectrum,
+    BlockSpectrum,
     Whitening,
     accumulate,
     estimate_whitening,
@@ -71,7 +71,7 @@ def identify_inertia(
     return Identified(_fit(sums, prior, names, options, mass, com_box), whitening, sum(int(own.rows) for own in sums))
 
 
-def _sums(by_trial: Sequence[Iterable[Spectrum]], whitening: Whitening) -> list[NormalEquations]:
+def _sums(by_trial: Sequence[Iterable[BlockSpectrum]], whitening: Whitening) -> list[NormalEquations]:
     return [accumulate(blocks, whitening) for blocks in by_trial]
 
 

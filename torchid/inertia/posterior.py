@@ -12,7 +12,7 @@ from torchid.inertia.spectrum import Spectrum
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class InertiaUncertainty:
     """Standard deviations; Gaussian, without the LMI, quotients linearised (delta method)."""
 
     phi: Float[Tensor, "bodies 10"]
@@ -77,10 +77,10 @@ def inertia_com_jacobian(phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "bodi
     return jacobian
 
 
-def uncertainty(phi: Float[Tensor, "bodies 10"], covariance: Float[Tensor, "params params"]) -> Uncertainty:
+def uncertainty(phi: Float[Tensor, "bodies 10"], covariance: Float[Tensor, "params params"]) -> InertiaUncertainty:
     """Standard deviations of parameters, centres of mass [m] and inertias about them [kg m^2]."""
     blocks = body_blocks(covariance)
-    return Uncertainty(
+    return InertiaUncertainty(
         phi=covariance.diagonal().clamp_min(0).sqrt().reshape(-1, 10),
         com=_delta_sd(com_jacobian(phi), blocks),
         inertia_com=_delta_sd(inertia_com_jacobian(phi).flatten(1, 2), blocks).unflatten(1, (3, 3)),

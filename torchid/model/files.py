@@ -5,10 +5,8 @@ from pathlib import Path
 from torchid.errors import ConfigError, InputError, Note
 from torchid.model.mjcf import read_mjcf
 from torchid.model.model import Model
-from torchid.model.osim import write_osim as write_osim
 from torchid.model.tree_of_links import FileScatter
 from torchid.model.urdf import read_urdf
-from torchid.model.urdf import write_urdf as write_urdf
 
 READERS = {".urdf": read_urdf, ".xml": read_mjcf}
 

@@ -6,8 +6,6 @@ import torch
 
 from torchid.errors import ConfigError, Note
 from torchid.model.anthropometry import inertial_prior
-from torchid.model.geometry_prior import group as group
-from torchid.model.geometry_prior import tie_sides as tie_sides
 from torchid.model.geometry_prior import whole_body_geometry
 from torchid.model.landmarks import whole_body_landmarks
 from torchid.model.model import GeometryPrior, Model

@@ -7,9 +7,9 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.contact import Contact
-from torchid.diagnosis.verdict import Diagnosis
+from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import Note
-from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked
 from torchid.inertia.identify import Identified
 from torchid.model.model import InertialPrior

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from torchid.conventions import INERTIAL_NAMES
-from torchid.diagnosis.verdict import verdict
+from torchid.diagnosis.verdict.table import verdict_table
 from torchid.effects.catalogue import effect
-from torchid.geometry.fitted import GeometryFit
+from torchid.geometry.result import GeometryFit
 from torchid.outcome.outcome import Outcome
 from torchid.regressor.rows import residual_rms
 
@@ -21,12 +21,12 @@ PIECE = 1 << 15
 def diagnosis_table(outcome: Outcome) -> dict[str, Any]:
     """Content of ``diagnosis.json``: the verdict, and held-out errors of the models as they are written."""
     assert outcome.diagnosis is not None
-    found = verdict(outcome.diagnosis)
+    found = verdict_table(outcome.diagnosis)
     found["baseline"]["heldout"] = heldout_errors(outcome.base or outcome)
     found["extended"]["heldout"] = heldout_errors(outcome)
     before, after = (found[k]["heldout"]["marker_rmse_mm"] for k in ("baseline", "extended"))
     for cause in found["causes"]:
-        kinematic = effect(cause["effect"]).kinematic
+        kinematic = effect(cause["effect"]).moves_markers
         cause["gain"]["marker_rmse_pct"] = 100.0 * (1.0 - after / before) if kinematic and before > 0.0 else 0.0
     return found
 

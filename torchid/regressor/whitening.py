@@ -19,7 +19,7 @@ from torch import Tensor
 from torchid.regressor.equations import NormalEquations
 from torchid.regressor.rows import WrenchTrial
 
-EDGES = (0.15, 0.4, 0.8, 1.3, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
+BAND_EDGES_HZ = (0.15, 0.4, 0.8, 1.3, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
 """Upper edges of the bands [Hz]; about equal ratios, each with enough coefficients in a minute of motion."""
 BEYOND = 1.2
 """Coefficients up to this many cut-offs are kept."""
@@ -60,7 +60,7 @@ def white_scatter(
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class BlockSpectrum:
     """Rows of one block in the frequency domain."""
 
     Y: Float[Tensor, "6 params kept"]
@@ -79,7 +79,7 @@ class Whitening:
 
     covariance: Float[Tensor, "bands 6 6"]
 
-    def __call__(self, block: Spectrum) -> tuple[Float[Tensor, "rows params"], Float[Tensor, " rows"]]:
+    def __call__(self, block: BlockSpectrum) -> tuple[Float[Tensor, "rows params"], Float[Tensor, " rows"]]:
         """Rows of unit variance."""
         L = torch.linalg.cholesky(self.covariance)[block.band]
         both = torch.cat([block.Y.permute(2, 0, 1), block.F.T[:, :, None]], dim=2)
@@ -100,23 +100,23 @@ class Spectra:
     extra: Float[Tensor, "6 more frames"] | None = None
     """Columns behind those of the inertial parameters, about the root's origin."""
 
-    def __iter__(self) -> Iterator[Spectrum]:
+    def __iter__(self) -> Iterator[BlockSpectrum]:
         return (_spectrum(self.trial, part, self.extra) for part in self.trial.blocks())
 
 
-def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = None) -> Iterable[Spectrum]:
+def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = None) -> Iterable[BlockSpectrum]:
     """All blocks of a trial in the frequency domain; those of a trial of usual length are kept."""
     several = Spectra(trial, extra)
     return list(several) if len(trial.used) <= KEPT else several
 
 
-def _spectrum(trial: WrenchTrial, part: slice, extra: Tensor | None) -> Spectrum:
+def _spectrum(trial: WrenchTrial, part: slice, extra: Tensor | None) -> BlockSpectrum:
     Y, F = trial.rows(part)
     frames = part.stop - part.start
     kept = coefficients(trial, frames)
     C = cosine_matrix(frames, kept).to(F)
     both = [own @ C.T for own in ((Y,) if extra is None else (Y, extra[:, :, part]))]
-    return Spectrum(torch.cat(both, 1), F @ C.T, frequencies(frames, kept, trial.rate).to(F.device))
+    return BlockSpectrum(torch.cat(both, 1), F @ C.T, frequencies(frames, kept, trial.rate).to(F.device))
 
 
 def column_spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"]) -> list[Float[Tensor, "6 more kept"]]:
@@ -141,23 +141,23 @@ def frequencies(frames: int, kept: int, rate: float) -> Float[Tensor, " kept"]:
 
 def band_of(frequency: Float[Tensor, " kept"]) -> Int[Tensor, " kept"]:
     """Band of each frequency [Hz]."""
-    return torch.bucketize(frequency, torch.tensor(EDGES).to(frequency))
+    return torch.bucketize(frequency, torch.tensor(BAND_EDGES_HZ).to(frequency))
 
 
 def initial_whitening(like: Tensor) -> Whitening:
     """Before any residual is known: 10 N and 3 Nm in every band."""
     diagonal = like.new_tensor([10.0] * 3 + [3.0] * 3).square()
-    return Whitening(torch.diag(diagonal).expand(len(EDGES) + 1, 6, 6).clone())
+    return Whitening(torch.diag(diagonal).expand(len(BAND_EDGES_HZ) + 1, 6, 6).clone())
 
 
-def estimate_whitening(fitted: Iterable[tuple[Spectrum, Float[Tensor, " params"]]], lost: float) -> Whitening:
+def estimate_whitening(fitted: Iterable[tuple[BlockSpectrum, Float[Tensor, " params"]]], lost: float) -> Whitening:
     """Covariance per band from the residuals.
 
     Args:
         fitted: blocks of the fit data, each with the parameters at which its residual is taken.
         lost: degrees of freedom that the fit took from the residuals, shared by the bands in proportion.
     """
-    count, scatter, n = len(EDGES) + 1, torch.zeros(()), torch.zeros(())
+    count, scatter, n = len(BAND_EDGES_HZ) + 1, torch.zeros(()), torch.zeros(())
     for block, phi in fitted:
         if not n.dim():
             scatter, n = phi.new_zeros(count, 6, 6), phi.new_zeros(count)
@@ -179,7 +179,7 @@ def _shrunk(scatter: Tensor, n: Tensor) -> Tensor:
     return share * own + (1.0 - share) * torch.diag_embed(level)
 
 
-def accumulate(blocks: Iterable[Spectrum], whitening: Whitening) -> NormalEquations:
+def accumulate(blocks: Iterable[BlockSpectrum], whitening: Whitening) -> NormalEquations:
     """Whitened sums of all blocks."""
     total: NormalEquations | None = None
     for some in _together(whitening(block) for block in blocks):

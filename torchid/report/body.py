@@ -13,7 +13,7 @@ from torchid.outcome import Outcome
 from torchid.outcome.tables import identified_table, segment_lengths
 from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Table
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
-from torchid.report.posture import rest, stick_points, tips
+from torchid.report.stick_figure import rest, stick_points, tips
 from torchid.report.text import ABSENT, clean, listing, number, percent, plural, segment, spread
 
 DETERMINED = 0.5

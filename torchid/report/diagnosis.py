@@ -8,18 +8,19 @@ from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 from torch import Tensor
 
-from torchid.diagnosis.diagnose import wanted
-from torchid.diagnosis.rivals import NAMED
-from torchid.diagnosis.unexplained import P_VALUE, Structure
-from torchid.diagnosis.verdict import REFUTED, Cause, Diagnosis, Refuted
+from torchid.diagnosis.diagnose import select_effects
+from torchid.diagnosis.evidence.adequacy import P_VALUE, Adequacy
+from torchid.diagnosis.search.rivals import NAMED
+from torchid.diagnosis.testing.heldout import REFUTED
+from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.outcome import Outcome
 from torchid.outcome.tables import heldout_errors
+from torchid.report.before_after import Sides, draw_curves, draw_spectrum, sides, telling_trial, trial_rows
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
-from torchid.report.extension import Sides, draw_curves, draw_spectrum, sides, telling_trial, trial_rows
+from torchid.report.cause_sentences import WORTH, name, rivals, surely, told
+from torchid.report.effect_words import LABELLED, NOUN, called, place
 from torchid.report.figure import IDENTIFIED, MUTED, draw, tidy
-from torchid.report.following import draw_markers, marker_error
-from torchid.report.story import WORTH, name, rivals, surely, told
-from torchid.report.telling import LABELLED, NOUN, called, place
+from torchid.report.marker_distances import draw_markers, marker_error
 from torchid.report.text import clean, listing, number, percent, scientific
 
 SAME = 0.005
@@ -59,7 +60,7 @@ EXTENDED = (
 def _finding(outcome: Outcome, found: Diagnosis) -> str:
     if not found.causes:
         options = outcome.config.diagnosis
-        tried = len(wanted(options.include, options.exclude))
+        tried = len(select_effects(options.include, options.exclude))
         silent = f"None of the {tried} effects that were tried is supported by all recordings: nothing was corrected."
         return " ".join([silent, *_refuted(found), *_nearest(found)])
     return " ".join([*(told(cause) for cause in found.causes), *_gains(outcome, found), *_refuted(found)])
@@ -240,7 +241,7 @@ def _draw_rivals(causes: list[Cause]) -> Markup:
     return draw("rivals", (7.5, height), "Probability of each named cause and of its rivals", paint)
 
 
-def _unexplained(left: Structure) -> str:
+def _unexplained(left: Adequacy) -> str:
     """What remains, in a sentence."""
     if not math.isfinite(left.share_of_residual):
         return f"Whether anything remains unexplained {clean(left.description, 400)}."

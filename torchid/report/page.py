@@ -12,14 +12,14 @@ from torchid.outcome import Outcome
 from torchid.provenance import versions
 from torchid.report.blocks import Section
 from torchid.report.body import body_section
+from torchid.report.data_handling import handling_section
 from torchid.report.diagnosis import diagnosis_section
 from torchid.report.facts import wrenches
 from torchid.report.forces import forces_section
-from torchid.report.handling import handling_section
-from torchid.report.head import head_section
 from torchid.report.joints import joints_section
 from torchid.report.method import method_section
 from torchid.report.skeleton import skeleton_section
+from torchid.report.summary import head_section
 from torchid.report.text import bind, clean
 
 

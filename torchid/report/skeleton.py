@@ -15,7 +15,7 @@ from torchid.outcome.tables import largest, marker_errors
 from torchid.report.blocks import Figure, Section, Table
 from torchid.report.facts import judges, marker_rms
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
-from torchid.report.posture import facing, stick_points, tips
+from torchid.report.stick_figure import facing, stick_points, tips
 from torchid.report.text import ABSENT, change, clean, listing, number, segment
 
 PIECE = 1 << 15

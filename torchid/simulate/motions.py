@@ -11,17 +11,7 @@ from torch import Tensor
 from torchid.errors import ConfigError
 from torchid.model.skeleton import SIDES
 from torchid.simulate.flight import COUNTERMOVEMENT, leap_height
-from torchid.simulate.script import (
-    LEFT,
-    RIGHT,
-    TRANSFER,
-    Script,
-    Stance,
-    Step,
-    foot_path,
-    random_stance,
-    weight_share,
-)
+from torchid.simulate.script import LEFT, RIGHT, TRANSFER, Script, Stance, Step, foot_path, random_stance, weight_share
 from torchid.simulate.signals import passages, wander
 from torchid.simulate.subject import SimulatedSubject
 

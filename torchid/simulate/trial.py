@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.effects.marker_scene import Sight
 from torchid.effects.scene import make_scene
-from torchid.effects.sight import Sight
 from torchid.errors import ConfigError
 from torchid.filters import Smoother
 from torchid.kinematics.plan import plan_tree

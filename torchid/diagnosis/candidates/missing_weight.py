@@ -1,0 +1,236 @@
+"""Weight that is plainly borne where no plate is: a seat, a box, a rail that somebody leans on.
+
+Such a force is many times what noise or any other effect makes. It would drown the search that looks for those, and
+teach the inertia what is no inertia; so it is recognised by its size alone, named, and its frames are set aside.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.contact.contact import Contact
+from torchid.dynamics import wrench_about
+from torchid.effects.columns import columns
+from torchid.effects.forces import MOST_KNOTS, UnmeasuredContact
+from torchid.effects.place import Interval, Place, inside_any
+from torchid.observation.trial import TrialObservation
+from torchid.recording import Forces
+from torchid.regressor.rows import predict, runs
+
+EFFECT = UnmeasuredContact()
+GROSS, GONE = 0.2, 0.05
+"""Parts of the weight that are missing within an interval, and at its ends."""
+SHORTEST_S = 0.25
+"""A stance of running leaves as much for half that time."""
+LONGEST = 0.7
+"""Part of a trial in all: what is missing longer is no interval, but a harness or a wrong mass."""
+RAISED_M = 0.08
+"""Above its lowest, a foot that touches something stands on no floor."""
+REACH_M = 0.2
+"""From the centre of a foot, horizontally, in which a force goes through it."""
+REST_M = 0.1
+"""Standard deviation of where a segment is touched, from its centre of mass."""
+BLOCK_S = 0.1
+"""Frames that a filter leaves independent, about."""
+SPREAD_S = 0.1
+"""Terms an interval, that the filters carry it."""
+SCALE_NM = 2.0
+"""Least error of a moment."""
+
+
+@dataclass(frozen=True)
+class MissingWeight:
+    """A contact of one trial, in one or several intervals."""
+
+    place: Place
+    theta: Float[Tensor, " params"]
+    sd: Float[Tensor, " params"]
+    odds: dict[str, float]
+    """Of the segments that may be touched."""
+    gain: dict[str, float]
+    """On every second tenth of a second, its course found from the others."""
+
+    @property
+    def aside(self) -> tuple[Interval, ...]:
+        """What no model should be fitted to."""
+        assert self.place.when is not None
+        return tuple(Interval(i.trial, i.t0 - SPREAD_S, i.t1 + SPREAD_S) for i in self.place.when)
+
+
+def find_missing_weight(
+    observed: TrialObservation, forces: Forces, contact: Contact, observable: Bool[Tensor, " frames"]
+) -> MissingWeight | None:
+    """Intervals of a trial in which plates miss a good part of the weight, if there are any.
+
+    What goes through feet on the floor is none.
+
+    Args:
+        watched: the trial; its inertia tells what is missing.
+        forces: of its plates, raw, on the clock of the motion.
+        contact: of its feet.
+        observable: frames whose markers determine every coordinate: a bridged motion needs what nobody supplied.
+    """
+    rows, scene = observed.rows, observed.view.scene
+    known = torch.isfinite(forces.total).all(1) & observable
+    # Not the rows': those are bridged where a foot stands beside the plates.
+    read = rows.motion.smoother(torch.nan_to_num(forces.total), known.to(torch.float64))
+    missing = wrench_about(predict(rows, observed.phi), -rows.motion.q[:, :3]) - read
+    weight = 9.81 * float(observed.phi[:, 0].sum())
+    plain = _clear(known, round(SPREAD_S * rows.rate)) & ~_underfoot(observed, contact, missing)
+    when = _lacking(torch.where(torch.isfinite(forces.total).all(1), missing[:, 2] / weight, 0.0), plain, observed)
+    if not when:
+        return None
+    inside = inside_any(when, rows.name, scene.time)
+    odds, points = _touched(observed, contact, missing, inside)
+    best = max(odds, key=lambda name: odds[name])
+    longest = max(own.t1 - own.t0 for own in when)
+    knots = min(MOST_KNOTS, max(3, 1 + round(longest / BLOCK_S)))
+    place = Place((best,), when, points[best], {"knots": float(knots)})
+    return _coursed(observed, place, missing, inside, odds)
+
+
+def set_aside(observed: TrialObservation, aside: Sequence[Interval]) -> TrialObservation:
+    """Without the frames of intervals."""
+    rows = observed.rows
+    used = rows.used & ~inside_any(aside, rows.name, rows.motion.time)
+    return replace(observed, rows=replace(rows, used=used))
+
+
+def _lacking(
+    lack: Float[Tensor, " frames"], plain: Bool[Tensor, " frames"], observed: TrialObservation
+) -> tuple[Interval, ...]:
+    """Intervals in which more than a little is missing, and for a while plainly much."""
+    time, name, much = observed.view.scene.time, observed.rows.name, (lack > GROSS) & plain
+    parts = [part for part in runs(lack > GONE) if _lasts(much[slice(*part)], observed.rows.rate)]
+    if sum(b - a for a, b in parts) > LONGEST * len(lack):
+        return ()
+    return tuple(Interval(name, float(time[a]), float(time[b - 1])) for a, b in parts)
+
+
+def _lasts(much: Bool[Tensor, " frames"], rate: float) -> bool:
+    return any(stop - start >= SHORTEST_S * rate for start, stop in runs(much))
+
+
+def _clear(flag: Bool[Tensor, " frames"], frames: int) -> Bool[Tensor, " frames"]:
+    """So far from every False that no filter carries it here."""
+    n = 2 * frames + 1
+    wide = torch.nn.functional.max_pool1d((~flag).double()[None, None], n, stride=1, padding=frames)
+    return wide[0, 0] == 0.0
+
+
+def _underfoot(
+    observed: TrialObservation, contact: Contact, missing: Float[Tensor, "frames 6"]
+) -> Bool[Tensor, " frames"]:
+    """Frames in which the missing force goes through feet on the floor, or between them.
+
+    Terms the plates that is the floor; on a plate, it is the plate that reads too little.
+    """
+    centre = torch.stack([-missing[:, 4], missing[:, 3]], 1) / missing[:, 2:3]
+    at = torch.stack([_centre(observed, foot) for foot in contact.feet])
+    stands = contact.touching.T & ~torch.stack([_raised(one) for one in at])
+    found = torch.zeros_like(stands[0])
+    for a, b in combinations_with_replacement(range(len(at)), 2):
+        start, along = at[a, :2].T, (at[b, :2] - at[a, :2]).T
+        share = ((centre - start) * along).sum(1) / along.square().sum(1).clamp(min=1e-9)
+        away = (centre - start - share.clamp(0.0, 1.0)[:, None] * along).norm(dim=1)
+        found |= stands[a] & stands[b] & (away < REACH_M)
+    return found
+
+
+def _centre(observed: TrialObservation, segment: str) -> Float[Tensor, "3 frames"]:
+    scene = observed.view.scene
+    return scene.point(segment, scene.centre(segment)).p
+
+
+def _raised(at: Float[Tensor, "3 frames"]) -> Bool[Tensor, " frames"]:
+    return at[2] - at[2].quantile(0.02) > RAISED_M
+
+
+def _touched(
+    observed: TrialObservation, contact: Contact, missing: Float[Tensor, "frames 6"], inside: Bool[Tensor, " frames"]
+) -> tuple[dict[str, float], dict[str, tuple[float, float, float]]]:
+    """Posterior odds of the segments, and where each is touched, in its axes.
+
+    Of a wrench F, M at a point p + R d of a segment, M - p x F is linear in d; the force itself may be anything. A
+    foot that rests on something above the floor needs no search.
+    """
+    scene, step = observed.view.scene, max(1, round(BLOCK_S * observed.rows.rate))
+    some = inside.nonzero()[::step, 0]
+    raised = [f for k, f in enumerate(contact.feet) if bool(_on_something(observed, contact, k)[some].any())]
+    names = raised or [n for n in scene.tree.names if n not in contact.feet]
+    pairs = [_levers(observed, name, missing[some], some) for name in names]
+    scale = max(SCALE_NM, min(_spread(*pair) for pair in pairs))
+    fits = [_rest(left / scale, A / scale) for left, A in pairs]
+    odds = torch.softmax(torch.tensor([log for _, log in fits], dtype=torch.float64), 0).tolist()
+    points = [tuple((scene.centre(n) + d).tolist()) for n, (d, _) in zip(names, fits, strict=True)]
+    return dict(zip(names, odds, strict=True)), dict(zip(names, points, strict=True))
+
+
+def _on_something(observed: TrialObservation, contact: Contact, foot: int) -> Bool[Tensor, " frames"]:
+    return contact.touching[:, foot] & _raised(_centre(observed, contact.feet[foot]))
+
+
+def _levers(
+    observed: TrialObservation, segment: str, wrench: Float[Tensor, "some 6"], some: Tensor
+) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 3"]]:
+    """Moment about a segment's centre, and its change per place in the segment's axes."""
+    scene, force = observed.view.scene, wrench[:, :3]
+    left = wrench[:, 3:] - torch.linalg.cross(_centre(observed, segment)[:, some].T, force)
+    axes = scene.state.at.R[scene.at(segment)][..., some].permute(2, 0, 1)
+    A = torch.linalg.cross(axes, force[:, None].expand_as(axes), dim=2).mT
+    return left.flatten(), A.flatten(0, 1)
+
+
+def _spread(left: Float[Tensor, " rows"], A: Float[Tensor, "rows 3"]) -> float:
+    """RMS of what the best place leaves [N m]."""
+    d = torch.linalg.lstsq(A, left[:, None]).solution
+    return float((left[:, None] - A @ d).square().mean().sqrt())
+
+
+def _rest(left: Float[Tensor, " rows"], A: Float[Tensor, "rows 3"]) -> tuple[Float[Tensor, " 3"], float]:
+    """Place from the centre of mass, and log evidence of rows of unit variance up to what segments share."""
+    L = torch.linalg.cholesky(A.T @ A + torch.eye(3).to(A) / REST_M**2)
+    u = torch.linalg.solve_triangular(L, (A.T @ left)[:, None], upper=False)
+    d = torch.linalg.solve_triangular(L.T, u, upper=True)[:, 0]
+    return d, float(0.5 * (u.square().sum() - left.square().sum()) - L.diagonal().log().sum())
+
+
+def _coursed(
+    observed: TrialObservation, place: Place, missing: Float[Tensor, "frames 6"], inside: Bool[Tensor, " frames"],
+    odds: dict[str, float],
+) -> MissingWeight:  # fmt: skip
+    """The force from knot to knot; its gain where it was not looked at."""
+    root = observed.rows.motion.q[inside, :3]
+    load = -columns(EFFECT, observed.view.scene, observed.view.reading, place)[..., inside].permute(1, 2, 0)
+    Y = wrench_about(load, root.expand(len(load), -1, -1)).permute(1, 2, 0)
+    wrench = wrench_about(missing[inside], root)
+    tenth = max(1, round(BLOCK_S * observed.rows.rate))
+    seen = (torch.arange(len(wrench)) // tenth) % 2 == 0
+    left = wrench[~seen] - Y[~seen] @ _solved(Y[seen], wrench[seen])
+    before, after = (torch.stack([_rms(x[:, :3]), _rms(x[:, 3:])]) for x in (wrench[~seen], left))
+    theta = _solved(Y, wrench)
+    sd = ((wrench - Y @ theta)[:, :3].square().mean() * tenth * _inverse(Y).diagonal()).sqrt()
+    part = (100.0 * (1.0 - after / before)).tolist()
+    nats = 3.0 * float((~seen).sum()) / tenth * math.log(float(before[0] / after[0]))
+    gain = {"heldout_log_likelihood": nats, "force_rmse_pct": part[0], "moment_rmse_pct": part[1]}
+    return MissingWeight(place, theta, sd, odds, gain)
+
+
+def _rms(x: Float[Tensor, "frames 3"]) -> Float[Tensor, ""]:
+    return x.square().sum(1).mean().sqrt()
+
+
+def _solved(Y: Float[Tensor, "frames 6 params"], wrench: Float[Tensor, "frames 6"]) -> Float[Tensor, " params"]:
+    """By the forces: a moment also says where."""
+    return _inverse(Y) @ (Y[:, :3].flatten(0, 1).T @ wrench[:, :3].flatten())
+
+
+def _inverse(Y: Float[Tensor, "frames 6 params"]) -> Float[Tensor, "params params"]:
+    flat = Y[:, :3].flatten(0, 1)
+    gram = flat.T @ flat
+    return torch.linalg.inv(gram + 1e-3 * gram.diagonal().mean() * torch.eye(len(gram)).to(gram))

@@ -1,0 +1,168 @@
+"""Everything that could be hidden: every effect at every place, as columns beside those of the inertia."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import groupby
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.candidates.enumeration import PERIODS, confined, longest_s, mass, source_key
+from torchid.diagnosis.candidates.nuisances import nuisances
+from torchid.diagnosis.candidates.proposals import propose
+from torchid.diagnosis.columns.corrected_scores import noise_scores
+from torchid.diagnosis.columns.design import Columns, Design, Terms, marker_columns, positions
+from torchid.diagnosis.columns.force_columns import about_root, plate_columns
+from torchid.diagnosis.columns.marker_columns import response_of
+from torchid.diagnosis.columns.rate_calibration import calibrated
+from torchid.effects.effect import Effect
+from torchid.geometry.result import GeometryFit
+from torchid.observation.marker_bands import MarkerStatistics, marker_statistics, retaken_statistics
+from torchid.observation.marker_response import MarkerResponse
+from torchid.observation.response_cache import ResponseCache
+from torchid.observation.trial import TrialObservation
+from torchid.observation.unloaded_plates import zero_statistics
+
+TOGETHER = 64
+"""Columns whose momenta are turned into wrenches at once: of a whole catalogue, each step would fill a gigabyte."""
+
+
+def make_design(
+    observed: Sequence[TrialObservation], effects: Sequence[Effect], fit: GeometryFit | None = None
+) -> Design:
+    """Columns of every effect at every place, trial by trial.
+
+    Args:
+        watched: trials.
+        effects: to try.
+        fit: whose geometry the trials were followed with; its errors are nuisances.
+    """
+    names = [w.rows.name for w in observed]
+    inertia = observed[0].view.scene.phi.numel()
+    known, at = {}, inertia
+    for effect, place, mean, scale in nuisances(observed, fit):
+        known[source_key(effect, place)] = Source(effect, place, slice(at, at + len(scale)), mean, scale)
+        at += len(scale)
+    base, candidates = at, []
+    offered = {effect: propose(effect, observed) for effect in effects}
+    wanted = [(effect, effect.source(place)[0]) for effect, places in offered.items() for place in places]
+    # Those that markers show stand together, behind the nuisances that markers show; those of one trial stand last.
+    for effect, own in sorted(wanted, key=lambda both: (not both[0].moves_markers, confined(*both) is not None)):
+        if source_key(effect, own) not in known:
+            scale = effect.scale(own)
+            part = slice(at, at + len(scale))
+            known[source_key(effect, own)] = Source(
+                effect, own, part, (0.0,) * len(scale), scale, confined(effect, own)
+            )
+            at = part.stop
+    for effect, places in offered.items():
+        for place in places:
+            own, trials = effect.source(place)
+            which = range(len(names)) if trials is None else [names.index(t) for t in trials]
+            told = frozenset(k for k in which if longest_s(observed[k]) >= PERIODS * effect.period_s(place))
+            odds = place.odds / mass(effect, places)
+            if told:
+                candidates.append(Candidate(effect, place, known[source_key(effect, own)], told, odds))
+    sources = tuple(known.values())
+    return Design(inertia, base, sources, tuple(candidates), tuple(trial_columns(w, sources) for w in observed))
+
+
+def trial_columns(observed: TrialObservation, sources: Sequence[Source]) -> Columns:
+    """Of the sources that could act in one trial."""
+    sources = [s for s in sources if s.trial in (None, observed.rows.name)]
+    own, first = marker_columns(sources), observed.phi.numel()
+    live = torch.cat([torch.arange(first), *(torch.arange(s.columns.start, s.columns.stop) for s in sources)])
+    extra, at, statistics = observed.rows.wrench.new_zeros(6, len(live) - first, len(observed.rows.used)), 0, None
+    for effect, some in groupby(sources, key=lambda s: s.effect):
+        alike = list(some)
+        part = slice(at, at + sum(len(s.scale) for s in alike))
+        if not effect.moves_markers:
+            extra[:, part] = about_root(observed, plate_columns(observed.view, alike))
+        at = part.stop
+    if observed.response is not None and own.stop > own.start:
+        statistics, wrench = _of_cameras(observed.response, sources)
+        extra[:, own.start - first : own.stop - first] = about_root(observed, wrench)
+    late = torch.tensor([s.effect.shifts_time for s in sources for _ in s.scale])
+    extra[:, late] = calibrated(extra[:, late], observed.rows, observed.scatter)
+    unloaded = zero_statistics(observed.unloaded, [(s.effect, s.place, s.columns) for s in sources])
+    found = Columns(extra, Terms(live, statistics, unloaded, _covariation(observed, sources, live)))
+    if observed.response is not None:
+        observed.response.forget()
+    return found
+
+
+def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source], others: Sequence[Source]) -> Columns:
+    """Columns of a trial with those of some effects on markers taken elsewhere.
+
+    Args:
+        watched: the trial.
+        own: its columns.
+        sources: of all of them, ``others`` where they are now.
+        others: that are elsewhere than they were; no trial lacks them.
+    """
+    response = observed.response
+    assert response is not None, "effects on markers have been found"
+    at, terms = torch.cat([torch.arange(s.columns.start, s.columns.stop) for s in others]), own.terms
+    n, noise = observed.phi.numel(), terms.noise_scores
+    extra = own.copied
+    fresh = [response_of(response, s) for s in others]
+    extra[:, at - n] = about_root(observed, response.wrench(fresh))
+    assert terms.markers is not None, "they show among the markers"
+    every, first = _together([s for s in sources if s.effect.moves_markers]), marker_columns(sources).start
+    fixed = ResponseCache(response)
+    shifts = (torch.cat([response_of(response, s, fixed=fixed).shift for s in some]) for some in every)
+    left = response.bands.left(torch.cat([answer.shift for answer in fresh]))
+    statistics = retaken_statistics(response.bands, terms.markers, shifts, at - first, left)
+    if noise is not None and observed.noise_budget is not None:
+        noise = noise.clone()
+        noise[..., at] = noise_scores(observed, observed.noise_budget, others, inertia=False)
+    return replace(own, wide=extra, kept=None, terms=replace(terms, markers=statistics, noise_scores=noise))
+
+
+def _of_cameras(
+    response: MarkerResponse, sources: Sequence[Source]
+) -> tuple[MarkerStatistics, Float[Tensor, "6 columns frames"]]:
+    """Sums of what markers show of the columns, and the wrench about the origin of W that the motion needs by them."""
+    bands, fixed, wrenches, at = response.bands, ResponseCache(response), [], 0
+    own = [s for s in sources if s.effect.moves_markers]
+    n = sum(len(s.scale) for s in own)
+    spectra = bands.error.new_empty(n + 1, len(bands.band), bands.error.shape[1])
+    for some in _together(own):
+        answers = [response_of(response, s, fixed=fixed) for s in some]
+        for answer, source in zip(answers, some, strict=True):
+            spectra[at : at + len(source.scale)] = answer.spectrum(bands)
+            at += len(source.scale)
+        wrenches.append(response.wrench(answers))
+    spectra[n:] = bands.spectrum(bands.left(bands.error[None]))
+    return marker_statistics(bands, spectra, response.least), torch.cat(wrenches, 1)
+
+
+def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:
+    """Neighbours that have as many columns as are best worked on at once."""
+    some, columns = [], 0
+    for source in sources:
+        some.append(source)
+        columns += len(source.scale)
+        if columns >= TOGETHER:
+            yield some
+            some, columns = [], 0
+    if some:
+        yield some
+
+
+def _covariation(
+    observed: TrialObservation, sources: Sequence[Source], live: Int[Tensor, " live"]
+) -> Float[Tensor, "bands 6 6 live"] | None:
+    """See ``Terms``; zero for what no acceleration enters."""
+    if observed.noise_budget is None:
+        return None
+    some, n = [s for s in sources if s.effect.follows_acceleration], observed.phi.numel()
+    at, _ = positions(
+        live, torch.cat([torch.arange(n), *(torch.arange(s.columns.start, s.columns.stop) for s in some)])
+    )
+    found = noise_scores(observed, observed.noise_budget, some, inertia=True)
+    whole = found.new_zeros(*found.shape[:3], len(live))
+    whole[..., at] = found
+    return whole

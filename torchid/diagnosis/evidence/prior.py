@@ -1,0 +1,51 @@
+"""The Gaussian prior of all parameters, and the coordinates in which it is a unit normal."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.diagnosis.columns.design import Design
+from torchid.diagnosis.evidence.statistics import TrialStatistics
+from torchid.model.model import InertialPrior
+
+
+@dataclass(frozen=True)
+class Prior:
+    """theta = mean + factor z with z unit normal."""
+
+    mean: Float[Tensor, " all"]
+    inertia: Float[Tensor, "params params"]
+    """Lower Cholesky factor of the inertial parameters."""
+    scale: Float[Tensor, " more"]
+
+    def standard(
+        self, gram: Float[Tensor, "live live"], moment: Float[Tensor, " live"], live: Int[Tensor, " live"]
+    ) -> TrialStatistics:
+        """Sums over theta in terms of z."""
+        n, L = len(self.inertia), len(live)
+        scale, left = self.scale[live[n:] - n], moment - gram @ self.mean[live]
+        both = gram.new_zeros(L + 1, L + 1)
+        both[n:L, n:L] = (scale[:, None] * gram[n:, n:]).mul_(scale)
+        both[:n, :n] = self.inertia.T @ gram[:n, :n] @ self.inertia
+        both[:n, n:L] = (self.inertia.T @ gram[:n, n:]).mul_(scale)
+        both[n:L, :n] = both[:n, n:L].T
+        return TrialStatistics(live, both, torch.cat([self.inertia.T @ left[:n], scale * left[n:], left.new_zeros(1)]))
+
+    def widened(self, design: Design) -> "Prior":
+        """The same of inertia, for another design."""
+        n = len(self.inertia)
+        return Prior(torch.cat([self.mean[:n], design.mean.to(self.mean)]), self.inertia, design.scale.to(self.mean))
+
+    def theta(self, z: Float[Tensor, " all"]) -> Float[Tensor, " all"]:
+        """Back to the parameters."""
+        n = len(self.inertia)
+        return self.mean + torch.cat([self.inertia @ z[:n], self.scale * z[n:]])
+
+
+def make_prior(inertia: InertialPrior, omega: float, design: Design) -> Prior:
+    """Of all columns of a design; ``omega`` weighs the inertial prior as the inertial fit did."""
+    factor = torch.linalg.cholesky(inertia.covariance / omega)
+    scale = design.scale.to(factor)
+    return Prior(torch.cat([inertia.mean.reshape(-1), design.mean.to(factor)]), factor, scale)

@@ -1,0 +1,111 @@
+"""What trials say of all parameters, in coordinates in which every prior is a unit normal."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import groupby
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.diagnosis.candidates.candidate import Candidate
+from torchid.diagnosis.columns.design import Design, narrower, positions
+
+
+@dataclass(frozen=True)
+class TrialStatistics:
+    """What one trial's whitened rows say of z: what could happen in another trial alone has no columns in them."""
+
+    live: Int[Tensor, " live"]
+    """Columns of the design that this trial has, in order."""
+    gram: Float[Tensor, "live+1 live+1"]
+    """Its last row and column, zero, are those of all columns that do not live."""
+    moment: Float[Tensor, " live+1"]
+
+    def at(self, columns: Int[Tensor, "*some"]) -> Int[Tensor, "*some"]:
+        """Where columns of the design stand."""
+        at = torch.searchsorted(self.live, columns)
+        return torch.where(self.live[at.clamp(max=len(self.live) - 1)] == columns, at, len(self.live))
+
+    def only(self, some: Int[Tensor, " fewer"]) -> "TrialStatistics":
+        """Of a design that kept these columns of this one."""
+        at, live = positions(self.live, some)
+        where = torch.cat([at, at.new_tensor([len(self.live)])])
+        return TrialStatistics(live, self.gram[where][:, where], self.moment[where])
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Gram matrices and moments of z, trial by trial."""
+
+    base: int
+    """Columns of inertia and nuisances, which every trial has; those of the candidates' sources follow."""
+    shared: int
+    """Columns that every trial has; those follow that are one trial's."""
+    trials: tuple[TrialStatistics, ...]
+    constant: float = 0.0
+    """Log density of all rows but for what models of one noise differ in."""
+
+    @property
+    def all(self) -> frozenset[int]:
+        """Every trial."""
+        return frozenset(range(len(self.trials)))
+
+    def only(self, design: Design, some: Sequence[Candidate]) -> "Statistics":
+        """Of a design of these candidates alone."""
+        small, _, which = narrower(design, some)
+        return replace(self, shared=small.shared, trials=tuple(raw.only(which.all) for raw in self.trials))
+
+    def block(
+        self, rows: slice | Tensor, columns: slice | Tensor, seen: frozenset[int]
+    ) -> Float[Tensor, "rows columns"]:
+        """Part of the Gram matrix, summed over some trials."""
+        # Symmetric: rows of a matrix lie together in memory, columns do not.
+        return self.summed(seen, lambda raw: raw.gram[_of(raw, columns)][:, _of(raw, rows)]).mT
+
+    def moment(self, columns: slice | Tensor, seen: frozenset[int]) -> Float[Tensor, " columns"]:
+        """Part of the moment, summed over some trials."""
+        return self.summed(seen, lambda raw: raw.moment[_of(raw, columns)])
+
+    def summed(self, seen: frozenset[int], part: Callable[[TrialStatistics], Tensor]) -> Tensor:
+        """A linear part of what some trials say together."""
+        left = self.all - seen
+        if 0 < len(left) < len(seen):
+            # All but a few: what those say taken off.
+            return self.summed(self.all, part) - sum(part(self.trials[k]) for k in left)
+        if left or len(self.trials) == 1:
+            zero = torch.zeros_like(part(self.trials[0]))
+            return sum((part(self.trials[k]) for k in seen), start=zero)
+        return part(self._whole)
+
+    @cached_property
+    def _whole(self) -> TrialStatistics:
+        """Of the shared columns: what is one trial's is never summed."""
+        n, first = self.shared, self.trials[0]
+        gram, moment = first.gram.new_zeros(n + 1, n + 1), first.moment.new_zeros(n + 1)
+        for raw in self.trials:
+            gram[:n, :n] += raw.gram[:n, :n]
+            moment[:n] += raw.moment[:n]
+        return TrialStatistics(first.live[:n], gram, moment)
+
+    def cross(self, chosen: Sequence[Candidate], columns: slice | Tensor, seen: frozenset[int]) -> Tensor:
+        """Rows of the base and of chosen candidates against columns, summed over the trials in which they act."""
+        rows = [self.block(slice(self.base), columns, seen)]
+        for own, relative, block in blocks_of(chosen):
+            rows.append(relative.to(rows[0])[:, None] * self.block(own, columns, block & seen))
+        return torch.cat(rows)
+
+
+def _of(raw: TrialStatistics, some: slice | Tensor) -> slice | Tensor:
+    """Slices are of columns that every trial has."""
+    return some if isinstance(some, slice) else raw.at(some)
+
+
+def blocks_of(
+    chosen: Sequence[Candidate],
+) -> Iterator[tuple[Int[Tensor, " columns"], Float[Tensor, " columns"], frozenset[int]]]:
+    """Columns and relative scales of neighbours that act in the same trials, and these."""
+    for block, some in groupby(((one, block) for one in chosen for block in one.blocks), key=lambda both: both[1]):
+        own = [one for one, _ in some]
+        yield torch.cat([c.columns for c in own]), torch.cat([c.relative for c in own]), block

@@ -1,0 +1,39 @@
+"""The content of ``diagnosis.json``."""
+
+import dataclasses
+from typing import Any
+
+from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
+from torchid.effects.place import Place
+from torchid.effects.recommendations import tell_apart
+
+
+def verdict_table(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Content of ``diagnosis.json`` but for what the extended model makes of markers."""
+    return {
+        "baseline": {"heldout": dataclasses.asdict(diagnosis.baseline)},
+        "causes": [_listed(cause) for cause in diagnosis.causes],
+        "unexplained": diagnosis.unexplained,
+        "extended": {"heldout": dataclasses.asdict(diagnosis.extended)},
+        "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
+        "nearest": [dataclasses.asdict(near) for near in diagnosis.nearest],
+        "refuted": [dataclasses.asdict(one) for one in diagnosis.refuted],
+        "plates": {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in diagnosis.plates},
+    }
+
+
+def _listed(cause: Cause) -> dict[str, Any]:
+    names = ("effect", "where", "when", "parameters", "confidence", "alternatives", "indistinguishable", "gain")
+    found = {name: getattr(cause, name) for name in names}
+    found["indistinguishable"] = [_twin(cause, twin) for twin in cause.indistinguishable]
+    return found | _joint_and_markers(cause.place)
+
+
+def _twin(cause: Cause, twin: Twin) -> dict[str, Any]:
+    names = ("effect", "where", "confidence", "parameters")
+    found = {name: getattr(twin, name) for name in names} | {"motion": tell_apart(cause.effect, twin.effect)}
+    return found if twin.place is None else found | _joint_and_markers(twin.place)
+
+
+def _joint_and_markers(place: Place) -> dict[str, Any]:
+    return {"follows": place.follows and str(place.follows), "markers": place.markers or None}

@@ -1,0 +1,190 @@
+"""The model extended by what the diagnosis names: recordings corrected, everything fitted again."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.config import Config
+from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.columns.marker_columns import response_of
+from torchid.diagnosis.verdict.records import Cause
+from torchid.effects.catalogue import effect
+from torchid.effects.columns import columns
+from torchid.effects.effect import Planted
+from torchid.effects.marker_scene import Sight
+from torchid.effects.place import inside_any
+from torchid.effects.scene import make_scene
+from torchid.errors import Note
+from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.experiment.fits import OnStage, fit_session, identify
+from torchid.experiment.stages import follow, subject_prior
+from torchid.experiment.swapped_markers import SWAP, relabel, swap_causes
+from torchid.geometry.result import GeometryFit
+from torchid.geometry.tracking import Tracked, track
+from torchid.observation.trial import TrialObservation
+from torchid.outcome import Followed, Outcome, Residual, Session
+from torchid.recording import Trial
+from torchid.regressor.rows import residual_rms
+from torchid.results import OutputFolder
+
+SMOOTHED = "filter_lag"
+"""Acts on markers, but what a filter took away no marker gives back: the wrench is corrected for it."""
+WORSE = 1.2
+"""Times the held-out force error of the model without them that named causes may leave before the results warn."""
+RECORD = "body_mass"
+"""Is no force: the prior takes the mass that was found instead of the recorded one."""
+
+
+def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> Outcome:
+    """Everything fitted again with the named causes taken out of the recordings.
+
+    Args:
+        base: with the verdict on it.
+        relabelled: with the names of swapped markers put right, on it what was found then; without any, ``base``.
+        folder: for stages.
+        key: of all that these depend on.
+        progress: called with stages and fractions.
+    """
+    assert relabelled.diagnosis is not None
+    causes, fit = relabelled.diagnosis.causes, relabelled.fit
+    config, session = corrected_config(base.config, causes), relabelled.session
+    tracked = {name: item.tracked for name, item in relabelled.followed.items()}
+    if any(moves_markers(cause) for cause in causes):
+        session = extend_session(relabelled)
+        fit = folder.stage("geometry_extended", key, lambda: fit_session(config, session, True, progress))
+        # All others are followed from where the markers that were measured led.
+        renamed = {own.trial for cause in swap_causes(causes) for own in cause.when or ()}
+        for name, trial in session.trials.items():
+            near = None if name in renamed else tracked[name].q
+            tracked[name] = folder.stage(
+                f"extended_{name}", key, lambda t=trial, near=near: track(fit, t.markers, near=near)
+            )
+    with folder.timed("extend"):
+        added = effect_wrenches(relabelled)
+        followed = follow_extended(config, relabelled, session, fit, tracked, added)
+    outcome = replace(
+        base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
+    )
+    identified = folder.stage("inertia_extended", key, lambda: identify(config, outcome, progress))
+    outcome = replace(outcome, identified=identified, config=base.config)
+    more = _residuals(outcome, "+ named causes")
+    notes = (*outcome.notes, *_worse_notes(base.residuals, more))
+    return replace(outcome, residuals=(*base.residuals, *more), notes=notes)
+
+
+def _worse_notes(base: Sequence[Residual], extended: Sequence[Residual]) -> list[Note]:
+    """An extension that held-out motion does not bear out is said to be none."""
+    before, after = ([row.force_rmse_N for row in rows if row.role == "heldout"] for rows in (base, extended))
+    if not before or not after or not after[-1] > WORSE * before[-1]:
+        return []
+    said = f"with the named causes, held-out forces are off by {after[-1]:.1f} N, without them by {before[-1]:.1f} N"
+    advice = "do not use the extended model: exclude causes (diagnosis.exclude) or set diagnosis.enabled: false"
+    return [Note("diagnosis.worse", f"{said}; {advice}")]
+
+
+def _residuals(outcome: Outcome, label: str) -> list[Residual]:
+    rows = []
+    for role in ("fit", "heldout"):
+        own = [outcome.followed[name].wrench for name in outcome.session.part(role, "inertia")]
+        trials = [wrench for wrench in own if wrench is not None]
+        if trials:
+            found = residual_rms(trials, outcome.phi)
+            rows.append(Residual(label, role, outcome.cutoff_hz, "identified", "identified", *found))
+    return rows
+
+
+def extend_session(outcome: Outcome) -> Session:
+    """The same recordings with named effects on markers taken out, in all trials in which they are known to act."""
+    assert outcome.diagnosis is not None
+    causes = [c for c in outcome.diagnosis.causes if moves_markers(c)]
+    exchanged, others = swap_causes(causes), [c for c in causes if c.effect != SWAP]
+    named = {name: relabel(trial, exchanged) for name, trial in outcome.session.trials.items()}
+    trials = {name: _cleared(outcome, trial, others) for name, trial in named.items()}
+    return replace(outcome.session, trials=trials)
+
+
+def moves_markers(cause: Cause) -> bool:
+    """Whether correcting it changes what cameras saw."""
+    return effect(cause.effect).moves_markers and cause.effect != SMOOTHED
+
+
+def _cleared(outcome: Outcome, trial: Trial, causes: list[Cause]) -> Trial:
+    acting = [planted for cause in causes if (planted := cause.on(trial.name)) is not None]
+    if not acting:
+        return trial
+    fit, motion = outcome.fit, outcome.followed[trial.name].motion
+    scene = make_scene(trial.name, fit.model.tree, fit.geometry, motion, outcome.prior.mean)
+    body = torch.tensor(scene.state.plan.position)[fit.attachment.body]
+    sight = Sight(scene, fit.attachment.labels, body, fit.place)
+    seen = [one.seen(one.effect.beneath(sight, one.place, one.theta)) for one in acting]
+    off = torch.stack(seen).sum(0).permute(2, 0, 1)
+    position = trial.markers.position.clone()
+    for k, label in enumerate(fit.attachment.labels):
+        if label in trial.markers.labels:
+            position[:, trial.markers.labels.index(label)] -= off[:, k].to(position)
+    return replace(trial, markers=replace(trial.markers, position=position))
+
+
+def corrected_config(config: Config, causes: tuple[Cause, ...]) -> Config:
+    """With the person's mass as found, where the recorded one is named wrong."""
+    for cause in causes:
+        if cause.effect == RECORD:
+            mass, sd = (float(cause.parameters["mass_kg"][k]) for k in ("value", "sd"))
+            subject = config.subject.model_copy(update={"mass_kg": mass, "mass_sd_kg": sd})
+            return config.model_copy(update={"subject": subject})
+    return config
+
+
+def follow_extended(
+    config: Config, base: Outcome, session: Session, fit: GeometryFit, tracked: dict[str, Tracked],
+    added: dict[str, Float[Tensor, "frames 6"]],
+) -> dict[str, Followed]:  # fmt: skip
+    """All trials followed by the extended model; wrenches are those that it has to explain by motion alone.
+
+    Args:
+        config: corrected by what was found.
+        base: with the verdict.
+        session: corrected by it.
+        fit: to the corrected markers.
+        tracked: by that.
+        added: what the named effects add to the plates' total, see ``effect_wrenches``.
+    """
+    assert base.diagnosis is not None
+    found = {name: follow(fit, trial, tracked[name], base.cutoff_hz, config) for name, trial in session.trials.items()}
+    for name, wrong in added.items():
+        wrench = found[name].wrench
+        if wrench is not None:
+            aside = inside_any(base.diagnosis.aside, name, wrench.motion.time)
+            left = replace(wrench, wrench=wrench.wrench - wrong, used=wrench.used & ~aside)
+            found[name] = replace(found[name], wrench=left)
+    return found
+
+
+def effect_wrenches(base: Outcome) -> dict[str, Float[Tensor, "frames 6"]]:
+    """What the named effects add to the plates' total about the origin of W, by trial; those on markers have none."""
+    assert base.diagnosis is not None
+    forceful = [c for c in base.diagnosis.causes if not moves_markers(c) and c.effect != RECORD]
+    found = {}
+    for role in ("fit", "heldout"):
+        for name, observed in observe_outcome(base, role).items():
+            acting = [one for c in forceful if (one := c.on(name)) is not None]
+            if acting:
+                found[name] = torch.stack([_added(observed, one) for one in acting]).sum(0)
+    return found
+
+
+def _added(observed: TrialObservation, one: Planted) -> Float[Tensor, "frames 6"]:
+    if one.effect.moves_markers:
+        assert observed.response is not None
+        source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
+        added = (one.theta @ observed.response.wrench([response_of(observed.response, source)])).T
+        return one.effect.trusted(added, observed.rows.rate, one.place, one.theta)
+    view = observed.view
+    if one.effect.reads_measured:
+        back = one.effect.undone(view.measured, one.place, one.theta)
+        return (view.measured.total - back.total).T
+    where = one.theta if one.effect.nonlinear else None
+    return (one.theta @ columns(one.effect, view.scene, view.reading, one.place, where)).T

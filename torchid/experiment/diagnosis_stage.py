@@ -1,0 +1,112 @@
+"""What the diagnosis sees of an experiment."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from torchid.allocator import keeping_large
+from torchid.config import Config
+from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
+from torchid.diagnosis.diagnose import diagnose, select_effects
+from torchid.diagnosis.verdict.causes import with_missing_weight
+from torchid.diagnosis.verdict.records import Diagnosis
+from torchid.effects.catalogue import CATALOGUE
+from torchid.observation.plate_registry import recognise
+from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
+from torchid.outcome import Outcome
+from torchid.regressor.rows import WrenchTrial
+
+LONGEST_S = 40.0
+"""Of a trial is searched at most: columns of the whole catalogue take 13 MB per second at 100 Hz."""
+MOST = 12
+"""Trials of each role that are searched: those with most used frames."""
+
+
+@keeping_large()
+def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
+    """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
+
+    Raises:
+        ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
+    """
+    effects, identified = select_effects(config.diagnosis.include, config.diagnosis.exclude), outcome.identified
+    plates, _ = recognise(_forces(outcome))
+    trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
+    parts = {role: searched(some) for role, some in trials.items()}
+    observed, heldout = (list(observe_outcome(outcome, role, parts[role]).values()) for role in ("fit", "heldout"))
+    if identified is None or not observed:
+        return None
+    missing = _gross(outcome, observed, parts["fit"]) if any(e.name == EFFECT.name for e in effects) else []
+    aside = [i for one in missing for i in one.aside]
+    left = [w for w in (set_aside(w, aside) for w in observed) if any(True for _ in w.rows.blocks())]
+    observed = left or observed
+    found = diagnose(
+        observed, heldout, plates, effects, outcome.prior,
+        identified.fit.omega_2, identified.whitening, config.diagnosis.max_effects, outcome.fit,
+    )  # fmt: skip
+    found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
+    return with_missing_weight(found, missing)
+
+
+def _gross(outcome: Outcome, observed: Sequence[TrialObservation], parts: Mapping[str, slice]) -> list[MissingWeight]:
+    found = []
+    for w in observed:
+        item, part, forces = outcome.followed[w.rows.name], parts[w.rows.name], _forces(outcome)[w.rows.name]
+        assert item.contact is not None
+        observable = item.tracked.observable[part]
+        found.append(find_missing_weight(w, forces.samples(part), item.contact.frames(part), observable))
+    return [one for one in found if one is not None]
+
+
+def forceful(outcome: Outcome, role: str) -> dict[str, WrenchTrial]:
+    """Rows of the trials of a role that have any."""
+    rows = {name: outcome.followed[name].wrench for name in outcome.session.part(role, "inertia")}
+    return {name: one for name, one in rows.items() if one is not None and any(True for _ in one.blocks())}
+
+
+def searched(trials: Mapping[str, WrenchTrial]) -> dict[str, slice]:
+    """The frames of each trial that are worth their memory: the stretch in which most are used."""
+    kept = sorted(trials, key=lambda name: -int(trials[name].used.sum()))[:MOST]
+    return {name: _stretch(rows) for name, rows in trials.items() if name in kept}
+
+
+def _stretch(rows: WrenchTrial) -> slice:
+    n = round(LONGEST_S * rows.rate)
+    if len(rows.used) <= n:
+        return slice(0, len(rows.used))
+    first = int(rows.used.long().unfold(0, n, 1).sum(1).argmax())
+    return slice(first, first + n)
+
+
+def _passed_over(trials: Mapping[str, WrenchTrial], parts: Mapping[str, slice]) -> dict[str, str]:
+    """What comes and goes is not found where nobody looks."""
+    said = [f"{name} was not searched" for name in trials if name not in parts]
+    for name, part in parts.items():
+        time = trials[name].motion.time
+        if part.stop - part.start < len(time):
+            said.append(f"of {name} only {float(time[part.start]):.1f} to {float(time[part.stop - 1]):.1f} s")
+    return {name: "; ".join(said) for name, one in CATALOGUE.items() if one.intermittent} if said else {}
+
+
+def observe_outcome(
+    outcome: Outcome, role: str, parts: Mapping[str, slice] | None = None
+) -> dict[str, TrialObservation]:
+    """Trials of a role with forces, as the diagnosis sees them; given parts, these alone."""
+    forces = _forces(outcome)
+    _, frames = recognise(forces)
+    known = BodyEstimate(outcome.prior.mean, outcome.phi, float(outcome.prior.mean[:, 0].sum()))
+    found = {}
+    for name, rows in forceful(outcome, role).items():
+        item, part = outcome.followed[name], slice(None) if parts is None else parts.get(name)
+        if part is not None and item.contact is not None:
+            markers = outcome.session.trials[name].markers.frames(part)
+            seen = outcome.fit, markers, item.tracked.frames(part)
+            own, measured = forces[name].samples(part), item.contact.measured[part]
+            found[name] = observe_trial(rows.frames(part), own, measured, frames[name], known, seen)
+    return found
+
+
+def _forces(outcome: Outcome) -> dict:
+    """Fit trials first: held-out ones never say where a plate is that a fit trial knows."""
+    trials = outcome.session.trials
+    order = sorted(trials, key=lambda name: trials[name].role == "heldout")
+    return {n: trials[n].forces for n in order if trials[n].forces is not None and trials[n].role != "static"}

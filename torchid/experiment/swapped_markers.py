@@ -1,0 +1,105 @@
+"""Markers that carry each other's name, given back their own, and what is seen then.
+
+Swapped markers bend postures, which no column is linear in, and the geometry: with the swap named, skin slid on that
+segment and its joints' centres glided. So all is fitted again with the names put right, and all else looked for then.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.verdict.causes import after_forces
+from torchid.diagnosis.verdict.confidence import trust
+from torchid.diagnosis.verdict.records import Cause, Diagnosis
+from torchid.effects.place import inside_any
+from torchid.experiment.diagnosis_stage import diagnose_outcome
+from torchid.experiment.fits import OnStage, fit_session, identify
+from torchid.experiment.stages import follow, subject_prior
+from torchid.geometry.tracking import track
+from torchid.outcome import Outcome
+from torchid.recording import Trial
+from torchid.results import OutputFolder
+
+SWAP = "marker_swap"
+
+
+def put_right(base: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> tuple[Outcome, Outcome]:
+    """All is looked for anew beside the swaps that a verdict names.
+
+    Args:
+        base: with the first verdict on it.
+        folder: for stages.
+        key: of all that these depend on.
+        progress: called with stages and fractions.
+
+    Returns:
+        The outcome with the whole verdict; and the one with recordings and fits relabelled, its verdict what was found
+        in these. Without swaps, or where one would be taken back, ``base`` twice.
+
+    Raises:
+        DataError: as ``identify``.
+    """
+    assert base.diagnosis is not None
+    exchanged = swap_causes(base.diagnosis.causes)
+    if not exchanged:
+        return base, base
+    again = fitted_anew(base, exchanged, folder, key, progress)
+    after = folder.stage("diagnosis_relabelled", key, lambda: diagnose_outcome(base.config, again))
+    if after is None or any(_overlap(one, other) for one in exchanged for other in swap_causes(after.causes)):
+        return base, base
+    return replace(base, diagnosis=merged(base.diagnosis, after, exchanged)), replace(again, diagnosis=after)
+
+
+def swap_causes(causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """Those among causes."""
+    return tuple(cause for cause in causes if cause.effect == SWAP)
+
+
+def relabel(trial: Trial, causes: Sequence[Cause]) -> Trial:
+    """With the names of each swap in the trial exchanged while it lasts."""
+    acting = [cause for cause in causes if any(own.trial == trial.name for own in cause.when or ())]
+    if not acting:
+        return trial
+    markers = trial.markers
+    position = markers.position.clone()
+    for cause in acting:
+        pair = [markers.labels.index(label) for label in cause.where]
+        inside = inside_any(cause.when or (), trial.name, markers.time).nonzero()
+        position[inside, pair] = position[inside, pair[::-1]]
+    return replace(trial, markers=replace(markers, position=position))
+
+
+def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, key: str, progress: OnStage) -> Outcome:
+    """The outcome up to the inertia, from recordings in which swaps are put right.
+
+    Geometry included: a swap of 0.8 s had bent a foot's, and skin that slid by 35 mm made up for it.
+    """
+    config, trials = base.config, {name: relabel(trial, causes) for name, trial in base.session.trials.items()}
+    session = replace(base.session, trials=trials)
+    fit = folder.stage("geometry_relabelled", key, lambda: fit_session(config, session, True, progress))
+    followed = {}
+    for name, trial in trials.items():
+        tracked = folder.stage(f"relabelled_{name}", key, lambda t=trial: track(fit, t.markers))
+        followed[name] = follow(fit, trial, tracked, base.cutoff_hz, config)
+    found = replace(base, session=session, fit=fit, followed=followed, prior=subject_prior(config, fit))
+    return replace(found, identified=folder.stage("inertia_relabelled", key, lambda: identify(config, found, progress)))
+
+
+def merged(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause]) -> Diagnosis:
+    """What was found with the names put right, and the swaps found before, with what they gained then; in doubt is what
+    is contradicted now."""
+    own = [_doubted(cause, before.unexplained, after.unexplained) for cause in causes]
+    found = sorted((*own, *after.causes), key=after_forces)
+    return replace(after, baseline=before.baseline, causes=tuple(found))
+
+
+def _doubted(cause: Cause, before: Adequacy, after: Adequacy) -> Cause:
+    doubted = after.alone or (after.significant and not after.beyond)
+    factor = (trust(after) if doubted else 1.0) / (trust(before) if cause.doubted else 1.0)
+    return replace(cause.scaled(factor), doubted=doubted)
+
+
+def _overlap(one: Cause, other: Cause) -> bool:
+    """Whether two swaps are of the same markers at the same time."""
+    both = [(a, b) for a in one.when or () for b in other.when or () if a.trial == b.trial]
+    return set(one.where) == set(other.where) and any(a.t0 <= b.t1 and b.t0 <= a.t1 for a, b in both)

@@ -1,0 +1,151 @@
+"""Twists of all coordinates, and the wrenches with which the markers resist them.
+
+Every coordinate, of motion or of geometry, moves the markers of one subtree as a rigid body. All twists and wrenches
+are taken about the origin of the root body of each frame, in W axes. Columns: six of the base, turns, hinge entries,
+slides, offset entries (``Layout``).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchid.geometry.arrow.index_tables import Layout
+from torchid.kinematics.recursion import Poses, cross
+
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+@dataclass(frozen=True)
+class Twists:
+    """Twist, wrench and gradient of every column, frames first."""
+
+    S: Tensor
+    """(frames, columns, 6)"""
+    F: Tensor
+    """(frames, columns, 6): wrench of the subtree's markers, point masses of their weight, that move with S."""
+    g: Tensor
+    """(frames, columns)"""
+
+
+def moments(layout: Layout, weight: Tensor, p: Tensor, pull: Tensor) -> Tensor:
+    """Sums over the markers of each subtree (bodies, 16, frames).
+
+    Mass, first and six second moments of the weights, then force and moment of the weighted residuals.
+    """
+    markers, _, frames = p.shape
+    stacked = torch.empty(markers, 16, frames, dtype=p.dtype, device=p.device)
+    stacked[:, 0] = weight
+    wp = torch.mul(weight[:, None], p, out=stacked[:, 1:4])
+    torch.mul(wp[:, :1], p, out=stacked[:, 4:7])
+    torch.mul(wp[:, 1:2], p[:, 1:], out=stacked[:, 7:9])
+    torch.mul(wp[:, 2], p[:, 2], out=stacked[:, 9])
+    stacked[:, 10:13] = pull
+    stacked[:, 13:16] = cross(p, pull)
+    return (layout.subtree @ stacked.flatten(1)).view(len(layout.subtree), 16, frames)
+
+
+def column_twists(layout: Layout, at: Poses, sums: Tensor, shared: bool) -> Twists:
+    """Twists of the columns of motion, and of geometry where ``shared``; ``at`` measures places from the root."""
+    z, t = _axes(layout, at, shared)
+    turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
+    twist = z.new_empty(6 + len(z) + len(t), 6, z.shape[2])
+    wrench = torch.empty_like(twist)
+    _base(sums[0], twist[:6], wrench[:6])
+    _turn(at, sums.index_select(0, turning), turning, z, twist[6 : 6 + len(z)], wrench[6 : 6 + len(z)])
+    _slide(sums.index_select(0, sliding), t, twist[6 + len(z) :], wrench[6 + len(z) :])
+    g = torch.empty_like(twist[:, 0])
+    g[:6] = sums[0, 10:]
+    pull = sums[:, 10:].index_select(0, torch.cat([turning, sliding]))
+    torch.sum(twist[6:] * pull, dim=1, out=g[6:])
+    return Twists(_frames_first(twist), _frames_first(wrench), g.T)
+
+
+def _axes(layout: Layout, at: Poses, shared: bool) -> tuple[Tensor, Tensor]:
+    """Axes of turns and hinge entries, directions of slides and offset entries."""
+    z, t = at.turn_axis.index_select(0, layout.turn_order), at.slide_axis
+    if not shared:
+        return z, t
+    frames = z.shape[2]
+    hinge = (layout.hinge_map @ at.hinge_axis.flatten(1)).view(len(layout.hinge_map), 3, frames)
+    offset = (layout.offset_map @ at.R.flatten(0, 1).flatten(1)).view(len(layout.offset_map), 3, frames)
+    return torch.cat([z, hinge]), torch.cat([t, offset])
+
+
+def column_gradient(layout: Layout, at: Poses, p: Tensor, pull: Tensor, shared: bool) -> Tensor:
+    """Gradient (columns, frames) alone, as in ``column_twists``, for a third of the work."""
+    z, t = _axes(layout, at, shared)
+    turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
+    wrench = torch.cat([pull, cross(p, pull)], dim=1)
+    wrench = (layout.subtree @ wrench.flatten(1)).view(len(layout.subtree), 6, p.shape[2])
+    arm = at.p.index_select(0, turning)
+    about = wrench.index_select(0, turning)
+    turns = (z * (about[:, 3:] - cross(arm, about[:, :3]))).sum(1)
+    slides = (t * wrench[:, :3].index_select(0, sliding)).sum(1)
+    return torch.cat([wrench[0], turns, slides])
+
+
+def _frames_first(x: Tensor) -> Tensor:
+    """(n, 6, frames) to (frames, n, 6); a transpose of matrices is what torch copies fast."""
+    return x.flatten(0, 1).T.contiguous().view(x.shape[2], x.shape[0], 6)
+
+
+def _base(sums: Tensor, twist: Tensor, wrench: Tensor) -> None:
+    """Translations and rotations of the root: identity, and the composite inertia of all markers."""
+    first, second = sums[1:4], sums[4:10]
+    twist.zero_()
+    twist[range(6), range(6)] = 1.0
+    wrench.zero_()
+    wrench[0, 0] = wrench[1, 1] = wrench[2, 2] = sums[0]
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        wrench[3 + j, i] = wrench[i, 3 + j] = first[k]
+        wrench[3 + i, j] = wrench[j, 3 + i] = -first[k]
+    trace = second[0] + second[3] + second[5]
+    for k, (i, j) in enumerate(PAIRS):
+        wrench[3 + j, 3 + i] = wrench[3 + i, 3 + j] = trace - second[k] if i == j else -second[k]
+
+
+def _turn(at: Poses, sums: Tensor, body: Tensor, z: Tensor, twist: Tensor, wrench: Tensor) -> None:
+    """Turns about axes z through the origins of their bodies."""
+    mass, first, second = sums[:, :1], sums[:, 1:4], sums[:, 4:10]
+    v = cross(at.p.index_select(0, body), z)
+    twist[:, :3], twist[:, 3:] = v, z
+    torch.addcmul(cross(z, first), mass, v, out=wrench[:, :3])
+    moment = torch.addcmul(cross(first, v), second[:, 0:1] + second[:, 3:4] + second[:, 5:6], z)
+    for row, entries in enumerate(((0, 1, 2), (1, 3, 4), (2, 4, 5))):
+        for column, k in enumerate(entries):
+            moment[:, row].addcmul_(second[:, k], z[:, column], value=-1)
+    wrench[:, 3:] = moment
+
+
+def _slide(sums: Tensor, t: Tensor, twist: Tensor, wrench: Tensor) -> None:
+    """Translations along t."""
+    twist[:, :3] = t
+    twist[:, 3:] = 0.0
+    torch.mul(sums[:, :1], t, out=wrench[:, :3])
+    wrench[:, 3:] = cross(sums[:, 1:4], t)
+
+
+def with_markers(columns: Twists, R: Tensor, p: Tensor, weight: Tensor, pull: Tensor) -> Twists:
+    """Columns with those of some markers' places appended: three each, along the axes of the marker's body.
+
+    Args:
+        columns: of motion and named parameters.
+        R: columns of R_WB of the marker's body (markers, 3 columns, 3, frames).
+        p: the markers' positions from the root's origin; weight, pull: their weights and weighted residuals.
+    """
+    n, frames = len(p), p.shape[2]
+    twist, wrench = (torch.zeros(n, 3, 6, frames, dtype=p.dtype, device=p.device) for _ in range(2))
+    twist[:, :, :3] = R
+    f = torch.mul(weight[:, None, None], R, out=wrench[:, :, :3])
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        torch.mul(p[:, None, i], f[:, :, j], out=wrench[:, :, 3 + k])
+        wrench[:, :, 3 + k].addcmul_(p[:, None, j], f[:, :, i], value=-1)
+    g = (R * pull[:, None]).sum(2).flatten(0, 1).T
+    return Twists(
+        torch.cat([columns.S, _frames_first(twist.flatten(0, 1))], dim=1),
+        torch.cat([columns.F, _frames_first(wrench.flatten(0, 1))], dim=1),
+        torch.cat([columns.g, g], dim=1),
+    )

@@ -1,0 +1,77 @@
+"""The first scale of a subject: landmarks of the static trial, or of some motion, then all other markers on them."""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.errors import DataError, Note
+from torchid.geometry.arrow.solver import solve_arrow
+from torchid.geometry.attachment import Attachment
+from torchid.geometry.marker_weights import stated_sigma
+from torchid.geometry.options import GeometryOptions
+from torchid.geometry.posture.initial_posture import evenly
+from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.result import GeometryFit, fixed, parameters
+from torchid.geometry.trial_problem import posture_prior, settled, side_by_side, trial_problem
+from torchid.model.model import Model
+from torchid.recording import Markers
+
+LANDMARK_SIGMA = 0.02
+"""Scatter of landmark markers about the template's places while only these are followed [m]."""
+
+
+def start_fit(
+    model: Model,
+    attachment: Attachment,
+    trials: dict[str, Markers],
+    static: Markers | None,
+    options: GeometryOptions = GeometryOptions(),
+    free: bool = True,
+) -> GeometryFit:
+    """Scale and place the markers once, before any joint fit; arguments and errors as for ``fit_geometry``."""
+    prior = parameters(model, options) if free else fixed(model.geometry)
+    xi = torch.cat([prior.mean, attachment.mean.reshape(-1)])
+    fit = GeometryFit(model, attachment, prior, xi, stated_sigma(attachment, options), options)
+    if static is not None:
+        return _from_static(fit, static)
+    note = Note("geometry.no_static", "no static trial: scaled and placed from the motion trials")
+    return replace(_from_landmarks(fit, trials), notes=(note,))
+
+
+def _from_static(fit: GeometryFit, static: Markers) -> GeometryFit:
+    """Scale and place the markers on a standing subject: landmarks first, then everything."""
+    index = evenly(len(static.time), fit.options.static_frames)
+    problem = trial_problem(fit, static, posture_prior(fit, fit.options.static_posture_sd), index)
+    if not bool((problem.weight > 0).any()):
+        raise DataError("geometry.static", "the static trial shows none of the subject's markers")
+    problem = replace(problem, robust=None)
+    q = _follow_landmarks(fit, problem)
+    return replace(fit, xi=solve_arrow(side_by_side([problem]), q, _placed(problem, q, fit), tolerance=1e-6).xi)
+
+
+def _from_landmarks(fit: GeometryFit, trials: dict[str, Markers]) -> GeometryFit:
+    """Without a static trial: follow the landmarks through some frames of motion and place the rest on them."""
+    longest = max(trials.values(), key=lambda m: len(m.time))
+    problem = trial_problem(fit, longest, posture_prior(fit), evenly(len(longest.time), 4 * fit.options.static_frames))
+    return replace(fit, xi=_placed(problem, _follow_landmarks(fit, problem), fit))
+
+
+def _follow_landmarks(fit: GeometryFit, problem: MarkerProblem) -> Float[Tensor, "dofs frames"]:
+    """Postures in which the landmark markers alone are where the template has them."""
+    known = fit.attachment.known.to(problem.weight)
+    weight = (problem.weight > 0) * known[:, None] / LANDMARK_SIGMA**2
+    return settled(fit, replace(problem, robust=None, weight=weight))
+
+
+def _placed(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], fit: GeometryFit) -> Float[Tensor, " xi"]:
+    """xi with every free-standing marker put where the current poses see it on its segment."""
+    at, _, _ = problem.residual(q, fit.xi)
+    R = at.R[problem.body]
+    local = torch.einsum("maxt,mxt->mat", R, problem.target - at.p[problem.body])
+    seen = (problem.weight > 0).to(local)
+    mean = (local * seen[:, None]).sum(2) / seen.sum(1).clamp(min=1.0)[:, None]
+    move = ~fit.attachment.known & (seen.sum(1) > 0)
+    place = torch.where(move[:, None], mean, fit.place)
+    return torch.cat([fit.xi[: len(fit.prior.mean)], place.reshape(-1)])

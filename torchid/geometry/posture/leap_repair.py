@@ -1,0 +1,128 @@
+"""Short runs of frames in which a robust loss chose another explanation than in the frames around them.
+
+Where a model lacks a freedom (shoulders that rise with the arms), giving up the markers of the shoulders or those of
+the pelvis can cost about the same. In eight frames of a landing the pelvis turned by half a radian within 10 ms and
+back: 800 N that nobody felt.
+"""
+
+from itertools import combinations, pairwise
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.geometry.arrow.inverse_kinematics import solve_poses
+from torchid.geometry.posture.initial_posture import hold
+from torchid.geometry.problem import MarkerProblem
+
+LEAP = 0.03
+"""Both the change of pace of a modelled marker and of its way from the measured one, from one frame to the next [m]: a
+foot that strikes the floor does the first, a label that jumps the second."""
+LONGEST_S = 0.4
+"""Of a run at most: what lasts longer may be right, and what is around it wrong."""
+TRIED = 12
+"""Runs that are tried at most."""
+CHEAPER = 0.99
+"""Times its cost that a run must not exceed from where the frames beside it lead, to be there."""
+DEARER = 2.0
+"""Times its cost that a run may have on the way on which nothing leaps."""
+
+
+def steadied(
+    problem: MarkerProblem,
+    q: Float[Tensor, "dofs frames"],
+    xi: Float[Tensor, " xi"],
+    rate_hz: float,
+    near: Float[Tensor, "dofs frames"] | None = None,
+) -> Float[Tensor, "dofs frames"]:
+    """Runs between two leaps followed frame by frame from what is before them, kept where no leap is left.
+
+    Longest first: of several leaps, the outermost lead back to what most frames have.
+
+    Args:
+        problem: consecutive frames of one trial.
+        q: postures of all of them.
+        xi: geometry and marker places.
+        rate_hz: of the frames.
+        near: postures that were steadied before: a run is followed from these, all frames at once.
+    """
+    longest = round(LONGEST_S * rate_hz)
+    tried: set[tuple[int, int]] = set()
+    for _ in range(TRIED):
+        at = leaps(problem, q, xi).tolist()
+        runs = [(a, b) for a, b in combinations(at, 2) if b - a <= longest and (a, b) not in tried]
+        if not runs:
+            break
+        first, last = max(runs, key=lambda run: run[1] - run[0])
+        tried.add((first, last))
+        found = _followed(problem, q, xi, first, last) if near is None else _taken(problem, q, xi, first, last, near)
+        q = q if found is None or _worse(problem, q, found, xi, first, last) else found
+    return q
+
+
+def regained(
+    problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"], rate_hz: float
+) -> Float[Tensor, "dofs frames"]:
+    """Runs to which the model leaps and back, followed from the frames beside them, each kept where it costs less.
+
+    Where an upper arm is lost, its forearm alone shows two. Rest led to the dearer one for 0.13 s, and what an arm that
+    turned about by 2 rad needs was an object in the hand, at 1.0.
+
+    Args:
+        problem: consecutive frames of one trial.
+        q: postures of all of them.
+        xi: geometry and marker places.
+        rate_hz: of the frames.
+    """
+    at = (_pace(problem.residual(q, xi)[1]) > LEAP).any(0).nonzero()[:, 0].tolist()
+    runs = [torch.arange(a + 1, b + 1) for a, b in pairwise(at) if b - a <= round(LONGEST_S * rate_hz)]
+    if not runs:
+        return q
+    some, good = torch.cat(runs).to(q.device), torch.ones(q.shape[1], dtype=torch.bool, device=q.device)
+    good[some] = False
+    part, lengths, found = problem.frames(some), [len(run) for run in runs], q.clone()
+    again, cost = solve_poses(part, hold(q, good)[:, some], xi)
+    sides = (x.split(lengths, dim=-1) for x in (part.frame_cost(q[:, some], xi), cost, again))
+    for run, before, after, posture in zip(runs, *sides, strict=True):
+        if after.sum() < CHEAPER * before.sum():
+            found[:, run] = posture
+    return found
+
+
+def leaps(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]) -> Int[Tensor, " leaps"]:
+    """Frames after which the model leaps and the markers do not."""
+    _, p, residual = problem.residual(q, xi)
+    both = (problem.weight[:, 1:] > 0) & (problem.weight[:, :-1] > 0)
+    away = torch.where(both, residual.diff(dim=2).norm(dim=1), 0.0)
+    return (torch.minimum(away, _pace(p)) > LEAP).any(0).nonzero()[:, 0]
+
+
+def _pace(p: Float[Tensor, "markers 3 frames"]) -> Float[Tensor, "markers steps"]:
+    """Change of a modelled marker's step to the next frame against the step before it."""
+    return torch.nn.functional.pad(p.diff(dim=2).diff(dim=2).norm(dim=1), (1, 0))
+
+
+def _followed(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: int) -> Tensor | None:
+    """Frames after ``first`` up to ``last`` each followed from the one before it; none where they leap."""
+    found = q.clone()
+    for k in range(first + 1, last + 1):
+        found[:, k : k + 1], _ = solve_poses(problem.frames(slice(k, k + 1)), found[:, k - 1 : k], xi)
+        behind = slice(max(first - 1, k - 2, 0), k + 1)
+        if len(leaps(problem.frames(behind), found[:, behind], xi)):
+            return None
+    return found
+
+
+def _taken(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: int, near: Tensor) -> Tensor:
+    """These frames each followed from the posture near it."""
+    found, run = q.clone(), slice(first + 1, last + 1)
+    found[:, run], _ = solve_poses(problem.frames(run), near[:, run], xi)
+    return found
+
+
+def _worse(problem: MarkerProblem, q: Tensor, found: Tensor, xi: Tensor, first: int, last: int) -> bool:
+    """Whether it costs too much, or does not end where the others go on."""
+    around = slice(max(first - 1, 0), last + 2)
+    part = problem.frames(around)
+    dearer = part.frame_cost(found[:, around], xi).sum() > DEARER * part.frame_cost(q[:, around], xi).sum()
+    return bool(dearer) or len(leaps(part, found[:, around], xi)) > 0
