@@ -10,7 +10,7 @@ from torch.testing import assert_close
 
 from torchid.effects.effect import Planted
 from torchid.effects.joint_angles import bend, lively, orders
-from torchid.effects.joints import JointCentreShift
+from torchid.effects.joint_centre import JointCentreShift
 from torchid.effects.place import Angle, Place, parse_angle
 from torchid.effects.scene import make_scene
 from torchid.errors import ConfigError

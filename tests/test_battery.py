@@ -16,16 +16,15 @@ pytest.importorskip("mujoco", reason="the battery's physics is MuJoCo's")
 
 from batteries.bound import known_else
 from batteries.gain import heldout_gains
-from batteries.judge import judged, tables
+from batteries.judge import document, judged, kept, restored, tables
 from batteries.mujoco_session import draw_effect, simulate
 from batteries.power import draw_reliability, half_sizes, reliability
 from batteries.sizes import SIZES
+from models import model_of
 
 from torchid.config import load_config
 from torchid.diagnosis.candidates.candidate import Candidate, Source
 from torchid.diagnosis.columns.design import Design
-from torchid.diagnosis.evidence.noise import initial_noise
-from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.search.estimates import estimate
@@ -33,7 +32,6 @@ from torchid.diagnosis.search.result import SearchResult
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
 from torchid.experiment import run_experiment
-from torchid.regressor.whitening import initial_whitening
 
 SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
 HIDDEN = ("time_offset", "plate_pose", "gravity_tilt", "body_weight_support", "flywheel", "marker_scale")
@@ -113,6 +111,33 @@ def test_reliability_counts_each_verdict_once(tmp_path):
     assert (tmp_path / "reliability.png").stat().st_size > 1000
 
 
+def test_kept_rows_print_the_tables_of_whole_rows():
+    """One line a session is enough for every table; a session that failed is kept as such."""
+    named = [["drag", ["pelvis"], 0.95], ["tether", ["thorax"], 0.6]]
+    size = {"value": [21.0], "sd": [2.0], "true": [20.0], "right": True}
+    whole = {
+        "kind": "single", "names": ["drag"], "level": "medium", "seed": 3, "engine": "abc", "named": named,
+        "truth": [{"effect": "drag", "where": ["pelvis"], "parameters": {"coefficient_Ns_m": 20.0}}], "found": [True],
+        "first": True, "sizes": [{"coefficient_Ns_m": size}], "wrong": named[1:], "unexplained": False,
+        "nearest": [["drag", ["head"], -1.25]], "gain": [31.26, 0.04], "gained": [31.3012, 33.1234], "told": "drag",
+    }  # fmt: skip
+    rows = [whole, whole | {"kind": "null", "names": [], "level": "none", "truth": [], "found": [], "sizes": [None]},
+            {"kind": "single", "names": ["drag"], "level": "small", "seed": 4, "failed": "ValueError: no"}]  # fmt: skip
+    assert tables([restored(json.loads(json.dumps(kept(row)))) for row in rows]) == tables(rows)
+    stored = json.loads(document(rows, "2026-01-01", 1))
+    assert "\n".join(stored["tables"]) == tables(rows)["text"] and len(stored["rows"]) == 3
+
+
+def test_the_stored_tables_are_those_of_the_stored_sessions():
+    """``battery.json`` can be told anew from its own rows, and stays small."""
+    path = Path(__file__).resolve().parents[1] / "scripts" / "batteries" / "battery.json"
+    stored = json.loads(path.read_text(encoding="utf-8"))
+    said = tables([restored(values) for values in stored["rows"]])
+    assert said["text"].splitlines() == stored["tables"]
+    assert json.loads(json.dumps(said["figures"])) == stored["figures"]
+    assert path.stat().st_size < 300_000
+
+
 def test_what_can_be_known_at_best_is_known_of_the_effect_alone():
     """Its own columns and prior say it; beside another plate's offset, which goes nearly alike, less is known."""
     rng, one = np.random.default_rng(SEED), effect("plate_offset")
@@ -126,8 +151,8 @@ def test_what_can_be_known_at_best_is_known_of_the_effect_alone():
         for k in range(2)
     ]
     chosen = tuple(Candidate(one, source.place, source, frozenset({0})) for source in sources)
-    sums, noise = Statistics(0, 0, (raw,)), initial_noise(initial_whitening(torch.ones(2)), 1)
-    said = SearchResult(Design(0, 0, tuple(sources), chosen, ()), prior, noise, chosen, (), sums, fit(sums, chosen))
+    model = model_of(Design(0, 0, tuple(sources), chosen, ()), prior, Statistics(0, 0, (raw,)))
+    said = SearchResult(model, chosen, (), model.fit(chosen))
     keys = ("force_plate_N", "moment_plate_Nm")
     bound, stated = known_else(said, 0), estimate(said, 0)
     best = torch.cat([bound[key] for key in keys])

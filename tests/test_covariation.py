@@ -131,14 +131,12 @@ def test_few_frames_say_what_all_of_them_do(observed, design):
     with pytest.MonkeyPatch.context() as half:
         cutoff_hz = observed.rows.motion.smoother.cutoff_hz
         half.setattr(observed_trials, "OVER_CUTOFF", 0.49 * observed.rows.rate / cutoff_hz)
-            observed_trials, "OVER_CUTOFF", 0.49 * observed.rows.rate / observed.rows.motion.smoother.cutoff_hz
-        )
         assert few.thinning == 2
         found = noise_scores(few, observed.noise_budget, some, inertia=True)
     halves = []
     for draws in (observed.noise_draws[::2], observed.noise_draws[1::2]):
         own = replace(observed)
-        own.__dict__["shaken"] = draws
+        own.__dict__["noise_draws"] = draws
         halves.append(noise_scores(own, observed.noise_budget, some, inertia=True))
     # The standard error of all draws, from the difference of half of them and the others.
     scatter = 0.5 * torch.sub(*halves).flatten(0, 2).norm(dim=0)

@@ -15,15 +15,17 @@ from torchid.diagnosis.columns.assemble import make_design
 from torchid.diagnosis.diagnose import diagnose, select_effects
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.evidence.gains import gains
+from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.prior import make_prior
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.evidence.statistics import Statistics
-from torchid.diagnosis.search.elimination import PLAIN, stands_out
+from torchid.diagnosis.options import NamingOptions
+from torchid.diagnosis.search.elimination import stands_out
 from torchid.diagnosis.search.estimates import estimate, internal
-from torchid.diagnosis.search.rivals import CHANCE
 from torchid.diagnosis.search.stepwise import search
 from torchid.diagnosis.testing.vibration import with_vibration
+from torchid.diagnosis.trace import StepKind
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.dynamics import wrench_about
 from torchid.effects.catalogue import BODILY
@@ -129,7 +131,13 @@ def verdict(session: Session) -> Diagnosis:
     observed, plates, prior, found = seen(session)
     fits, held = [observed[n] for n in FIT], [observed[n] for n in HELDOUT]
     effects = select_effects((), ())
-    return diagnose(fits, held, plates, effects, prior, found.fit.omega_2, found.whitening, 2)
+    known = Identification(prior, found.fit.omega_2, found.whitening)
+    said = diagnose(fits, held, plates, effects, known, 2)
+    entered = {(step.effect, step.where) for step in said.trace if step.kind is StepKind.ENTER}
+    assert {(cause.effect, cause.where) for cause in said.causes} <= entered, "the trace leaves out a cause"
+    refused = {(step.effect, step.where) for step in said.trace if step.kind is StepKind.REFUSE}
+    assert {(one.effect, one.where) for one in said.refuted} <= refused, "the trace leaves out a refutation"
+    return said
 
 
 def seen(session: Session) -> tuple[dict[str, TrialObservation], tuple[SessionPlate, ...], InertialPrior, Identified]:
@@ -168,7 +176,7 @@ def test_what_is_hidden_is_found(family):
     names = [first.effect, *(twin.effect for twin in first.indistinguishable)]
     assert planted.effect in names
     # What a load does, the segment's own mass explains but for its prior: nothing is left to gain by its name.
-    assert first.gain["heldout_log_likelihood"] > (-CHANCE if family == "masses" else 0.0)
+    assert first.gain["heldout_log_likelihood"] > (-NamingOptions().consent_nats if family == "masses" else 0.0)
     same = [cause for cause in said.causes if cause.effect == planted.effect]
     # Two neighbours may share one force; its size is judged where it is alone.
     if first.effect == planted.effect and first.where == planted.where and len(same) == 1:
@@ -208,12 +216,14 @@ def test_a_named_drift_is_all_of_it():
     planted = PlantedOptions("plate_drift", ("plate_1",), None, {"rate_plate": rate.tolist()})
     observed, _, prior, found = seen(simulated((planted,), int(rng.integers(2**31))))
     fits = [observed[name] for name in FIT]
-    said = search(fits, select_effects(("plate_drift",), ()), prior, found.fit.omega_2, found.whitening, 1)
+    said = search(
+        fits, select_effects(("plate_drift",), ()), Identification(prior, found.fit.omega_2, found.whitening), 1
+    )
     assert [one.place.where for one in said.chosen] == [("plate_1",)]
     value, sd = estimate(said, 0)["rate_plate"]
     assert float(((value - rate) / sd).abs().max()) < 5.0, (value, sd, rate)
     # Told apart from what is usual there, each would be uncertain by the share of it that data leave open.
-    at = said.design.base + torch.arange(6)
+    at = said.model.design.base + torch.arange(6)
     apart = (
         value.new_tensor(said.chosen[0].effect.scale(said.chosen[0].place)) * said.posterior.covariance[at, at].sqrt()
     )
@@ -237,9 +247,10 @@ def test_what_stands_out_is_what_its_own_load_takes_away():
     planted = PlantedOptions("drag", ("thorax",), None, {"coefficient_Ns_m": draw(rng, 30.0, 60.0)})
     observed, _, prior, found = seen(simulated((planted,), int(rng.integers(2**31))))
     fits = [observed[name] for name in FIT]
-    said = search(fits, select_effects(("drag",), ()), prior, found.fit.omega_2, found.whitening, 1)
+    known = Identification(prior, found.fit.omega_2, found.whitening)
+    said = search(fits, select_effects(("drag",), ()), known, 1)
     (one,) = said.chosen
-    left = residuals(fits, said.design, said.prior, said.posterior)
+    left = residuals(fits, said.model, said.posterior)
 
     def grown(part: float) -> float:
         """By the load itself, trial by trial, in the middle of the force's and moment's logarithms."""
@@ -253,7 +264,7 @@ def test_what_stands_out_is_what_its_own_load_takes_away():
         return 1.0 - float(1.0 / np.exp(np.log(ratio).mean(0)).max())
 
     assert stands_out(said, fits, 0) == pytest.approx(grown(1.0), rel=1e-6)
-    assert grown(1.0) > PLAIN > grown(0.01)
+    assert grown(1.0) > said.options.elimination.residual_part > grown(0.01)
 
 
 @pytest.mark.parametrize("where", [FIT, FIT[:-1]])

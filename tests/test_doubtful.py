@@ -5,25 +5,30 @@ from dataclasses import replace
 import pytest
 import small_session as small
 import torch
+from models import model_of
 
 from torchid.diagnosis.candidates.candidate import Candidate, Source
 from torchid.diagnosis.columns.design import Design
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
 from torchid.diagnosis.evidence.gains import gains
-from torchid.diagnosis.evidence.noise import initial_noise
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial, trial_posteriors
 from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search import elimination
-from torchid.diagnosis.search.elimination import drop_negative, drop_opposed, drop_unsupported
+from torchid.diagnosis.search.elimination import (
+    SUPPORTED,
+    drop_negative,
+    drop_opposed,
+    drop_surely_negative,
+    settle,
+)
 from torchid.diagnosis.search.result import SearchResult, support
-from torchid.diagnosis.search.rivals import NAMED
 from torchid.diagnosis.verdict.confidence import trust, visible
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
 from torchid.experiment.diagnosis_stage import observe_outcome
-from torchid.regressor.whitening import initial_whitening
 
 
 def found(columns: torch.Tensor, rows: torch.Tensor) -> SearchResult:
@@ -38,10 +43,8 @@ def found(columns: torch.Tensor, rows: torch.Tensor) -> SearchResult:
     prior = Prior(torch.zeros(n + 1).double(), torch.eye(1).double(), torch.ones(n).double())
     raw = prior.standard(every.T @ every, every.T @ rows, torch.arange(n + 1))
     statistics = Statistics(1, n + 1, (raw, raw))
-    noise = initial_noise(initial_whitening(columns), 2)
-    return SearchResult(
-        Design(1, 1, tuple(sources), chosen, ()), prior, noise, chosen, (), statistics, fit(statistics, chosen)
-    )
+    model = model_of(Design(1, 1, tuple(sources), chosen, ()), prior, statistics)
+    return SearchResult(model, chosen, (), model.fit(chosen))
 
 
 @pytest.mark.parametrize("opposed", [True, False])
@@ -52,7 +55,7 @@ def test_causes_that_undo_each_other_are_none(opposed):
     near = one + 0.1 * other
     rows = 30.0 * one - 28.0 * near if opposed else 30.0 * one + 28.0 * near
     search = found(torch.stack([one, near, third], 1), rows + 9.0 * third)
-    kept = [c.place.where[0] for c in drop_opposed(search).chosen]
+    kept = [c.place.where[0] for c in drop_opposed(search, ()).chosen]
     assert kept == (["c"] if opposed else ["a", "b", "c"])
 
 
@@ -62,7 +65,7 @@ def test_what_stood_by_a_cause_goes_with_it(gone):
     one, other, third = torch.linalg.qr(torch.randn(400, 3, generator=torch.Generator().manual_seed(9)).double()).Q.T
     search = found(20.0 * torch.stack([one, 0.1 * other - one, third], 1), 60.0 * third + 10.0 * other)
     chosen = search.chosen[1:] if gone else search.chosen
-    search = drop_unsupported(replace(search, chosen=chosen, posterior=fit(search.statistics, chosen)))
+    search = settle(search.having(chosen), (), SUPPORTED)
     assert [c.place.where[0] for c in search.chosen] == (["c"] if gone else ["a", "b", "c"])
     assert len(search.posterior.chosen) == len(search.chosen)
 
@@ -72,8 +75,11 @@ def test_what_is_left_is_supported():
     for seed in range(300):
         draw = torch.Generator().manual_seed(seed)
         columns = torch.randn(40, 3, generator=draw, dtype=torch.float64) @ torch.randn(3, 3, generator=draw).double()
-        search = drop_unsupported(found(columns, 1.5 * columns @ torch.rand(3, generator=draw).double()))
-        assert all(support(search.statistics, search.chosen, one) >= NAMED for one in search.chosen), seed
+        search = settle(found(columns, 1.5 * columns @ torch.rand(3, generator=draw).double()), (), SUPPORTED)
+        least = search.options.naming.named_nats
+        assert all(support(search.model.statistics, search.chosen, one) >= least for one in search.chosen), seed
+        left = {step.where[0] for step in search.trace if step.rule in ("unsupported", "negative")}
+        assert left == set("abc") - {one.place.where[0] for one in search.chosen}, seed
 
 
 def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):
@@ -82,8 +88,9 @@ def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):
     names = ("body_mass", "drag", "marker_swap")
     chosen = tuple(replace(one, effect=effect(name)) for one, name in zip(search.chosen, names, strict=True))
     monkeypatch.setattr(elimination, "_takes_away", lambda *_: 0.0)
-    kept = elimination.relevant(replace(search, chosen=chosen), ())
+    kept = elimination.drop_without_residual_gain(replace(search, chosen=chosen), ())
     assert [one.effect.name for one in kept.chosen] == ["body_mass", "marker_swap"]
+    assert [(step.kind, step.effect, step.rule) for step in kept.trace] == [("leave", "drag", "no_residual_gain")]
 
 
 def test_what_one_short_trial_tells_is_half_as_sure():
@@ -94,10 +101,11 @@ def test_what_one_short_trial_tells_is_half_as_sure():
     short, left = replace(observed, rows=replace(observed.rows, used=used)), torch.zeros_like(observed.rows.wrench)
     alone, others = (
         assess_adequacy([short], [left]),
-        (assess_adequacy([short] * 2, [left] * 2), assess_adequacy([short], [left], 1)),
+        (assess_adequacy([short] * 2, [left] * 2), assess_adequacy([short], [left], others=1)),
     )
-    assert alone.alone and not alone.significant and trust(alone) == 0.5 and "no other trial" in alone.description
-    assert all(not one.alone and trust(one) == 1.0 and "too few seconds" in one.description for one in others)
+    assert alone.alone and not alone.significant and "no other trial" in alone.description
+    assert all(not one.alone and "too few seconds" in one.description for one in others)
+    assert [trust(one, DiagnosisOptions()) for one in (alone, *others)] == [0.5, 1.0, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -124,7 +132,7 @@ def test_of_what_all_markers_do_only_forces_tell(name, where, alone):
 def test_a_negative_spring_is_none(softness, kept):
     """All of them always; one of many, surely so, when nothing else goes any more."""
     search = springs(torch.tensor(softness).double(), 1e6)
-    assert tuple(bool(drop_negative(search, last).chosen) for last in (False, True)) == kept
+    assert tuple(bool(rule(search, ()).chosen) for rule in (drop_negative, drop_surely_negative)) == kept
 
 
 def test_springs_that_cannot_be_negative_have_the_evidence_of_half_a_prior():
@@ -135,7 +143,7 @@ def test_springs_that_cannot_be_negative_have_the_evidence_of_half_a_prior():
     weight = (2.0 / (2.0 * torch.pi) ** 0.5) * torch.exp(-0.5 * theta.square())
     likelihood = torch.exp(size[:, None] * theta - 0.5 * theta.square())
     exact = torch.trapezoid(weight * likelihood, theta).log().sum()
-    found = gains(search.statistics, fit(search.statistics), search.chosen)[0, 0]
+    found = gains(search.model.statistics, search.model.fit(), search.chosen)[0, 0]
     torch.testing.assert_close(found, exact, rtol=1e-6, atol=1e-6)
 
 
@@ -148,10 +156,8 @@ def springs(softness: torch.Tensor, scale: float) -> SearchResult:
     moment = columns.T @ torch.cat([softness, torch.zeros(1).double()])
     raw = prior.standard(columns.T @ columns, moment, torch.arange(4))
     chosen = (Candidate(flesh, at, source, frozenset({0})),)
-    statistics, noise = Statistics(1, 4, (raw,)), initial_noise(initial_whitening(columns), 1)
-    return SearchResult(
-        Design(1, 1, (source,), chosen, ()), prior, noise, chosen, (), statistics, fit(statistics, chosen)
-    )
+    model = model_of(Design(1, 1, (source,), chosen, ()), prior, Statistics(1, 4, (raw,)))
+    return SearchResult(model, chosen, (), model.fit(chosen))
 
 
 def test_what_shares_a_column_with_a_nuisance_adds_to_it():

@@ -127,7 +127,7 @@ def test_gaps_are_bridged_better_with_the_temporal_prior():
     whole = track(fit, held).q
     spoilt = small.without(held, lost, gap)
     rows = [k for k, name in enumerate(fit.model.tree.dof_names) if name.startswith("elbow_l")]
-    bridged, plain = (track(fit, spoilt, gap_filling=b) for b in (True, False))
+    bridged, plain = (track(fit, spoilt, bridge=b) for b in (True, False))
     errors = [(found.q - whole)[gap][:, rows].square().mean() for found in (bridged, plain)]
     assert errors[0] < errors[1]
     assert not bool(plain.observable[gap].any()) and bool(plain.observable[:100].all())
@@ -138,7 +138,7 @@ def test_a_course_is_not_drawn_where_seen_markers_would_pay(monkeypatch):
     """A marker that no frame shows makes no gap; a course that leads astray leaves the frames as they were."""
     fit, held = small.fit(), small.markers("fit")["arms"]
     never, some = small.without(held, ("LELB",)), small.without(held, ("LELB",), slice(150, 170))
-    assert_close(track(fit, never).q, track(fit, never, gap_filling=False).q)
+    assert_close(track(fit, never).q, track(fit, never, bridge=False).q)
     course = gap_filling.smooth_course
 
     def astray(problem, q, xi, typical=None):
@@ -147,7 +147,7 @@ def test_a_course_is_not_drawn_where_seen_markers_would_pay(monkeypatch):
         return replace(prior, mean=torch.where(drawn, prior.mean + 0.5, prior.mean), precision=prior.precision + 1e6)
 
     monkeypatch.setattr(gap_filling, "smooth_course", astray)
-    assert_close(track(fit, some).q, track(fit, some, gap_filling=False).q)
+    assert_close(track(fit, some).q, track(fit, some, bridge=False).q)
 
 
 def beyond_limits(fit, q: torch.Tensor) -> torch.Tensor:

@@ -10,7 +10,8 @@ import small_session as small
 import torch
 from torch.testing import assert_close
 
-from torchid.diagnosis.candidates.missing_weight import REACH_M, find_missing_weight, set_aside
+from torchid.diagnosis.candidates.missing_weight import find_missing_weight, set_aside
+from torchid.diagnosis.options import MissingWeightOptions
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import at_origin
 from torchid.experiment.diagnosis_stage import observe_outcome
@@ -58,7 +59,7 @@ def test_a_seat_is_found_where_and_when_it_bears(trial):
     between = 0.5 * (centre(trial, "foot_l") + centre(trial, "foot_r"))
     away = {n: float((centre(trial, n) - between)[:2, shape > 0.0].norm(dim=0).min()) for n in scene.tree.names}
     segment = max((n for n in away if not n.startswith("foot")), key=lambda n: away[n])
-    assert away[segment] > REACH_M
+    assert away[segment] > MissingWeightOptions().reach_m
     weight = 9.81 * float(trial.phi[:, 0].sum())
     force = torch.tensor([rng.normal(0.0, 0.02), rng.normal(0.0, 0.02), rng.uniform(0.33, 0.67)]) * weight
     less = at_origin(centre(trial, segment), force[:, None] * shape)

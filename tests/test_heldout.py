@@ -5,90 +5,94 @@ from dataclasses import replace
 
 import pytest
 import torch
+from models import model_of
 
 from torchid.diagnosis.candidates.candidate import Candidate, Source
 from torchid.diagnosis.columns.design import Design
-from torchid.diagnosis.evidence.noise import initial_noise
-from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.search.stepwise import open_candidates
-from torchid.diagnosis.testing import heldout
-from torchid.diagnosis.testing.heldout import REFUTED, HeldOut
+from torchid.diagnosis.testing import refutation
+from torchid.diagnosis.testing.heldout import HeldOut
+from torchid.diagnosis.testing.refutation import HeldOutScores, _leeway, refute, uphold
 from torchid.diagnosis.verdict.records import Alternative, Cause
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Interval, Place
-from torchid.regressor.whitening import initial_whitening
+
+OPTIONS = DiagnosisOptions()
+REFUTED = OPTIONS.heldout.refuted_nats
 
 
 class Told(HeldOut):
     """Two held-out trials of which everything is known already."""
 
-    def __init__(
-        self, names: str, gains: dict[str, float], promised: dict[str, float], others: str = "", worse: str = ""
-    ) -> None:
-        one = Source(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
+    def __init__(self, names: str, gains: dict[str, float], others: str = "", worse: str = "") -> None:
         chosen, spare = (
-            tuple(Candidate(effect("drag"), Place((name,)), one, frozenset({0})) for name in some)
+            tuple(Candidate(effect("drag"), Place((name,)), ONE, frozenset({0})) for name in some)
             for some in (names, others)
         )
-        raw = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double()).standard(
-            torch.eye(1).double(), torch.ones(1).double(), torch.arange(1)
-        )
-        statistics, prior = Statistics(1, 1, (raw,)), Prior(torch.zeros(1).double(), torch.zeros(0, 0), torch.ones(1))
-        noise = initial_noise(initial_whitening(torch.ones(2)), 1)
-        alternative_places = tuple((chosen[0], other) for other in spare)
-        self.found = SearchResult(
-            Design(1, 1, (), (), ()), prior, noise, chosen, (), statistics, fit(statistics), alternative_places
-        )
+        prior = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double())
+        raw = prior.standard(torch.eye(1).double(), torch.ones(1).double(), torch.arange(1))
+        model = model_of(Design(1, 1, (), (), ()), prior, Statistics(1, 1, (raw,)))
+        pairs = tuple((chosen[0], other) for other in spare)
+        self.found = SearchResult(model, chosen, (), model.fit(), OPTIONS, pairs)
         self.trials, self.first, self.share = (None, None), 1, 0.5  # type: ignore[assignment]
-        self.gains, self.promised, self.worse = gains, promised, worse
+        self.gains, self.worse = gains, worse
 
-    def _sizes(self, chosen):
+    def log_errors(self, chosen):
         """Forces and moments that err by a tenth more for some."""
         return torch.full((2,), 0.1 * sum(one.place.where[0] in self.worse for one in chosen))
 
     def density(self, chosen):
         """Better by far: what a force does to held-out markers is none of its business."""
-        return 1e3 * len(chosen) + self.of_forces(chosen)
+        return 1e3 * len(chosen) + self.density_of_forces(chosen)
 
-    def of_forces(self, chosen):
+    def density_of_forces(self, chosen):
         """Gains that add up."""
         return sum((self.gains[one.place.where[0]] for one in chosen), 0.0)
 
-    def _leeway(self, chosen, one):
-        return math.sqrt(2.0 * self.promised[one.place.where[0]])
+
+ONE = Source(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
 
 
-def test_each_cause_is_refuted_by_its_own_measure():
-    """Much contradiction of what promised much is borne, little of what promised nothing is not."""
-    gains = {"a": -20.0, "b": -10.0, "c": 5.0, "d": 0.9 * -REFUTED}
-    promised = {"a": 1250.0, "b": 2.0, "c": 3.0, "d": 0.0}
-    told = Told("abcd", gains, promised)
-    kept, refuted = told.upheld(told.found.chosen)
-    assert [one.place.where[0] for one in kept] == ["a", "c", "d"]
-    assert [(one.place.where[0], says) for one, says in refuted] == [("b", pytest.approx(-10.0))]
+def names_of(some) -> list[str]:
+    """Where effects sit."""
+    return [one.place.where[0] for one in some]
+
+
+@pytest.mark.parametrize(
+    ("nats", "leeway", "growth", "said"),
+    [
+        ((-20.0, -10.0, 5.0), (50.0, 2.0, 2.4), (0.0, 0.0, 0.0), (1, "heldout_density")),
+        ((-20.0, 0.9 * -REFUTED), (50.0, 0.0), (0.0, 0.0), None),
+        ((6.6, 5.0), (0.0, 0.0), (0.1, 0.0), (0, "heldout_errors")),
+        ((50.0, -2.0), (0.0, 0.0), (0.09, 0.26), (1, "heldout_errors")),
+        ((6.6, -30.0), (0.0, 0.0), (0.1, 0.04), (0, "heldout_errors")),
+        ((), (), (), None),
+    ],
+)
+def test_numbers_alone_refute_a_cause(nats, leeway, growth, said):
+    """Much contradiction of what promised much is borne, little of what promised nothing is not; errors come first, and
+    of two that make forces err more the less likely goes: the other may be right without it."""
+    found = refute(HeldOutScores(nats, leeway, growth), OPTIONS.heldout)
+    assert said == (None if found is None else (found.index, found.rule))
+    assert found is None or found.numbers["heldout_nats"] == nats[found.index]
 
 
 @pytest.mark.parametrize(
     ("name", "spared"), [("drag", False), ("body_mass", True), ("moving_ground", True), ("soft_tissue", True)]
 )
-def test_forces_that_err_more_refute_what_is_no_less_likely(name, spared):
+def test_forces_that_err_more_refute_what_is_no_less_likely(monkeypatch, name, spared):
     """Inertia that fit trials did not tell would make up for anything; not of what it takes on anyway, of what is anew
     in every trial, or of what cameras saw."""
-    told = Told("ab", {"a": 6.6, "b": 5.0}, {"a": 30.0, "b": 30.0}, worse="a")
+    told = Told("ab", {"a": 6.6, "b": 5.0}, worse="a")
+    monkeypatch.setattr(refutation, "support", lambda statistics, some, one: 30.0)
     first, second = told.found.chosen
-    kept, refuted = told.upheld((replace(first, effect=effect(name)), second))
-    assert [one.place.where[0] for one in kept] == (["a", "b"] if spared else ["b"])
-    assert spared or [says for _, says in refuted] == [pytest.approx(6.6)]
-
-
-def test_of_two_that_make_forces_err_more_the_less_likely_goes():
-    """The other may be right without it."""
-    told = Told("ab", {"a": 50.0, "b": -2.0}, {"a": 0.0, "b": 0.0})
-    told._sizes = lambda chosen: torch.full((2,), [1.3, 1.0, 1.1][len(chosen)]).log()
-    assert [one.place.where[0] for one in told.upheld(told.found.chosen)[0]] == ["a"]
+    upheld = uphold(told, (replace(first, effect=effect(name)), second), OPTIONS)
+    assert names_of(upheld.chosen) == (["a", "b"] if spared else ["b"])
+    assert [(step.kind, step.rule) for step in upheld.trace] == ([] if spared else [("refuse", "heldout_errors")])
 
 
 @pytest.mark.parametrize(
@@ -108,10 +112,12 @@ def test_what_is_refuted_at_a_place_may_sit_elsewhere(monkeypatch, others, worse
     place that it was asked about before; unless forces err more, fit trials do not support it, or the effect sits there
     already."""
     gains = {"a": -20.0, "b": 5.0, "v": 9.0, "w": 8.0, "x": -1.0, "y": 1.05 * REFUTED, "z": 30.0}
-    told = Told("ab", gains, dict.fromkeys(gains, 0.0), others, worse)
-    monkeypatch.setattr(heldout, "support", lambda statistics, some, one: -1.0 if one.place.where == ("v",) else 9.0)
-    kept, refuted = told.upheld(told.found.chosen)
-    assert [one.place.where[0] for one in kept] == ["b", *found] and len(refuted) == 1
+    told = Told("ab", gains, others, worse)
+    monkeypatch.setattr(refutation, "support", lambda statistics, some, one: -1.0 if one.place.where == ("v",) else 9.0)
+    upheld = uphold(told, told.found.chosen, OPTIONS)
+    assert names_of(upheld.chosen) == ["b", *found] and len(upheld.refuted) == 1
+    assert [step.rule for step in upheld.trace] == ["heldout_density", *(["alternative_place"] if found else [])]
+    assert [other.place.where[0] for _, other in upheld.instead] == [*found]
 
 
 @pytest.mark.parametrize("name, leeway", [("marker_swap", 10.0), ("drag", 0.0)])
@@ -123,13 +129,13 @@ def test_what_cameras_saw_elsewhere_may_cost_a_part_of_what_it_told(name, leeway
     here, everywhere = (Candidate(effect(name), source.place, source, frozenset(some)) for some in ({0}, {0, 1}))
     told = HeldOut.__new__(HeldOut)
     statistics = Statistics(0, 1, (raw, raw))
-    noise = initial_noise(initial_whitening(torch.ones(2)), 2)
-    told.found = SearchResult(Design(0, 0, (), (), ()), unit, noise, (here,), (), statistics, fit(statistics))
+    model = model_of(Design(0, 0, (), (), ()), unit, statistics)
+    told.found = SearchResult(model, (here,), (), model.fit())
     told.share = 0.5
     # Of a column of unit prior with a moment b: b^2 / 4 - log(2) / 2.
-    assert told._leeway([here], here) == pytest.approx(leeway, abs=0.05)
+    assert _leeway(told, [here], here, OPTIONS.heldout) == pytest.approx(leeway, abs=0.05)
     promised = 0.0 if name == "drag" else 0.5 * support(statistics, [everywhere], everywhere)
-    assert told._leeway([everywhere], everywhere) == pytest.approx(math.sqrt(2.0 * promised))
+    assert _leeway(told, [everywhere], everywhere, OPTIONS.heldout) == pytest.approx(math.sqrt(2.0 * promised))
 
 
 def test_what_lasts_lasts_all_of_a_recording():

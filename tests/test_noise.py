@@ -11,7 +11,9 @@ from torch.testing import assert_close
 
 from torchid.diagnosis.columns.design import Design, Terms
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
-from torchid.diagnosis.evidence.noise import estimate_noise, initial_noise, summed, unforced, unseen_noise
+from torchid.diagnosis.evidence.model import LinearModel
+from torchid.diagnosis.evidence.noise import initial_noise
+from torchid.diagnosis.evidence.noise_estimation import estimate_noise, unseen_noise
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.spectra import TrialSpectra
 from torchid.dynamics import base_rows, body_rows, wrench_about
@@ -169,7 +171,7 @@ def test_every_trial_has_its_own_noise():
         trials.append(TrialSpectra(tuple(blocks), Terms(torch.arange(1), None)))
     prior = Prior(torch.zeros(1).double(), torch.eye(1).double(), torch.zeros(0).double())
     start = initial_noise(initial_whitening(torch.zeros(()).double()), 2)
-    noise = estimate_noise(trials, prior, Design(1, 1, (), (), ()), (), start)
+    noise = estimate_noise(LinearModel(tuple(trials), prior, Design(1, 1, (), (), ()), start), ())
     assert float(noise.trials[1] / noise.trials[0]) == pytest.approx(25.0, rel=0.25)
     for k, size in enumerate(sizes):
         own = torch.diagonal(noise.of(k).covariance, dim1=1, dim2=2)
@@ -189,14 +191,13 @@ def _plain(sizes: tuple[float, ...]) -> tuple[list[TrialSpectra], Prior, Design]
     return found, Prior(0.0 * one, one[None], one[:0]), Design(1, 1, (), (), ())
 
 
-def test_sums_at_hand_change_no_noise():
+def test_statistics_at_hand_change_no_noise():
     """They only save their making."""
     trials, prior, design = _plain((1.0, 3.0))
     start = initial_noise(initial_whitening(torch.ones(1).double()), 2)
-    one, other = (
-        estimate_noise(trials, prior, design, (), start, statistics)
-        for statistics in (None, summed(trials, prior, design, start))
-    )
+    one, other = (LinearModel(tuple(trials), prior, design, start) for _ in range(2))
+    assert other.statistics is other.statistics
+    one, other = (estimate_noise(model, ()) for model in (one, other))
     assert_close(one.forces.covariance, other.forces.covariance)
     assert_close(one.trials, other.trials)
 
@@ -204,12 +205,13 @@ def test_sums_at_hand_change_no_noise():
 def test_unseen_trials_are_as_loud_as_they_are():
     """A held-out trial of five times the noise counts a twenty-fifth, and cameras alone hear none of it."""
     trials, prior, design = _plain((1.0, 1.0, 5.0, 1.0))
-    noise = estimate_noise(trials[:2], prior, design, (), initial_noise(initial_whitening(torch.ones(1).double()), 2))
-    late = noise.typical(2)
-    whole = summed(trials[:2], prior, design, noise)
-    both = replace(whole, trials=(*whole.trials, *summed(trials[2:], prior, design, late).trials))
-    found = unseen_noise(trials[2:], prior, design, (), late, both)
+    start = initial_noise(initial_whitening(torch.ones(1).double()), 2)
+    seen = LinearModel(tuple(trials[:2]), prior, design, start)
+    seen = seen.with_noise(estimate_noise(seen, ()))
+    unseen = LinearModel(tuple(trials[2:]), prior, design, seen.noise.typical(2))
+    both = replace(seen.statistics, trials=(*seen.statistics.trials, *unseen.statistics.trials))
+    found = unseen_noise(unseen, (), both)
     assert 15.0 < float(found.trials[0]) < 40.0
     assert 0.5 < float(found.trials[1]) < 2.0
-    silent = unforced(trials[2:], prior, design, found)
+    silent = unseen.with_noise(found).marker_statistics
     assert all(not raw.gram.any() and not raw.moment.any() for raw in silent.trials)

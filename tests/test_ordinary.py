@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchid.diagnosis.evidence.background import SCALES, background_evidence
-from torchid.diagnosis.search.rivals import NAMED
+from torchid.diagnosis.options import NamingOptions
 
 PLACES, PRIOR = 200, 1.0
 PRECISE = 1e5
@@ -56,7 +56,7 @@ def test_ordinary_is_students_t():
 def test_what_is_everywhere_is_named_nowhere(seed, scale):
     """Some are far by chance. By noise alone, hundreds of nats would name the farthest."""
     scores = [excess(scattered(scale, seed + k)) for k in range(10)]
-    assert sum(evidence(score) > NAMED for score in scores) <= 1
+    assert sum(evidence(score) > NamingOptions().named_nats for score in scores) <= 1
 
 
 @pytest.mark.parametrize(("scale", "size"), [(0.0, 0.2), (0.02, 1.5)])
@@ -68,5 +68,5 @@ def test_what_stands_out_is_named(seed, scale, size):
         found[0] += size * torch.tensor([0.6, -0.8, 0.0], dtype=torch.float64)
         found[1:10] += 0.3 * size * torch.tensor([-0.6, 0.8, 0.0], dtype=torch.float64)
         score = excess(found)
-        named += int(score.argmax()) == 0 and evidence(score) > NAMED
+        named += int(score.argmax()) == 0 and evidence(score) > NamingOptions().named_nats
     assert named >= 7

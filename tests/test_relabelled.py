@@ -9,6 +9,7 @@ import torch
 
 from torchid.config import load_config
 from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
 from torchid.effects.place import Interval, Place
@@ -117,12 +118,16 @@ def test_doubt_is_that_of_what_is_contradicted_now(swap):
     twins = (Twin("marker_swap", ("RANK", "RHEE"), 0.2),)
     doubted = replace(swap, confidence=0.7, indistinguishable=twins, doubted=True)
     others = (cause("plate_gain", ("plate_1",)), cause("soft_tissue", ("thigh_l",)))
-    found = merged(before, replace(empty, causes=others, baseline=Errors(1.0, 1.0)), [doubted])
+    found = merged(before, replace(empty, causes=others, baseline=Errors(1.0, 1.0)), [doubted], DiagnosisOptions())
     assert [c.effect for c in found.causes] == ["plate_gain", "marker_swap", "soft_tissue"]
     assert found.causes[1].confidence == pytest.approx(1.0) and not found.causes[1].doubted
     assert found.causes[1].indistinguishable[0].confidence == pytest.approx(0.2 / 0.7)
     assert found.baseline == before.baseline
     beyond = replace(empty, unexplained=replace(LOUD, beyond=True))
-    assert merged(before, beyond, [doubted]).causes[0].confidence == pytest.approx(1.0)
-    still = merged(before, before, [doubted])
+    assert merged(before, beyond, [doubted], DiagnosisOptions()).causes[0].confidence == pytest.approx(1.0)
+    still = merged(before, before, [doubted], DiagnosisOptions())
     assert still.causes[0].confidence == pytest.approx(0.7) and still.causes[0].doubted
+    assert [(step.kind, step.effect, step.rule) for step in still.trace] == [
+        ("discount", "marker_swap", "residual_structure")
+    ]
+    assert not found.trace

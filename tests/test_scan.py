@@ -5,24 +5,27 @@ from dataclasses import replace
 
 import pytest
 import torch
+from models import with_candidates
 from test_doubtful import found as searched
 from torch.testing import assert_close
 
 from torchid.diagnosis.candidates.candidate import Candidate, Source
-from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.diagnosis.options import NamingOptions
 from torchid.diagnosis.search.elimination import restore_record
 from torchid.diagnosis.search.estimates import estimate
 from torchid.diagnosis.search.result import reduced
-from torchid.diagnosis.search.rivals import ALIKE, NAMED, Rival, Round
+from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
+from torchid.diagnosis.trace import StepKind, step
 from torchid.diagnosis.verdict.causes import cause_of
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
 from torchid.effects.session import SESSION
 
 TRIALS = 2
+NAMING = NamingOptions()
 
 
 def scanned(columns: torch.Tensor, rows: torch.Tensor, widths: list[float], name: str = "drag") -> Round:
@@ -36,7 +39,7 @@ def scanned(columns: torch.Tensor, rows: torch.Tensor, widths: list[float], name
         some.append(Candidate(own, place, source, frozenset(range(TRIALS)), widened=width))
     prior = Prior(torch.zeros(n).double(), torch.eye(0).double(), torch.ones(n).double())
     raw = prior.standard(columns.T @ columns, columns.T @ rows, torch.arange(n))
-    return scan_all(Statistics(0, n, (raw,) * TRIALS), some, ()).round
+    return scan_all(Statistics(0, n, (raw,) * TRIALS), some, (), NAMING).round
 
 
 def by_place(rivals: tuple[Rival, ...]) -> list[Rival]:
@@ -67,10 +70,10 @@ def test_what_is_there_too_makes_no_name_doubtful(alike):
     one, other, _ = apart(4, 3).T
     second = one + 0.02 * other if alike else other
     round_ = scanned(torch.stack([one, second], 1), one + 0.998 * second, [1.0, 1.0])
-    assert min(r.score for r in round_.rivals) > NAMED
+    assert min(r.score for r in round_.rivals) > NAMING.named_nats
     best, rival = by_place(round_.compared)
-    assert (abs(rival.alike - best.alike) < ALIKE) == alike
-    assert (rival.likely(1) > best.likely(1) - ALIKE) == alike
+    assert (abs(rival.alike - best.alike) < NAMING.alike_nats) == alike
+    assert (rival.likely(1) > best.likely(1) - NAMING.alike_nats) == alike
 
 
 def test_what_is_strewn_keeps_its_prior():
@@ -101,7 +104,8 @@ def session_search():
 def round_of(*rivals: tuple[Candidate, float, float]) -> Round:
     """Candidates with their scores by which they are named, and those by which they are told apart."""
     strict = tuple(Rival(c, x, x, x) for c, x, _ in rivals)
-    return Round(strict, {r.candidate.effect.name: 9.0 for r in strict}, tuple(Rival(c, y, y, y) for c, _, y in rivals))
+    compared = tuple(Rival(c, y, y, y) for c, _, y in rivals)
+    return Round(strict, {r.candidate.effect.name: 9.0 for r in strict}, compared=compared)
 
 
 @pytest.mark.parametrize(("lead", "twin"), [(-1.0, True), (2.0, True), (6.0, False), (-6.0, False)])
@@ -109,7 +113,8 @@ def test_a_rival_that_is_likelier_by_far_is_no_twin(lead, twin):
     """The wrong name must not borrow the confidence of the right one."""
     search = session_search()
     drag, clock, _ = search.chosen
-    said = cause_of(search, 0, [round_of((drag, 12.0, 12.0), (clock, 11.0, 12.0 + lead))], {}, ("a", "b"))
+    rounds = (round_of((drag, 12.0, 12.0), (clock, 11.0, 12.0 + lead)),)
+    said = cause_of(replace(search, rounds=rounds), 0, {}, ("a", "b"))
     own = 1.0 / (1.0 + math.exp(lead))
     assert [t.effect for t in said.indistinguishable] == ["time_offset"] * twin
     assert said.confidence == pytest.approx(1.0 if twin else own, abs=1e-3)
@@ -124,16 +129,15 @@ def test_a_twin_is_told_with_its_size(lead):
     """As the model has it that has the twin instead; a likelier rival is none."""
     search = searched(torch.eye(3).double(), torch.tensor([3.0, 2.0, 1.0]).double())
     own, other, third = search.chosen
-    design = replace(search.design, candidates=search.chosen)
     rounds = [round_of((own, 12.0, 12.0), (other, 11.0, 12.0 - lead)), round_of((third, 9.0, 9.0))]
-    found = reduced(design, search.prior, search.noise, [own, third], rounds, search.statistics)
-    said = cause_of(found, 0, rounds, {}, ("a", "b"))
+    found = reduced(search.model, [own, third], rounds, search.options, ())
+    said = cause_of(found, 0, {}, ("a", "b"))
     assert len(found.twins) == len(said.indistinguishable) == (lead == 0.0)
     for twin in said.indistinguishable:
         assert twin.where == twin.place.where == other.place.where
         (key,) = twin.parameters
         chosen = (*found.twins, found.chosen[1])
-        wanted = estimate(replace(found, chosen=chosen, posterior=fit(found.statistics, chosen)), 0)[key]
+        wanted = estimate(found.having(chosen), 0)[key]
         assert_close((twin.parameters[key]["value"], twin.parameters[key]["sd"]), wanted)
 
 
@@ -142,7 +146,7 @@ def test_causes_of_the_session_are_not_taken_for_each_other():
     search = session_search()
     _, clock, scale = search.chosen
     rounds = [round_of((clock, 30.0, 30.0), (scale, 10.0, 10.0)), round_of((scale, 12.0, 12.0))]
-    said = cause_of(search, 2, rounds, {}, ("a", "b"))
+    said = cause_of(replace(search, rounds=tuple(rounds)), 2, {}, ("a", "b"))
     assert said.effect == "marker_scale" and said.confidence == pytest.approx(1.0, abs=1e-3)
     assert not said.indistinguishable
 
@@ -156,15 +160,16 @@ def test_places_that_fit_trials_support_nearly_as_well_are_kept(name, first, kep
     markers."""
     search = searched(torch.eye(3).double(), torch.tensor([1.0, 2.0, 3.0]).double())
     own = [replace(c, effect=effect(name)) for c in search.chosen]
-    design = replace(search.design, candidates=tuple(own))
-    rounds = [round_of((own[0], first, first), (own[1], NAMED + 0.1, 0.0), (own[2], NAMED - 0.1, 0.0))]
-    found = reduced(design, search.prior, search.noise, own[:1], rounds, search.statistics)
+    model = with_candidates(search.model, tuple(own))
+    least = NAMING.named_nats
+    rounds = [round_of((own[0], first, first), (own[1], least + 0.1, 0.0), (own[2], least - 0.1, 0.0))]
+    found = reduced(model, own[:1], rounds, search.options, ())
     assert not found.scales
     assert [other.place.where[0] for first, other in found.alternative_places if first is found.chosen[0]] == kept
     for one, whole in zip((*found.chosen, *(other for _, other in found.alternative_places)), own, strict=False):
         assert_close(
-            found.statistics.moment(one.columns, found.statistics.all),
-            search.statistics.moment(whole.columns, search.statistics.all),
+            found.model.statistics.moment(one.columns, found.model.statistics.all),
+            search.model.statistics.moment(whole.columns, search.model.statistics.all),
         )
 
 
@@ -174,9 +179,9 @@ def test_what_weighs_is_kept_to_the_end():
     drag, *others = search.chosen
     both = [replace(one, effect=effect(name)) for one, name in zip(others, ("body_mass", "plate_gain"), strict=True)]
     both[1] = replace(both[1], place=Place(("plate_1", "plate_2")))
-    design = replace(search.design, candidates=(drag, *both))
+    model = with_candidates(search.model, (drag, *both))
     rounds = [round_of((one, 9.0, 9.0)) for one in (drag, *both)]
-    found = reduced(design, search.prior, search.noise, [drag, both[0]], rounds, search.statistics)
+    found = reduced(model, [drag, both[0]], rounds, search.options, ())
     assert found.scales[0] is found.chosen[1] and [c.effect.name for c in found.scales] == ["body_mass", "plate_gain"]
 
 
@@ -189,11 +194,13 @@ def test_weight_is_asked_about_again_when_forces_are_dropped(dropped, size, name
     left = before.chosen[2:] if dropped else before.chosen[1:]
     last = round_of((before.chosen[1], 1.0, 1.0))
     before = replace(before, chosen=before.chosen[1:], scales=(weight,), rounds=(last,))
-    after = restore_record(before, replace(before, chosen=left, posterior=fit(before.statistics, left)))
+    gone = [c for c in before.chosen if c not in left]
+    steps = [step(StepKind.LEAVE, one, "no_residual_gain", residual_part=0.0) for one in gone]
+    after = restore_record(before.having(left, *steps), ())
     assert after.chosen == ((*left, weight) if named else left) == after.posterior.chosen
     assert after.rounds[-1] is last and len(after.rounds) == 1 + named
     if named:
-        assert cause_of(after, len(left), after.rounds, {}, ("a", "b")).effect == "body_mass"
+        assert cause_of(after, len(left), {}, ("a", "b")).effect == "body_mass"
 
 
 def test_what_stands_for_a_refuted_place_is_as_sure_as_without_that():
@@ -202,8 +209,8 @@ def test_what_stands_for_a_refuted_place_is_as_sure_as_without_that():
     gone, other, third = search.chosen
     asked = replace(gone, place=Place(("asked",)))
     pairs = ((gone, asked), (gone, other), (gone, third))
-    search = replace(search, chosen=(other,), posterior=fit(search.statistics, (other,)), alternative_places=pairs)
+    search = replace(search.having((other,)), alternative_places=pairs)
     scores = (gone, 15.0, 15.0), (asked, 14.0, 14.0), (other, 12.0, 12.0), (third, 7.0, 7.0)
-    said = cause_of(search, 0, [round_of(*scores)], {}, ("a", "b"))
+    said = cause_of(replace(search, rounds=(round_of(*scores),)), 0, {}, ("a", "b"))
     assert said.where == other.place.where and said.confidence == pytest.approx(1.0 / (1.0 + math.exp(-5.0)), abs=1e-3)
     assert [one.where for one in said.alternatives] == [third.place.where]

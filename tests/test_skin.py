@@ -9,10 +9,8 @@ import torch
 
 from torchid.diagnosis.candidates.nuisances import SkinSlide
 from torchid.diagnosis.columns.assemble import make_design
-from torchid.diagnosis.evidence.noise import initial_noise
-from torchid.diagnosis.evidence.prior import make_prior
+from torchid.diagnosis.evidence.model import Identification, make_model
 from torchid.diagnosis.evidence.skin_prior import SLIDES_M, TOGETHER, with_slides
-from torchid.diagnosis.evidence.spectra import trial_spectra
 from torchid.effects.markers import SoftTissue
 from torchid.effects.place import Place
 from torchid.experiment.diagnosis_stage import observe_outcome
@@ -23,11 +21,11 @@ def learned(observed: list[TrialObservation], effects: list[SoftTissue]) -> set[
     """Prior of what segments' markers slide as one [m]."""
     outcome = small.outcome()
     assert outcome.identified is not None
-    design = make_design(observed, effects, outcome.fit)
-    rows = [trial_spectra(w, c, design.noisy) for w, c in zip(observed, design.trials, strict=True)]
-    prior = make_prior(outcome.prior, outcome.identified.fit.omega_2, design)
-    found = with_slides(rows, prior, design, initial_noise(outcome.identified.whitening, len(observed)))
-    return {s.scale[0] for s in found.sources if isinstance(s.effect, SkinSlide)}
+    known = Identification(
+        outcome.prior, outcome.identified.fit.omega_2, outcome.identified.whitening, outcome.fit
+    )  # fmt: skip
+    found = with_slides(make_model(observed, make_design(observed, effects, outcome.fit), known))
+    return {s.scale[0] for s in found.design.sources if isinstance(s.effect, SkinSlide)}
 
 
 def slid(observed: list[TrialObservation], size: float) -> list[TrialObservation]:

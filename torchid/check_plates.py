@@ -5,13 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchid.conventions import GRAVITY
+from torchid.conventions import GRAVITY, LOADED_N
 from torchid.io.plates import baseline
 from torchid.io.resample import to_clock
 from torchid.recording import Forces, Trial
 
-LOADED = 50.0
-"""Vertical force [N] above which a plate or all of them together carry somebody."""
 MARGIN = 0.02
 """How far [m] beside the plate still counts as on it."""
 RAIL_SAMPLES = 3
@@ -51,7 +49,7 @@ def check_plate(forces: Forces, k: int, kind: str) -> PlateCheck:
 def _outside(forces: Forces, k: int) -> float:
     """Share of the loaded time that the centre of pressure of plate k lies beside it."""
     corners = forces.plates[k].corners
-    point = forces.centre_of_pressure(LOADED)[:, k]
+    point = forces.centre_of_pressure(LOADED_N)[:, k]
     point = point[point.isfinite().all(dim=1)]
     if corners is None or not len(point):
         return float("nan")
@@ -69,7 +67,7 @@ def _saturated(forces: Forces, k: int) -> int:
     worst = 0
     for column in forces.wrench[:, k, :3].numpy().T:
         size = np.abs(column)
-        if not size.max() > LOADED:
+        if not size.max() > LOADED_N:
             continue
         inner = column[(size < size.max()) & (column != 0.0)]
         coarse = len(np.unique(inner)) < len(inner) / 2
@@ -87,11 +85,11 @@ def _longest(mask: np.ndarray) -> int:
 def plate_weight(forces: Forces) -> float | None:
     """Mean total vertical force while loaded, as a mass [kg]; None where nobody stands on the plates.
 
-    Loaded are the samples above half of the median of those above ``LOADED``: steps onto and off the plates would
+    Loaded are the samples above half of the median of those above ``LOADED_N``: steps onto and off the plates would
     otherwise lower the mean.
     """
     vertical = forces.total[:, 2]
-    vertical = vertical[vertical > LOADED]
+    vertical = vertical[vertical > LOADED_N]
     if not len(vertical):
         return None
     return float(vertical[vertical > 0.5 * vertical.median()].mean()) / GRAVITY
@@ -113,7 +111,7 @@ def moved_mass(trial: Trial) -> float | None:
     mean = height.mean(dim=1)
     acceleration = (mean[4:] - 2 * mean[2:-2] + mean[:-4]) * (rate / 2) ** 2
     vertical = to_clock(trial.forces, trial.markers.time).total[2:-2, 2].nan_to_num()
-    loaded = vertical > LOADED
+    loaded = vertical > LOADED_N
     if int(loaded.sum()) < 5:
         return None
     loaded = vertical > 0.5 * vertical[loaded].median()

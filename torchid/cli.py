@@ -136,7 +136,7 @@ def pair_files(files: list[Path]) -> list[tuple[Path, Path | None]]:
 
 
 class _Bar:
-    """Progress of the stages on the terminal: ``progress(stage, fraction)``."""
+    """The bars on the terminal, one a stage, as the callback of a run (``experiment.fits.OnStage``)."""
 
     def __init__(self, bars: Progress) -> None:
         self.bars, self.tasks = bars, {}

@@ -17,6 +17,9 @@ from torch import Tensor
 
 GRAVITY = 9.80665
 """Standard gravity [m/s^2]; the field points along -Z of W."""
+LOADED_N = 20.0
+"""A plate is loaded where it bears more than this vertical force [N], the usual threshold of foot contact (Tirosh &
+Sparrow, J Appl Biomech 19:162 (2003)); the one definition for reading, checking, contact and diagnosis."""
 
 
 class Inertial(IntEnum):

@@ -20,6 +20,7 @@ from torch import Tensor
 from batteries.judge import UNNAMED
 from batteries.mujoco_session import draw_effect, simulate
 from torchid.config import load_config
+from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.search.estimates import estimate, internal
 from torchid.diagnosis.search.result import SearchResult
 from torchid.diagnosis.search.stepwise import search
@@ -37,8 +38,8 @@ def found(name: str, seed: int, out: Path) -> tuple[SearchResult, dict]:
     identified = outcome.identified
     assert identified is not None, "the session has forces"
     observed = list(observe_outcome(outcome, "fit").values())
-    known = identified.fit.omega_2, identified.whitening
-    return search(observed, [effect(name)], outcome.prior, *known, 1, outcome.fit), hidden
+    known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
+    return search(observed, [effect(name)], known, 1), hidden
 
 
 def known_else(said: SearchResult, k: int) -> dict[str, Tensor]:
@@ -46,7 +47,7 @@ def known_else(said: SearchResult, k: int) -> dict[str, Tensor]:
     one = said.chosen[k]
     precision = torch.diag(one.relative**-2)
     for trial in sorted(one.trials):
-        raw = said.statistics.trials[trial]
+        raw = said.model.statistics.trials[trial]
         at = raw.at(one.columns)
         precision = precision + raw.gram[at][:, at]
     scale = torch.tensor(one.source.scale, dtype=torch.float64)

@@ -1,12 +1,14 @@
 """The verdicts of forty fixed sessions and of every config, kept and compared: does a rebuilding change any of them?
 
-    PYTHONPATH=.:scripts python -m batteries.verdicts run out/before
-    PYTHONPATH=.:scripts python -m batteries.verdicts compare out/before out/after
+    PYTHONPATH=.:scripts python -m batteries.verdicts run out/verdicts
+    PYTHONPATH=.:scripts python -m batteries.verdicts compare scripts/batteries/verdicts.json out/verdicts
+    PYTHONPATH=.:scripts python -m batteries.verdicts keep out/verdicts scripts/batteries/verdicts.json
 
 ``run`` simulates twenty effects of medium size, eight sessions with nothing hidden, six pairs and six effects outside
 the catalogue, all of fixed seeds, runs them and the configs whose recordings are there, and keeps each one's
-``diagnosis.json``. A verdict that is already kept is not computed again. ``compare`` lists every difference of causes,
-places and values beyond 1e-6 relative and exits with 1 if there is one.
+``diagnosis.json``. A verdict that is already there is not computed again. ``compare`` lists every difference of causes,
+places and values beyond 1e-6 relative, of the verdicts that both sides have, and exits with 1 if there is one. ``keep``
+writes a folder into one file; ``verdicts.json`` holds those before the diagnosis was rebuilt.
 """
 
 import argparse
@@ -84,7 +86,8 @@ def run(out: Path, workers: int) -> None:
 def differences(before: object, after: object, place: str = "") -> Iterator[str]:
     """Every place at which two verdicts differ, with what stands there."""
     if isinstance(before, dict) and isinstance(after, dict):
-        for key in before.keys() | after.keys():
+        # What is new in a record, such as the rule by which a cause was refuted, changes no verdict.
+        for key in before:
             yield from differences(before.get(key), after.get(key), f"{place}/{key}")
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         for k, (one, other) in enumerate(zip(before, after, strict=True)):
@@ -95,33 +98,61 @@ def differences(before: object, after: object, place: str = "") -> Iterator[str]
 
 def _equal(one: object, other: object) -> bool:
     if isinstance(one, float) and isinstance(other, float):
+        if math.isnan(one) and math.isnan(other):
+            return True
         return math.isclose(one, other, rel_tol=TOLERANCE, abs_tol=TOLERANCE * 1e-3)
     return one == other
 
 
+def verdicts(path: Path) -> dict[str, dict]:
+    """Verdicts of a folder, or of the file into which one was kept, by the name of their session."""
+    if path.is_dir():
+        return {one.stem: _compared(json.loads(one.read_text())) for one in sorted(path.glob("*.json"))}
+    return json.loads(path.read_text())
+
+
+def _compared(verdict: dict) -> dict:
+    return {key: verdict[key] for key in COMPARED if key in verdict}
+
+
+def keep(folder: Path, file: Path) -> None:
+    """Write the verdicts of a folder into one file, a line each, numbers to nine digits."""
+    lines = [f"{json.dumps(key)}: {json.dumps(_rounded(one))}" for key, one in verdicts(folder).items()]
+    file.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _rounded(own) for key, own in value.items()}
+    if isinstance(value, list):
+        return [_rounded(own) for own in value]
+    return float(f"{value:.9g}") if isinstance(value, float) else value
+
+
 def compare(before: Path, after: Path) -> int:
     """Print what differs; the number of verdicts that do."""
-    names = sorted(path.name for path in before.glob("*.json"))
-    changed = 0
-    for name in names:
-        old, new = (json.loads((folder / name).read_text()) for folder in (before, after))
-        found = [line for key in COMPARED for line in differences(old.get(key), new.get(key), key)]
+    old, new = verdicts(before), verdicts(after)
+    both, changed = sorted(old.keys() & new.keys()), 0
+    for name in both:
+        found = [line for key in old[name] for line in differences(old[name][key], new[name].get(key), key)]
         changed += bool(found)
         print(f"{name}: {len(found)} differences" if found else f"{name}: same")
         print("".join(f"    {line}\n" for line in found[:12]), end="")
-    print(f"{len(names) - changed} of {len(names)} verdicts the same")
+    print(f"{len(both) - changed} of {len(both)} verdicts the same; {len(old) - len(both)} not run")
     return changed
 
 
 def main() -> None:
     """Run or compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["run", "compare"])
+    parser.add_argument("what", choices=["run", "compare", "keep"])
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
     if arguments.what == "run":
         run(arguments.folders[0], arguments.workers)
+    elif arguments.what == "keep":
+        keep(*arguments.folders)
     else:
         sys.exit(bool(compare(*arguments.folders)))
 

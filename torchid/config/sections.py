@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from torchid.bounds import Count, Name, Positive
 from torchid.contact.options import ContactOptions
+from torchid.diagnosis.options import DiagnosisOptions
 from torchid.geometry.options import GeometryOptions
 from torchid.inertia.options import InertiaOptions
 from torchid.simulate.options import SimulateOptions
@@ -141,6 +142,8 @@ class DiagnosisSection(Section):
     include: tuple[Name, ...] = ()
     """Effects to try; empty means the whole catalogue."""
     exclude: tuple[Name, ...] = ()
+    thresholds: DiagnosisOptions = DiagnosisOptions()
+    """Everything that decides a verdict; change it to see what hangs on it, not to get another verdict."""
 
 
 class Config(Section):

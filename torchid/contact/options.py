@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from torchid.bounds import NonNegative, Positive
+from torchid.conventions import LOADED_N
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,7 @@ class ContactOptions:
     leaving_m_s: Positive = 1.2
     """Once down it touches until it rises or is faster than this: when their plate unloads, the toes of a walk do
     1.0-1.3 m/s. At the speed of standing a contact would end 50 ms, and some 300 N, too early."""
-    loaded_n: Positive = 20.0
+    loaded_n: Positive = LOADED_N
     """A plate is loaded above this vertical force."""
     margin_m: NonNegative = 0.03
     """A foot may stand over the edge of a plate by this much."""

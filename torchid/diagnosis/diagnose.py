@@ -1,36 +1,33 @@
-"""From a search to a verdict: what is kept of it, how sure, and what it gains on motion that was not used."""
+"""The sequence of the diagnosis: search, eliminate, test on held-out motion, and assess what remains."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
-from torchid.diagnosis.evidence.posterior import fit
+from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.evidence.residuals import residuals
-from torchid.diagnosis.search.elimination import (
-    drop_opposed,
-    drop_unsupported,
-    drop_without_residual_gain,
-    restore_record,
-)
+from torchid.diagnosis.options import DiagnosisOptions
+from torchid.diagnosis.search.elimination import AT_LAST, SUPPORTED, VISIBLE, eliminate, restore_record, settle
 from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.search.stepwise import search
 from torchid.diagnosis.testing.heldout import HeldOut
 from torchid.diagnosis.testing.position_dependence import misfits, with_misfits
+from torchid.diagnosis.testing.refutation import Upheld, uphold
 from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.verdict.causes import after_forces, causes_of, nearest, untested_plates
-from torchid.diagnosis.verdict.confidence import BENT, with_trust
-from torchid.diagnosis.verdict.records import Diagnosis, Refuted
+from torchid.diagnosis.verdict.confidence import bent_by_position, discounted
+from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
-from torchid.geometry.result import GeometryFit
-from torchid.model.model import InertialPrior
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.whitening import Whitening
 
 
 def select_effects(include: Sequence[str], exclude: Sequence[str]) -> tuple[Effect, ...]:
-    """The effects to try.
+    """Return the effects to try.
+
+    Args:
+        include: their names; empty means the whole catalogue.
+        exclude: names of those to leave out.
 
     Raises:
         ConfigError: one of the names is no effect.
@@ -44,58 +41,72 @@ def diagnose(
     heldout: Sequence[TrialObservation],
     plates: tuple[SessionPlate, ...],
     effects: Sequence[Effect],
-    inertia: InertialPrior,
-    omega: float,
-    whitening: Whitening,
+    known: Identification,
     limit: int,
-    geometry: GeometryFit | None = None,
+    options: DiagnosisOptions = DiagnosisOptions(),
 ) -> Diagnosis:
-    """Scan fit trials, then measure on held-out ones.
+    """Return the causes of what the identified model gets wrong, with what remains and the trace of all decisions.
 
     Args:
-        watched: fit trials.
+        observed: fit trials.
         heldout: trials that nothing was fitted on; they may refute a cause, or the place of one.
-        plates: of the session.
-        effects: to try.
-        inertia: prior of the inertial parameters.
-        omega: weight of that prior in the inertial fit.
-        whitening: of the inertial fit.
-        limit: causes at most of each kind, see ``search``.
-        geometry: with which the trials were followed.
+        plates: plates of the session.
+        effects: effects to try.
+        known: what the inertial fit knew and found.
+        limit: number of causes at most of each kind (``stepwise.kind_of``).
+        options: every threshold that decides.
     """
-    found = search(observed, effects, inertia, omega, whitening, limit, geometry)
-    if _remains(found, observed, heldout).significant:
-        found = restore_record(found, drop_unsupported(drop_without_residual_gain(drop_opposed(found), observed)))
+    found = search(observed, effects, known, limit, options)
+    if _remains(found, observed, len(heldout)).significant:
+        found = settle(eliminate(found, observed, VISIBLE), observed, SUPPORTED)
+        found = restore_record(found, observed)
     unseen = HeldOut(found, observed, heldout)
-    chosen, refuted = unseen.upheld(unseen.acting())
-    found = drop_unsupported(replace(found, chosen=chosen, posterior=fit(found.statistics, chosen)), last=True)
-    rest = _remains(found, observed, heldout)
-    extended = unseen.judged(found.chosen)
-    names = [w.rows.name for w in (*observed, *heldout)]
+    upheld = uphold(unseen, unseen.acting(), options)
+    found = settle(found.having(upheld.chosen, *upheld.trace), observed, AT_LAST)
+    return _verdict(found, unseen, upheld, observed, plates)
+
+
+def _verdict(
+    found: SearchResult,
+    unseen: HeldOut,
+    upheld: Upheld,
+    observed: Sequence[TrialObservation],
+    plates: tuple[SessionPlate, ...],
+) -> Diagnosis:
+    """Return the diagnosis that the chosen effects amount to."""
+    rest, limits = _remains(found, observed, len(unseen.trials)), found.options
+    extended = unseen.fit(found.chosen)
+    names = [w.rows.name for w in (*observed, *unseen.trials)]
     bent = [] if rest.alone else misfits(found, observed)
-    causes = with_trust(found, observed, rest, causes_of(found, unseen, extended, names))
-    for one in bent:
-        causes[one.index] = replace(causes[one.index].scaled(BENT), doubted=True)
-    strength = [support(found.statistics, found.chosen, one) for one in found.chosen]
-    order = sorted(range(len(causes)), key=lambda k: (after_forces(causes[k]), -strength[k]))
-    rest = with_misfits(with_vibration(rest, observed), found, bent)
-    unloaded, near = untested_plates(observed, plates), nearest(found.rounds[-1])
-    kept = {id(one) for one in found.chosen}
-    instead = {id(first): other.place.where for first, other in found.alternative_places if id(other) in kept}
-    against = tuple(Refuted(one.effect.name, one.place.where, says, instead.get(id(one))) for one, says in refuted)
+    causes, contradicted = discounted(found, observed, rest, causes_of(found, unseen, extended, names))
+    causes, positions = bent_by_position(found, causes, bent)
+    rest = with_misfits(with_vibration(rest, observed, limits.adequacy), found, bent)
     return Diagnosis(
-        plates,
-        unseen.judged(()).errors,
-        extended.errors,
-        tuple(causes[k] for k in order),
-        rest,
-        unloaded,
-        near,
-        against,
-    )
+        plates, unseen.fit(()).errors, extended.errors, _ordered(found, causes), rest,
+        untested_plates(observed, plates), nearest(found.rounds[-1], limits.confidence.rivals),
+        _refuted(found, upheld), (*found.trace, *contradicted, *positions),
+    )  # fmt: skip
 
 
-def _remains(
-    found: SearchResult, observed: Sequence[TrialObservation], heldout: Sequence[TrialObservation]
-) -> Adequacy:
-    return assess_adequacy(observed, residuals(observed, found.design, found.prior, found.posterior), len(heldout))
+def _ordered(found: SearchResult, causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """Return what a laboratory did to forces first, then what markers and bodies are like; the best supported come
+    first."""
+    strength = [support(found.model.statistics, found.chosen, one) for one in found.chosen]
+    order = sorted(range(len(causes)), key=lambda k: (after_forces(causes[k]), -strength[k]))
+    return tuple(causes[k] for k in order)
+
+
+def _refuted(found: SearchResult, upheld: Upheld) -> tuple[Refuted, ...]:
+    """Return the refuted causes, each with the place that held-out motion has it at, if there is one."""
+    instead = {id(gone): other.place.where for gone, other in upheld.instead if any(other is c for c in found.chosen)}
+    return tuple(
+        Refuted(one.effect.name, one.place.where, decision.numbers["heldout_nats"], decision.rule, decision.numbers,
+                instead.get(id(one)))
+        for one, decision in upheld.refuted
+    )  # fmt: skip
+
+
+def _remains(found: SearchResult, observed: Sequence[TrialObservation], others: int) -> Adequacy:
+    """Return the adequacy of the model with the chosen effects."""
+    left = residuals(observed, found.model, found.posterior)
+    return assess_adequacy(observed, left, found.options.adequacy, others)

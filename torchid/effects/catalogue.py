@@ -1,25 +1,54 @@
-"""All effects, by name."""
+"""All effects, by name. A new one is a file in this folder and a line in ``ENTRIES``."""
+
+from importlib import import_module
+from inspect import isabstract
 
 from torchid.effects.effect import Effect
-from torchid.effects.forces import BodyWeightSupport, Drag, ExternalForce, Tether, UnmeasuredContact
-from torchid.effects.joints import JointCentreShift, MissingDof
-from torchid.effects.markers import MarkerScale, MarkerShift, MarkerSwap, SkinLag, SoftTissue
-from torchid.effects.masses import BodyMass, Flywheel, GraspedObject, Payload, WobblingMass
-from torchid.effects.plates import PlateAssignment, PlateCrosstalk, PlateDrift, PlateGain, PlateOffset, PlatePose
-from torchid.effects.session import FilterLag, GravityTilt, MovingGround, TimeOffset
 from torchid.errors import ConfigError
 
-CATALOGUE: dict[str, Effect] = {
-    effect.name: effect
-    for effect in (
-        TimeOffset(), PlateGain(), PlateOffset(), PlateDrift(), PlatePose(), PlateCrosstalk(), PlateAssignment(),
-        GravityTilt(), MovingGround(), BodyMass(), Payload(), GraspedObject(), WobblingMass(), Flywheel(),
-        UnmeasuredContact(), ExternalForce(), BodyWeightSupport(), Tether(), Drag(), FilterLag(), MarkerShift(),
-        MarkerSwap(), MarkerScale(), SoftTissue(), SkinLag(), JointCentreShift(), MissingDof(),
-    )
-}  # fmt: skip
-BODILY = frozenset(name for name, effect in CATALOGUE.items() if effect.bodily)
-"""What every living body has some of."""
+ENTRIES = (
+    "timing:TimeOffset",
+    "plates:PlateGain",
+    "plate_zeros:PlateOffset",
+    "plate_zeros:PlateDrift",
+    "plates:PlatePose",
+    "plates:PlateCrosstalk",
+    "plate_assignment:PlateAssignment",
+    "session:GravityTilt",
+    "moving_ground:MovingGround",
+    "body_mass:BodyMass",
+    "masses:Payload",
+    "masses:GraspedObject",
+    "wobbling:WobblingMass",
+    "flywheel:Flywheel",
+    "contact:UnmeasuredContact",
+    "forces:ExternalForce",
+    "forces:BodyWeightSupport",
+    "forces:Tether",
+    "forces:Drag",
+    "timing:FilterLag",
+    "markers:MarkerShift",
+    "marker_swap:MarkerSwap",
+    "session:MarkerScale",
+    "markers:SoftTissue",
+    "skin_lag:SkinLag",
+    "joint_centre:JointCentreShift",
+    "missing_dof:MissingDof",
+)
+"""Module of this folder, and class. Columns of a diagnosis stand in this order."""
+
+
+def make_effect(entry: str) -> Effect:
+    """The effect of an entry."""
+    module, _, name = entry.partition(":")
+    kind = getattr(import_module(f"torchid.effects.{module}"), name)
+    assert issubclass(kind, Effect) and not isabstract(kind), f"{entry} is no effect that can be made"
+    return kind()
+
+
+CATALOGUE: dict[str, Effect] = {one.name: one for one in map(make_effect, ENTRIES)}
+BODILY = frozenset(name for name, one in CATALOGUE.items() if one.bodily)
+"""Effects that every living body has some of."""
 
 
 def effect(name: str) -> Effect:

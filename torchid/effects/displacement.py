@@ -1,4 +1,4 @@
-"""What a small displacement of bodies does to the wrench that a motion needs.
+"""Changes of the wrench that a motion needs by small displacements of its bodies.
 
 With P = sum m c' and H = sum c x m c' + I w about the origin of W, what is needed is the rate of (P, H) and gravity's
 share. A displacement d of a body's origin and a rotation e of it move its centre of mass by s = d + e x r and turn I w
@@ -30,7 +30,7 @@ def displaced(scene: Scene, bodies: Float[Tensor, "columns bodies 6 frames"]) ->
 
 
 def wrench_of(nine: Float[Tensor, "columns 9 frames"], rate_hz: float) -> Float[Tensor, "columns 6 frames"]:
-    """Change of the wrench about the origin of W from the vectors A, B, C."""
+    """Change of the wrench about the origin of W [N, N m] from the vectors A, B, C (see the module)."""
     A, B, C = nine.split(3, 1)
     moment = rate_of(rate_of(B, rate_hz).add_(C), rate_hz)
     moment[:, 0].add_(A[:, 1], alpha=GRAVITY)
@@ -39,9 +39,9 @@ def wrench_of(nine: Float[Tensor, "columns 9 frames"], rate_hz: float) -> Float[
 
 
 def rate_of(x: Float[Tensor, "*some frames"], rate_hz: float) -> Float[Tensor, "*some frames"]:
-    """Time derivative: sixth-order differences, second-order ones at the ends.
+    """Time derivative by differences of sixth order, and of second order at the ends.
 
-    For what a filter has left of frequencies far below the frame rate: 0.04 % off at a tenth of it.
+    It is meant for courses whose frequencies are far below the frame rate: at a tenth of it, it is 0.04 % short.
     """
     found = torch.empty_like(x, memory_format=torch.contiguous_format)
     inner = found[..., 3:-3]
@@ -56,7 +56,8 @@ def rate_of(x: Float[Tensor, "*some frames"], rate_hz: float) -> Float[Tensor, "
 
 
 def levers(scene: Scene) -> Float[Tensor, "frames 9 rows"]:
-    """A, B, C per displacement and rotation of every body, six rows a body in plan order."""
+    """Vectors A, B, C (see the module) per displacement [m] and rotation [rad] of every body, six rows a body in plan
+    order."""
     plan, at, motion = scene.state.plan, scene.state.at, scene.state.motion
     phi = scene.phi[list(plan.order)]
     mass, arm = phi[:, 0], phi[:, 1:4] / phi[:, :1]
@@ -74,26 +75,27 @@ def levers(scene: Scene) -> Float[Tensor, "frames 9 rows"]:
 
 
 def _spin(x: Float[Tensor, "bodies 3 frames"]) -> Float[Tensor, "frames bodies 3 3"]:
-    """Matrices of x cross."""
+    """The matrices M with M y = x cross y."""
     a, b, c = x.permute(1, 2, 0)
     zero = torch.zeros_like(a)
     return torch.stack([zero, -c, b, c, zero, -a, -b, a, zero], 2).view(*a.shape, 3, 3)
 
 
 def inertia_matrix(six: Float[Tensor, "bodies 6"]) -> Float[Tensor, "bodies 3 3"]:
-    """Ixx, Ixy, Iyy, Ixz, Iyz, Izz as matrices."""
+    """Inertias given as Ixx, Ixy, Iyy, Ixz, Iyz, Izz as symmetric matrices."""
     xx, xy, yy, xz, yz, zz = six.unbind(1)
     return torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).view(-1, 3, 3)
 
 
 def _shell(arm: Float[Tensor, "bodies 3"]) -> Float[Tensor, "bodies 3 3"]:
-    """|c|^2 1 - c c', inertia of a unit mass at c."""
+    """Inertia |c|^2 1 - c c' of a unit mass at c."""
     eye = torch.eye(3).to(arm)
     return arm.square().sum(1)[:, None, None] * eye - arm[:, :, None] * arm[:, None]
 
 
 def carriage(scene: Scene) -> Float[Tensor, "frames rows dofs"]:
-    """Displacement and rotation of every body, six rows each in plan order, per coordinate (3-5: rotations in W)."""
+    """Displacement and rotation of every body per unit of each coordinate, in W, six rows a body in plan order; the
+    coordinates 3 to 5 are rotations of the root in W."""
     S, _ = joint_axes(scene.state)
     mask = supports(scene).to(S)[:, :, None, None]
     turn = mask * S[None, :, 3:]

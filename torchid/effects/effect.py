@@ -1,119 +1,115 @@
-"""What an effect is: a name, places, parameters with priors, and how it changes what the plates read.
+"""The base class of effects, and an effect that sits somewhere with values (``Planted``).
 
-Every effect is one object that plants itself in a simulation and predicts itself in a fit. It changes the wrench that
-the ground must supply (``load``), or what the plates make of it (``read``), or both; parameters are zero where it is
-absent.
+Every effect is one object that plants itself in a simulation, predicts itself in a fit and tells itself in a report.
+Classes are abstract or final. A final class is of one of the kinds of ``effects.kinds``, which say what it acts on;
+declares its member of each enumeration of ``effects.traits``, unless it is the default; and has the words of
+``effects.described``. A method that is not marked ``@final`` is a default, which is replaced at most once.
 """
 
 from abc import ABC
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.effects.described import Described
 from torchid.effects.displacement import displaced
+from torchid.effects.evidence import TrialEvidence
+from torchid.effects.intervals import in_intervals
 from torchid.effects.marker_scene import Sight, Slid, Sway, View
+from torchid.effects.parameter import Parameter, by_key, propagated, stacked
 from torchid.effects.place import Place
 from torchid.effects.scene import Reading, Scene
-from torchid.errors import ConfigError
+from torchid.effects.traits import ColumnNoise, Correction, Traits
+from torchid.geometry.result import GeometryFit
+
+Estimates = dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]
+"""Value and standard deviation of reported parameters, by key."""
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """One internal parameter of an effect, scalar or vector, zero where the effect is absent."""
+class Ordinary:
+    """A place of an effect that is integrated out, with the prior of its parameters there."""
 
-    key: str
-    """With its unit, as in ``mass_kg``."""
-    scale: float
-    """Standard deviation of the prior of each component."""
-    size: int = 1
-    positive: bool = False
+    place: Place
+    mean: tuple[float, ...]
+    sd: tuple[float, ...]
 
 
-class Effect(ABC):
-    """One entry of the catalogue."""
+class Effect(Traits, Described, ABC):
+    """One entry of the catalogue, or a nuisance of the same build."""
 
     name: ClassVar[str]
+    """Name in ``diagnosis.json``."""
     parameters: ClassVar[tuple[Parameter, ...]]
-    bodily: ClassVar[bool] = False
-    """Every living body has some of it: named when it is there, and counted apart from errors of the laboratory."""
-    whole_body: ClassVar[bool] = False
-    """It is all over the body at once: however many single places are named, it is looked for beside them."""
-    on_record: ClassVar[bool] = False
-    """What was written down of the subject is wrong, not what was measured."""
-    moves_markers: ClassVar[bool] = False
-    """It changes what cameras see (``move``, ``slide``)."""
-    per_trial: ClassVar[bool] = False
-    """Its parameters are others in every trial."""
-    follows_acceleration: ClassVar[bool] = False
-    """Its columns follow accelerations of the found motion, or the loads that they make: markers' noise shows. If it
-    changes readings, it maps every sample alike and linearly."""
-    shifts_time: ClassVar[bool] = False
-    """It shifts the plates' readings in time."""
-    nonlinear: ClassVar[bool] = False
-    """What it does is not linear in its parameters, but columns taken where it was found, times its parameters there,
-    are all of it."""
-    reads_measured: ClassVar[bool] = False
-    """Its columns are what taking it out of the plates' readings takes away (``undone``)."""
-    per_recording: ClassVar[bool] = False
-    """A state of single recordings: where it is in some, only another recording itself says whether it is there."""
-    intermittent: ClassVar[bool] = False
-    """It comes and goes: its places need intervals."""
-    widespread: ClassVar[bool] = False
-    """Living bodies do some of it at every place: what is named must stand out from the others. All its places have
-    equally many parameters."""
-    all_or_nothing: ClassVar[bool] = False
-    """Its one parameter is one, or it is not there."""
+    grid_keys: ClassVar[tuple[str, ...]] = ()
+    """Reported parameters that a place's grid holds, see ``grid``."""
 
+    @final
     @property
-    def noisy(self) -> bool:
-        """Its columns are accelerations that were found, or loads that these make, and hold the markers' noise; in what
-        goes with places or speeds, as ropes and drag do, it is neglected."""
-        return self.moves_markers or self.follows_acceleration
+    def moves_markers(self) -> bool:
+        """True if it changes what cameras see."""
+        return isinstance(self, MarkerEffect)
+
+    # Where and when.
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
-        """Everywhere it could sit in a session."""
+        """Return all places in a session, of which the trials are given, at which it could sit."""
         raise NotImplementedError
+
+    def propose(self, observed: Sequence[TrialEvidence]) -> tuple[Place, ...]:
+        """The places that are worth columns: all, or, where it comes and goes, in intervals that residuals suggest."""
+        places = self.places([one.view for one in observed])
+        return in_intervals(places, observed) if self.intermittent else places
+
+    def ordinary(self, views: Sequence[View], fit: GeometryFit | None) -> Iterator[Ordinary]:
+        """Yield the places at which every recording has a little of it, which are integrated out and never named.
+
+        Args:
+            views: of the trials.
+            fit: with which they were followed; None where no camera is at hand.
+        """
+        yield from ()
 
     def finer(self, place: Place) -> tuple[Place, ...]:
         """The place with a finer course in time, worth its columns only where the effect is known to be."""
         return ()
 
     def period_s(self, place: Place) -> float:
-        """Time after which it repeats itself; zero where it does not."""
+        """Time after which it repeats itself [s]; zero where it does not."""
         return 0.0
 
-    def trusted(
-        self, added: Float[Tensor, "frames 6"], rate_hz: float, place: Place, theta: Float[Tensor, " params"]
-    ) -> Float[Tensor, "frames 6"]:
-        """Of the wrench that it explains, what is believed of motion that it was not fitted to."""
-        return added
-
     def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
-        """Where its columns are those of ``place``, and the trials they are cut down to; None: all."""
+        """Another place that has the same columns, and the trials that these are cut down to; None: all."""
         return place, None if place.when is None else tuple(dict.fromkeys(own.trial for own in place.when))
 
+    def grid(self, values: Mapping[str, Tensor]) -> dict[str, float]:
+        """The grid of the place at which these reported parameters are planted."""
+        return {key: float(values[key]) for key in self.grid_keys if key in values}
+
+    # What it does: nothing, but for what its kind makes abstract.
+
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
-        """Wrench about the origin of W that the ground must supply because of it."""
+        """Wrench about the origin of W that the ground must supply because of it [N, N m]."""
         return theta.new_zeros(6, len(scene.time))
 
     def rigid(self, scene: Scene, place: Place) -> Float[Tensor, "bodies 10 params"] | None:
-        """What it adds to the inertial parameters of the bodies, if its load is no more than that."""
+        """Return its share of the bodies' inertial parameters, if its load is no more than that."""
         return None
 
     def loads(self, scene: Scene, places: Sequence[Place]) -> Float[Tensor, "places 6 frames"] | None:
-        """Its unit loads at several places, where it knows a way to make them at once."""
+        """Return its unit loads at several places, if it knows a way to make them at once."""
         return None
 
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
-        """What the plates then read."""
+        """Return the plates' reading of what they bear."""
         return reading
 
     def undone(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
-        """What plates that read this would have read without it."""
+        """Return the reading that plates with this one would have had without it."""
         return self.read(reading, place, -theta)
 
     def move(
@@ -122,34 +118,55 @@ class Effect(ABC):
         """Displacement of bodies that the model holds elsewhere: of their origins [m] and rotation [rad], in W."""
         return None
 
-    def sway(self, sight: Sight, place: Place) -> Sway | None:
-        """The same as ``move`` and ``slide``, where it is fixed ways times courses in time."""
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid | None:
+        """Return the markers that cameras see elsewhere than the bodies carry them."""
         return None
 
-    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid | None:
-        """How far cameras see markers from where the bodies carry them."""
+    def sway(self, sight: Sight, place: Place) -> Sway | None:
+        """Return what ``move`` and ``slide`` do, if that is fixed ways times courses in time."""
         return None
 
     def beneath(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Sight:
         """The sight of a motion that was seen with it, as ``slide`` wants it."""
         return sight
 
+    def trusted(
+        self, added: Float[Tensor, "frames 6"], rate_hz: float, place: Place, theta: Float[Tensor, " params"]
+    ) -> Float[Tensor, "frames 6"]:
+        """The part of the wrench that it explains that is believed of motion that it was not fitted to."""
+        return added
+
+    # Its parameters.
+
+    def scale(self, place: Place) -> tuple[float, ...]:
+        """Prior standard deviations of the internal parameters."""
+        return tuple(p.scale for p in self.parameters for _ in range(p.size))
+
+    @final
+    def size(self, place: Place) -> int:
+        """Number of internal parameters."""
+        return len(self.scale(place))
+
+    @final
+    def split(self, theta: Float[Tensor, " params"]) -> tuple[Tensor, ...]:
+        """One part of theta for each of ``parameters``."""
+        return torch.split(theta, [p.size for p in self.parameters])
+
     def positives(self, place: Place) -> int:
-        """How many of the internal parameters, the first ones, are never negative."""
+        """Return the number of internal parameters that are never negative; they are the first ones."""
         return self.parameters[0].size if self.parameters[0].positive else 0
 
     def weighs(self, place: Place) -> bool:
-        """Whether it is that all weight is wrong by a factor, which inertia takes on."""
+        """Return whether all weight is wrong by a factor there, which inertia takes on."""
         return self.on_record
 
     def part_of(self, own: Place, effect: "Effect", place: Place) -> Float[Tensor, "params own"] | None:
-        """What its parameters at its own place add to those of another effect, where it is part of that."""
+        """Return the matrix from its parameters to those of another effect, if it is part of that."""
         return None
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        """What internal parameters amount to: values by key, as they are reported."""
-        parts = zip(self.parameters, self.split(theta), strict=True)
-        return {p.key: part[0] if p.size == 1 else part for p, part in parts}
+        """Reported parameters by key, from internal ones."""
+        return by_key(self.parameters, theta)
 
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         """The inverse of ``named``.
@@ -157,63 +174,38 @@ class Effect(ABC):
         Raises:
             ConfigError: a parameter is missing or has another size.
         """
-        return torch.cat([value_of(values, self.name, p.key, p.size) for p in self.parameters])
+        return stacked(self.parameters, values, self.name)
 
     def estimated(
         self, place: Place, theta: Float[Tensor, " params"], covariance: Float[Tensor, "params params"]
-    ) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
-        """The parameters as reported, with their standard deviations, from the posterior of the internal ones."""
-        out = {}
-        for key, value in self.named(place, theta).items():
-            slope = torch.func.jacrev(lambda x, key=key: self.named(place, x)[key])(theta)
-            flat = slope.reshape(-1, len(theta))
-            out[key] = value, (flat @ covariance * flat).sum(1).sqrt().reshape(value.shape)
-        return out
-
-    def split(self, theta: Float[Tensor, " params"]) -> tuple[Tensor, ...]:
-        """One part for each parameter."""
-        return torch.split(theta, [p.size for p in self.parameters])
-
-    def size(self, place: Place) -> int:
-        """Number of internal parameters."""
-        return sum(p.size for p in self.parameters)
-
-    def scale(self, place: Place) -> tuple[float, ...]:
-        """Prior standard deviations of all of them."""
-        return tuple(p.scale for p in self.parameters for _ in range(p.size))
+    ) -> Estimates:
+        """Reported parameters with their standard deviations, from mean and covariance of the internal ones."""
+        return propagated(lambda x: self.named(place, x), theta, covariance)
 
 
-def value_of(values: dict[str, Tensor], effect: str, key: str, size: int) -> Float[Tensor, " size"]:
-    """A reported parameter as a vector.
+class MarkerEffect(Effect):
+    """An effect on what cameras see; abstract, of one of the two kinds of ``effects.kinds``."""
 
-    Raises:
-        ConfigError: it is missing or has another size.
-    """
-    found = torch.as_tensor(values[key], dtype=torch.float64).reshape(-1) if key in values else None
-    if found is None or len(found) != size:
-        raise ConfigError(
-            "effect.parameters", f"needs {key} with {size} value{'s' if size > 1 else ''}", place=effect,
-            found=", ".join(values) or "no parameters", remedy="Give every parameter of the effect",
-        )  # fmt: skip
-    return found
+    column_noise = ColumnNoise.SHRUNK
+    correction = Correction.MARKERS
 
 
 @dataclass(frozen=True)
 class Planted:
-    """An effect at a place, with values."""
+    """An effect at a place, with internal parameters."""
 
     effect: Effect
     place: Place
     theta: Float[Tensor, " params"]
 
     def load(self, scene: Scene) -> Float[Tensor, "6 frames"]:
-        """Wrench that the ground must supply because of it."""
+        """Wrench about the origin of W that the ground must supply because of it [N, N m]."""
         moved = self.effect.move(scene, self.place, self.theta)
         load = self.effect.load(scene, self.place, self.theta)
         return load if moved is None else load + displaced(scene, moved[None])[0]
 
     def seen(self, sight: Sight) -> Float[Tensor, "markers 3 frames"]:
-        """How far it takes the markers from where the model's bodies carry them [m]."""
+        """Return the displacement of the markers from where the model's bodies carry them, in W [m]."""
         moved = self.effect.move(sight.scene, self.place, self.theta)
         slid = self.effect.slide(sight, self.place, self.theta)
         found = torch.zeros_like(sight.p) if moved is None else sight.carried(moved)
@@ -222,10 +214,5 @@ class Planted:
         return found
 
     def read(self, reading: Reading) -> Reading:
-        """What the plates then read."""
+        """Return the plates' reading of what they bear."""
         return self.effect.read(reading, self.place, self.theta)
-
-
-def anchor(scene: Scene, place: Place) -> Float[Tensor, " 3"]:
-    """The point of the place's segment where the effect acts, in its axes."""
-    return scene.centre(place.where[0]) if place.point is None else scene.phi.new_tensor(place.point)

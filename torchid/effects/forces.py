@@ -4,85 +4,147 @@ Sources: Winter, Biomechanics and Motor Control of Human Movement (2009), chapte
 (2005), on whole-body balance of forces.
 """
 
-import math
+from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import ClassVar, final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.effect import Effect, Parameter, anchor
+from torchid.conventions import GRAVITY
+from torchid.effects.kinds import LoadEffect
 from torchid.effects.marker_scene import View
-from torchid.effects.place import Interval, Place, mean_within
-from torchid.effects.scene import Point, Scene, at_origin, passing
+from torchid.effects.parameter import Parameter, stacked
+from torchid.effects.place import Place
+from torchid.effects.quantities import ROOM, Finding, of, size, vector
+from torchid.effects.scene import Point, Scene, anchor, at_origin, passing
+from torchid.effects.traits import Response, Site
+from torchid.wording import number
 
 
-class PointForce(Effect):
-    """A force on the centre of mass of a segment."""
+class PointForce(LoadEffect):
+    """A force on a point of a segment, where no other is given on its centre of mass."""
 
-    segments: tuple[str, ...] = ()
-    """Where it may act; empty: everywhere."""
+    site = Site.SEGMENT
+    segments: ClassVar[tuple[str, ...]] = ()
+    """Segments on which it may act; empty: all."""
 
+    @final
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         names = views[0].scene.tree.names
         return tuple(Place((name,)) for name in names if not self.segments or name in self.segments)
 
+    @final
     def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
         (segment,) = place.where
         at = scene.point(segment, anchor(scene, place))
         force = self.force(scene, at, theta) * passing(scene, place)
         return -at_origin(at.p, force)
 
+    @abstractmethod
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
-        """On the body, in W."""
-        raise NotImplementedError
+        """The force on the body, in W [N]."""
 
 
+@final
 class ExternalForce(PointForce):
     """A constant force in W: a cable over a pulley, a hand that steadies, wind."""
 
     name = "external_force"
-    parameters = (Parameter("force_N", 20.0, 3),)
+    parameters = (
+        Parameter("force_N", 20.0, 3, source="a choice: a hand that steadies, or a weight of 2 kg on a cable"),
+    )
+    noun = "a constant force"
+    advice = "quiet standing with and without whatever may pull at the person"
+    apart = {
+        "external_force": "leaning and bending, so that the places where the force may act move apart",
+        "body_weight_support": "quiet standing without the harness",
+        "body_mass": "quick squats and hops: mass resists acceleration, a constant force does not",
+        "payload": "quick squats and hops: a load resists acceleration, a constant force does not",
+        "tether": "slow leaning to all sides: a spring's force changes, a constant one does not",
+        "unmeasured_contact": "quiet standing in the middle of the plates, nothing else in reach",
+        "plate_offset": "every plate unloaded for two seconds",
+    }
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return theta[:, None].expand(3, len(scene.time))
 
+    def sentence(self, finding: Finding) -> str:
+        force = vector(finding, "force_N", "N", 1.0, ROOM)
+        return f"a constant force that no plate measures acts on {self.located(finding.where)}: {force}"
 
+
+@final
 class BodyWeightSupport(PointForce):
     """A harness that carries part of the weight, whatever the body does."""
 
     name = "body_weight_support"
-    parameters = (Parameter("force_N", 100.0, positive=True),)
+    parameters = (
+        Parameter("force_N", 100.0, positive=True, source="a choice: 15 % of the weight of 70 kg, the least that "
+                  "harnesses are set to"),
+    )  # fmt: skip
     segments = ("pelvis", "thorax")
+    noun = "a harness"
+    link = "at"
+    advice = "quiet standing with the harness slack and with it tight"
+    apart = {
+        "body_weight_support": "bending of the trunk, so that pelvis and thorax move apart",
+        "body_mass": "quiet standing with the harness slack",
+        "payload": "quick squats and hops: a load resists acceleration, a harness does not",
+    }
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         up = theta.new_tensor([0.0, 0.0, 1.0])[:, None]
         return (theta * up).expand(3, len(scene.time))
 
+    def sentence(self, finding: Finding) -> str:
+        weight = number(of(finding, "force_N")[0][0] / GRAVITY)
+        carried = size(finding, "force_N", "N")
+        return f"a harness at {self.located(finding.where)} carries {carried}, the weight of {weight} kg"
 
+
+@final
 class Drag(PointForce):
     """A force against velocity: water, a parachute, a sled."""
 
     name = "drag"
-    parameters = (Parameter("coefficient_Ns_m", 10.0, positive=True),)
+    parameters = (Parameter("coefficient_Ns_m", 10.0, positive=True, source="a choice: 10 N at the pace of a walk"),)
+    noun = "a drag"
+    advice = "the same motion twice, slowly and as fast as possible"
+    apart = {"drag": "quick motion of one segment after the other"}
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return -theta * at.v
 
+    def sentence(self, finding: Finding) -> str:
+        drag = size(finding, "coefficient_Ns_m", "N s/m")
+        return f"{self.located(finding.where)} moves against a drag of {drag}"
 
+
+CERTAIN = 2.0
+"""Standard deviations from which a rest length is worth a word."""
+PULL = "a choice: the stiffness at a metre from the anchor"
+
+
+@final
 class Tether(PointForce):
     """A spring to a fixed anchor, such as a cable, a band or a hose: force along position.
 
-    Internal are the stiffness k, and k times the anchor's place, typically a metre away, and the rest length. That it
-    is slack up to its rest length shows once the anchor is known: along the spring it is stiffer than across.
+    Internal are the stiffness k, and k times the anchor's place, typically a metre away, and k times the rest length.
+    That a spring is slack up to its rest length shows once the anchor is known: along it, it is stiffer than across.
     """
 
     name = "tether"
-    nonlinear = True
+    response = Response.NONLINEAR
     parameters = (
-        Parameter("stiffness_N_m", 30.0, positive=True), Parameter("pull_N", 30.0, 3), Parameter("slack_N", 30.0),
-    )  # fmt: skip
+        Parameter("stiffness_N_m", 30.0, positive=True, source="a choice: a soft rubber band or a hose"),
+        Parameter("pull_N", 30.0, 3, source=PULL),
+        Parameter("slack_N", 30.0, source=PULL),
+    )
+    noun = "a spring"
+    advice = "slow leaning to all sides, far from and near to where the spring is fixed"
+    apart = {"tether": "bending and leaning, so that the places where the spring may pull move apart"}
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         stiffness, pull, slack = self.split(theta)
@@ -95,89 +157,18 @@ class Tether(PointForce):
         return {"stiffness_N_m": stiffness[0], "anchor_m": pull / stiffness, "rest_m": slack[0] / stiffness[0]}
 
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
-        stiffness, anchor, rest = (
+        """The products of stiffness, anchor and rest length; without a stated one, the rest length is zero."""
+        stiffness, fixed, rest = (
             torch.as_tensor(values.get(key, default), dtype=torch.float64)
             for key, default in (("stiffness_N_m", 0.0), ("anchor_m", []), ("rest_m", 0.0))
         )
-        products = {"pull_N": stiffness * anchor, "slack_N": stiffness * rest}
-        return super().internal(place, {"stiffness_N_m": stiffness} | products)
+        products = {"stiffness_N_m": stiffness, "pull_N": stiffness * fixed, "slack_N": stiffness * rest}
+        return stacked(self.parameters, products, self.name)
 
-
-class UnmeasuredContact(PointForce):
-    """A contact that no plate sees for a while: a rail, a seat, a box, a foot beside the plate.
-
-    A force that comes, stays and goes, or one that changes steadily from knot to knot of its interval.
-    """
-
-    name = "unmeasured_contact"
-    parameters = (Parameter("force_N", 50.0, 3),)
-    intermittent = True
-
-    def finer(self, place: Place) -> tuple[Place, ...]:
-        assert place.when is not None
-        (own,) = place.when
-        knots = {min(MOST_KNOTS, max(3, 1 + round((own.t1 - own.t0) / spacing))) for spacing in SPACING_S}
-        return tuple(replace(place, grid={"knots": float(k)}) for k in sorted(knots))
-
-    def size(self, place: Place) -> int:
-        return 3 * _knots(place) * (1 if _knots(place) == 1 else len(place.when or ()))
-
-    def scale(self, place: Place) -> tuple[float, ...]:
-        return super().scale(place) * (self.size(place) // 3)
-
-    def load(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "6 frames"]:
-        if _knots(place) == 1:
-            return super().load(scene, place, theta)
-        (segment,) = place.where
-        at = scene.point(segment, anchor(scene, place))
-        course = scene.passed((place.when, _knots(place), "knots"), lambda: _hats(place, scene))
-        return -at_origin(at.p, theta.view(-1, 3).T @ course)
-
-    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
-        return theta[:, None].expand(3, len(scene.time))
-
-    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        force, length = theta * mean_within(place), theta.new_tensor([i.t1 - i.t0 for i in place.when or ()])
-        if _knots(place) > 1:
-            weight = torch.ones(_knots(place)).to(theta)
-            weight[[0, -1]] = 0.5
-            each = torch.einsum("k,ikx->ix", weight / weight.sum(), theta.view(len(length), -1, 3))
-            force = length @ each / length.sum()
-        return {"force_N": force, "impulse_Ns": force * length.sum()}
-
-    def estimated(
-        self, place: Place, theta: Float[Tensor, " params"], covariance: Float[Tensor, "params params"]
-    ) -> dict[str, tuple[Float[Tensor, "*size"], Float[Tensor, "*size"]]]:
-        """The impulse is what forces tell; its mean is as uncertain as the ends that it is taken between.
-
-        Of eight forces that rose smoothly, errors were 11 % of the mean and the sd without the ends 4 %.
-        """
-        told, when = super().estimated(place, theta, covariance), place.when or ()
-        force, sd = told["force_N"]
-        ends = END_S * math.sqrt(2.0 * len(when)) / sum(one.t1 - one.t0 for one in when)
-        return told | {"force_N": (force, (sd.square() + (ends * force).square()).sqrt())}
-
-    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
-        return super().internal(place, values) / mean_within(place)
-
-
-SPACING_S = (0.1, 0.2, 0.4)
-END_S = 0.1
-"""By which each end of an interval may be off: what rises smoothly begins nowhere in particular."""
-MOST_KNOTS = 16
-
-
-def _knots(place: Place) -> int:
-    return int(place.grid.get("knots", 1.0))
-
-
-def _hats(place: Place, scene: Scene) -> Float[Tensor, "knots frames"]:
-    """Each 1 at its knot and 0 at the others, straight between; zero outside its interval."""
-    assert place.when is not None
-    return torch.cat([_interval_hats(own, _knots(place), scene) for own in place.when])
-
-
-def _interval_hats(own: Interval, knots: int, scene: Scene) -> Float[Tensor, "knots frames"]:
-    at = (scene.time - own.t0) / (own.t1 - own.t0) * (knots - 1)
-    inside = (at >= 0.0) & (at <= knots - 1.0)
-    return inside * (1.0 - (at - torch.arange(knots).to(at)[:, None]).abs()).clamp(min=0.0)
+    def sentence(self, finding: Finding) -> str:
+        fixed = ", ".join(number(x, 2) for x in of(finding, "anchor_m")[0].tolist())
+        stiffness = size(finding, "stiffness_N_m", "N/m")
+        rest, sd = (float(x) for x in of(finding, "rest_m"))
+        slack = f", once it is longer than {size(finding, 'rest_m', 'm')}" if rest > CERTAIN * sd else ""
+        pulled = self.located(finding.where)
+        return f"a spring of {stiffness} pulls {pulled} towards a fixed point at x, y, z = {fixed} m{slack}"

@@ -1,10 +1,8 @@
 """Angles that effects follow.
 
 What a joint of three axes calls its flexion depends on the order of its turns (Senk & Cheze, Clin Biomech 21 (2006),
-on the shoulder). Of an arm, the flexion before rotation and adduction is not that before abduction and rotation, which
-is where the arm points; lifted sideways, they were 0.2 rad apart. A glide of 7 mm at such a shoulder followed the one:
-fitted with the other, it was found 6 mm off along the arm, where its standard deviation was 0.3 mm, with skin that did
-not slide.
+on the shoulder). The flexion of an arm before rotation and adduction is not that before abduction and rotation, which
+is where the arm points: effects may follow either.
 """
 
 from collections.abc import Sequence
@@ -20,14 +18,14 @@ from torchid.model.tree import Tree, Turn
 from torchid.motion.rotations import rotation_to_turns, turns_to_rotation
 
 APART = 0.1
-"""By which another order's angle must differ from the model's to be worth a place of its own, root mean square of a
-trial [rad]."""
+"""Root mean square of a trial by which another order's angle must differ from the model's to be worth a place of its
+own [rad]."""
 POLE = 0.3
 """Cosine of the second turn below which the first and the third are hardly told apart."""
 
 
 def bend(scene: Scene, place: Place) -> Float[Tensor, "2 frames"]:
-    """Sine and one minus cosine of the angle that a place follows, from its rest.
+    """Sine and one minus cosine of the angle that a place follows, counted from the joint's rest.
 
     Raises:
         ConfigError: the model has no such angle.
@@ -37,8 +35,12 @@ def bend(scene: Scene, place: Place) -> Float[Tensor, "2 frames"]:
 
 
 def lively(scenes: Sequence[Scene], body: int) -> tuple[str, ...]:
-    """Coordinates of a body's joint that move at least half as much as the one that moves most, and first; the root
-    has none."""
+    """Coordinates of a body's joint that move at least half as much as the one that moves most, that one first.
+
+    Args:
+        scenes: trials whose largest standard deviation counts.
+        body: number of a body in the tree; the root has no such coordinate.
+    """
     tree = scenes[0].tree
     rows = [turn.row for turn in tree.bodies[body].turns if turn.moving]
     spread = {row: max(float(s.q[row].std()) for s in scenes) for row in rows}
@@ -47,8 +49,10 @@ def lively(scenes: Sequence[Scene], body: int) -> tuple[str, ...]:
 
 
 def orders(scenes: Sequence[Scene], dof: str) -> tuple[Angle, ...]:
-    """What effects may follow that follow a coordinate: itself, and the same before another turn, where that is another
-    angle and one at all."""
+    """The angles that may stand for a coordinate: itself, and the same before another turn of its joint.
+
+    The second is left out where it is nearly the first, or where the joint passes the pole of that order.
+    """
     tree, own = scenes[0].tree, Angle(dof)
     turns = _three(tree, dof)
     if not turns:
@@ -60,7 +64,7 @@ def orders(scenes: Sequence[Scene], dof: str) -> tuple[Angle, ...]:
 
 
 def _angle(scene: Scene, follows: Angle | None) -> Float[Tensor, " frames"]:
-    """From its rest."""
+    """The angle that is followed, counted from the joint's rest [rad]."""
     tree = scene.tree
     if follows is None or follows.dof not in tree.dof_names:
         raise _unknown(follows)
@@ -76,17 +80,18 @@ def _angle(scene: Scene, follows: Angle | None) -> Float[Tensor, " frames"]:
 
 
 def _own(scene: Scene, turns: Sequence[Turn]) -> Float[Tensor, "frames 3"]:
+    """The coordinates of some turns [rad]."""
     return torch.stack([scene.q[turn.row] for turn in turns], 1)
 
 
 def _turned(turns: Sequence[Turn], other: Sequence[Turn], q: Float[Tensor, "frames 3"]) -> Float[Tensor, "frames 3"]:
-    """Angles of turns in another order."""
+    """Angles of the same rotations by turns in another order [rad]."""
     near = q[:, [list(turns).index(turn) for turn in other]]
     return rotation_to_turns(other, turns_to_rotation(turns, q), near)
 
 
 def _reordered(tree: Tree, follows: Angle) -> tuple[Turn, ...]:
-    """The turns of a joint, ``before`` as the second."""
+    """The turns of the joint whose first coordinate is followed, with that of ``before`` as the second."""
     turns = _three(tree, follows.dof)
     second = [turn for turn in turns[1:] if tree.dof_names[turn.row] == follows.before]
     if not second:

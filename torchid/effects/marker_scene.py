@@ -1,4 +1,4 @@
-"""What cameras see of one trial: markers on bodies."""
+"""One trial as cameras see it: markers on bodies."""
 
 import math
 from collections.abc import Callable, Hashable, Sequence
@@ -24,7 +24,8 @@ class Sight:
     """Plan position of the body that carries each."""
     p_BM_B: Float[Tensor, "markers 3"]
     soft: Float[Tensor, " markers"] | None = None
-    """How far 1 g takes markers into the flesh that the motion was seen through [m]; None: it is that of bones."""
+    """Softness of the flesh that the motion was seen through: the way of the markers under 1 g [m]; None: the motion
+    is that of bones."""
 
     @cached_property
     def p(self) -> Float[Tensor, "markers 3 frames"]:
@@ -42,16 +43,16 @@ class Sight:
     def turned(
         self, b: Float[Tensor, "some 3 #frames"], which: Sequence[int] | None = None
     ) -> Float[Tensor, "some 3 frames"]:
-        """R_WB b of the bodies of some markers, or all."""
+        """Vectors b in the axes of the bodies that carry some markers, or all, turned to W: R_WB b."""
         R = self.scene.state.at.R[self.body if which is None else self.body[list(which)]]
         return (R * b[:, :, None]).sum(1)
 
     def on(self, segment: str) -> tuple[int, ...]:
-        """The markers of a segment."""
+        """Numbers of the markers that a segment carries."""
         return tuple((self.body == self.scene.at(segment)).nonzero()[:, 0].tolist())
 
     def carried(self, bodies: Float[Tensor, "*columns bodies 6 frames"]) -> Float[Tensor, "*columns markers 3 frames"]:
-        """How far displaced bodies take their markers (see ``Scene.displaced``)."""
+        """Return the way on which bodies that are displaced [m] and turned [rad] in W take their markers [m]."""
         own = bodies.index_select(-3, self.body)
         arm = (self.p - self.scene.state.at.p[self.body]).expand_as(own[..., :3, :])
         return own[..., :3, :] + cross(own[..., 3:, :], arm)
@@ -60,7 +61,13 @@ class Sight:
 def _beneath(
     a: Float[Tensor, "markers 3 frames"], soft: Float[Tensor, " markers"], rate_hz: float
 ) -> Float[Tensor, "markers 3 frames"]:
-    """Of bones whose markers accelerate by ``a`` because a spring of length ``soft`` under 1 g carries each."""
+    """Accelerations [m/s^2] of bones that carry markers on springs.
+
+    Args:
+        a: of the markers.
+        soft: how far 1 g stretches the spring of each [m].
+        rate_hz: frames per second.
+    """
     spectrum = torch.fft.rfft(torch.cat([a, a.flip(2)], 2))
     w = 2.0 * math.pi * torch.fft.rfftfreq(2 * a.shape[2], 1.0 / rate_hz).to(a)
     return torch.fft.irfft(spectrum / (1.0 + soft[:, None, None] / GRAVITY * w.square()))[..., : a.shape[2]]
@@ -72,7 +79,7 @@ class Slid:
 
     which: tuple[int, ...]
     by: Float[Tensor, "some 3 frames"]
-    """In W [m]."""
+    """Displacement in W [m]."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +88,7 @@ class Along:
 
     which: tuple[int, ...]
     ways: Float[Tensor, "ways some 3"] | None = None
-    """None: each along each axis."""
+    """Displacements of the markers in each way; None: each marker along each axis."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +96,7 @@ class Carried:
     """Bodies displaced with their markers by units, in some ways."""
 
     key: Hashable
-    """The same for the same ways, whatever their courses."""
+    """Equal for equal ways, whatever their courses."""
     bodies: Callable[[], Float[Tensor, "ways bodies 6 frames"]]
 
 
@@ -109,12 +116,12 @@ class View:
 
     scene: Scene
     reading: Reading
-    """What the plates bore by the model; the readings' noise in the columns would explain that of the total."""
+    """Wrenches that the plates bore by the model: the readings' noise in columns would explain that of the total."""
     measured: Reading
-    """What they read, through the same filter."""
+    """Wrenches that they read, through the same filter."""
     sight: Sight | None = None
     """None where no markers are at hand."""
 
-    def read(self, inverted: bool) -> Reading:
-        """What columns are made of."""
-        return self.measured if inverted else self.reading
+    def read(self, as_measured: bool) -> Reading:
+        """The reading that columns are made of: what was measured, for effects with ``reads_measured``."""
+        return self.measured if as_measured else self.reading

@@ -1,38 +1,50 @@
-"""Maps of markers: one that was moved, two that were swapped, a wrong scale, skin that slides, flesh that lags.
+"""Markers that sit elsewhere on their segments: knocked off their place, or carried by skin that slides.
 
 Sources: Leardini, Chiari, Della Croce & Cappozzo, Gait & Posture 21 (2005), on soft tissue artefacts; Della Croce et
-al., ibid., on misplaced landmarks; Chiari et al., ibid., on instrumental errors; Wakeling & Nigg, J Appl Physiol 90
-(2001), on frequencies of soft tissue.
+al., ibid., on misplaced landmarks.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.conventions import GRAVITY
-from torchid.effects.effect import Effect, Parameter, value_of
+from torchid.effects.effect import Effect, Ordinary
 from torchid.effects.joint_angles import bend, lively, orders
+from torchid.effects.kinds import SlidingMarkers
 from torchid.effects.marker_scene import Along, Sight, Slid, Sway, View
-from torchid.effects.place import Interval, Place, within
+from torchid.effects.parameter import Parameter, value_of
+from torchid.effects.place import Angle, Interval, Place, within
+from torchid.effects.place_words import motion_words
+from torchid.effects.quantities import BODY, Finding, length, of, vector
 from torchid.effects.scene import Scene
+from torchid.effects.traits import Occurrence, Origin, Site
+from torchid.geometry.result import GeometryFit
+from torchid.kinematics.recursion import cross
+from torchid.wording import clean
 
 
-class MarkerEffect(Effect):
-    """An effect on what cameras see."""
-
-    moves_markers = True
-
-
-class MarkerShift(MarkerEffect):
+@final
+class MarkerShift(SlidingMarkers):
     """A marker was knocked or stuck on again: in some trials it sits elsewhere on its segment."""
 
     name = "marker_shift"
-    per_recording = True
-    widespread = True
-    parameters = (Parameter("shift_seg_m", 0.015, 3),)
+    origin = Origin.IMITATED
+    occurrence = Occurrence.SOME_RECORDINGS
+    site = Site.MARKER
+    parameters = (
+        Parameter("shift_seg_m", 0.015, 3, source="Della Croce et al., Gait & Posture 21 (2005): landmarks found anew "
+                  "by hand were 6 to 25 mm apart"),
+    )  # fmt: skip
+    noun = "a displaced marker"
+    advice = "a static trial before and after; look whether the marker was stuck on again"
+    apart = {
+        "marker_shift": "a static trial before and after each trial",
+        "soft_tissue": "a static trial before and after: what was knocked stays displaced at rest",
+    }
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         """Single trials, or all from one on: what was knocked stays so. All trials are only another place."""
@@ -43,6 +55,14 @@ class MarkerShift(MarkerEffect):
             later = [tuple(range(k, len(trials))) for k in range(1, len(trials) - 1)]
             found += [Place((label,), tuple(_whole(trials[k]) for k in ks)) for ks in (*single, *later)]
         return tuple(found)
+
+    def ordinary(self, views: Sequence[View], fit: GeometryFit | None) -> Iterator[Ordinary]:
+        """Every marker, within what is known of its place beside the data."""
+        if fit is None:
+            return
+        away = fit.attachment.mean - fit.place
+        for k, label in enumerate(fit.attachment.labels):
+            yield Ordinary(Place((label,)), tuple(away[k].tolist()), tuple(fit.attachment.sd[k].tolist()))
 
     def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
         return Place(place.where), None if place.when is None else tuple(i.trial for i in place.when)
@@ -57,63 +77,44 @@ class MarkerShift(MarkerEffect):
         there = within(place, sight.scene.trial, sight.scene.time, 0.0)
         return Sway(Along((sight.labels.index(label),)), there[None], ((0, 0), (1, 0), (2, 0)))
 
+    def sentence(self, finding: Finding) -> str:
+        shift = vector(finding, "shift_seg_m", "mm", 1e3, BODY)
+        return f"{self.located(finding.where)} sat off its usual place by {shift}"
+
 
 def _whole(scene: Scene) -> Interval:
+    """All of a trial."""
     return Interval(scene.trial, float(scene.time[0]), float(scene.time[-1]))
 
 
-class MarkerSwap(MarkerEffect):
-    """Two labels are exchanged for a while. The parameter is how much of the swap is there: one, or nothing."""
-
-    name = "marker_swap"
-    intermittent = True
-    parameters = (Parameter("share", 1.0, positive=True),)
-
-    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
-        return ()
-
-    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
-        a, b = (sight.labels.index(label) for label in place.where)
-        apart = theta * within(place, sight.scene.trial, sight.scene.time, 0.0) * (sight.p[b] - sight.p[a])
-        return Slid((a, b), torch.stack([apart, -apart]))
-
-    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        return {}
-
-    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
-        return torch.ones(1, dtype=torch.float64)
-
-
-class MarkerScale(MarkerEffect):
-    """The cameras were calibrated with a wand of another length: all lengths and accelerations err by one factor."""
-
-    name = "marker_scale"
-    parameters = (Parameter("excess", 0.02),)
-
-    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
-        return (Place(("session",)),)
-
-    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
-        return Slid(tuple(range(len(sight.labels))), theta * sight.p)
-
-    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        return {"scale": 1.0 + theta[0]}
-
-    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
-        return value_of(values, self.name, "scale", 1) - 1.0
-
-
-class SoftTissue(MarkerEffect):
+@final
+class SoftTissue(SlidingMarkers):
     """Skin slides under a segment's markers as a neighbouring joint turns.
 
     Each marker's shift, in the segment's axes, goes with the sine of the joint's angle from the neutral pose.
     """
 
     name = "soft_tissue"
-    bodily = True
-    parameters = (Parameter("shift_90_m", 0.01, 3),)
+    origin = Origin.BODY
+    site = Site.SEGMENT
+    parameters = (
+        Parameter("shift_90_m", 0.01, 3, source="Cappozzo et al., Clin Biomech 11 (1996) and the review of Leardini et "
+                  "al. (2005): from a few millimetres on the shank to 30 mm on the thigh; fluoroscopy has 4 to 16 mm "
+                  "for markers against their cluster in gait (PMC8631460)"),
+    )  # fmt: skip
+    noun = "sliding skin"
+    link = "of"
+    advice = "slow motion of the neighbouring joint alone, with more markers on the segment"
+    apart = {
+        "soft_tissue": "each of the neighbouring joints moved alone",
+        "wobbling_mass": "the same motion slowly and quickly: skin slides at any speed",
+        "skin_lag": "the same motion slowly and quickly: skin slides at any speed",
+        "missing_dof": "more markers on both segments, some of them over bone",
+        "joint_centre_shift": "more markers on both segments, some of them over bone",
+    }
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        """Each segment that has markers, with each angle that its skin may follow."""
         sight, found = views[0].sight, []
         if sight is None:
             return ()
@@ -125,11 +126,10 @@ class SoftTissue(MarkerEffect):
                 found += [Place((name,), follows=angle, markers=labels) for angle in angles]
         return tuple(found)
 
-    def size(self, place: Place) -> int:
-        return 3 * len(place.markers)
-
     def scale(self, place: Place) -> tuple[float, ...]:
-        return super().scale(place) * len(place.markers)
+        """Return the prior of one marker for each of the place."""
+        (shift,) = self.parameters
+        return (shift.scale,) * (3 * len(place.markers))
 
     def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
         which = [sight.labels.index(label) for label in place.markers]
@@ -146,62 +146,62 @@ class SoftTissue(MarkerEffect):
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return value_of(values, self.name, "shift_90_m", 3 * len(place.markers))
 
+    def sentence(self, finding: Finding) -> str:
+        value, sd = (x.view(-1, 3) for x in of(finding, "shift_90_m"))
+        most, markers = int(value.norm(dim=1).argmax()), finding.place.markers
+        label = f" (marker {clean(markers[most])})" if len(markers) == len(value) else ""
+        return (
+            f"skin slides under the markers of {self.located(finding.where)} as "
+            f"{motion_words(finding.place.follows)} changes: by up to "
+            f"{length(value[most], sd[most], 'mm', 1e3)} at 90°{label}"
+        )
 
-class SkinLag(MarkerEffect):
-    """The flesh under markers is a spring: where the bone is accelerated, they stay behind.
 
-    By the acceleration of each over the square of the flesh's own angular frequency, some 10 Hz. Where it is equally
-    soft everywhere no residual of markers shows it, but what they say of the body is too lively: by a few percent at
-    the pace of a run. One softness for each segment. What gravity does is left to the places of markers and to skin
-    that slides: with it, a run was explained no better.
+@final
+@dataclass(frozen=True)
+class SkinSlide(SlidingMarkers):
+    """All markers of a segment slide as one with the angle of a neighbouring joint: no residual shows it.
+
+    A nuisance: the pose of the bone errs by as much, and the needed wrench with it. What a person's skin does is of the
+    order of its prior (Cappozzo et al. 1996, Clin Biomech 11:90; Camomilla et al. 2017, J Biomech 62:5).
     """
 
-    name = "skin_lag"
-    bodily = True
-    whole_body = True
-    follows_acceleration = nonlinear = True
-    parameters = (Parameter("shift_1g_m", 0.0025, positive=True),)
+    labels: tuple[str, ...]
+    p_BM_B: Float[Tensor, "markers 3"]
+
+    name = "skin_slide"
+    parameters = (Parameter("shift_m", 0.005, 3), Parameter("turn_rad", 0.03, 3))
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
-        sight = views[0].sight
-        if sight is None:
-            return ()
-        return (Place(tuple(name for name in sight.scene.tree.names if sight.on(name))),)
-
-    def size(self, place: Place) -> int:
-        return len(place.where)
-
-    def scale(self, place: Place) -> tuple[float, ...]:
-        return super().scale(place) * len(place.where)
-
-    def positives(self, place: Place) -> int:
-        return self.size(place)
+        """Return each segment with the model's own angles, from which a slide of millimetres tells no others."""
+        sight, scenes = views[0].sight, [view.scene for view in views]
+        some = () if sight is None else (name for name in scenes[0].tree.names if sight.on(name))
+        return tuple(Place((name,), follows=Angle(dof)) for name in some for dof in cues(scenes, name))
 
     def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
-        soft = _softness(sight, place, theta)
-        which = soft.nonzero()[:, 0].tolist()
-        return Slid(tuple(which), -soft[which][:, None, None] / GRAVITY * sight.a[which])
+        shift, turn = (sight.scene.turned(place.where[0], x) for x in theta.split(3))
+        which = sight.on(place.where[0])
+        arm = sight.p[list(which)] - sight.scene.state.at.p[sight.scene.at(place.where[0])]
+        slid = shift + cross(turn.expand_as(arm), arm)
+        return Slid(tuple(which), slid * bend(sight.scene, place)[0])
 
-    def beneath(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Sight:
-        """What is seen is livelier than the bone: of 3 mm, a tenth was lacking."""
-        return replace(sight, soft=_softness(sight, place, theta).clamp(min=0.0))
+    def sway(self, sight: Sight, place: Place) -> Sway:
+        which, eye = sight.on(place.where[0]), torch.eye(3).to(sight.p_BM_B)
+        arm = sight.p_BM_B[list(which)].expand(3, -1, 3)
+        ways = torch.cat([eye[:, None].expand_as(arm), torch.linalg.cross(eye[:, None].expand_as(arm), arm)])
+        return Sway(Along(which, ways), bend(sight.scene, place)[:1], tuple((k, 0) for k in range(6)))
 
-    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
-        return {"shift_1g_m": theta}
-
-    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
-        return value_of(values, self.name, "shift_1g_m", len(place.where))
-
-
-def _softness(sight: Sight, place: Place, theta: Float[Tensor, " segments"]) -> Float[Tensor, " markers"]:
-    """Of what each marker sits on."""
-    soft = theta.new_zeros(len(sight.scene.tree.bodies))
-    soft[[sight.scene.at(name) for name in place.where]] = theta
-    return soft[sight.body]
+    def part_of(self, own: Place, effect: Effect, place: Place) -> Float[Tensor, "params 6"] | None:
+        """Return its shift of each marker of a place of ``SoftTissue`` per parameter, in the segment's axes."""
+        if not isinstance(effect, SoftTissue) or (own.where, own.follows) != (place.where, place.follows):
+            return None
+        eye = torch.eye(3).to(self.p_BM_B)
+        arms = [self.p_BM_B[self.labels.index(label)] for label in place.markers]
+        return torch.cat([torch.cat([eye, torch.linalg.cross(eye, p.expand(3, 3)).T], 1) for p in arms])
 
 
 def cues(scenes: Sequence[Scene], segment: str) -> tuple[str, ...]:
-    """Of the joints at both ends of a segment, the coordinate that moves most."""
+    """The coordinates that skin of a segment may follow: at each end, the one of the joint that moves most."""
     tree = scenes[0].tree
     ends = [tree.index(segment), *(k for k, body in enumerate(tree.bodies) if body.parent == tree.index(segment))]
     return tuple(dof for k in ends for dof in lively(scenes, k)[:1])

@@ -1,4 +1,4 @@
-"""Where and when effects are."""
+"""Places of effects: segments, plates, markers or trials, and intervals of time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,6 +18,7 @@ class Interval:
 
 
 BEFORE = " before "
+"""Word between the two coordinates of an angle as text."""
 
 
 @dataclass(frozen=True)
@@ -36,41 +37,46 @@ class Angle:
 
 
 def parse_angle(text: str) -> Angle:
-    """The inverse of ``str``."""
+    """The angle that ``str`` made a text of."""
     dof, said, before = text.partition(BEFORE)
     return Angle(dof, before if said else None)
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where an effect sits."""
+    """A place of an effect, with all that its parameters depend on."""
 
     where: tuple[str, ...]
     """Segments, plates (``plate_1``), trials, or ``session``."""
     when: tuple[Interval, ...] | None = None
-    """None: throughout."""
+    """Intervals in which the effect is there; None: throughout."""
     point: tuple[float, float, float] | None = None
-    """On the segment, where the effect acts, in its axes [m]; None: its centre of mass."""
+    """Point of the segment on which the effect acts, in its axes [m]; None: the centre of mass."""
     grid: dict[str, float] = field(default_factory=dict)
     """Values of parameters that no column can be linear in, such as a frequency."""
     odds: float = 1.0
-    """How likely before any data, against the effect's other places."""
+    """Odds before any data, against the effect's other places."""
     follows: Angle | None = None
-    """What the effect goes with."""
+    """The angle that the effect goes with."""
     markers: tuple[str, ...] = ()
-    """On the segment, where an effect has parameters for each."""
+    """Markers of the segment, if the effect has parameters for each."""
+
+
+SESSION = Place(("session",))
+"""All trials of a session, throughout."""
 
 
 def covers(place: Place, trial: str) -> bool:
-    """Whether a place without segments or plates includes a trial."""
+    """Return whether a place without segments or plates includes a trial."""
     return "session" in place.where or trial in place.where
 
 
 EDGE_S = 0.1
+"""Time in which an effect comes, or goes, unless its place says otherwise [s]."""
 
 
 def edge(place: Place) -> float:
-    """How long what comes and goes takes to come, and to go [s]."""
+    """Return the time in which the effect comes, or goes [s]."""
     return place.grid.get("edge_s", EDGE_S)
 
 
@@ -90,7 +96,7 @@ def within(
 
 
 def inside_any(intervals: Sequence[Interval], trial: str, time: Float[Tensor, " frames"]) -> Bool[Tensor, " frames"]:
-    """Whether frames of a trial are in any of the intervals."""
+    """Return whether frames of a trial are in any of the intervals."""
     found = torch.zeros_like(time, dtype=torch.bool)
     for one in intervals:
         if one.trial == trial:

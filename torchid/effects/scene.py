@@ -38,15 +38,15 @@ class Scene:
     state: DynamicState
     phi: Float[Tensor, "bodies 10"]
     smoother: Smoother
-    """What its motion and what plates read have passed."""
+    """The filter that its motion and what plates read have passed."""
     recorded_kg: float = float("nan")
     """Mass of the body before any force was seen."""
     _points: dict[tuple[str, tuple[float, ...]], Point] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    """Those that were asked for: a catalogue asks for the same few thousands of times."""
+    """Points that were asked for: a catalogue asks for the same few thousands of times."""
     _courses: dict[Hashable, Tensor] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """Those that have passed the filter, kept as long as the scene."""
+    """Courses that have passed the filter, kept as long as the scene."""
 
     @property
     def rate(self) -> float:
@@ -77,17 +77,18 @@ class Scene:
         return Point(self.state.at.p[k] + arm, motion.v[k] + swing, a)
 
     def turned(self, segment: str, b: Float[Tensor, " 3"]) -> Float[Tensor, "3 frames"]:
-        """R_WB b."""
+        """A vector b in the axes of a segment, turned to W: R_WB b."""
         return torch.einsum("crt,c->rt", self.state.at.R[self.at(segment)], b)
 
     def passed(
         self, key: Hashable, course: Callable[[], Float[Tensor, "*some frames"]]
     ) -> Float[Tensor, "*some frames"]:
-        """What is left of a course that no motion gives, as plates read it; no gradient passes.
+        """A course in time that no motion gives, as it is behind the filter that plates' readings have passed; no
+        gradient passes.
 
-        The key tells it from other courses: no parameter that is sought may enter it.
-
-        Ground that shook at 3.9 Hz came out 21 % too weak behind a filter of 4 Hz.
+        Args:
+            key: tells it from other courses; no parameter that is sought may enter it.
+            course: as it would be without the filter.
         """
         if key not in self._courses:
             self._courses[key] = self.smoother(course().movedim(-1, 0)).movedim(0, -1)
@@ -95,21 +96,21 @@ class Scene:
 
     @property
     def mass(self) -> Tensor:
-        """Of all bodies [kg]."""
+        """Mass of all bodies [kg]."""
         return self.phi[:, 0].sum()
 
     @property
     def centre_of_mass(self) -> Float[Tensor, "3 frames"]:
-        """Of all bodies, in W."""
+        """Centre of mass of all bodies, in W [m]."""
         moment = sum(self.phi[k, 0] * self.point(name, self.centre(name)).p for k, name in enumerate(self.tree.names))
         return torch.as_tensor(moment) / self.mass
 
     def needed(self) -> Float[Tensor, "6 frames"]:
-        """Wrench about the origin of W that the motion needs, gravity carried."""
+        """Wrench about the origin of W that the motion needs, gravity carried [N, N m]."""
         return self.needed_by(self.phi)[0]
 
     def needed_by(self, *bodies: Float[Tensor, "bodies 10"]) -> list[Float[Tensor, "6 frames"]]:
-        """The same of bodies of other inertia."""
+        """Wrenches that the same motion would need of bodies of other inertia [N, N m]."""
         rows, root = body_rows(self.state), self.state.at.p[0]
         totals = [body_wrenches(self.state.plan, rows, phi).sum(0) for phi in bodies]
         return [torch.cat([total[:3], total[3:] + cross(root, total[:3])]) for total in totals]
@@ -121,8 +122,13 @@ def make_scene(trial: str, tree: Tree, geometry: Geometry, motion: Motion, phi: 
     return Scene(trial, motion.time, tree, q, dynamic_state(tree, geometry, q, v, a), phi, motion.smoother)
 
 
+def anchor(scene: Scene, place: Place) -> Float[Tensor, " 3"]:
+    """The point of the place's segment where an effect acts, in its axes: by default the centre of mass [m]."""
+    return scene.centre(place.where[0]) if place.point is None else scene.phi.new_tensor(place.point)
+
+
 def passing(scene: Scene, place: Place) -> Float[Tensor, " frames"]:
-    """How much of what comes and goes at a place is there, as plates read it."""
+    """Return the presence of what comes and goes at a place, from 0 to 1, behind the filter of the plates' readings."""
     if place.when is None:
         return torch.ones_like(scene.time)
     return scene.passed((place.when, edge(place)), lambda: within(place, scene.trial, scene.time))
@@ -130,7 +136,7 @@ def passing(scene: Scene, place: Place) -> Float[Tensor, " frames"]:
 
 @dataclass(frozen=True)
 class PlateFrame:
-    """Where the file says that a plate lies: x along its first edge, z up."""
+    """The frame of a plate as the file has it: x along its first edge, z up."""
 
     name: str
     """``plate_1`` and so on, one list for the whole session."""
@@ -148,14 +154,14 @@ def plate_frame(name: str, corners: Float[Tensor, "4 3"]) -> PlateFrame:
 
 @dataclass(frozen=True)
 class Reading:
-    """What the plates of one trial read, on any clock, about the origin of W."""
+    """Readings of the plates of one trial, on any clock, about the origin of W."""
 
     trial: str
     time: Float[Tensor, " samples"]
     wrench: Float[Tensor, "samples plates 6"]
     frames: tuple[PlateFrame, ...]
     unborne: Float[Tensor, "samples 6"] | None = None
-    """What a body of tables needs beyond what the plates bore; None: no model reads this."""
+    """Wrench that a body of tables needs beyond what the plates bore; None: no model reads this."""
 
     @property
     def total(self) -> Float[Tensor, "6 samples"]:
@@ -174,7 +180,7 @@ class Reading:
         return replace(self, time=self.time[part], wrench=self.wrench[part], unborne=unborne)
 
     def with_plate(self, k: int, wrench: Float[Tensor, "samples 6"]) -> "Reading":
-        """The same with another reading of one plate."""
+        """Return the reading with another one of one plate."""
         return replace(self, wrench=torch.cat([self.wrench[:, :k], wrench[:, None], self.wrench[:, k + 1 :]], 1))
 
 
@@ -184,10 +190,10 @@ def reading(trial: str, forces: Forces, frames: tuple[PlateFrame, ...]) -> Readi
 
 
 def at_origin(p: Float[Tensor, "3 #frames"], force: Float[Tensor, "3 frames"]) -> Float[Tensor, "6 frames"]:
-    """Wrench about the origin of W of a force at ``p``."""
+    """Wrench about the origin of W of a force at ``p`` [N, N m]."""
     return torch.cat([force, cross(p.expand_as(force), force)])
 
 
 def lift(like: Tensor) -> Float[Tensor, "3 1"]:
-    """Minus gravity's acceleration."""
+    """Minus the acceleration of gravity, in W [m/s^2]."""
     return like.new_tensor([0.0, 0.0, GRAVITY])[:, None]

@@ -14,14 +14,16 @@ from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.catalogue import effect
 from torchid.effects.columns import columns
 from torchid.effects.effect import Planted
+from torchid.effects.kinds import RecordEffect
 from torchid.effects.marker_scene import Sight
 from torchid.effects.place import inside_any
 from torchid.effects.scene import make_scene
+from torchid.effects.traits import Correction
 from torchid.errors import Note
 from torchid.experiment.diagnosis_stage import observe_outcome
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.stages import follow, subject_prior
-from torchid.experiment.swapped_markers import SWAP, relabel, swap_causes
+from torchid.experiment.swapped_markers import relabel, swap_causes
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
 from torchid.observation.trial import TrialObservation
@@ -30,12 +32,8 @@ from torchid.recording import Trial
 from torchid.regressor.rows import residual_rms
 from torchid.results import OutputFolder
 
-SMOOTHED = "filter_lag"
-"""Acts on markers, but what a filter took away no marker gives back: the wrench is corrected for it."""
 WORSE = 1.2
 """Times the held-out force error of the model without them that named causes may leave before the results warn."""
-RECORD = "body_mass"
-"""Is no force: the prior takes the mass that was found instead of the recorded one."""
 
 
 def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> Outcome:
@@ -100,7 +98,7 @@ def extend_session(outcome: Outcome) -> Session:
     """The same recordings with named effects on markers taken out, in all trials in which they are known to act."""
     assert outcome.diagnosis is not None
     causes = [c for c in outcome.diagnosis.causes if moves_markers(c)]
-    exchanged, others = swap_causes(causes), [c for c in causes if c.effect != SWAP]
+    exchanged, others = swap_causes(causes), [c for c in causes if correction(c) is Correction.MARKERS]
     named = {name: relabel(trial, exchanged) for name, trial in outcome.session.trials.items()}
     trials = {name: _cleared(outcome, trial, others) for name, trial in named.items()}
     return replace(outcome.session, trials=trials)
@@ -108,7 +106,12 @@ def extend_session(outcome: Outcome) -> Session:
 
 def moves_markers(cause: Cause) -> bool:
     """Whether correcting it changes what cameras saw."""
-    return effect(cause.effect).moves_markers and cause.effect != SMOOTHED
+    return correction(cause) in (Correction.MARKERS, Correction.LABELS)
+
+
+def correction(cause: Cause) -> Correction:
+    """How the extended model takes a cause into account."""
+    return effect(cause.effect).correction
 
 
 def _cleared(outcome: Outcome, trial: Trial, causes: list[Cause]) -> Trial:
@@ -129,11 +132,11 @@ def _cleared(outcome: Outcome, trial: Trial, causes: list[Cause]) -> Trial:
 
 
 def corrected_config(config: Config, causes: tuple[Cause, ...]) -> Config:
-    """With the person's mass as found, where the recorded one is named wrong."""
+    """With what was found of the person where the record is named wrong."""
     for cause in causes:
-        if cause.effect == RECORD:
-            mass, sd = (float(cause.parameters["mass_kg"][k]) for k in ("value", "sd"))
-            subject = config.subject.model_copy(update={"mass_kg": mass, "mass_sd_kg": sd})
+        own = effect(cause.effect)
+        if isinstance(own, RecordEffect):
+            subject = config.subject.model_copy(update=dict(own.entries(cause)))
             return config.model_copy(update={"subject": subject})
     return config
 
@@ -166,7 +169,7 @@ def follow_extended(
 def effect_wrenches(base: Outcome) -> dict[str, Float[Tensor, "frames 6"]]:
     """What the named effects add to the plates' total about the origin of W, by trial; those on markers have none."""
     assert base.diagnosis is not None
-    forceful = [c for c in base.diagnosis.causes if not moves_markers(c) and c.effect != RECORD]
+    forceful = [c for c in base.diagnosis.causes if correction(c) is Correction.WRENCH]
     found = {}
     for role in ("fit", "heldout"):
         for name, observed in observe_outcome(base, role).items():

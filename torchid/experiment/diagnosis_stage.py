@@ -7,6 +7,8 @@ from torchid.allocator import keeping_large
 from torchid.config import Config
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
+from torchid.diagnosis.evidence.model import Identification
+from torchid.diagnosis.options import MissingWeightOptions
 from torchid.diagnosis.verdict.causes import with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
@@ -29,31 +31,32 @@ def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
     """
     effects, identified = select_effects(config.diagnosis.include, config.diagnosis.exclude), outcome.identified
+    options = config.diagnosis.thresholds
     plates, _ = recognise(_forces(outcome))
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
     parts = {role: searched(some) for role, some in trials.items()}
     observed, heldout = (list(observe_outcome(outcome, role, parts[role]).values()) for role in ("fit", "heldout"))
     if identified is None or not observed:
         return None
-    missing = _gross(outcome, observed, parts["fit"]) if any(e.name == EFFECT.name for e in effects) else []
+    missing = _missing_weight(outcome, observed, parts["fit"], options.missing_weight) if EFFECT in effects else []
     aside = [i for one in missing for i in one.aside]
     left = [w for w in (set_aside(w, aside) for w in observed) if any(True for _ in w.rows.blocks())]
     observed = left or observed
-    found = diagnose(
-        observed, heldout, plates, effects, outcome.prior,
-        identified.fit.omega_2, identified.whitening, config.diagnosis.max_effects, outcome.fit,
-    )  # fmt: skip
+    known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
+    found = diagnose(observed, heldout, plates, effects, known, config.diagnosis.max_effects, options)
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
-    return with_missing_weight(found, missing)
+    return with_missing_weight(found, missing, options)
 
 
-def _gross(outcome: Outcome, observed: Sequence[TrialObservation], parts: Mapping[str, slice]) -> list[MissingWeight]:
+def _missing_weight(
+    outcome: Outcome, observed: Sequence[TrialObservation], parts: Mapping[str, slice], options: MissingWeightOptions
+) -> list[MissingWeight]:
     found = []
     for w in observed:
         item, part, forces = outcome.followed[w.rows.name], parts[w.rows.name], _forces(outcome)[w.rows.name]
         assert item.contact is not None
         observable = item.tracked.observable[part]
-        found.append(find_missing_weight(w, forces.samples(part), item.contact.frames(part), observable))
+        found.append(find_missing_weight(w, forces.samples(part), item.contact.frames(part), observable, options))
     return [one for one in found if one is not None]
 
 
@@ -93,6 +96,7 @@ def observe_outcome(
     """Trials of a role with forces, as the diagnosis sees them; given parts, these alone."""
     forces = _forces(outcome)
     _, frames = recognise(forces)
+    believed = outcome.config.diagnosis.thresholds.observation
     known = BodyEstimate(outcome.prior.mean, outcome.phi, float(outcome.prior.mean[:, 0].sum()))
     found = {}
     for name, rows in forceful(outcome, role).items():
@@ -101,7 +105,7 @@ def observe_outcome(
             markers = outcome.session.trials[name].markers.frames(part)
             seen = outcome.fit, markers, item.tracked.frames(part)
             own, measured = forces[name].samples(part), item.contact.measured[part]
-            found[name] = observe_trial(rows.frames(part), own, measured, frames[name], known, seen)
+            found[name] = observe_trial(rows.frames(part), own, measured, frames[name], known, seen, believed)
     return found
 
 

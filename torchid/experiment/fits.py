@@ -13,6 +13,7 @@ from torchid.model.model import InertialPrior
 from torchid.outcome import Outcome, Session
 
 OnStage = Callable[[str, float], None]
+"""Callback of a run, called with the name of a stage and the share of it that is done, 0 to 1."""
 UNSEEN = 0.35
 """Share of the mass on bodies without markers above which inertia is not identified. Head, hands and abdomen together
 are 0.24; trunk and arms held rigid on the pelvis, 0.5, left 42 N and 25 N m in a walk and cost the thorax 8 kg."""

@@ -7,11 +7,14 @@ segment and its joints' centres glided. So all is fitted again with the names pu
 from collections.abc import Sequence
 from dataclasses import replace
 
-from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.options import DiagnosisOptions
+from torchid.diagnosis.trace import Step, StepKind
 from torchid.diagnosis.verdict.causes import after_forces
 from torchid.diagnosis.verdict.confidence import trust
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
+from torchid.effects.catalogue import effect
 from torchid.effects.place import inside_any
+from torchid.effects.traits import Correction
 from torchid.experiment.diagnosis_stage import diagnose_outcome
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.stages import follow, subject_prior
@@ -19,8 +22,6 @@ from torchid.geometry.tracking import track
 from torchid.outcome import Outcome
 from torchid.recording import Trial
 from torchid.results import OutputFolder
-
-SWAP = "marker_swap"
 
 
 def put_right(base: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> tuple[Outcome, Outcome]:
@@ -47,12 +48,14 @@ def put_right(base: Outcome, folder: OutputFolder, key: str, progress: OnStage) 
     after = folder.stage("diagnosis_relabelled", key, lambda: diagnose_outcome(base.config, again))
     if after is None or any(_overlap(one, other) for one in exchanged for other in swap_causes(after.causes)):
         return base, base
-    return replace(base, diagnosis=merged(base.diagnosis, after, exchanged)), replace(again, diagnosis=after)
+    return replace(base, diagnosis=merged(base.diagnosis, after, exchanged, base.config.diagnosis.thresholds)), replace(
+        again, diagnosis=after
+    )
 
 
 def swap_causes(causes: Sequence[Cause]) -> tuple[Cause, ...]:
-    """Those among causes."""
-    return tuple(cause for cause in causes if cause.effect == SWAP)
+    """The causes that are corrected by giving markers other labels."""
+    return tuple(cause for cause in causes if effect(cause.effect).correction is Correction.LABELS)
 
 
 def relabel(trial: Trial, causes: Sequence[Cause]) -> Trial:
@@ -85,18 +88,28 @@ def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, ke
     return replace(found, identified=folder.stage("inertia_relabelled", key, lambda: identify(config, found, progress)))
 
 
-def merged(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause]) -> Diagnosis:
-    """What was found with the names put right, and the swaps found before, with what they gained then; in doubt is what
-    is contradicted now."""
-    own = [_doubted(cause, before.unexplained, after.unexplained) for cause in causes]
-    found = sorted((*own, *after.causes), key=after_forces)
-    return replace(after, baseline=before.baseline, causes=tuple(found))
+def merged(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause], options: DiagnosisOptions) -> Diagnosis:
+    """What was found with the names put right, and the swaps found before, with what they gained then.
+
+    Args:
+        before: the verdict that named the swaps.
+        after: the verdict on the recordings with the names put right; what it contradicts is in doubt.
+        causes: the swaps.
+        options: thresholds.
+    """
+    doubted = after.unexplained.alone or (after.unexplained.significant and not after.unexplained.beyond)
+    factor, steps = trust(after.unexplained, options) if doubted else 1.0, []
+    own = [_doubted(cause, trust(before.unexplained, options), factor, doubted) for cause in causes]
+    if doubted:
+        rule = "nothing_can_check" if after.unexplained.alone else "residual_structure"
+        steps = [Step(StepKind.DISCOUNT, c.effect, c.where, rule, {"factor": factor}) for c in causes]
+    found = tuple(sorted((*own, *after.causes), key=after_forces))
+    return replace(after, baseline=before.baseline, causes=found, trace=(*before.trace, *after.trace, *steps))
 
 
-def _doubted(cause: Cause, before: Adequacy, after: Adequacy) -> Cause:
-    doubted = after.alone or (after.significant and not after.beyond)
-    factor = (trust(after) if doubted else 1.0) / (trust(before) if cause.doubted else 1.0)
-    return replace(cause.scaled(factor), doubted=doubted)
+def _doubted(cause: Cause, before: float, after: float, doubted: bool) -> Cause:
+    """A cause as doubtful as it is after, no longer as it was before."""
+    return replace(cause.scaled(after / (before if cause.doubted else 1.0)), doubted=doubted)
 
 
 def _overlap(one: Cause, other: Cause) -> bool:

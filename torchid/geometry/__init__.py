@@ -1,1 +1,1 @@
-"""Geometry and posture from markers, all frames at once."""
+"""This package identifies the geometry of a subject and the posture of all frames from markers."""

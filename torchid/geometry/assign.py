@@ -1,4 +1,4 @@
-"""From the labels of a session to the markers of a model: marker set, priors, and labels nobody listed."""
+"""This module turns the labels of a session into markers of a model, labels that no marker set lists included."""
 
 from dataclasses import dataclass, replace
 
@@ -12,35 +12,46 @@ from torchid.model.whole_body import lock_bodies
 from torchid.recording import Markers, Trial
 
 RIGID = 0.02
-"""An unlisted label joins a segment when its distances to the segment's markers scatter less than this [m]."""
+"""An unlisted label joins a segment when its distances to the segment's markers scatter less than this [m]; chosen."""
 FIRM = 0.1
-"""Scatter of the joint angles of a body without markers between marked ones [rad]."""
+"""A body without markers between marked ones has joint angles that scatter this much about rest [rad]; chosen."""
 SEEN = 0.2
-"""A marker takes part when it is visible in at least this share of the frames of some trial."""
+"""A marker takes part when it is visible in at least this share of the frames of some trial; chosen."""
 
 
 @dataclass(frozen=True)
 class Assignment:
-    """A model whose bodies all carry markers, those markers, and what was decided on the way."""
+    """A model with the markers that it is fitted to, and notes on what was decided for the user to read."""
 
     model: Model
+    """The template in which bodies without markers are locked, or held by a firm prior."""
     attachment: Attachment
     notes: tuple[Note, ...]
 
 
 def assign_markers(model: Model, marker_set: MarkerSet, trials: tuple[Trial, ...]) -> Assignment:
-    """Assign every label of the trials to a segment and lock the bodies that no marker sees.
+    """Assign every label of the trials to a segment, and lock the bodies that no marker sees.
+
+    A label that no marker set lists joins the segment with which it moves most rigidly, or is left out with a note.
+
+    Args:
+        model: template of the subject.
+        marker_set: segments and landmarks of the labels that are known.
+        trials: all trials of the session, the static one included.
+
+    Returns:
+        The model, its markers, and notes on labels that were assigned or left out and on bodies without markers.
 
     Raises:
-        DataError: no marker of the pelvis, or fewer than three labels known.
+        DataError: ``markers.root``, when fewer than three markers sit on the root body.
     """
-    match = marker_set.match(_labels(trials))
+    match = marker_set.match(_visible_labels(trials))
     specs, notes = dict(match.assigned), []
     if match.computed:
         notes.append(Note("markers.computed", f"left out as computed points: {', '.join(match.computed)}"))
     known = dict(specs)
     for label in match.unknown:
-        segment, scatter = _rigid(label, known, model, trials)
+        segment, scatter = _most_rigid_segment(label, known, model, trials)
         if segment is None or scatter > RIGID:
             notes.append(Note("markers.unknown", f"{label} is in no marker set and moves with no segment; left out"))
             continue
@@ -58,11 +69,7 @@ def assign_markers(model: Model, marker_set: MarkerSet, trials: tuple[Trial, ...
 
 
 def _settle_bare(model: Model, marked: set[str]) -> tuple[Model, tuple[Note, ...]]:
-    """Bodies without markers: at the ends locked to their parents, between marked ones held by a firm prior.
-
-    An abdomen without markers that is locked to the pelvis bends the trunk at one joint only; on walks with a swaying
-    trunk that cost 26 N of residual force against 23 N with both spinal joints.
-    """
+    """Lock bodies without markers at the ends to their parents, and hold those between marked ones by a firm prior."""
     tree = model.tree
     bare = [k for k, name in enumerate(tree.names) if k and name not in marked]
     between = [k for k in bare if any(tree.names[below] in marked for below in tree.subtree(k))]
@@ -76,7 +83,8 @@ def _settle_bare(model: Model, marked: set[str]) -> tuple[Model, tuple[Note, ...
     return replace(model, tree=replace(model.tree, dofs=dofs)), (*said, Note("model.between", message))
 
 
-def _labels(trials: tuple[Trial, ...]) -> tuple[str, ...]:
+def _visible_labels(trials: tuple[Trial, ...]) -> tuple[str, ...]:
+    """Return the labels that are visible often enough in some trial, in the order of their first appearance."""
     found: dict[str, None] = {}
     for trial in trials:
         share = torch.isfinite(trial.markers.position[..., 0]).double().mean(0)
@@ -84,9 +92,10 @@ def _labels(trials: tuple[Trial, ...]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _rigid(
+def _most_rigid_segment(
     label: str, known: dict[str, MarkerSpec], model: Model, trials: tuple[Trial, ...]
 ) -> tuple[str | None, float]:
+    """Return the segment with which an unlisted label moves most rigidly, and the scatter of its distances [m]."""
     best: tuple[str | None, float] = (None, float("inf"))
     moving = [t for t in trials if t.role != "static"] or list(trials)
     longest = max((t.markers for t in moving if label in t.markers.labels), key=lambda m: len(m.time), default=None)
@@ -97,6 +106,7 @@ def _rigid(
 
 
 def _clusters(markers: Markers, known: dict[str, MarkerSpec], model: Model) -> dict[int, torch.Tensor]:
+    """Return the positions of the known markers of each body, by the body's index in the tree."""
     found = {}
     for k, name in enumerate(model.tree.names):
         labels = tuple(label for label in markers.labels if label in known and known[label].segment == name)
@@ -106,13 +116,19 @@ def _clusters(markers: Markers, known: dict[str, MarkerSpec], model: Model) -> d
 
 
 def _attach(model: Model, specs: dict[str, MarkerSpec]) -> Attachment:
+    """Return the markers of ``specs`` with their places on the model's bodies as the prior has them."""
     mean, sd = marker_prior(model, specs.values())
     body = torch.tensor([model.tree.index(spec.segment) for spec in specs.values()])
     return Attachment(tuple(specs), body, mean, sd, tuple(spec.landmark for spec in specs.values()))
 
 
 def only(attachment: Attachment, keep: torch.Tensor) -> Attachment:
-    """The markers of a mask."""
+    """Return the attachment of some of the markers.
+
+    Args:
+        attachment: all markers.
+        keep: mask of the markers that remain, shape (markers,).
+    """
     index = keep.nonzero()[:, 0].tolist()
     return replace(
         attachment,

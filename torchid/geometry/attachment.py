@@ -1,4 +1,4 @@
-"""Which marker sits on which segment, how well its place is known beforehand, and where unknown labels belong."""
+"""This module says which marker sits on which segment, how well its place is known, and where a new label belongs."""
 
 from dataclasses import dataclass
 
@@ -9,20 +9,21 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Attachment:
-    """Markers of a subject on the bodies of a tree."""
+    """The markers of a subject on the bodies of a tree, with the prior of their places."""
 
     labels: tuple[str, ...]
     body: Int[Tensor, " markers"]
-    """Tree index of the segment."""
+    """Each marker's segment as its index in the tree."""
     mean: Float[Tensor, "markers 3"]
     """Prior mean of p_BM_B [m]."""
     sd: Float[Tensor, "markers 3"]
     """Prior scatter [m]; large for markers that are free on their segment."""
     landmark: tuple[str | None, ...]
+    """Each marker's landmark on the template; None for markers that are free on their segment."""
 
     @property
     def known(self) -> Tensor:
-        """Markers on a landmark: their template place means something."""
+        """Return the mask of the markers on a landmark, whose places on the template are known (markers,)."""
         return torch.tensor([name is not None for name in self.landmark], device=self.body.device)
 
 
@@ -30,10 +31,17 @@ def rigid_segment(
     position: Float[Tensor, "frames 3"],
     clusters: dict[int, Float[Tensor, "frames markers 3"]],
 ) -> tuple[int, float]:
-    """Body with whose markers an unassigned marker moves most rigidly, and the scatter of its distances [m].
+    """Find the body with whose markers an unassigned marker moves most rigidly.
 
-    The criterion is the mean standard deviation of the distances to the body's markers (needs no fit and no axes).
-    Bodies with fewer than two markers, or fewer than ten common frames, are passed over.
+    The criterion is the mean standard deviation of the distances to the body's markers, which needs neither a fit nor
+    axes. Bodies with fewer than two markers, or fewer than ten common frames, are passed over.
+
+    Args:
+        position: path of the unassigned marker, NaN where missing [m].
+        clusters: paths of the markers of each body, by the body's index in the tree, NaN where missing [m].
+
+    Returns:
+        The body's index, -1 if no body qualifies, and the criterion [m], infinite if no body qualifies.
     """
     best, scatter = -1, float("inf")
     for body, markers in clusters.items():

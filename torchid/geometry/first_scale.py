@@ -1,4 +1,4 @@
-"""The first scale of a subject: landmarks of the static trial, or of some motion, then all other markers on them."""
+"""This module gives a subject the first scale, from landmarks alone, and places all other markers on it."""
 
 from dataclasses import replace
 
@@ -19,7 +19,10 @@ from torchid.model.model import Model
 from torchid.recording import Markers
 
 LANDMARK_SIGMA = 0.02
-"""Scatter of landmark markers about the template's places while only these are followed [m]."""
+"""Landmark markers scatter this much about the template's places while only they are followed [m].
+
+The value is chosen, wide because the template is not scaled yet.
+"""
 
 
 def start_fit(
@@ -30,7 +33,25 @@ def start_fit(
     options: GeometryOptions = GeometryOptions(),
     free: bool = True,
 ) -> GeometryFit:
-    """Scale and place the markers once, before any joint fit; arguments and errors as for ``fit_geometry``."""
+    """Scale the template and place the markers once, before any joint fit.
+
+    A static trial is preferred; without one, some frames of the longest motion trial serve, and a note says so.
+
+    Args:
+        model: template, bodies without markers locked.
+        attachment: markers on its bodies.
+        trials: fit trials by name.
+        static: standing trial in (about) the neutral pose, None if there is none.
+        options: scatter of the markers, symmetry, groups and number of static frames.
+        free: False keeps the template's geometry and finds only where the markers sit.
+
+    Returns:
+        The fit with its first xi, without uncertainty and solution.
+
+    Raises:
+        ConfigError: ``geometry.group``, when the options name a group of parameters that cannot be one.
+        DataError: ``geometry.static``, when the static trial shows none of the markers.
+    """
     prior = parameters(model, options) if free else fixed(model.geometry)
     xi = torch.cat([prior.mean, attachment.mean.reshape(-1)])
     fit = GeometryFit(model, attachment, prior, xi, stated_sigma(attachment, options), options)
@@ -41,7 +62,7 @@ def start_fit(
 
 
 def _from_static(fit: GeometryFit, static: Markers) -> GeometryFit:
-    """Scale and place the markers on a standing subject: landmarks first, then everything."""
+    """Scale the template to a standing subject and place the markers: landmarks first, then everything."""
     index = evenly(len(static.time), fit.options.static_frames)
     problem = trial_problem(fit, static, posture_prior(fit, fit.options.static_posture_sd), index)
     if not bool((problem.weight > 0).any()):
@@ -52,21 +73,21 @@ def _from_static(fit: GeometryFit, static: Markers) -> GeometryFit:
 
 
 def _from_landmarks(fit: GeometryFit, trials: dict[str, Markers]) -> GeometryFit:
-    """Without a static trial: follow the landmarks through some frames of motion and place the rest on them."""
+    """Follow the landmarks through some frames of the longest trial and place all other markers on them."""
     longest = max(trials.values(), key=lambda m: len(m.time))
     problem = trial_problem(fit, longest, posture_prior(fit), evenly(len(longest.time), 4 * fit.options.static_frames))
     return replace(fit, xi=_placed(problem, _follow_landmarks(fit, problem), fit))
 
 
 def _follow_landmarks(fit: GeometryFit, problem: MarkerProblem) -> Float[Tensor, "dofs frames"]:
-    """Postures in which the landmark markers alone are where the template has them."""
+    """Find the postures in which the landmark markers alone are where the template has them."""
     known = fit.attachment.known.to(problem.weight)
     weight = (problem.weight > 0) * known[:, None] / LANDMARK_SIGMA**2
     return settled(fit, replace(problem, robust=None, weight=weight))
 
 
 def _placed(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], fit: GeometryFit) -> Float[Tensor, " xi"]:
-    """xi with every free-standing marker put where the current poses see it on its segment."""
+    """Return xi with every marker that is on no landmark put where the poses at q see it on its segment."""
     at, _, _ = problem.residual(q, fit.xi)
     R = at.R[problem.body]
     local = torch.einsum("maxt,mxt->mat", R, problem.target - at.p[problem.body])

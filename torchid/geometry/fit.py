@@ -1,4 +1,4 @@
-"""The geometric fit of a subject: a first scale, then all fit trials and the static one jointly."""
+"""This module is the geometric fit of a subject: a first scale, then all fit trials and the static one jointly."""
 
 from dataclasses import replace
 
@@ -19,8 +19,8 @@ from torchid.geometry.uncertainty import estimate_uncertainty
 from torchid.model.model import Model
 from torchid.recording import Markers
 
-COARSE = 1e-4
-"""Tolerance of the fits whose residuals only set weights."""
+WEIGHTS_TOLERANCE = 1e-4
+"""Fits whose residuals only set weights stop at this relative fall of the cost; chosen."""
 
 
 def fit_geometry(
@@ -32,7 +32,7 @@ def fit_geometry(
     free: bool = True,
     progress: OnIteration | None = None,
 ) -> GeometryFit:
-    """Identify geometry and marker places.
+    """Identify the geometry of a subject and the places of the markers on the segments.
 
     Args:
         model: template, bodies without markers locked.
@@ -41,36 +41,51 @@ def fit_geometry(
         static: standing trial in (about) the neutral pose, None if there is none.
         options: see ``GeometryOptions``.
         free: False keeps the template's geometry and finds only where the markers sit (the scaled template).
+        progress: called after every iteration of the joint fit.
+
+    Returns:
+        The fit with its uncertainty and solution; both are None where ``free`` is False and the static trial placed the
+        markers already.
 
     Raises:
-        DataError: the static trial shows none of the markers.
+        ConfigError: ``geometry.group``, when the options name a group of parameters that cannot be one.
+        DataError: ``geometry.static``, when the static trial shows none of the markers.
     """
     fit = start_fit(model, attachment, trials, static, options, free)
     if not free and static is not None:
         return fit
-    return _jointly(fit, trials, static, progress)
+    return _fit_jointly(fit, trials, static, progress)
 
 
-def _jointly(
+def _fit_jointly(
     fit: GeometryFit, trials: dict[str, Markers], static: Markers | None, progress: OnIteration | None
 ) -> GeometryFit:
-    """All fit trials and the static one in one problem; weights from the residuals, then once more.
+    """Solve all fit trials and the static one as one problem, three times, with weights from the residuals before.
 
     A marker weighs 1 / sigma^2 times the share of its frames that count as independent: skin that slides the same way
     for a second is one observation, not a hundred, and would otherwise drag joint centres away from any prior.
     """
     problem, q, lengths = joint_problem(fit, trials, static)
-    solution = _solve(fit, replace(problem, robust=None), q, fit.xi, COARSE, progress)
-    for tolerance in (COARSE, fit.options.tolerance):
+    solution = _run_solver(fit, replace(problem, robust=None), q, fit.xi, WEIGHTS_TOLERANCE, progress)
+    for tolerance in (WEIGHTS_TOLERANCE, fit.options.tolerance):
         fit, problem = reweighted(fit, problem, solution, lengths)
-        solution = _solve(fit, problem, solution.q, solution.xi, tolerance, progress)
+        solution = _run_solver(fit, problem, solution.q, solution.xi, tolerance, progress)
     return finish_fit(fit, problem, solution)
 
 
 def joint_problem(
     fit: GeometryFit, trials: dict[str, Markers], static: Markers | None
 ) -> tuple[MarkerProblem, Tensor, tuple[int, ...]]:
-    """All fit trials and the static one as one problem, with postures to start from and the frames of each trial."""
+    """Build the joint problem of all fit trials and the static one, and solve its postures at the fit's geometry.
+
+    Args:
+        fit: first scale of the subject.
+        trials: fit trials by name; of all of them together at most ``options.max_frames`` frames are taken.
+        static: standing trial, None if there is none.
+
+    Returns:
+        The problem, the postures to start from (dofs, frames), and the number of frames of each trial.
+    """
     total = sum(len(m.time) for m in trials.values())
     share = min(1.0, fit.options.max_frames / max(total, 1))
     pieces = []
@@ -86,9 +101,10 @@ def joint_problem(
     return side_by_side([piece[0] for piece in pieces]), q, tuple(piece[1].shape[1] for piece in pieces)
 
 
-def _solve(
+def _run_solver(
     fit: GeometryFit, problem: MarkerProblem, q: Tensor, xi: Tensor, tolerance: float, progress: OnIteration | None
 ) -> Solution:
+    """Minimise with the solver that the options name."""
     options = fit.options
     if options.solver == "adam":
         return solve_adam(problem, q, xi, options.gradient_iterations, progress)
@@ -98,6 +114,6 @@ def _solve(
 
 
 def finish_fit(fit: GeometryFit, problem: MarkerProblem, solution: Solution) -> GeometryFit:
-    """The fit at a solution of the joint problem, with its uncertainty from the chain's Jacobians."""
+    """Return the fit at a solution of the joint problem, with its uncertainty from the chain's Jacobians."""
     uncertainty = estimate_uncertainty(problem, solution.q, solution.xi, fit.names)
     return replace(fit, xi=solution.xi, solution=solution, uncertainty=uncertainty)

@@ -1,4 +1,7 @@
-"""Adam and LBFGS on the pytorch-kinematics chain: the same problem by first-order means."""
+"""This module solves the marker problem with Adam and LBFGS on the pytorch-kinematics chain.
+
+The chain is independent of the arrow solver, which is tested against it.
+"""
 
 import torch
 from torch import Tensor
@@ -8,14 +11,25 @@ from torchid.geometry.problem import MarkerProblem
 from torchid.kinematics.chain import chain_points
 
 CHUNK = 512
+"""Frames whose graph is held at a time; chosen for memory."""
 Q_STEP, XI_STEP = 0.02, 0.005
-"""Learning rates of Adam [rad or m]; the best of a grid on synthetic subjects."""
+"""Learning rates of Adam for q and xi [rad or m]; calibrated as the best of a grid on synthetic subjects."""
 Q_SCALE = 0.05
-"""Unit of q for LBFGS [rad or m]: 500 evaluations end 0.1 % above the optimum of a small problem, with 1 rad 5 %."""
+"""Unit of q for LBFGS [rad or m]; calibrated (`docs/decisions.md`, Geometry)."""
 
 
 def chain_cost(problem: MarkerProblem, q: Tensor, xi: Tensor, part: slice) -> Tensor:
-    """Cost of some frames through the chain, differentiable in q (dofs, frames) and xi."""
+    """Return the cost of some frames through the chain, differentiable in q and xi.
+
+    Args:
+        problem: markers, weights and priors of all frames.
+        q: coordinates of all frames (dofs, frames).
+        xi: geometry and marker places.
+        part: frames to take.
+
+    Returns:
+        The cost of markers and postures, a scalar, without the prior on xi.
+    """
     piece = problem.frames(part)
     geometry, place = problem.split(xi)
     body = torch.tensor(problem.plan.order, device=q.device)[problem.body]
@@ -25,7 +39,13 @@ def chain_cost(problem: MarkerProblem, q: Tensor, xi: Tensor, part: slice) -> Te
 
 
 def chain_residual(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
-    """Marker residuals (markers, 3, frames) through the chain."""
+    """Return the residuals of the markers through the chain, (markers, 3, frames) [m].
+
+    Args:
+        problem: markers and geometry.
+        q: coordinates (dofs, frames).
+        xi: geometry and marker places.
+    """
     geometry, place = problem.split(xi)
     body = torch.tensor(problem.plan.order, device=q.device)[problem.body]
     p = chain_points(problem.plan.tree, q.T, geometry, body, place)
@@ -33,9 +53,15 @@ def chain_residual(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
 
 
 def accumulate_gradients(problem: MarkerProblem, q: Tensor, xi: Tensor) -> float:
-    """Add the gradients of the whole cost to the leaves q (dofs, frames) and xi, chunk by chunk, and return the cost.
+    """Add the gradients of the whole cost to q and xi, chunk by chunk, and return the cost.
 
-    Every chunk frees its graph; q and xi must therefore be leaves.
+    Args:
+        problem: markers, weights and priors.
+        q: coordinates (dofs, frames), a leaf that requires a gradient, because every chunk frees its graph.
+        xi: geometry and marker places, a leaf likewise.
+
+    Returns:
+        The cost of markers, postures and the prior on xi.
     """
     assert q.is_leaf and xi.is_leaf, "a graph in front of q or xi would be freed by the first chunk"
     total = 0.0
@@ -51,7 +77,18 @@ def accumulate_gradients(problem: MarkerProblem, q: Tensor, xi: Tensor) -> float
 def solve_adam(
     problem: MarkerProblem, q: Tensor, xi: Tensor, iterations: int = 2000, progress: OnIteration | None = None
 ) -> Solution:
-    """Minimise with Adam on a cosine schedule; the best point met is returned."""
+    """Minimise with Adam (Kingma & Ba 2015) on a cosine schedule of the learning rates.
+
+    Args:
+        problem: markers, weights and priors.
+        q: coordinates to start from (dofs, frames).
+        xi: geometry and marker places to start from.
+        iterations: number of steps, all of which are taken.
+        progress: called with the iteration and the cost.
+
+    Returns:
+        The point of the lowest cost that was met.
+    """
     q, xi = q.clone().requires_grad_(), xi.clone().requires_grad_()
     optimiser = torch.optim.Adam([{"params": [q], "lr": Q_STEP}, {"params": [xi], "lr": XI_STEP}], betas=(0.9, 0.99))
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations)
@@ -72,7 +109,20 @@ def solve_adam(
 def solve_lbfgs(
     problem: MarkerProblem, q: Tensor, xi: Tensor, iterations: int = 2000, progress: OnIteration | None = None
 ) -> Solution:
-    """Minimise with LBFGS and a strong-Wolfe line search, xi scaled by its prior scatter and q by ``Q_SCALE``."""
+    """Minimise with LBFGS (Liu & Nocedal 1989) and a strong-Wolfe line search.
+
+    xi is scaled by its prior scatter and q by ``Q_SCALE``.
+
+    Args:
+        problem: markers, weights and priors.
+        q: coordinates to start from (dofs, frames).
+        xi: geometry and marker places to start from.
+        iterations: limit of evaluations of the cost.
+        progress: called with the number of evaluations and the cost.
+
+    Returns:
+        The last point; it has converged if the limit was not reached.
+    """
     scale = problem.xi_precision.rsqrt()
     y, z = (q / Q_SCALE).requires_grad_(), (xi / scale).requires_grad_()
     trace: list[float] = []

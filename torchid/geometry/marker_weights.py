@@ -1,4 +1,4 @@
-"""How far each marker scatters about its place, and what it therefore weighs: white noise, and skin that slides."""
+"""This module estimates how far each marker scatters, as white noise and as skin that slides, and weighs it by that."""
 
 from dataclasses import replace
 
@@ -14,14 +14,17 @@ from torchid.geometry.result import GeometryFit
 from torchid.geometry.uncertainty import independent_share
 
 LOOSE = {"thigh": 2.0, "shank": 2.0, "foot": 2.0, "upper": 2.0, "forearm": 2.0, "hand": 2.0}
-"""Skin over the limbs' muscles slides about twice as far as over the bony points of pelvis and thorax (Leardini et al.,
-Gait & Posture 21, 2005; Peters et al., Gait & Posture 31, 2010); a foot also bends where the model is rigid."""
+"""Skin over the limbs slides this many times as far as over the bony points of pelvis and thorax.
+
+The factor is cited (Leardini et al., Gait & Posture 21, 2005; Peters et al., Gait & Posture 31, 2010); for the foot it
+is chosen, because a foot also bends where the model is rigid.
+"""
 CHI2_MEDIAN = 2.366
-"""Median of the squared length of a vector of three standard normals."""
+"""Median of chi-squared with three degrees of freedom, the squared length of three standard normals; derived."""
 
 
 def stated_sigma(attachment: Attachment, options: GeometryOptions) -> Float[Tensor, " markers"]:
-    """Scatter of each marker as the options state it [m]."""
+    """Return the scatter of each marker as the options state it [m]; labels without an entry have 5 mm."""
     given = options.sigma_mm
     values = [given.get(label, 5.0) if isinstance(given, dict) else given for label in attachment.labels]
     return attachment.mean.new_tensor(values) * 1e-3
@@ -30,13 +33,17 @@ def stated_sigma(attachment: Attachment, options: GeometryOptions) -> Float[Tens
 def reweighted(
     fit: GeometryFit, problem: MarkerProblem, solution: Solution, lengths: tuple[int, ...]
 ) -> tuple[GeometryFit, MarkerProblem]:
-    """Weights that match the residuals of a solution; also the fit with the scatter found.
+    """Weigh the markers of a problem to match the residuals of its solution.
 
     Args:
         fit: whose options say whether the scatter is estimated again.
         problem: from ``joint_problem``.
         solution: of that problem.
         lengths: frames of each trial in it.
+
+    Returns:
+        The fit with the scatter found, and the problem with weights 1 / sigma^2 times the share of frames that count
+        as independent [1/m^2].
     """
     _, _, residual = problem.residual(solution.q, solution.xi)
     seen = problem.weight > 0
@@ -52,12 +59,11 @@ def _residual_sigma(
     residual: Float[Tensor, "markers 3 frames"],
     lengths: tuple[int, ...],
 ) -> Float[Tensor, " markers"]:
-    """Scatter per marker: white noise, the same for all, and skin that slides, in proportion to ``looseness``.
+    """Return the scatter per marker: white noise, the same for all, and skin that slides, in proportion to looseness.
 
-    Half the mean square of successive differences is the white part; what the residuals hold beyond it is skin.
-    A scatter of its own for every marker, from its residuals, is a trap: a foot's three markers are fitted by the
-    foot's own freedom, seem exact, and lead the pelvis through the leg. On real walks it raised the force residual
-    from 25 N to 41 N (with leverage taken into account: 32 N).
+    Half the mean square of successive differences is the white part (von Neumann 1941); what the residuals hold beyond
+    it is skin. Markers have no scatter of their own, because three markers of a foot are fitted by the foot's own
+    freedom, seem exact, and would lead the pelvis through the leg (`docs/decisions.md`, Geometry).
     """
     residual = torch.where(seen[:, None], residual, torch.nan)
     lost = len(fit.model.tree.dofs) / (3.0 * seen.sum(0).double().mean())
@@ -69,12 +75,12 @@ def _residual_sigma(
 
 
 def _median_square(vectors: Float[Tensor, "markers 3 frames"]) -> Float[Tensor, ""]:
-    """Variance per coordinate, robustly; NaN are passed over."""
+    """Return the variance per coordinate from the median squared length, NaN passed over."""
     return vectors.square().sum(1).nanmedian() / CHI2_MEDIAN
 
 
 def _looseness(fit: GeometryFit) -> Float[Tensor, " markers"]:
-    """How much more than a trunk marker each marker slides: as configured by label, else by its segment."""
+    """Return how much more than a trunk marker each marker slides: as configured by label, else by its segment."""
     given, names = fit.options.sigma_mm, fit.model.tree.names
     if isinstance(given, dict):
         return stated_sigma(fit.attachment, fit.options)

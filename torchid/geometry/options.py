@@ -1,4 +1,4 @@
-"""Options of the geometric fit."""
+"""This module holds the options of the geometric fit."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
@@ -10,17 +10,17 @@ from torchid.bounds import Count, Name, Positive
 
 @dataclass(frozen=True)
 class GeometryOptions:
-    """How geometry and posture are fitted."""
+    """The options with which geometry and posture are fitted."""
 
     solver: Literal["arrow", "adam", "lbfgs"] = "arrow"
     symmetry: Literal["none", "tied"] = "none"
-    """``tied``: left and right share every parameter."""
+    """``tied`` lets left and right share every parameter."""
     groups: dict[Name, tuple[Name, ...]] = field(default_factory=dict)
-    """New name: parameters that become one (grouped bones)."""
+    """Parameters that become one (grouped bones), by the name of the new one."""
     sigma_mm: Positive | dict[Name, Positive] = 5.0
-    """Expected marker residual (noise and skin), for all markers or by label."""
+    """Expected marker residual (noise and skin), for all markers or by label [mm]."""
     reestimate_sigma: bool = True
-    """Take noise and skin from the residuals; of ``sigma_mm`` by label only the proportions of skin remain."""
+    """True takes noise and skin from the residuals, and only the proportions of a ``sigma_mm`` by label."""
     robust: Positive | None = 4.0
     """Residuals beyond this many standard deviations lose their influence; None: plain least squares."""
     static_posture_sd: Positive = 0.2
@@ -28,12 +28,14 @@ class GeometryOptions:
     limit_sd: Positive = 0.05
     """Softness of joint limits [rad]."""
     temporal: bool = True
-    """Bridge gaps by the smooth course of each coordinate."""
+    """True bridges gaps by the smooth course of each coordinate."""
     max_frames: Count = 1000
     """Frames of all fit trials together that enter the joint fit, evenly spaced."""
     static_frames: Count = 30
+    """Frames of the static trial that enter the fits, evenly spaced."""
     iterations: Annotated[Count, Le(100_000)] = 60
-    """Of the arrow solver."""
+    """Most steps of the arrow solver."""
     gradient_iterations: Annotated[Count, Le(1_000_000)] = 2000
-    """Of Adam, or function evaluations of LBFGS."""
+    """Steps of Adam, or most function evaluations of LBFGS."""
     tolerance: Positive = 1e-6
+    """Relative fall of the cost at which the arrow solver stops."""

@@ -1,4 +1,4 @@
-"""What the geometric fit knows of a subject: free parameters, where the markers sit, and how far they scatter."""
+"""This module is what the geometric fit hands on: free parameters, places of the markers, and how far they scatter."""
 
 from dataclasses import dataclass
 
@@ -16,39 +16,45 @@ from torchid.model.model import Geometry, GeometryPrior, Model
 
 @dataclass(frozen=True)
 class GeometryFit:
-    """A subject's geometry and everything needed to track their markers."""
+    """The geometry of a subject, with everything that is needed to track the markers."""
 
     model: Model
     attachment: Attachment
     prior: GeometryPrior
-    """Of the parameters that were free (ties and groups applied)."""
+    """Prior of the parameters that were free, ties and groups applied."""
     xi: Float[Tensor, " xi"]
-    """Named parameters, then marker places."""
+    """Named parameters, then the places of all markers."""
     sigma: Float[Tensor, " markers"]
     """Residual scatter per coordinate [m]."""
     options: GeometryOptions
     uncertainty: GeometryUncertainty | None = None
+    """Posterior of xi; None before the joint fit."""
     solution: Solution | None = None
+    """End of the joint fit; None before it."""
     notes: tuple[Note, ...] = ()
 
     @property
     def geometry(self) -> Geometry:
-        """Offsets and hinge angles."""
+        """Return the offsets and hinge angles at xi."""
         return self.prior.geometry(self.xi[: len(self.prior.mean)])
 
     @property
     def place(self) -> Float[Tensor, "markers 3"]:
-        """p_BM_B of all markers [m]."""
+        """Return the places p_BM_B of all markers [m]."""
         return self.xi[len(self.prior.mean) :].reshape(-1, 3)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all entries of xi."""
+        """Return the names of all entries of xi, those of places as ``<label>_<axis>``."""
         return self.prior.names + tuple(f"{label}_{axis}" for label in self.attachment.labels for axis in "xyz")
 
 
 def parameters(model: Model, options: GeometryOptions) -> GeometryPrior:
-    """Free geometric parameters under the ties and groups of the options."""
+    """Return the prior of the free geometric parameters under the ties and groups of the options.
+
+    Raises:
+        ConfigError: ``geometry.group``, when the options name a group of parameters that cannot be one.
+    """
     prior = tie_sides(model.geometry) if options.symmetry == "tied" else model.geometry
     for name, members in options.groups.items():
         prior = group(prior, tuple(members), name)
@@ -56,7 +62,7 @@ def parameters(model: Model, options: GeometryOptions) -> GeometryPrior:
 
 
 def fixed(prior: GeometryPrior) -> GeometryPrior:
-    """The same geometry with nothing free, at its mean."""
+    """Return the prior of the same geometry with nothing free, at its mean."""
     constant = prior.constant + prior.map @ prior.mean
     none = prior.mean[:0]
     return GeometryPrior((), (), none, none, prior.map[:, :0], constant, prior.n_hinges)

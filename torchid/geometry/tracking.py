@@ -1,4 +1,4 @@
-"""Markers of a trial followed by the model at fixed geometry, held-out trials too."""
+"""This module follows the markers of a trial with the model at fixed geometry, held-out trials too."""
 
 from dataclasses import dataclass
 
@@ -17,69 +17,81 @@ from torchid.kinematics.recursion import points, poses
 from torchid.recording import Markers
 
 PIECE = 8192
-"""Frames followed at a time: the work on all frames of an hour at once would fill 4 GB."""
+"""Frames followed at a time; chosen for memory (`docs/decisions.md`, Geometry)."""
 SAMPLE = 2048
-"""Frames that say how well the markers of a trial in pieces typically determine each coordinate. Left to each piece,
-coordinates near the limit where a gap's course takes over would change sides with the piece: by up to 0.02 rad."""
+"""Frames that say how well the markers of a trial in pieces typically determine each coordinate; chosen.
+
+The figure is taken once for the whole trial, because coordinates near the limit where a gap's course takes over would
+otherwise change sides from piece to piece.
+"""
 BESIDE = 256
-"""Frames on either side that are followed with a piece, so that gaps and lost limbs find their neighbours."""
+"""Frames on either side that are followed with a piece, so that gaps and lost limbs find their neighbours; chosen."""
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """Markers followed by the model at fixed geometry."""
+    """The posture of every frame of a trial, and how far its markers are from the model."""
 
     time: Float[Tensor, " frames"]
+    """Time of each frame [s]."""
     q: Float[Tensor, "frames dofs"]
+    """Coordinates of the model [m or rad]."""
     error: Float[Tensor, "frames markers"]
     """Distance between measured and modelled marker, NaN where missing [m]."""
     observable: Bool[Tensor, " frames"]
-    """The markers of the frame determine every coordinate."""
+    """True where the markers of the frame determine every coordinate."""
 
     def frames(self, part: slice) -> "Tracked":
-        """Some of the frames."""
+        """Return the result for some of the frames."""
         return Tracked(self.time[part], self.q[part], self.error[part], self.observable[part])
 
     @property
     def rmse(self) -> float:
-        """Root mean square of the distances [m]."""
+        """Return the root mean square of all distances that are not NaN [m]."""
         return float(self.error[torch.isfinite(self.error)].square().mean().sqrt())
 
 
 def track(
     fit: GeometryFit, markers: Markers, bridge: bool | None = None, near: Float[Tensor, "frames dofs"] | None = None
 ) -> Tracked:
-    """Follow the markers of a trial at the fit's geometry (held-out trials too).
+    """Follow the markers of a trial at the fit's geometry.
+
+    Long trials are followed in overlapping pieces.
 
     Args:
-        fit: whose geometry and markers they are.
-        markers: of the trial.
-        bridge: whether gaps are bridged by the course around them; as the fit's options say if absent.
-        near: postures that followed nearly these markers, to be mended only; absent, they are found from rest.
+        fit: geometry, places of the markers and their scatter.
+        markers: paths of the trial's markers.
+        bridge: True bridges gaps by the course around them; None does as the fit's options say.
+        near: postures that followed nearly these markers and need only be mended; None finds postures from rest.
+
+    Returns:
+        Coordinates, distances and observable frames, for all frames of ``markers``.
     """
     frames, wanted = len(markers.time), fit.options.temporal if bridge is None else bridge
     q = fit.xi.new_empty(frames, len(fit.model.tree.dofs))
     error = fit.xi.new_empty(frames, len(fit.attachment.labels))
     observable = torch.empty(frames, dtype=torch.bool, device=fit.xi.device)
-    typical = _typical(fit, markers) if wanted and frames > PIECE else None
+    typical = _sampled_variance(fit, markers) if wanted and frames > PIECE else None
     for start in range(0, frames, PIECE):
         first, stop = max(0, start - BESIDE), min(frames, start + PIECE)
         piece = slice(first, min(frames, stop + BESIDE))
-        found = _track(fit, markers.frames(piece), wanted, typical, None if near is None else near[piece].T)
+        found = _track_piece(fit, markers.frames(piece), wanted, typical, None if near is None else near[piece].T)
         inner = slice(start - first, stop - first)
         for whole, part in zip((q, error, observable), found, strict=True):
             whole[start:stop] = part[inner]
     return Tracked(markers.time, q, error, observable)
 
 
-def _typical(fit: GeometryFit, markers: Markers) -> Tensor:
+def _sampled_variance(fit: GeometryFit, markers: Markers) -> Tensor:
+    """Return the variance (dofs, 1) that the markers of a frame typically leave to each coordinate of the trial."""
     problem = trial_problem(fit, markers, posture_prior(fit), evenly(len(markers.time), SAMPLE))
     return typical_variance(problem, settled(fit, problem), fit.xi)
 
 
-def _track(
+def _track_piece(
     fit: GeometryFit, markers: Markers, bridge: bool, typical: Tensor | None, near: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:
+    """Return q (frames, dofs), distances (frames, markers) and observable frames of one piece of a trial."""
     problem = trial_problem(fit, markers, posture_prior(fit))
     q = settled(fit, problem, near)
     if q.shape[1] > 2:
@@ -92,7 +104,7 @@ def _track(
 
 
 def modelled(fit: GeometryFit, q: Float[Tensor, "frames dofs"]) -> Float[Tensor, "frames markers 3"]:
-    """p_WM_W of the fit's markers at these coordinates [m]."""
+    """Return the positions p_WM_W of the fit's markers at these coordinates [m]."""
     plan = plan_tree(fit.model.tree)
     body = torch.tensor(plan.position, device=q.device)[fit.attachment.body]
     at = poses(plan, q.T.contiguous(), fit.geometry)
@@ -100,7 +112,7 @@ def modelled(fit: GeometryFit, q: Float[Tensor, "frames dofs"]) -> Float[Tensor,
 
 
 def _observable(problem: MarkerProblem) -> Bool[Tensor, " frames"]:
-    """Frames in which every body that carries markers shows three, or all it has."""
+    """Return the mask of frames in which every body that carries markers shows three, or all it has."""
     seen = (problem.weight > 0).to(torch.float64)
     ok = torch.ones(seen.shape[1], dtype=torch.bool, device=seen.device)
     for body in problem.body.unique():

@@ -1,4 +1,4 @@
-"""Marker problems of a subject's trials: one trial with what is expected of its postures, or several side by side."""
+"""This module builds the marker problem of one trial, with a prior on its postures, or of several side by side."""
 
 from dataclasses import replace
 
@@ -13,19 +13,19 @@ from torchid.kinematics.plan import plan_tree
 from torchid.recording import Markers
 
 LIMITLESS = 1e6
-"""Stands for no limit of a coordinate, and where infinite ones are cut [m, rad]."""
+"""A limit of this size stands for none [m or rad]; chosen, far beyond any coordinate."""
 
 
 def trial_problem(
     fit: GeometryFit, markers: Markers, posture: PosturePrior, index: Int[Tensor, " frames"] | None = None
 ) -> MarkerProblem:
-    """The subject's markers in one trial, weighed by their scatter.
+    """Build the problem of the subject's markers in one trial, weighed by their scatter.
 
     Args:
-        fit: whose model, markers and scatter they are.
-        markers: of the trial.
-        posture: from ``posture_prior``.
-        index: frames to take; all if absent.
+        fit: model, markers and their scatter.
+        markers: paths of the trial's markers.
+        posture: prior of the postures, from ``posture_prior``.
+        index: frames to take; None takes all.
     """
     markers = markers if index is None else markers.frames(index)
     position = markers.select(fit.attachment.labels).position.to(fit.xi)
@@ -47,7 +47,12 @@ def trial_problem(
 
 
 def posture_prior(fit: GeometryFit, sd: float | None = None) -> PosturePrior:
-    """Joint angles about rest with the model's scatter, or ``sd`` [rad] for all, and soft limits; the base is free."""
+    """Return the prior of joint angles about rest, with soft limits; the base is free.
+
+    Args:
+        fit: model with rest, scatter and limits of its joints.
+        sd: scatter of all joint angles [rad]; None takes the model's.
+    """
     dofs = fit.model.tree.dofs
     precision = fit.xi.new_tensor([(sd or dof.sd) ** -2 for dof in dofs])
     precision[:6] = 0.0
@@ -64,21 +69,34 @@ def posture_prior(fit: GeometryFit, sd: float | None = None) -> PosturePrior:
 def settled(
     fit: GeometryFit, problem: MarkerProblem, near: Float[Tensor, "dofs frames"] | None = None
 ) -> Float[Tensor, "dofs frames"]:
-    """Postures of all frames at the fit's geometry, found from those near them, or from rest."""
+    """Find the postures of all frames at the fit's geometry.
+
+    Args:
+        fit: geometry, places of the markers and rest.
+        problem: frames of one trial.
+        near: postures that are nearly right and need only be mended; None starts from rest.
+    """
     if near is None:
         return settle(problem, initial_posture(problem, fit.xi, _rest(fit)), fit.xi)
     return mended(problem, near, fit.xi)
 
 
 def _rest(fit: GeometryFit) -> Float[Tensor, " dofs"]:
+    """Return the model's resting coordinates."""
     return fit.xi.new_tensor([dof.rest for dof in fit.model.tree.dofs])
 
 
 def side_by_side(problems: list[MarkerProblem]) -> MarkerProblem:
-    """Trials side by side. What is expected of a posture counts once a trial, not once a frame.
+    """Join the problems of several trials into one.
 
-    Counted every frame, a thousand weak pulls towards the neutral pose outweigh the priors on joint centres and
-    landmarks, which alone say where a segment's axes point.
+    The prior of the postures counts once a trial, not once a frame: a thousand weak pulls towards the neutral pose
+    would outweigh the priors on joint centres and landmarks, which alone say where a segment's axes point.
+
+    Args:
+        problems: trials of one subject; all but frames and posture prior are taken from the first.
+
+    Returns:
+        The problem on all frames, trial after trial.
     """
     lengths = [p.target.shape[2] for p in problems]
     precision = [p.posture.precision.expand(-1, n) / n for p, n in zip(problems, lengths, strict=True)]

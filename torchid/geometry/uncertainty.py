@@ -1,4 +1,4 @@
-"""How well xi is determined: covariance from Jacobians of the pytorch-kinematics chain, whatever solver came before.
+"""This module says how well xi is determined, by a covariance from Jacobians of the pytorch-kinematics chain.
 
 The Jacobian of a marker with respect to a chain joint is z x (p - o) for a turn and z for a slide, where the joint is
 an ancestor of the marker's body; motion is eliminated frame by frame (Schur complement), xi keeps its prior.
@@ -16,12 +16,13 @@ from torchid.kinematics.chain import base_transform, chain_of, chain_transforms
 from torchid.model.tree import BASE_DOFS
 
 SAMPLED = 240
-"""Frames from which the information is computed; the others count through their number."""
+"""Frames from which the information is computed; the others count through their number. The value is chosen."""
 CHUNK = 40
+"""Frames whose Jacobians are held at a time; chosen for memory."""
 DIRECTIONS = 8
-"""Undetermined directions listed at most."""
+"""Undetermined directions that are listed at most; chosen."""
 WEAK = 0.5
-"""Share of the prior variance below which the motion is said not to determine a direction."""
+"""A direction is undetermined when the motion removes less than this share of its prior variance; chosen."""
 
 
 @dataclass(frozen=True)
@@ -29,32 +30,40 @@ class Direction:
     """A combination of parameters that the motion leaves (nearly) to the prior."""
 
     share: float
-    """Part of its prior variance that the data removed."""
+    """Share of its prior variance that the data removed, 0 to 1."""
     parameters: dict[str, float]
-    """Largest components, in prior standard deviations."""
+    """The four largest components by name, in prior standard deviations."""
 
 
 @dataclass(frozen=True)
 class GeometryUncertainty:
-    """Posterior of xi at the solution."""
+    """The posterior of xi at the solution, to first order."""
 
     covariance: Float[Tensor, "xi xi"]
     undetermined: tuple[Direction, ...]
     residual: Float[Tensor, "markers 3 frames"]
-    """Of the chain, NaN where missing [m]."""
+    """Residuals of the markers through the chain, NaN where missing [m]."""
 
     @property
     def sd(self) -> Float[Tensor, " xi"]:
-        """Standard deviations."""
+        """Return the standard deviations of xi."""
         return torch.diagonal(self.covariance).clamp(min=0.0).sqrt()
 
 
 def chain_jacobian(
     problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]
 ) -> tuple[Float[Tensor, "frames rows dofs"], Float[Tensor, "frames rows xi"]]:
-    """Derivatives of marker positions (rows: marker by marker, x y z) with respect to motion and xi.
+    """Return the derivatives of marker positions with respect to motion and xi.
 
     The base's rotation is differentiated by a turn in W about its origin.
+
+    Args:
+        problem: markers and geometry.
+        q: coordinates.
+        xi: geometry and marker places.
+
+    Returns:
+        Two Jacobians, whose rows are the markers' coordinates, marker by marker, x y z.
     """
     geometry, place = problem.split(xi)
     tree = problem.plan.tree
@@ -78,6 +87,7 @@ def chain_jacobian(
 
 
 def _base_columns(arm: Tensor) -> Tensor:
+    """Return the derivatives by the base's six coordinates for arms (frames, markers, 3) from its origin."""
     eye = torch.eye(3, dtype=arm.dtype, device=arm.device)
     shape = (*arm.shape[:2], 3, 3)
     turn = torch.linalg.cross(eye.expand(shape), arm[:, :, None].expand(shape)).transpose(2, 3)
@@ -85,6 +95,7 @@ def _base_columns(arm: Tensor) -> Tensor:
 
 
 def _place_columns(problem: MarkerProblem, R: Tensor) -> Tensor:
+    """Return the derivatives by the free markers' places for rotations R (frames, markers, 3, 3) of their bodies."""
     frames, markers = R.shape[:2]
     out = R.new_zeros(frames, markers, 3, len(problem.free), 3)
     for k, marker in enumerate(problem.free.tolist()):
@@ -98,12 +109,13 @@ def estimate_uncertainty(
     xi: Float[Tensor, " xi"],
     names: tuple[str, ...],
 ) -> GeometryUncertainty:
-    """Posterior covariance of xi, directions left to the prior, and residuals of the chain.
+    """Return the posterior of xi, the directions left to the prior, and the residuals of the chain.
 
     Args:
-        problem: with weights that match the residuals, their autocorrelation included.
-        q, xi: solution.
-        names: of all entries of xi.
+        problem: markers with weights that match the residuals, their autocorrelation included.
+        q: coordinates at the solution.
+        xi: geometry and marker places at the solution.
+        names: names of all entries of xi.
     """
     residual = chain_residual(problem, q, xi)
     _, weight = problem.robust_cost(residual)
@@ -112,7 +124,7 @@ def estimate_uncertainty(
     information = xi.new_zeros(len(xi), len(xi))
     for part in index.split(CHUNK):
         W = weight[:, part].T.repeat_interleave(3, dim=1)
-        information += _reduced(problem.frames(part), q[:, part], xi, W)
+        information += _reduced_information(problem.frames(part), q[:, part], xi, W)
     information *= frames / len(index)
     prior = problem.xi_precision
     covariance = torch.linalg.inv(information + torch.diag(prior))
@@ -123,8 +135,8 @@ def estimate_uncertainty(
     )
 
 
-def _reduced(problem: MarkerProblem, q: Tensor, xi: Tensor, W: Tensor) -> Tensor:
-    """Information on xi of some frames, their motion eliminated."""
+def _reduced_information(problem: MarkerProblem, q: Tensor, xi: Tensor, W: Tensor) -> Tensor:
+    """Return the information (xi, xi) of some frames with weights W (frames, rows), their motion eliminated."""
     J_q, J_x = chain_jacobian(problem, q, xi)
     WJ_q, WJ_x = W[:, :, None] * J_q, W[:, :, None] * J_x
     H = J_q.mT @ WJ_q
@@ -137,6 +149,7 @@ def _reduced(problem: MarkerProblem, q: Tensor, xi: Tensor, W: Tensor) -> Tensor
 
 
 def _undetermined(information: Tensor, sd: Tensor, names: tuple[str, ...]) -> tuple[Direction, ...]:
+    """List the directions of xi, in prior standard deviations, of which the data determine least."""
     value, vector = torch.linalg.eigh(sd[:, None] * information * sd)
     share = value.clamp(min=0.0) / (1.0 + value.clamp(min=0.0))
     found = []
@@ -149,9 +162,14 @@ def _undetermined(information: Tensor, sd: Tensor, names: tuple[str, ...]) -> tu
 
 
 def independent_share(residual: Float[Tensor, "markers 3 frames"], lengths: tuple[int, ...]) -> Tensor:
-    """Share of frames that count as independent, per marker: 1 / (1 + 2 sum of autocorrelations).
+    """Return the share of each marker's frames that count as independent (markers,), 0 to 1.
 
-    Geyer's initial-positive-sequence rule ends the sum (Statistical Science 7(4), 1992); trials are not joined.
+    The share is 1 / (1 + 2 sum of autocorrelations). A rule like Geyer's initial positive sequence (Statistical Science
+    7(4), 1992) ends the sum, at the first autocorrelation of at most 0.05.
+
+    Args:
+        residual: residuals trial after trial, NaN where missing [m].
+        lengths: frames of each trial; no product reaches from one trial into the next.
     """
     share = residual.new_ones(len(residual))
     centred = torch.nan_to_num(residual)

@@ -5,7 +5,7 @@ their sign flipped and for forces scaled by 1e-6. So optimality is recomputed fr
 data are held against the prior.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import torch
@@ -60,7 +60,7 @@ class Optimality:
     """Karush-Kuhn-Tucker conditions of the fit; lengths are in posterior standard deviations."""
 
     primal: float
-    """Violation of W >= floor (relative eigenvalue) and of the boxes."""
+    """Violation of W >= floor (relative eigenvalue), of boxes and ellipsoids, and of an exact mass."""
     dual: float
     """Newton step that the gradient of the Lagrangian still asks for, and negative multipliers."""
     gap: float
@@ -115,15 +115,19 @@ def certify(
     factor = torch.linalg.cholesky(params_to_pseudo(problem.mean.reshape(-1, 10)))
     inverse = torch.linalg.inv(factor)
     multiplier = inverse.mT @ phi.new_tensor(solution.lmi_dual) @ inverse
-    length = (problem.boxes @ torch.block_diag(*problem.T)).norm(dim=-1)
-    boxes = problem.boxes, phi.new_tensor(solution.box_dual) / length
+    length = (problem.inequality @ torch.block_diag(*problem.T)).norm(dim=-1)
+    inequality = problem.inequality, phi.new_tensor(solution.inequality_dual) / length
     gradient, price = _gradient(problem, spectrum, weights, phi)
+    rows, value = problem.equality
+    gradient = gradient - rows.mT @ phi.new_tensor(solution.equality_dual)
+    miss = float(((rows @ phi.flatten() - value).abs() / value.abs()).max()) if len(value) else 0.0
+    optimality = check_optimality(phi, gradient, covariance, (factor, multiplier, floor), inequality, price)
     pseudo, square = params_to_pseudo(phi), problem.equations.square
     lowest = torch.linalg.eigvalsh(inverse @ pseudo @ inverse.mT)[:, 0]
     return Certificate(
         solver=solution.status,
         iterations=solution.iterations,
-        optimality=check_optimality(phi, gradient, covariance, (factor, multiplier, floor), boxes, price),
+        optimality=replace(optimality, primal=max(optimality.primal, miss)),
         smallest_eigenvalue=torch.linalg.eigvalsh(pseudo)[:, 0] / pseudo.diagonal(dim1=-2, dim2=-1).sum(-1),
         rank=data.rank,
         condition=data.condition,
@@ -158,33 +162,33 @@ def check_optimality(
     gradient: Float[Tensor, " params"],
     covariance: Float[Tensor, "params params"],
     lmi: tuple[Float[Tensor, "bodies 4 4"], Float[Tensor, "bodies 4 4"], float],
-    boxes: tuple[Float[Tensor, "boxes params"], Float[Tensor, " boxes"]],
+    inequality: tuple[Float[Tensor, "inequalities params"], Float[Tensor, " inequalities"]],
     price: float,
 ) -> Optimality:
     """Karush-Kuhn-Tucker residuals of phi.
 
     Args:
-        gradient: of the objective with respect to phi, from the equations and the prior.
+        gradient: of the objective with respect to phi, from the equations and the prior, less what equalities carry.
         covariance: inverse of half its Hessian.
         lmi: factor L of the prior's pseudo-inertia, multipliers of P - floor L L' >= 0 in inverse units, floor.
-        boxes: C with C phi >= 0, and its multipliers.
+        inequality: C with C phi >= 0, and its multipliers.
         price: objective above its unconstrained minimum.
     """
     factor, multiplier, floor = lmi
-    rows, box_dual = boxes
+    rows, row_dual = inequality
     pseudo = params_to_pseudo(phi)
     slack = pseudo - floor * factor @ factor.mT
     units = params_to_pseudo(torch.eye(10, dtype=phi.dtype, device=phi.device))
-    support = torch.einsum("bij,kij->bk", multiplier, units).flatten() + rows.mT @ box_dual
+    support = torch.einsum("bij,kij->bk", multiplier, units).flatten() + rows.mT @ row_dual
     scale = max(1.0, 0.5 * _length(support, covariance))
-    box_slack = rows @ phi.flatten()
-    gap = float((multiplier * slack).sum().abs() + (box_dual * box_slack).abs().sum())
+    row_slack = rows @ phi.flatten()
+    gap = float((multiplier * slack).sum().abs() + (row_dual * row_slack).abs().sum())
     half = torch.linalg.solve_triangular(factor, slack, upper=False)
     relative = torch.linalg.solve_triangular(factor, half.mT, upper=False)
-    # Boxes are compared with the size of their own terms.
+    # Linear rows are compared with the size of their own terms.
     size = (rows.abs() @ phi.flatten().abs()).clamp_min(torch.finfo(phi.dtype).tiny)
-    shortfall = torch.cat([-torch.linalg.eigvalsh(relative).flatten() * (floor > 0), -box_slack / size])
-    negative = torch.cat([-torch.linalg.eigvalsh(factor.mT @ multiplier @ factor).flatten(), -box_dual])
+    shortfall = torch.cat([-torch.linalg.eigvalsh(relative).flatten() * (floor > 0), -row_slack / size])
+    negative = torch.cat([-torch.linalg.eigvalsh(factor.mT @ multiplier @ factor).flatten(), -row_dual])
     newton = 0.5 * _length(gradient - support, covariance)
     return Optimality(
         primal=float(shortfall.clamp_min(0).max()),

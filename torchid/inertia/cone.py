@@ -1,18 +1,18 @@
 """The semidefinite programs of the inertial fit, stated in CVXPY and solved by Clarabel.
 
 Without constraints the objective is ||w||^2 with phi = phi_free + R^-1 w, R' R the Hessian: the constrained fit is the
-point of the cone nearest to the free optimum, measured in posterior standard deviations. CVXPY turns the constraints
-into Clarabel's cones once per number of bodies; a fit only rotates their columns to w. The 16-body problem then takes
-8-11 iterations and 20 ms on one thread; with phi as the variable and its dense Hessian 11-21 iterations and up to
-43 ms, and "AlmostSolved" when the Hessian's condition number is 1e9; through ``Problem.solve`` with DPP parameters
-32-45 ms.
+point of the cone nearest to the free optimum, measured in posterior standard deviations. CVXPY turns the LMIs into
+Clarabel's cones once per number of bodies; a fit adds its linear rows and rotates all columns to w. The 16-body problem
+then takes 8-11 iterations and 20 ms on one thread; with phi as the variable and its dense Hessian 11-21 iterations and
+up to 43 ms, and "AlmostSolved" when the Hessian's condition number is 1e9; through ``Problem.solve`` with DPP
+parameters 32-45 ms.
 """
 
 # Clarabel's extension module has no stubs.
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import clarabel
@@ -27,11 +27,20 @@ from torchid.inertia.pseudo import TRIANGLE
 
 Matrix = Float[np.ndarray, "params params"]
 Vector = Float[np.ndarray, " params"]
-Boxes = tuple[tuple[float, ...], ...]
-"""Rows of a matrix C over all relative parameters with C x >= 0, as a hashable tuple."""
 
 _SETTINGS = ({}, {"equilibrate_enable": False}, {"direct_solve_method": "qdldl", "max_step_fraction": 0.9})
 """Tried in this order, all Clarabel: another solver is never put in its place."""
+SOLVED = ("Solved", "AlmostSolved")
+"""Endings whose point is worth a certificate."""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Linear constraints on relative parameters: ``inequality @ x >= 0`` and ``equality @ x == value``."""
+
+    inequality: Float[np.ndarray, "inequalities params"]
+    equality: Float[np.ndarray, "equalities params"]
+    value: Float[np.ndarray, " equalities"]
 
 
 @dataclass(frozen=True)
@@ -41,20 +50,46 @@ class ConeSolution:
     x: Vector
     lmi_dual: Float[np.ndarray, "bodies 4 4"]
     """Multipliers of W >= floor; the objective counts squares without a factor 1/2."""
-    box_dual: Float[np.ndarray, " boxes"]
+    inequality_dual: Float[np.ndarray, " inequalities"]
     status: str
     iterations: int
     attempts: int
+    equality_dual: Float[np.ndarray, " equalities"] = field(default_factory=lambda: np.zeros(0))
+    """Of either sign: the objective's gradient is ``equality.T @ equality_dual`` plus what the other cones add."""
 
 
 @dataclass(frozen=True)
-class _ConeForm:
-    """b - A x in K, as CVXPY hands it to Clarabel."""
+class ConeRows:
+    """b - A x in K, as Clarabel takes it: equalities, inequalities, then one 4 x 4 matrix per body."""
 
     A: sp.csc_array
     b: np.ndarray
-    boxes: int
+    linear: Linear
     bodies: int
+    """With an LMI."""
+
+    @property
+    def cones(self) -> list[object]:
+        """All cones, in the order of the rows."""
+        equal, above = len(self.linear.equality), len(self.linear.inequality)
+        zero = [clarabel.ZeroConeT(equal)] if equal else []
+        positive = [clarabel.NonnegativeConeT(above)] if above else []
+        return zero + positive + [clarabel.PSDTriangleConeT(4)] * self.bodies
+
+    def solution(self, found: clarabel.DefaultSolution, x: Vector, attempts: int) -> ConeSolution:
+        """Clarabel's solution with the point x that its variables mean, and the multipliers of these rows."""
+        z, equal = np.asarray(found.z), len(self.linear.equality)
+        lmi = equal + len(self.linear.inequality)
+        squares = z[lmi : lmi + 10 * self.bodies].reshape(-1, 10) @ _stack_to_square().T
+        return ConeSolution(
+            x=x,
+            lmi_dual=squares.reshape(-1, 4, 4) if self.bodies else np.zeros((len(x) // 10, 4, 4)),
+            inequality_dual=z[equal:lmi],
+            status=str(found.status),
+            iterations=int(found.iterations),
+            attempts=attempts,
+            equality_dual=-z[:equal],
+        )
 
 
 def _stack_to_square() -> np.ndarray:
@@ -72,17 +107,23 @@ def squares(x: cp.Expression, bodies: int) -> list[cp.Expression]:
 
 
 @lru_cache(maxsize=16)
-def _cone_form(bodies: int, lmi: bool, floor: float, boxes: Boxes) -> _ConeForm:
-    """Let CVXPY canonicalise the constraints once; the quadratic objective only keeps every variable alive."""
+def _lmi_form(bodies: int, floor: float) -> tuple[sp.csc_array, np.ndarray]:
+    """Let CVXPY canonicalise the LMIs once; the quadratic objective only keeps every variable alive."""
     x = cp.Variable(10 * bodies)
-    constraints: list[cp.Constraint] = [np.array(boxes) @ x >= 0] if boxes else []
-    if lmi:
-        constraints += [W - floor * np.eye(4) >> 0 for W in squares(x, bodies)]
+    constraints: list[cp.Constraint] = [W - floor * np.eye(4) >> 0 for W in squares(x, bodies)]
     data, _, _ = cp.Problem(cp.Minimize(cp.sum_squares(x)), constraints).get_problem_data(cp.CLARABEL)
     dims = data["dims"]
-    expected = (0, len(boxes), [4] * (bodies if lmi else 0), 10 * bodies)
+    expected = (0, 0, [4] * bodies, 10 * bodies)
     assert (dims.zero, dims.nonneg, list(dims.psd), data["A"].shape[1]) == expected, dims
-    return _ConeForm(sp.csc_array(data["A"]), np.asarray(data["b"]), len(boxes), bodies if lmi else 0)
+    return sp.csc_array(data["A"]), np.asarray(data["b"])
+
+
+def cone_rows(params: int, linear: Linear, *, lmi: bool, floor: float) -> ConeRows:
+    """Linear rows above the LMIs of all bodies."""
+    bodies = params // 10 if lmi else 0
+    A, b = _lmi_form(bodies, floor) if lmi else (sp.csc_array((0, params)), np.zeros(0))
+    stacked = sp.csc_array(sp.vstack([sp.csc_array(np.vstack([linear.equality, -linear.inequality])), A]))
+    return ConeRows(stacked, np.concatenate([linear.value, np.zeros(len(linear.inequality)), b]), linear, bodies)
 
 
 def _settings(changes: Mapping[str, object]) -> clarabel.DefaultSettings:
@@ -94,43 +135,45 @@ def _settings(changes: Mapping[str, object]) -> clarabel.DefaultSettings:
     return settings
 
 
-def project(free: Vector, hessian: Matrix, *, lmi: bool, floor: float, boxes: Boxes = ()) -> ConeSolution:
-    """Minimise (x - free)' hessian (x - free) over the cone.
-
-    Args:
-        free: unconstrained optimum, relative parameters.
-        hessian: positive definite.
-        lmi: W(x) >= floor for every body.
-        boxes: rows C with C x >= 0.
-
-    Raises:
-        DataError: Clarabel found no solution with any of its settings.
-    """
-    form = _cone_form(len(free) // 10, lmi, floor, boxes)
-    factor = np.linalg.cholesky(hessian).T
-    rotate = scipy.linalg.solve_triangular(factor, np.eye(len(free)))
-    A, b = sp.csc_array(form.A @ rotate), form.b - form.A @ free
-    cones = [clarabel.NonnegativeConeT(form.boxes)] if form.boxes else []
-    cones += [clarabel.PSDTriangleConeT(4)] * form.bodies
-    P, q = 2 * sp.eye_array(len(free), format="csc"), np.zeros(len(free))
+def clarabel_solve(
+    P: sp.csc_array, q: np.ndarray, A: sp.csc_array, b: np.ndarray, cones: list[object]
+) -> tuple[clarabel.DefaultSolution, int]:
+    """Solution with the first settings that reach ``Solved``, else with the last; and how many were tried."""
     attempts, solution = 0, None
     while attempts < len(_SETTINGS) and (solution is None or str(solution.status) != "Solved"):
         solution = clarabel.DefaultSolver(P, q, A, b, cones, _settings(_SETTINGS[attempts])).solve()
         attempts += 1
     assert solution is not None
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
-        raise DataError(
-            "inertia.solver",
-            "no inertial parameters fulfil all constraints",
-            found=f"Clarabel: {solution.status}",
-            remedy="Widen the centre-of-mass boxes, or look at the forces",
-        )
-    z = np.asarray(solution.z)
-    return ConeSolution(
-        x=free + rotate @ np.asarray(solution.x),
-        lmi_dual=(z[form.boxes :].reshape(-1, 10) @ _stack_to_square().T).reshape(-1, 4, 4),
-        box_dual=z[: form.boxes],
-        status=str(solution.status),
-        iterations=int(solution.iterations),
-        attempts=attempts,
+    return solution, attempts
+
+
+def project(free: Vector, hessian: Matrix, linear: Linear, *, lmi: bool, floor: float) -> ConeSolution:
+    """Minimise (x - free)' hessian (x - free) over the cone.
+
+    Args:
+        free: unconstrained optimum, relative parameters.
+        hessian: positive definite.
+        linear: rows that hold besides the LMIs.
+        lmi: W(x) >= floor for every body.
+
+    Raises:
+        DataError: Clarabel found no solution with any of its settings.
+    """
+    rows = cone_rows(len(free), linear, lmi=lmi, floor=floor)
+    factor = np.linalg.cholesky(hessian).T
+    rotate = scipy.linalg.solve_triangular(factor, np.eye(len(free)))
+    P, q = 2 * sp.eye_array(len(free), format="csc"), np.zeros(len(free))
+    solution, attempts = clarabel_solve(P, q, sp.csc_array(rows.A @ rotate), rows.b - rows.A @ free, rows.cones)
+    if str(solution.status) not in SOLVED:
+        raise no_solution(str(solution.status))
+    return rows.solution(solution, free + rotate @ np.asarray(solution.x), attempts)
+
+
+def no_solution(status: str) -> DataError:
+    """The error of a program that Clarabel ends without a solution."""
+    return DataError(
+        "inertia.solver",
+        "no inertial parameters fulfil all constraints",
+        found=f"Clarabel: {status}",
+        remedy="Widen the centre-of-mass boxes and ellipsoids, or look at the forces",
     )

@@ -5,7 +5,7 @@ the boundary of what is physical. In relative parameters it is tr W - log det W 
 ||x - x0||^2 to second order; each body's term is weighed so that this curvature has the mean precision of the prior
 covariance over its ten parameters. Correlations between bodies are not part of it.
 
-Reference: Lee, Wensing, Park, IEEE T-RO 36(1), 2020, eqs. 18-22.
+Reference: Lee, Wensing, Park, IEEE T-RO 36(2), 2020, eqs. 18-22.
 """
 
 import warnings
@@ -18,12 +18,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import DataError
-from torchid.inertia.cone import Boxes, ConeSolution, Matrix, Vector, squares
+from torchid.inertia.cone import ConeSolution, Linear, Matrix, Vector, squares
+from torchid.inertia.newton import Objective, Surface, polish
 from torchid.inertia.pseudo import triangle, untriangle
 
-_NEWTON_STEPS = 20
 _TOUCHED = 1e-5
-"""Multiplier above which a box counts as touched."""
+"""Multiplier, over the largest or 1, above which a linear row counts as touched."""
 
 
 def body_weights(
@@ -63,14 +63,49 @@ def _curvature(x: np.ndarray) -> np.ndarray:
     return 2 * triangle(inverse @ units @ inverse).mT.numpy()
 
 
-def minimise(start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, boxes: Boxes = ()) -> ConeSolution:
+def divergence_terms(x: cp.Expression, weights: np.ndarray) -> cp.Expression:
+    """Sum of weights * ``divergence`` up to a constant, for CVXPY."""
+    terms = [2 * k * (cp.trace(W) - cp.log_det(W)) for k, W in zip(weights, squares(x, len(weights)), strict=True)]
+    total = cp.sum(cp.hstack(terms))
+    assert isinstance(total, cp.Expression)
+    return total
+
+
+def smooth(hessian: Matrix, pull: Vector, weights: np.ndarray) -> Objective:
+    """x' hessian x - 2 pull' x + sum of weights * divergence, for Newton steps."""
+
+    def objective(x: Vector) -> tuple[Vector, Matrix]:
+        square = x.reshape(-1, 10)
+        bend = 2 * hessian + scipy.linalg.block_diag(*(weights[:, None, None] * _curvature(square)))
+        slope = divergence_slope(torch.from_numpy(square)).numpy() * weights[:, None]
+        return 2 * (hessian @ x - pull) + slope.ravel(), bend
+
+    return objective
+
+
+def solve_program(
+    objective: cp.Expression, x: cp.Expression, linear: Linear, extra: list[cp.Constraint]
+) -> tuple[cp.Problem, np.ndarray]:
+    """Solve a convex program with the linear rows and ``extra``; and the multipliers of the inequalities."""
+    above = [linear.inequality @ x >= 0] if len(linear.inequality) else []
+    equal = [linear.equality @ x == linear.value] if len(linear.value) else []
+    problem = cp.Problem(cp.Minimize(objective), above + equal + extra)
+    with warnings.catch_warnings():
+        # "Solution may be inaccurate": the certificate decides, after the Newton steps.
+        warnings.simplefilter("ignore", UserWarning)
+        problem.solve(solver=cp.CLARABEL, max_threads=1, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
+    solved = problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
+    return problem, np.asarray(above[0].dual_value) if above and solved else np.zeros(len(linear.inequality))
+
+
+def minimise(start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, linear: Linear) -> ConeSolution:
     """Minimise x' hessian x - 2 pull' x + sum of weights * divergence.
 
     Args:
         start: optimum of the quadratic approximation; the centre of the solver's coordinates.
         hessian, pull: of the data, in relative parameters.
         weights: omega_2 times ``body_weights``.
-        boxes: rows C with C x >= 0.
+        linear: rows that hold besides.
 
     Raises:
         DataError: Clarabel found no solution.
@@ -81,46 +116,36 @@ def minimise(start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, 
     root = np.sqrt(values.clip(0))[:, None] * axes.T
     w = cp.Variable(len(start))
     x = start + rotate @ w
-    terms = [2 * k * (cp.trace(W) - cp.log_det(W)) for k, W in zip(weights, squares(x, len(weights)), strict=True)]
     slope = 2 * rotate.T @ (hessian @ start - pull)
-    constraints = [np.array(boxes) @ x >= 0] if boxes else []
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(root @ w) + slope @ w + cp.sum(terms)), constraints)
-    with warnings.catch_warnings():
-        # "Solution may be inaccurate": the certificate decides, after the Newton steps.
-        warnings.simplefilter("ignore", UserWarning)
-        problem.solve(solver=cp.CLARABEL, max_threads=1, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
+    objective = cp.sum_squares(root @ w) + slope @ w + divergence_terms(x, weights)
+    problem, dual = solve_program(objective, x, linear, [])
     if w.value is None:
         raise DataError("inertia.solver", "the entropic fit has no solution", found=f"Clarabel: {problem.status}")
-    dual = np.asarray(constraints[0].dual_value) if boxes else np.zeros(0)
-    rows = np.array(boxes).reshape(len(boxes), len(start))
-    touched = dual > _TOUCHED * max(1.0, dual.max(initial=0.0))
-    solution, multiplier = _polish(start + rotate @ w.value, hessian, pull, weights, rows[touched])
-    dual = np.zeros(len(boxes))
-    dual[touched] = multiplier
-    status = "Solved" if problem.status == cp.OPTIMAL else str(problem.status)
-    zero = np.zeros((len(weights), 4, 4))
-    return ConeSolution(solution, zero, dual, status, int(problem.solver_stats.num_iters or 0), 1)
+    target = smooth(hessian, pull, weights)
+    return finish(start + rotate @ w.value, target, linear, dual, problem, float(weights.min()))[0]
 
 
-def _polish(
-    x: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, rows: Float[np.ndarray, "touched params"]
-) -> tuple[Vector, Float[np.ndarray, " touched"]]:
-    """Damped Newton steps along the touched boxes, rows x = 0, and the boxes' multipliers.
-
-    The exponential cones leave a stationarity residual of 1e-6 that smooth steps remove.
-    """
-    multiplier = np.zeros(len(rows))
-    for _ in range(_NEWTON_STEPS):
-        square = x.reshape(-1, 10)
-        bend = 2 * hessian + scipy.linalg.block_diag(*(weights[:, None, None] * _curvature(square)))
-        slope = divergence_slope(torch.from_numpy(square)).numpy() * weights[:, None]
-        gradient = 2 * (hessian @ x - pull) + slope.ravel()
-        system = np.block([[bend, -rows.T], [-rows, np.zeros((len(rows), len(rows)))]])
-        solution = np.linalg.solve(system, np.concatenate([-gradient, rows @ x]))
-        step, multiplier = solution[: len(x)], solution[len(x) :]
-        decrement = float(np.sqrt(max(step @ bend @ step, 0.0)))
-        # Self-concordance holds for the divergence with weight 1/2 or more; smaller weights shorten the step.
-        x = x + step / (1 + decrement / np.sqrt(2 * min(weights.min(), 0.5)))
-        if decrement < 1e-10:
-            break
-    return x, multiplier
+def finish(
+    x: Vector,
+    objective: Objective,
+    linear: Linear,
+    dual: np.ndarray,
+    problem: cp.Problem,
+    convexity: float,
+    surface: Surface | None = None,
+) -> tuple[ConeSolution, float]:
+    """Newton steps along the rows that the solver's multipliers ``dual`` say are touched (see ``newton.polish``)."""
+    held = np.flatnonzero(dual > _TOUCHED * max(1.0, dual.max(initial=0.0)))
+    rows, value = np.vstack([linear.equality, linear.inequality[held]]), np.append(linear.value, np.zeros(len(held)))
+    x, multipliers, multiplier = polish(x, objective, rows, value, convexity, surface)
+    inequality_dual = np.zeros(len(dual))
+    inequality_dual[held] = multipliers[len(linear.value) :]
+    return ConeSolution(
+        x=x,
+        lmi_dual=np.zeros((len(x) // 10, 4, 4)),
+        inequality_dual=inequality_dual,
+        status="Solved" if problem.status == cp.OPTIMAL else str(problem.status),
+        iterations=int(problem.solver_stats.num_iters or 0),
+        attempts=1,
+        equality_dual=multipliers[: len(linear.value)],
+    ), multiplier

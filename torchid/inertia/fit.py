@@ -3,20 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import DataError, Note
-from torchid.inertia import cone, entropic
 from torchid.inertia.base_parameters import BaseParameters, base_parameters, structure
 from torchid.inertia.certificate import MESSAGES, Certificate, InertiaStatus, certify, judge
+from torchid.inertia.cone import ConeSolution
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.posterior import InertiaUncertainty, Progress, progress, uncertainty
-from torchid.inertia.problem import Problem, pose
+from torchid.inertia.problem import pose
 from torchid.inertia.pseudo import com, inertia_com, mass
-from torchid.inertia.spectrum import cholesky, diagonalise
+from torchid.inertia.solve import solve
+from torchid.inertia.spectrum import diagonalise
 from torchid.inertia.weights import Weights, choose_weights
 from torchid.model.model import InertialPrior
 from torchid.regressor.equations import NormalEquations
@@ -104,8 +103,8 @@ def fit_inertia(
     weights = choose_weights(spectrum, options, trials, problem.covariance, mass) if data.rank else NO_DATA
     free = spectrum.params(spectrum.solve(weights.omega_1, weights.omega_2))
     covariance = spectrum.covariance(weights.omega_1, weights.omega_2)
-    solution = _solve(problem, weights, free, covariance, options)
-    phi = (problem.T @ free.new_tensor(solution.x).reshape(-1, 10, 1)).squeeze(-1)
+    solution = solve(problem, weights, free, covariance, options)
+    phi = problem.params(solution.x)
     certificate = certify(problem, spectrum, data, weights, phi, covariance, solution, names, options)
     status = judge(certificate, options)
     if options.refuse and status is not InertiaStatus.ACCEPTED:
@@ -120,38 +119,6 @@ def fit_inertia(
     )  # fmt: skip
 
 
-def _solve(
-    problem: Problem, weights: Weights, free: Tensor, covariance: Tensor, options: InertiaOptions
-) -> cone.ConeSolution:
-    """The constrained optimum in relative parameters."""
-    gram, moment = problem.data_terms(weights.omega_1)
-    for _ in range(2):
-        # The diagonalisation is exact to rounding times its condition number: iterative refinement in phi.
-        pulled = weights.omega_2 * torch.cholesky_solve((free - problem.mean)[:, None], cholesky(problem.covariance))
-        free = free + covariance @ (moment - gram @ free - pulled[:, 0])
-    start = torch.linalg.solve(problem.T, free.reshape(-1, 10, 1)).flatten().cpu().numpy()
-    scaled = _unit_rows(problem)
-    boxes = tuple(tuple(row) for row in scaled.tolist())
-    block = torch.block_diag(*problem.T)
-    if problem.divergence is not None:
-        hessian = (block.mT @ gram @ block).cpu().numpy()
-        pull = (block.mT @ moment).cpu().numpy()
-        omega = weights.omega_2 * problem.divergence.cpu().numpy()
-        return entropic.minimise(start, hessian, pull, omega, boxes)
-    if not options.lmi and not boxes:
-        zero = np.zeros((len(problem.T), 4, 4))
-        return cone.ConeSolution(start, zero, np.zeros(0), "Solved", 0, 1)
-    factor = torch.linalg.solve_triangular(cholesky(problem.covariance), block, upper=False)
-    hessian = block.mT @ gram @ block + weights.omega_2 * factor.mT @ factor
-    return cone.project(start, hessian.cpu().numpy(), lmi=options.lmi, floor=options.floor, boxes=boxes)
-
-
-def _unit_rows(problem: Problem) -> Float[Tensor, "boxes params"]:
-    """Box rows over relative parameters, each of unit length."""
-    rows = problem.boxes @ torch.block_diag(*problem.T)
-    return rows / rows.norm(dim=-1, keepdim=True)
-
-
 def _refusal(status: InertiaStatus, certificate: Certificate) -> DataError:
     message, remedy = MESSAGES[status]
     conflict, optimality = certificate.conflict, certificate.optimality
@@ -163,7 +130,7 @@ def _refusal(status: InertiaStatus, certificate: Certificate) -> DataError:
     return DataError(f"inertia.{status}", message, found=found, remedy=remedy)
 
 
-def _notes(certificate: Certificate, solution: cone.ConeSolution) -> tuple[Note, ...]:
+def _notes(certificate: Certificate, solution: ConeSolution) -> tuple[Note, ...]:
     notes = []
     if certificate.active:
         bodies = ", ".join(certificate.active)

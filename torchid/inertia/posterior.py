@@ -22,7 +22,7 @@ class InertiaUncertainty:
 
     @property
     def mass(self) -> Float[Tensor, " bodies"]:
-        """Of each body's mass [kg]."""
+        """Return the standard deviation of each body's mass [kg]."""
         return self.phi[:, Inertial.M]
 
 
@@ -40,7 +40,7 @@ class Progress:
 
     @property
     def mass(self) -> Float[Tensor, " bodies"]:
-        """Of each body's mass."""
+        """Return the share of each body's mass."""
         return self.phi[:, Inertial.M]
 
 

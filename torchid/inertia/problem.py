@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.conventions import Inertial
 from torchid.errors import ConfigError
 from torchid.inertia import entropic
+from torchid.inertia.linear import box_rows, ellipsoid_rows, total_mass_row
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.pseudo import params_to_pseudo, relative_map
 from torchid.model.model import InertialPrior
@@ -24,7 +25,11 @@ class Problem:
     covariance: Float[Tensor, "params params"]
     T: Float[Tensor, "bodies 10 10"]
     mass: tuple[float, float] | None
-    boxes: Float[Tensor, "boxes params"]
+    """Total mass and its standard deviation, weighed like a measurement."""
+    exact_mass: float | None
+    """Total mass that holds with equality."""
+    inequality: Float[Tensor, "inequalities params"]
+    """Rows C with C phi >= 0: centre-of-mass boxes, then ellipsoids."""
     divergence: Float[Tensor, " bodies"] | None
     """Weights of the entropic prior, or None for the quadratic one."""
 
@@ -32,10 +37,24 @@ class Problem:
         """Half the Hessian and half the slope of everything but the prior."""
         gram, moment = omega_1 * self.equations.gram, omega_1 * self.equations.moment
         if self.mass is not None:
-            row = torch.zeros_like(moment)
-            row[Inertial.M :: len(Inertial)] = 1 / self.mass[1]
+            row = self.mass_row / self.mass[1]
             gram, moment = gram + torch.outer(row, row), moment + self.mass[0] / self.mass[1] * row
         return gram, moment
+
+    def params(self, x: Float[np.ndarray, " params"]) -> Float[Tensor, "bodies 10"]:
+        """Inertial parameters of relative ones."""
+        return (self.T @ self.mean.new_tensor(x).reshape(-1, 10, 1)).squeeze(-1)
+
+    @property
+    def mass_row(self) -> Float[Tensor, " params"]:
+        """Row whose product with the parameters is the total mass."""
+        return total_mass_row(len(self.T), self.mean)
+
+    @property
+    def equality(self) -> tuple[Float[Tensor, "equalities params"], Float[Tensor, " equalities"]]:
+        """Rows E and values e with E phi = e."""
+        rows, value = self.mass_row[None], self.mean.new_tensor([self.exact_mass or 0.0])
+        return (rows[:0], value[:0]) if self.exact_mass is None else (rows, value)
 
 
 def pose(
@@ -45,8 +64,17 @@ def pose(
     options: InertiaOptions,
     mass: tuple[float, float] | None,
     com_box: Tensor | None,
+    *,
+    exact_mass: float | None = None,
+    ellipsoids: Tensor | None = None,
 ) -> Problem:
-    """Check the inputs and put them in the form the passes below share."""
+    """Check the inputs and put them in the form the passes below share.
+
+    Args:
+        equations, prior, names, options, mass, com_box: as for ``fit_inertia``.
+        exact_mass: total mass that holds with equality [kg].
+        ellipsoids: matrix Q of each body's bounding ellipsoid, checked (see ``linear``).
+    """
     params = 10 * len(names)
     shapes = {"prior mean": prior.mean.numel(), "Gram matrix": len(equations.gram), "prior": len(prior.covariance)}
     for what, found in shapes.items():
@@ -61,20 +89,5 @@ def pose(
     if options.prior == "entropic":
         weights = entropic.body_weights(covariance, T)
         covariance = entropic.curvature_covariance(weights, T)
-    boxes = _box_rows(com_box, len(names), prior.mean)
-    return Problem(equations, prior.mean.flatten(), covariance, T, mass, boxes, weights)
-
-
-def _box_rows(com_box: Tensor | None, bodies: int, like: Tensor) -> Float[Tensor, "boxes params"]:
-    """Rows C with C phi >= 0: m c - low m and high m - m c, linear in phi."""
-    if com_box is None:
-        return like.new_zeros((0, 10 * bodies))
-    if com_box.shape != (bodies, 2, 3) or not bool((com_box[:, 0] < com_box[:, 1]).all()):
-        raise ConfigError("inertia.com_box", "every box needs a lower corner below its upper corner")
-    rows = like.new_zeros((bodies, 2, 3, bodies, 10))
-    for body in range(bodies):
-        for axis in range(3):
-            for side, sign in enumerate((1.0, -1.0)):
-                rows[body, side, axis, body, Inertial.MCX + axis] = sign
-                rows[body, side, axis, body, Inertial.M] = -sign * com_box[body, side, axis]
-    return rows.reshape(-1, 10 * bodies)
+    rows = [box_rows(com_box, len(names), prior.mean), ellipsoid_rows(ellipsoids, len(names), prior.mean)]
+    return Problem(equations, prior.mean.flatten(), covariance, T, mass, exact_mass, torch.cat(rows), weights)

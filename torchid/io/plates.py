@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.conventions import LOADED_N
 from torchid.errors import Note
 from torchid.io.c3d_header import C3dHeader
 from torchid.recording import Plate
@@ -25,8 +26,6 @@ EDGE = (0.1, 5.0)
 """Lengths of a plate's edges [m] that raise no doubt."""
 MAX_WARP = 0.02
 """A corner further [m] from the plane of the others is a mistake."""
-UNLOADED = 15.0
-"""Width [N] of the band that counts as an unloaded plate."""
 
 
 ReadChannels = Callable[[list[int]], Iterable[tuple[slice, np.ndarray]]]
@@ -214,14 +213,14 @@ def _kistler(raw: np.ndarray, a: float, b: float) -> tuple[np.ndarray, np.ndarra
 def baseline(vertical: Float[np.ndarray, " samples"]) -> float | None:
     """Median vertical force [N] of a plate while nobody stands on it, None where it is never free.
 
-    Free are the samples within ``UNLOADED`` of the level that the smallest twentieth reaches, provided that this level
+    Free are the samples within ``LOADED_N`` of the level that the smallest twentieth reaches, provided that this level
     is itself small and that a tenth of the samples share it.
     """
     size = np.abs(vertical[np.isfinite(vertical)])
     if not len(size):
         return None
     level = float(np.quantile(size, 0.05))
-    free = np.abs(size - level) < UNLOADED
-    if level > 4 * UNLOADED or free.mean() < 0.1 or math.isclose(level, 0.0) and not free.any():
+    free = np.abs(size - level) < LOADED_N
+    if level > 3 * LOADED_N or free.mean() < 0.1 or math.isclose(level, 0.0) and not free.any():
         return None
     return float(np.median(vertical[np.isfinite(vertical)][free]))

@@ -1,4 +1,9 @@
-"""Averages of markers over a few frames, and what they say band by band."""
+"""Markers' rows are averaged over a few frames, and taken to the frequency domain in a few bands.
+
+A displacement D of the markers leaves (1 - J K) D behind once postures have followed it, with J the markers' Jacobian
+and K its weighted pseudo-inverse. This module makes cosine coefficients of what is left, and from them a Gram matrix in
+each band.
+"""
 
 import math
 from collections.abc import Iterable
@@ -14,61 +19,84 @@ from torchid.regressor.equations import half_product
 from torchid.regressor.whitening import cosine_matrix
 
 MARKER_EDGES_HZ = (0.15, 0.5, 1.5)
-"""Upper edges of the bands [Hz] behind the mean of a block, which is a band of its own."""
+"""Resolution. Upper edges of the bands [Hz] behind the mean of a block, which is a band of its own."""
 KEPT_HZ = 4.0
-"""Of the cosine coefficients; faster, markers of a person have noise alone."""
+"""Resolution. Frequency of the last cosine coefficient that is kept [Hz]; faster ones of a person's markers are
+noise."""
 BLOCK = 256
-"""Averages per block at most."""
+"""Resolution. Number of averages in a block at most."""
 
 
 @dataclass(frozen=True)
 class MarkerBands:
-    """Averaged rows of the markers of one trial."""
+    """Averaged rows of the markers of one trial; a row is one coordinate of one marker in W."""
 
     middle: Int[Tensor, " bins"]
     """Frame in the middle of each average."""
     rate: float
+    """Averages per second [Hz]."""
     rows: Float[Tensor, "bins rows"]
-    """Square roots of the weights."""
+    """Square roots of the weights [1/m], zero where a marker was not seen."""
     J: Float[Tensor, "bins rows dofs"]
+    """Jacobian of the markers at the middle frames [m/rad, m/m]."""
     K: Float[Tensor, "bins dofs rows"]
+    """Weighted pseudo-inverse of J, the posture prior included [rad/m, m/m]."""
     error: Float[Tensor, "bins rows"]
+    """Mean of measured minus modelled places over the frames of each average [m]."""
 
     def left(self, D: Float[Tensor, "columns bins rows"]) -> Float[Tensor, "columns bins rows"]:
-        """(1 - J K) D, weighed. Of the error: at the least-squares posture, for robust fits stop elsewhere."""
+        """Return what postures leave of displacements, in units of the markers' scatter: (1 - J K) D times ``rows``.
+
+        The posture is the one of least squares. Applied to ``error``, this undoes where a robust fit has stopped
+        elsewhere.
+
+        Args:
+            D: displacements of the rows [m].
+        """
         own = D.transpose(0, 1)
         return torch.baddbmm(own, own @ self.K.mT, self.J.mT, alpha=-1.0).mul_(self.rows[:, None]).transpose(0, 1)
 
     @property
     def free(self) -> float:
-        """Share of the rows that nobody misses and postures leave."""
+        """Share of all rows that are seen and remain free once postures are fitted; at least a twentieth of those that
+        are seen."""
         return max(0.05 * self.seen, self.seen - self.J.shape[0] * self.J.shape[2]) / self.rows.numel()
 
     @property
     def kept(self) -> Float[Tensor, " rows"]:
-        """Share of each row's noise that postures leave: a foot's three markers keep less than an arm's seven."""
+        """Share of each row's noise variance that postures leave: three markers of a foot keep less than seven of an
+        arm."""
         leverage = torch.einsum("brd,bdr->br", self.J, self.K)
         seen = self.rows > 0.0
         return 1.0 - (seen * leverage).sum(0) / seen.sum(0).clamp(min=1)
 
     @property
     def seen(self) -> float:
-        """Number of rows that nobody misses."""
+        """Number of rows in which a marker was seen."""
         return float((self.rows > 0.0).sum())
 
     def spectrum(
         self, left: Float[Tensor, "columns bins rows"], course: Float[Tensor, " bins"] | None = None
     ) -> Float[Tensor, "columns kept rows"]:
-        """Cosine coefficients, block by block, of columns times a course."""
+        """Return cosine coefficients, block after block, of columns times a course in time.
+
+        Args:
+            left: what postures leave of the columns, from ``MarkerBands.left``.
+            course: factor at each average; None stands for one.
+        """
         parts = []
         for part, C in self._cosines:
             parts.append((C if course is None else C * course[part]) @ left[:, part])
         return parts[0] if len(parts) == 1 else torch.cat(parts, 1)
 
     def asked(self, left: Float[Tensor, "columns bins rows"]) -> Float[Tensor, "bands columns bins rows"]:
-        """What products with displacements must be taken with for those of their coefficients, band by band.
+        """Return vectors whose products with displacements are products of the coefficients of ``left`` with theirs.
 
-        Adjoint of ``left`` and ``spectrum``: a few columns against a catalogue cost as much as these few.
+        This is the adjoint of ``MarkerBands.left`` and ``MarkerBands.spectrum``, band by band. Products of a few
+        columns with a whole catalogue then cost as much as these few.
+
+        Args:
+            left: what postures leave of the few columns.
         """
         found, start = left.new_zeros(BANDS, *left.shape), 0
         for part, C in self._cosines:
@@ -82,7 +110,7 @@ class MarkerBands:
 
     @cached_property
     def band(self) -> Int[Tensor, " kept"]:
-        """Of each coefficient."""
+        """Band of each coefficient, from 0 (means of blocks) to ``BANDS`` - 1."""
         edges, found = torch.tensor(MARKER_EDGES_HZ, dtype=torch.float64), []
         for part, C in self._cosines:
             frequency = 0.5 * self.rate * torch.arange(len(C), dtype=torch.float64) / (part.stop - part.start)
@@ -92,7 +120,7 @@ class MarkerBands:
 
     @cached_property
     def _cosines(self) -> list[tuple[slice, Float[Tensor, "kept own"]]]:
-        """Bins and cosines of each block."""
+        """Return the averages of each block and the cosines that take them to the frequency domain."""
         pieces, start, found = max(1, -(-len(self.middle) // BLOCK)), 0, []
         for size in (len(part) for part in self.middle.tensor_split(pieces)):
             kept = min(size, math.ceil(2.0 * KEPT_HZ * size / self.rate))
@@ -102,34 +130,47 @@ class MarkerBands:
 
 
 BANDS = len(MARKER_EDGES_HZ) + 2
+"""Resolution. Number of bands: means of blocks, those between ``MARKER_EDGES_HZ``, and the rest."""
 
 STRETCHES = 12
-"""Of columns that lie together, up to which they are copied stretch by stretch."""
+"""Resolution. Number of stretches of neighbouring columns up to which matrices are copied stretch by stretch."""
 
 
 @dataclass(frozen=True)
 class MarkerStatistics:
-    """Gram matrix, moment and energy of one trial's rows in each band, before any scale of the noise."""
+    """Gram matrix, moment and energy of one trial's rows in each band, before any scale of the noise; all
+    dimensionless."""
 
     gram: Float[Tensor, "bands columns columns"]
+    """Products of the columns with each other, per unit parameters."""
     moment: Float[Tensor, "bands columns"]
+    """Products of the columns with the markers' error."""
     energy: Float[Tensor, " bands"]
+    """Square of the markers' error."""
     count: Float[Tensor, " bands"]
-    """Degrees of freedom."""
+    """Degrees of freedom of each band."""
     least: float = 1e-6
-    """Energy of each that white noise leaves, whatever a model explains."""
+    """Energy per degree of freedom that white noise leaves, whatever a model explains."""
 
     def only(self, some: Int[Tensor, " fewer"]) -> "MarkerStatistics":
-        """Of some columns."""
+        """Return the statistics of some of the columns.
+
+        Args:
+            some: indices of the columns to keep, ascending.
+        """
         return replace(self, gram=_some(self.gram, some), moment=self.moment[:, some])
 
     def left(self, theta: Float[Tensor, " columns"]) -> Float[Tensor, " bands"]:
-        """Energy of the residual at theta."""
+        """Return the energy of the residual in each band at some parameters.
+
+        Args:
+            theta: parameters of the columns.
+        """
         return self.energy - 2.0 * self.moment @ theta + torch.einsum("bij,i,j->b", self.gram, theta, theta)
 
 
 def _some(gram: Float[Tensor, "bands all all"], some: Int[Tensor, " fewer"]) -> Float[Tensor, "bands fewer fewer"]:
-    """Rows and columns of matrices, in stretches: nuisances lie together, and gathered one by one they took 20 ms."""
+    """Return some rows and columns of matrices, copied in stretches: nuisances lie together, and gathering is slow."""
     if not len(some):
         return gram[:, :0, :0]
     ends = ((some.diff() != 1).nonzero()[:, 0] + 1).tolist()
@@ -145,12 +186,12 @@ def _some(gram: Float[Tensor, "bands all all"], some: Int[Tensor, " fewer"]) -> 
 def marker_statistics(
     bands: MarkerBands, spectra: Float[Tensor, "columns kept rows"], least: float
 ) -> MarkerStatistics:
-    """Of the last column against the others.
+    """Return Gram matrix and moment of the columns against the last one, which is the markers' error.
 
     Args:
-        coarse: the rows.
-        spectra: of what postures leave of the columns, see ``Coarse.spectrum``.
-        least: as in ``MarkerSums``.
+        bands: averaged rows of the trial.
+        spectra: coefficients of what postures leave of the columns, the error last, from ``MarkerBands.spectrum``.
+        least: as in ``MarkerStatistics``.
     """
     n, flat, start = len(spectra) - 1, spectra.flatten(1).T, 0
     gram, count = flat.new_zeros(BANDS, n + 1, n + 1), flat.new_zeros(BANDS)
@@ -170,14 +211,14 @@ def retaken_statistics(
     some: Int[Tensor, " few"],
     left: Float[Tensor, "few bins rows"],
 ) -> MarkerStatistics:
-    """Sums with a few columns taken elsewhere.
+    """Return the statistics after a few columns were taken at other parameters.
 
     Args:
-        coarse: the rows.
-        own: sums of all columns.
-        shifts: displacements of all of them, as they now are, some at a time.
-        some: which were taken anew.
-        left: what they leave, see ``Coarse.left``.
+        bands: averaged rows of the trial.
+        own: statistics of all columns as they were.
+        shifts: displacements [m] of all columns as they are now, some at a time.
+        some: indices of the columns that have changed.
+        left: what postures leave of these, from ``MarkerBands.left``.
     """
     asked = bands.asked(left).flatten(2)
     crossed = torch.cat([shift.flatten(1) @ asked.flatten(0, 1).T for shift in shifts])

@@ -1,8 +1,9 @@
-"""How markers speak in the diagnosis: what they leave of the fit, and how the fitted motion yields to a displacement.
+"""RowResponse of the fitted motion to displaced markers, and what they leave in the residuals of the fit.
 
 Postures are free in every frame. A displacement D of the markers therefore moves the fitted coordinates by K D, with K
 the weighted pseudo-inverse of the markers' Jacobian J, and shows among the residuals as (1 - J K) D. The bodies that
-the dynamics sees move along.
+the dynamics sees move along; the wrench that they then need follows from nine numbers a frame, the vectors A, B and C
+of ``effects.displacement``.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,106 +22,136 @@ from torchid.regressor.rows import runs
 from torchid.regressor.whitening import QUIET, cosine_matrix
 
 COARSE_HZ = 10.0
-"""Residuals are averaged to about this rate: postures and effects change slowly against it."""
+"""Resolution. Rate to which residuals are averaged [Hz]: postures and effects change slowly against it."""
 NEAR_HZ = (6.0, 10.0)
-"""Where noise is looked at as well: markers that were low-passed at 8 Hz showed a fiftieth of theirs at 20 Hz, and four
-false causes explained the rest."""
+"""Estimator. Band beside the quiet one in which noise is looked at [Hz]: cameras' own filters cut above it, and the
+noise of markers that were low-passed shows here."""
 WINDOW = 64
-"""Frames whose energy is one piece of evidence on the noise."""
+"""Resolution. Number of frames whose energy is one piece of evidence on the noise."""
 SEEN_LONG = 25
-"""Frames in a row that tell a marker's noise: the edges of gaps are none."""
+"""Resolution. Number of frames in a row that tell a marker's noise; the edges of gaps do not."""
 ALIKE = 1.5
-"""Ratio of two estimates of a variance up to which they are of one."""
+"""Estimator. Ratio up to which two estimates of a variance are taken for one: both rest on some ten coefficients of
+each window, and scatter by as much."""
 LEFT = 0.05
-"""Least share of a marker's noise that postures may leave of it."""
+"""Resolution. Least share of a marker's noise that postures are assumed to leave."""
 CHUNK = 256
-"""Frames whose Jacobians are made together."""
+"""Resolution. Number of frames whose Jacobians are made together."""
 
 
 @dataclass(frozen=True)
-class Response:
-    """What a displacement does to the rows of a trial, per unit parameter; worked out as far as it is asked for."""
+class RowResponse:
+    """Change of a trial's rows by displacements of one unit parameter each, worked out as far as it is asked for."""
 
     momenta: Callable[[], Float[Tensor, "columns 9 frames"]]
+    """Makes ``nine``."""
     shown: Callable[[], Float[Tensor, "columns bins rows"]]
+    """Makes ``shift``."""
     spectral: Callable[[], Float[Tensor, "columns kept rows"]] | None = None
-    """Coefficients of what postures leave, where there is a shorter way to them."""
+    """Makes the coefficients of what postures leave, where there is a shorter way to them than ``shift``."""
 
     @property
     def nine(self) -> Float[Tensor, "columns 9 frames"]:
-        """Vectors A, B, C of what the motion needs, see ``momentum``."""
+        """Vectors A, B and C of ``effects.displacement`` in every frame, from which ``wrench_of`` makes the wrench."""
         return self.momenta()
 
     @property
     def shift(self) -> Float[Tensor, "columns bins rows"]:
-        """Of the markers, now and then."""
+        """Displacement of the markers [m], averaged as ``MarkerBands`` averages, one row for each coordinate of a
+        marker in W."""
         return self.shown()
 
     def spectrum(self, bands: MarkerBands) -> Float[Tensor, "columns kept rows"]:
-        """Coefficients of what postures leave of the shift."""
+        """Return the coefficients of what postures leave of the shift, as ``MarkerBands.spectrum`` does.
+
+        Args:
+            bands: averaged rows of the trial.
+        """
         return bands.spectrum(bands.left(self.shift)) if self.spectral is None else self.spectral()
 
-    def per(self, step: Float[Tensor, " columns"]) -> "Answer":
-        """To unit parameters of which these were parts."""
-        return Response(lambda: self.nine / step[:, None, None], lambda: self.shift / step[:, None, None])
+    def per(self, step: Float[Tensor, " columns"]) -> "RowResponse":
+        """Return the response to unit parameters of which this one's parameters were parts.
 
-    def __add__(self, other: "Answer") -> "Answer":
-        return Response(lambda: self.nine + other.nine, lambda: self.shift + other.shift)
+        Args:
+            step: those parts, one a column.
+        """
+        return RowResponse(lambda: self.nine / step[:, None, None], lambda: self.shift / step[:, None, None])
+
+    def __add__(self, other: "RowResponse") -> "RowResponse":
+        """Return the response to both displacements at once, parameter by parameter."""
+        return RowResponse(lambda: self.nine + other.nine, lambda: self.shift + other.shift)
 
 
-def concatenate(answers: Sequence[Response]) -> Response:
-    """To the parameters of all, one after the other."""
-    return Response(lambda: torch.cat([a.nine for a in answers]), lambda: torch.cat([a.shift for a in answers]))
+def concatenate(answers: Sequence[RowResponse]) -> RowResponse:
+    """Return the response to the parameters of all the given ones, one after the other.
+
+    Args:
+        answers: responses of one trial.
+    """
+    return RowResponse(lambda: torch.cat([a.nine for a in answers]), lambda: torch.cat([a.shift for a in answers]))
 
 
 @dataclass(frozen=True)
 class MarkerResponse:
-    """Markers of one trial: what was seen, and how far from the fitted model."""
+    """Markers of one trial, how far they are from the fitted model, and how that model yields to displacements."""
 
     sight: Sight
+    """Markers where the fitted model carries them."""
     weight: Float[Tensor, "markers frames"]
     """1 / sigma^2 [1/m^2], zero where nothing was seen."""
     error: Float[Tensor, "markers 3 frames"]
-    """Measured minus modelled [m]; zero where nothing was seen."""
+    """Measured minus modelled place [m] in W, zero where nothing was seen."""
     precision: Float[Tensor, " dofs"]
-    """Of the posture prior."""
+    """Precision of the posture prior of each coordinate [1/rad^2, 1/m^2]."""
     _answers: dict[tuple[int, ...], Float[Tensor, "frames 9 some"]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    """To markers that were asked for, see ``_against``: draw by draw, the same segments are."""
+    """Responses of the momenta to markers that were asked for (``_against``): the same segments are, draw by draw."""
 
     def frames(self, part: slice, scene: Scene) -> "MarkerResponse":
-        """Some of the frames, of which this is the scene; momenta answer in them as they do among all."""
+        """Return the response in some of the frames; momenta are in each what they are among all frames.
+
+        Args:
+            part: the frames to keep.
+            scene: motion and inertia in these frames.
+        """
         sight = replace(self.sight, scene=scene)
         found = replace(self, sight=sight, weight=self.weight[:, part], error=self.error[..., part])
-        # As its ``cached_property`` would keep it: made again, it took as long as two draws.
+        # Kept as its ``cached_property`` would keep it: making it again takes as long as two draws.
         found.__dict__["answer"] = self.answer[part]
         return found
 
     def forget(self) -> None:
-        """Let go of what is asked for once more at most, half of what a trial holds: the next one's is made in its
-        memory, and to touch a new gigabyte takes a second."""
+        """Drop what will be asked for once more at most, which is half of what a trial holds.
+
+        The next trial's is made in the memory that becomes free: fresh memory is slow to touch.
+        """
         self._answers.clear()
         for name in ("carriage", "mean_factor", "levers", "carried"):
             self.__dict__.pop(name, None)
 
     @cached_property
     def arm(self) -> Float[Tensor, "markers 3 frames"]:
-        """From the origin of each marker's body to it, W axes [m]."""
+        """Vector from the origin of each marker's body to the marker [m], in W."""
         return self.sight.p - self.sight.scene.state.at.p[self.sight.body]
 
     @cached_property
     def carriage(self) -> Float[Tensor, "frames bodies dofs"]:
-        """Of the bodies' displacements, six rows each."""
+        """Displacement [m] and rotation [rad] of the bodies per unit of each coordinate, six rows a body."""
         return carriage(self.sight.scene)
 
     @cached_property
     def levers(self) -> Float[Tensor, "frames 9 bodies"]:
-        """Of the momenta, see ``momentum.levers``."""
+        """Vectors A, B and C per displacement and rotation of the bodies, six columns each
+        (``displacement.levers``)."""
         return levers(self.sight.scene)
 
     def jacobian(self, which: slice | Tensor) -> Float[Tensor, "frames rows dofs"]:
-        """Of the markers' places in some frames, row after row x, y, z of a marker."""
+        """Return the Jacobian of the markers' places [m/rad, m/m] in some frames, rows x, y, z of each marker in turn.
+
+        Args:
+            which: the frames.
+        """
         own = self.carriage[which].unflatten(1, (-1, 6))[:, self.sight.body]
         arm = self.arm.permute(2, 0, 1)[which]
         turned = torch.linalg.cross(own[:, :, 3:], arm[..., None].expand_as(own[:, :, 3:]), dim=2)
@@ -129,7 +160,12 @@ class MarkerResponse:
     def factor(
         self, J: Float[Tensor, "frames rows dofs"], w: Float[Tensor, "frames rows"]
     ) -> Float[Tensor, "frames dofs dofs"]:
-        """Of J' w J and the posture prior."""
+        """Return the lower Cholesky factor of J' w J plus the precision of the posture prior.
+
+        Args:
+            J: Jacobian of the markers.
+            w: weights of its rows [1/m^2].
+        """
         H = J.mT @ (w[:, :, None] * J)
         scale = torch.diagonal(H, dim1=1, dim2=2).amax(1, keepdim=True)
         torch.diagonal(H, dim1=1, dim2=2).add_(self.precision + 1e-9 * scale + 1e-9)
@@ -137,19 +173,21 @@ class MarkerResponse:
 
     @cached_property
     def mean_weight(self) -> Float[Tensor, " markers"]:
-        """Over the frames: a marker counts as much in each as it is seen of the time, for gaps would make steps."""
+        """Mean of the weight over the frames [1/m^2]: weights that change at the edges of gaps would make steps in the
+        motion."""
         return self.weight.mean(1)
 
     @cached_property
     def mean_factor(self) -> Float[Tensor, "frames dofs dofs"]:
-        """With these weights."""
+        """Factor (``MarkerResponse.factor``) under the mean weights, frame by frame."""
         w, frames = self.mean_weight.repeat_interleave(3), self.weight.shape[1]
         some = (self.jacobian(slice(start, start + CHUNK)) for start in range(0, frames, CHUNK))
         return torch.cat([self.factor(J, w.expand(len(J), -1)) for J in some])
 
     @cached_property
     def answer(self) -> Float[Tensor, "frames 9 rows"]:
-        """Momenta of the fitted motion's answer to displaced markers: levers, carriage and K, without making J."""
+        """Vectors A, B and C of the motion that follows displaced markers [per m]: levers times carriage times K,
+        without J."""
         found = torch.cholesky_solve((self.levers @ self.carriage).mT, self.mean_factor).mT @ self.carriage.mT
         own = found.unflatten(2, (-1, 6))[:, :, self.sight.body]
         arm = self.arm.permute(2, 0, 1)[:, None].expand_as(own[..., 3:])
@@ -157,7 +195,11 @@ class MarkerResponse:
         return own.mul_(self.mean_weight[:, None]).flatten(2)
 
     def followed(self, by: Float[Tensor, "frames rows draws"]) -> Float[Tensor, "frames dofs draws"]:
-        """The fitted coordinates' answer to displaced markers."""
+        """Return the change of the fitted coordinates [rad, m] that displaced markers bring about.
+
+        Args:
+            by: displacements of the markers' coordinates in W [m], in several draws.
+        """
         pull = by.unflatten(1, (-1, 3)) * self.mean_weight[:, None, None]
         arm = self.arm.permute(2, 0, 1)[..., None].expand_as(pull)
         both = torch.cat([pull, torch.linalg.cross(arm, pull, dim=2)], 2)
@@ -167,10 +209,11 @@ class MarkerResponse:
 
     @cached_property
     def scatter(self) -> Float[Tensor, "2 markers"]:
-        """Noise of each marker's coordinates below ``NEAR_HZ`` and beyond, as white noise has as much of it there [m].
+        """Noise of each marker's coordinates below ``NEAR_HZ`` (first row) and above (second row) [m].
 
-        From where it is seen longest; the middle one's if hardly. Skin that trembles, or a filter of the cameras' own,
-        leaves less beyond: one runner's forces above 10 Hz had a ninth of what white noise would have made of them.
+        Both are standard deviations of the white noise that has as much energy in a band as is found there. Skin that
+        trembles, or a filter of the cameras' own, leaves less above. A marker is looked at where it is seen longest,
+        and takes the median of the others where it is hardly seen.
         """
         rate, seen = self.sight.scene.rate, self.weight > 0.0
         bands = QUIET, (min(NEAR_HZ[0] / rate, QUIET[0]), min(NEAR_HZ[1] / rate, QUIET[1]))
@@ -184,18 +227,18 @@ class MarkerResponse:
         # Means of both where they agree: the larger of two is 8 % too large.
         alike = ~(near > ALIKE * quiet)
         both = torch.where(alike, 0.5 * (quiet + near), torch.stack([near, quiet])).sqrt()
-        # Postures have taken their share of the noise: by one share for all, a foot had 20 % too little of its energy.
+        # Postures have taken their share of the noise, which is larger where few markers hold a limb.
         return both / self.bands.kept.view(-1, 3).mean(1).clamp(min=LEFT).sqrt()
 
     @cached_property
     def least(self) -> float:
-        """Variance of the white noise against the weights of the rows: mean over what is seen."""
+        """Variance of the white noise against the rows' weights (dimensionless), averaged over what is seen."""
         energy = (self.weight * self.scatter[0].square()[:, None]).sum()
         return max(1e-6, float(energy / (self.weight > 0.0).sum().clamp(min=1)))
 
     @cached_property
     def bands(self) -> "MarkerBands":
-        """Averages over a few frames: postures and effects change slowly against them."""
+        """Averages of the rows over a few frames, against which postures and effects change slowly."""
         group = max(1, round(self.sight.scene.rate / COARSE_HZ))
         bins = self.weight.shape[1] // group
         seen = self.weight[:, : bins * group].unflatten(1, (bins, group))
@@ -207,8 +250,13 @@ class MarkerResponse:
         K = torch.cholesky_solve(J.mT * w[:, None], self.factor(J, w))
         return MarkerBands(middle, self.sight.scene.rate / group, w.sqrt(), J, K, mean.permute(2, 0, 1).flatten(1))
 
-    def respond(self, which: Sequence[int], by: Float[Tensor, "columns some 3 frames"]) -> Response:
-        """To markers that are read elsewhere than the bodies carry them."""
+    def respond(self, which: Sequence[int], by: Float[Tensor, "columns some 3 frames"]) -> RowResponse:
+        """Return the response to markers that cameras see elsewhere than the bodies carry them.
+
+        Args:
+            which: numbers of the markers.
+            by: their displacement in W per unit of each parameter [m].
+        """
         rows = self._rows(tuple(which))
 
         def shown() -> Float[Tensor, "columns bins rows"]:
@@ -219,29 +267,35 @@ class MarkerResponse:
         def momenta() -> Float[Tensor, "columns 9 frames"]:
             return (self._against(tuple(which)) @ by.permute(3, 1, 2, 0).flatten(1, 2)).permute(2, 1, 0)
 
-        return Response(momenta, shown)
+        return RowResponse(momenta, shown)
 
     def _rows(self, which: tuple[int, ...]) -> slice | Tensor:
+        """Return the rows of some markers."""
         if which == tuple(range(len(self.sight.labels))):
             return slice(None)
         return torch.tensor([3 * k + i for k in which for i in range(3)], dtype=torch.long)
 
     def _against(self, which: tuple[int, ...]) -> Float[Tensor, "frames 9 some"]:
-        """Minus the answer to some markers: bodies seem to go where these went."""
+        """Return the vectors A, B and C of bodies that seem to go where markers went, which is minus ``answer``."""
         if which not in self._answers:
             self._answers[which] = -self.answer[:, :, self._rows(which)]
         return self._answers[which]
 
     @cached_property
     def carried(self) -> Float[Tensor, "frames 9 bodies"]:
-        """Momenta of displaced bodies, six columns each in plan order, less those of the answer to their markers."""
+        """Vectors A, B and C of displaced bodies, six columns each in plan order, less those of ``answer`` to their
+        markers."""
         own = self.answer.unflatten(2, (-1, 3))
         turned = torch.linalg.cross(self.arm.permute(2, 0, 1)[:, None].expand_as(own), own, dim=3)
         found = self.levers.unflatten(2, (-1, 6)).clone()
         return found.index_add_(2, self.sight.body, torch.cat([own, turned], 3), alpha=-1.0).flatten(2)
 
-    def moved(self, bodies: Sequence[Float[Tensor, "bodies 6 frames"]]) -> Response:
-        """To bodies that are displaced with their markers, in several ways."""
+    def moved(self, bodies: Sequence[Float[Tensor, "bodies 6 frames"]]) -> RowResponse:
+        """Return the response to bodies that are displaced together with their markers, in several ways.
+
+        Args:
+            bodies: for each way, displacement [m] and rotation [rad] of every body in W, plan order.
+        """
 
         def momenta() -> Float[Tensor, "columns 9 frames"]:
             reach = torch.stack([torch.linalg.vector_norm(one, dim=(1, 2)) for one in bodies])
@@ -251,29 +305,42 @@ class MarkerResponse:
             found = own @ torch.stack([one[which].flatten(0, 1) for one in bodies], 2).permute(1, 0, 2)
             return found.permute(2, 1, 0)
 
-        return Response(momenta, lambda: self.shown(torch.stack([one[..., self.bands.middle] for one in bodies])))
+        return RowResponse(momenta, lambda: self.shown(torch.stack([one[..., self.bands.middle] for one in bodies])))
 
     def shown(self, bodies: Float[Tensor, "columns bodies 6 bins"]) -> Float[Tensor, "columns bins rows"]:
-        """How far bodies that are displaced in the middle of averages take their markers."""
+        """Return how far displaced bodies take their markers [m].
+
+        Args:
+            bodies: displacement [m] and rotation [rad] in W at the middle of each average, plan order.
+        """
         own, arm = bodies[:, self.sight.body], self.arm[..., self.bands.middle]
         shift = own[:, :, :3] + torch.linalg.cross(own[:, :, 3:], arm.expand_as(own[:, :, 3:]), dim=2)
         return shift.permute(0, 3, 1, 2).flatten(2)
 
-    def wrench(self, answers: Sequence[Response]) -> Float[Tensor, "6 columns frames"]:
-        """That the motion needs because of displacements, about the origin of W."""
+    def wrench(self, answers: Sequence[RowResponse]) -> Float[Tensor, "6 columns frames"]:
+        """Return the wrench about the origin of W that the motion needs because of displacements [N, N m].
+
+        Args:
+            answers: responses to them; their columns follow one another.
+        """
         return wrench_of(torch.cat([a.nine for a in answers]), self.sight.scene.rate).transpose(0, 1)
 
 
 def _usual(x: Float[Tensor, "frames 3"], band: tuple[float, float]) -> float:
-    """Variance of white noise that has in a band (parts of the frame rate) what is there most of the time.
+    """Return the variance of white noise that has in a band what is there most of the time [m^2].
 
-    Where an arm is lost for some frames, no band of the whole is quiet, and 80 mm were found.
+    The median over windows holds where a limb is lost for some frames, which fills every band of the whole. It is
+    divided by the median of a chi-square variable over its mean (Wilson & Hilferty, PNAS 17:684 (1931)).
+
+    Args:
+        x: error of one marker [m].
+        band: edges as parts of the frame rate.
     """
     length = min(WINDOW, len(x))
     first = round(2.0 * band[0] * length)
-    # Of fast cameras, or a short run, a narrow band may hold less than one coefficient.
+    # At a high frame rate, or in a short run, a narrow band may hold less than one coefficient.
     last = max(first + 1, round(2.0 * band[1] * length))
     C = cosine_matrix(length, last).to(x)[first:]
     energy = (C @ x.unfold(0, length, length).mT).square().flatten(1).mean(1)
-    # Median of chi-square over its mean (Wilson and Hilferty, PNAS 17 (1931)).
+    # Median of chi-square over its mean (Wilson & Hilferty, PNAS 17:684 (1931)).
     return float(energy.quantile(0.5)) / (1.0 - 2.0 / (9.0 * 3.0 * (last - first))) ** 3

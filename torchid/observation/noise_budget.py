@@ -1,4 +1,4 @@
-"""What the noise of markers and plates makes of the wrench, band by band, and what is left to believe of a noisy one.
+"""Expected energy of the markers' and plates' noise in the wrench, band by band, and the reliability of a noisy column.
 
 Plates' noise is what their unloaded channels show; markers' noise is what a label does from one frame to the next
 beyond what a person can. Draws of both pass the same chain as the recording (postures, filter, inverse dynamics).
@@ -18,25 +18,27 @@ from torchid.regressor.rows import WrenchTrial
 from torchid.regressor.whitening import BAND_EDGES_HZ, band_of, coefficients, cosine_matrix, frequencies
 
 WHITE = 256
-"""Draws of white noise: 3 % in a band of eight coefficients."""
+"""Resolution. Number of draws of white noise: their mean is 3 % uncertain in a band of eight coefficients."""
 SCARCE = 0.05
-"""Chance of a residual that is as small as this beside the noise that is expected in it."""
+"""Estimator. Chance of a residual that is as small as this beside the noise that is expected in it, the usual 5 %."""
 
 
 @dataclass(frozen=True)
 class NoiseBudget:
-    """Energy of cosine coefficients in one trial, about the root's origin; means of blocks left out."""
+    """Energy of cosine coefficients in one trial, about the root's origin [N^2, N^2 m^2]; means of blocks are left
+    out."""
 
     motion: Float[Tensor, "bands 6"]
-    """Of the wrench that the markers' noise seems to need."""
+    """Energy of the wrench that the markers' noise seems to need."""
     plates: Float[Tensor, "bands 6"]
-    """Of the plates' noise."""
+    """Energy of the plates' noise behind the filter."""
     count: Float[Tensor, " bands"]
+    """Number of coefficients in each band."""
     reliability: Reliability
     """Part of the wrench needed by the found motion that the true motion needs."""
     there: Float[Tensor, "bands 6"]
-    """Part of the noise that the residual of the identified body surely has no more room for than: markers that slide
-    are no noise."""
+    """Part of the expected noise, 0 to 1, that the residual of the identified body has room for: markers that slide are
+    no noise."""
 
 
 def make_noise_budget(
@@ -46,14 +48,14 @@ def make_noise_budget(
     scatter: Float[Tensor, " 6"],
     left: Float[Tensor, "frames 6"],
 ) -> NoiseBudget:
-    """Of one trial that cameras have seen.
+    """Return the noise budget of one trial that cameras have seen.
 
     Args:
-        rows: of it.
+        rows: motion and measured wrench of the trial.
         needed: wrench that the found motion needs, about the root's origin [N, N m].
-        shaken: what draws of the markers' noise add to it.
-        scatter: the plates' noise per frame [N, N m].
-        left: residual of the identified body.
+        noise_draws: what draws of the markers' noise add to it [N, N m].
+        scatter: standard deviation of the plates' noise per frame, before the filter [N, N m].
+        left: residual of the identified body about the root's origin [N, N m].
     """
     motion = torch.stack([energy(rows, x)[0] for x in noise_draws]).mean(0)
     read = passed(rows)[:, None] * scatter.square()
@@ -66,9 +68,10 @@ def make_noise_budget(
 
 
 def _least(count: Float[Tensor, " bands"]) -> Float[Tensor, " bands"]:
-    """Of a mean of as many squares of unit normals, what only ``SCARCE`` falls below: few bands have many.
+    """Return the value below which the mean of ``count`` squares of unit normals falls with the chance ``SCARCE``.
 
-    Taken at its word, what is less than expected by chance left a twentieth of 70 nats of flesh that lags uncorrected.
+    Args:
+        count: number of squares in each band.
     """
     found = scipy.stats.chi2.ppf(SCARCE, count.clamp(min=1.0).cpu().numpy()) / count.clamp(min=1.0).cpu().numpy()
     return torch.as_tensor(found).to(count)
@@ -77,12 +80,13 @@ def _least(count: Float[Tensor, " bands"]) -> Float[Tensor, " bands"]:
 def loudness(
     rows: WrenchTrial, needed: Float[Tensor, "frames 6"], noise_draws: Sequence[Float[Tensor, "frames 6"]]
 ) -> float:
-    """Energy that noise adds to the force or moment that the true motion needs, whichever is more, over the true one's.
+    """Return the energy that noise adds to the needed force or moment, whichever is more, over the energy of the true
+    one.
 
     Args:
-        rows: of a trial.
-        needed: by the motion that was found, about the root's origin.
-        shaken: what draws of the markers' noise add to it.
+        rows: motion and measured wrench of a trial.
+        needed: wrench that the found motion needs, about the root's origin [N, N m].
+        noise_draws: what draws of the markers' noise add to it [N, N m].
     """
     noise = torch.stack([energy(rows, x)[0] for x in noise_draws]).mean(0).sum(0).view(2, 3).sum(1)
     true = energy(rows, needed)[0].sum(0).view(2, 3).sum(1) - noise
@@ -90,10 +94,12 @@ def loudness(
 
 
 def passed(rows: WrenchTrial) -> Float[Tensor, " bands"]:
-    """Energy that the filter leaves of white noise.
+    """Return the energy that the filter leaves of white noise of unit variance, the mean over ``WHITE`` draws.
 
-    Of many draws, all of which serve every channel: of eight for each channel, one band's moment was 0.4 too low, in
-    every trial of 10 s alike.
+    All draws serve every channel, so that chance does not favour one of them. The seed is the trial's name.
+
+    Args:
+        rows: trial whose filter and blocks are meant.
     """
     generator = torch.Generator().manual_seed(zlib.crc32(rows.name.encode()))
     white = torch.randn(len(rows.used), WHITE, generator=generator, dtype=torch.float64).to(rows.wrench)
@@ -101,7 +107,8 @@ def passed(rows: WrenchTrial) -> Float[Tensor, " bands"]:
 
 
 def _squares(rows: WrenchTrial, *several: Float[Tensor, "frames _"]) -> Iterator[tuple[Tensor, ...]]:
-    """Frequencies of a block's cosine coefficients but for the mean, and squares of the coefficients of each."""
+    """Yield frequencies [Hz] of a block's cosine coefficients but for the mean, and squares of the coefficients of
+    each."""
     for part in rows.blocks():
         frames = part.stop - part.start
         kept = coefficients(rows, frames)
@@ -112,7 +119,12 @@ def _squares(rows: WrenchTrial, *several: Float[Tensor, "frames _"]) -> Iterator
 def energy(
     rows: WrenchTrial, x: Float[Tensor, "frames some"]
 ) -> tuple[Float[Tensor, "bands some"], Float[Tensor, " bands"]]:
-    """Energy of the used frames' cosine coefficients, means of blocks left out, and their number."""
+    """Return the energy of the used frames' cosine coefficients in each band, and their number; means are left out.
+
+    Args:
+        rows: trial whose blocks of used frames are meant.
+        x: columns on the clock of the trial.
+    """
     found, count = x.new_zeros(len(BAND_EDGES_HZ) + 1, x.shape[1]), x.new_zeros(len(BAND_EDGES_HZ) + 1)
     for frequency, square in _squares(rows, x):
         band = band_of(frequency)

@@ -7,14 +7,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.conventions import LOADED_N
 from torchid.effects.scene import PlateFrame, plate_frame
 from torchid.recording import Forces
 
 SAME_CORNERS = 0.02
-"""Corners that far apart are another plate's [m]."""
+"""Resolution. Distance of corners from which on they are another plate's [m]: more than files round, less than plates
+are wide."""
 SAME_PRESSURE = 0.35
-"""Medians of the centre of pressure that far apart are another plate's, where a file has no corners [m]."""
-LOADED = 20.0
+"""Resolution. Distance between medians of the centre of pressure from which on they are another plate's, where a file
+has no corners [m]: half of a plate and a stride's scatter."""
 
 
 @dataclass(frozen=True)
@@ -22,17 +24,23 @@ class SessionPlate:
     """A plate of the session and the channels that belong to it."""
 
     frame: PlateFrame
+    """Name, origin and axes of the plate."""
     corners: Float[Tensor, "4 3"] | None
+    """Corners in W [m]; None where no file has them."""
     channels: dict[str, str]
-    """Name of the channel in the file, by trial."""
+    """Name of the plate in the file, by trial."""
 
 
 def recognise(forces: Mapping[str, Forces]) -> tuple[tuple[SessionPlate, ...], dict[str, tuple[PlateFrame, ...]]]:
-    """All plates of the session, and the frames of every trial's plates in the order of its channels."""
+    """Return all plates of the session, and the frames of every trial's plates in the order of the file.
+
+    Args:
+        forces: readings by trial.
+    """
     plates: list[SessionPlate] = []
     frames: dict[str, tuple[PlateFrame, ...]] = {}
     for trial, own in forces.items():
-        middle = own.centre_of_pressure(LOADED).nanmedian(dim=0).values
+        middle = own.centre_of_pressure(LOADED_N).nanmedian(dim=0).values
         found = []
         for k, plate in enumerate(own.plates):
             known = _known(plates, plate.corners, middle[k], trial)
@@ -50,6 +58,7 @@ def recognise(forces: Mapping[str, Forces]) -> tuple[tuple[SessionPlate, ...], d
 
 
 def _known(plates: list[SessionPlate], corners: Tensor | None, middle: Tensor, trial: str) -> SessionPlate | None:
+    """Return the plate of the list that has these corners or bears there; None where it is a new one."""
     free = [p for p in plates if trial not in p.channels and (p.corners is None) == (corners is None)]
     if corners is not None:
         return next((p for p in free if p.corners is not None and _apart(p.corners, corners) < SAME_CORNERS), None)
@@ -61,4 +70,5 @@ def _known(plates: list[SessionPlate], corners: Tensor | None, middle: Tensor, t
 
 
 def _apart(a: Tensor, b: Tensor) -> float:
+    """Return the largest distance between corners of the same number [m]."""
     return float((a - b).norm(dim=1).max())

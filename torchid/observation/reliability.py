@@ -1,8 +1,8 @@
-"""What of a noisy column is to be believed: at each frequency, the part of its energy that is not noise.
+"""Reliability of a noisy column: at each frequency, the part of its energy that is not noise.
 
 A column with noise of its own predicts too much, the more the faster, and is found too small (regression calibration;
-Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 4). The part is smooth in frequency: band
-by band, too little would be left in the lower half of a band and too much in the upper one.
+Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 4). The part is smooth in frequency: band by band,
+too little would be left in the lower half of a band and too much in the upper one.
 """
 
 from dataclasses import dataclass
@@ -12,22 +12,28 @@ from jaxtyping import Float
 from torch import Tensor
 
 STEP_HZ = 0.1
-"""Between places at which it is told."""
+"""Resolution. Step between the frequencies at which reliability is estimated [Hz]."""
 NEAR = 0.05
-"""Standard deviation of the neighbourhood, as a part of the frequency ..."""
+"""Estimator. Standard deviation of the neighbourhood over which energies are averaged, as a part of the frequency."""
 COEFFICIENTS = 5.0
-"""... and in coefficients: some twenty are averaged."""
+"""Estimator. Standard deviation of the neighbourhood at least, as a number of coefficients: some twenty are
+averaged."""
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """Part of each channel to believe."""
+    """Part of each channel to believe, 0 to 1, as a function of frequency."""
 
     part: Float[Tensor, "places *channels"]
-    """From zero frequency on, ``STEP_HZ`` apart."""
+    """Values from zero frequency on, ``STEP_HZ`` apart."""
 
     def __call__(self, frequency: Float[Tensor, " kept"]) -> Float[Tensor, "kept *channels"]:
-        """At some frequencies; the mean of a block, which comes first, is weight, and stays."""
+        """Return the part at some frequencies of a block; it is one at the first of them, the block's mean, which is
+        weight.
+
+        Args:
+            frequency: frequencies of the block's coefficients [Hz], zero first.
+        """
         at = (frequency / STEP_HZ).clamp(max=len(self.part) - 1.000001)
         below = at.long()
         share = (at - below).view(-1, *[1] * (self.part.dim() - 1))
@@ -41,12 +47,12 @@ def estimate_reliability(
     energy: Float[Tensor, "coefficients *channels"],
     noise: Float[Tensor, "coefficients *channels"],
 ) -> Reliability:
-    """From the coefficients of all blocks of a trial.
+    """Return the reliability by the coefficients of all blocks of a trial.
 
     Args:
-        frequency: of each [Hz].
-        energy: its square.
-        noise: what is expected of noise in it.
+        frequency: frequency of each coefficient [Hz].
+        energy: square of each coefficient.
+        noise: square that is expected of noise in it, in the same unit.
     """
     top = float(frequency.max())
     place = torch.arange(int(top / STEP_HZ) + 2).to(frequency) * STEP_HZ

@@ -1,4 +1,4 @@
-"""One trial as the diagnosis sees it."""
+"""One trial as the diagnosis sees it: its rows, what effects can change in it, its markers, and their noise."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.conventions import LOADED_N
 from torchid.dynamics import wrench_about
 from torchid.effects.marker_scene import Sight, View
 from torchid.effects.scene import PlateFrame, Reading, Scene, make_scene, reading
@@ -19,28 +20,25 @@ from torchid.motion import Motion
 from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.noise_budget import NoiseBudget, loudness, make_noise_budget
 from torchid.observation.noise_draws import DRAWS, LOUD_DRAWS, MOST_DRAWS, draw_noise
-from torchid.observation.unloaded_plates import LOADED, UnloadedPlates, find_unloaded
+from torchid.observation.options import ObservationOptions
+from torchid.observation.unloaded_plates import UnloadedPlates, find_unloaded
 from torchid.recording import Forces, Markers
 from torchid.regressor.rows import WrenchTrial, measured, runs
 from torchid.regressor.whitening import white_scatter
 
-ENDS = 0.6
-"""Periods of the cut-off from an end of the clock within which no column is trusted: those of displacements are second
-derivatives of what a filter knows from one side only. A landing's last frames made a filter's lag out of 13 kN."""
 OVER_CUTOFF = 6.0
-"""Frames per second over the cut-off that are enough: products of a column, which has up to twice the motion's
-frequencies, with noise that has no more than 1.2 of the cut-off."""
-ENOUGH = 50
-"""Frames that tell the noise of a plate that bears nothing."""
+"""Resolution. Frames per second over the cut-off that are enough: products of a column, which has up to twice the
+motion's frequencies, with noise that has no more than 1.2 of the cut-off."""
 
 
 @dataclass(frozen=True)
 class NoiseDraw:
-    """The same under another draw of the markers' noise."""
+    """The motion under another draw of the markers' noise, and the wrench that this changes."""
 
     motion: Motion
+    """Motion as it would have been found."""
     total: Float[Tensor, "6 frames"]
-    """What the draw adds to the wrench that the identified body needs, about the root's origin."""
+    """Change of the wrench that the identified body needs, about the root's origin [N, N m]."""
 
 
 @dataclass(frozen=True)
@@ -48,33 +46,42 @@ class TrialObservation:
     """One trial: its rows, what effects can change in it, and its markers."""
 
     rows: WrenchTrial
+    """Motion and measured wrench through the same filter; its used frames are those that the diagnosis may use."""
     view: View
+    """Scene, readings of plates and markers, as effects see them."""
     phi: Float[Tensor, "bodies 10"]
-    """As identified without any effect."""
+    """Inertial parameters as identified without any effect [kg, kg m, kg m^2]."""
     scatter: Float[Tensor, " 6"]
-    """Noise of the plates' total per frame about the root's origin [N, N m], before the filter."""
+    """Standard deviation of the noise of the plates' total per frame about the root's origin, before the filter [N, N
+    m]."""
     unloaded: UnloadedPlates
+    """Readings of plates while they bear nothing."""
     raw: Float[Tensor, "frames 3"]
-    """The plates' total force before the filter [N]."""
+    """Total force of the plates before the filter [N]."""
     response: MarkerResponse | None = None
+    """Markers of the trial; None where no camera is at hand."""
 
     @cached_property
     def inertial(self) -> Float[Tensor, "6 params frames"]:
-        """Columns of the inertia about the root's origin."""
+        """Columns of the inertial parameters about the root's origin [N, N m per unit parameter]."""
         return self.rows.rows(slice(None))[0]
 
     def needed(self, phi: Float[Tensor, " params"]) -> Float[Tensor, "frames 6"]:
-        """Wrench about the root's origin that a body needs."""
+        """Return the wrench about the root's origin that a body needs [N, N m].
+
+        Args:
+            phi: inertial parameters of the bodies, one after the other.
+        """
         return (phi @ self.inertial).T
 
     @cached_property
     def identified(self) -> Float[Tensor, "frames 6"]:
-        """Wrench about the root's origin that the identified body needs."""
+        """Wrench about the root's origin that the identified body needs [N, N m]."""
         return self.needed(self.phi.reshape(-1))
 
     @cached_property
     def noise_draws(self) -> tuple[NoiseDraw, ...]:
-        """Draw by draw, the more the louder the noise; none where no camera shows it."""
+        """Draws of the markers' noise, the more of them the louder the noise is; none where no camera shows it."""
         if self.response is None:
             return ()
         draws = (self._shaken(motion) for motion in draw_noise(self.rows.motion, self.response))
@@ -84,13 +91,18 @@ class TrialObservation:
         return (*first, *islice(draws, max(0, wanted - DRAWS)))
 
     def _shaken(self, motion: Motion) -> NoiseDraw:
+        """Return a motion as a draw, with the change of the needed wrench."""
         (needed,) = self.under(motion).needed_by(self.phi)
         return NoiseDraw(motion, (wrench_about(needed.T, self.rows.motion.q[:, :3]) - self.identified).T)
 
     def under(self, motion: Motion) -> Scene:
-        """The scene, had another motion been found.
+        """Return the scene as it would be, had another motion been found.
 
-        Made again whenever it is asked for: to keep those of all draws took 4 GB of new memory, and longer.
+        It is made again whenever it is asked for, because the scenes of all draws take more memory than is worth
+        keeping.
+
+        Args:
+            motion: the other motion.
         """
         rows, scene = self.rows, self.view.scene
         found = make_scene(rows.name, rows.tree, rows.geometry, motion, scene.phi)
@@ -98,12 +110,12 @@ class TrialObservation:
 
     @property
     def thinning(self) -> int:
-        """Of how many frames one is enough for what a motion and a draw of its noise have in common."""
+        """Number of frames of which one is enough for products of a motion's columns with a draw of its noise."""
         return max(1, int(self.rows.rate / (OVER_CUTOFF * self.rows.motion.smoother.cutoff_hz)))
 
     @cached_property
     def thinned(self) -> "TrialObservation":
-        """With as few frames as that."""
+        """The trial with one frame of every ``thinning``."""
         part = slice(None, None, self.thinning)
         rows = self.rows.frames(part)
         reading, measured = self.view.reading.samples(part), self.view.measured.samples(part)
@@ -114,16 +126,21 @@ class TrialObservation:
         return replace(self, rows=rows, view=replace(view, sight=response.sight), response=response)
 
     def bore(self, scene: Scene) -> Reading:
-        """What the plates bore by the model in a scene."""
+        """Return the wrenches that the plates bore by the model in a scene, about the origin of W [N, N m].
+
+        Args:
+            scene: motion and inertia.
+        """
         return _borne(self.view.measured, *(needed.T for needed in scene.needed_by(scene.phi, self.phi)))
 
     @property
     def _needed_about_root(self) -> Float[Tensor, "frames 6"]:
+        """Return the wrench that the prior's body needs, about the root's origin."""
         return wrench_about(self.view.scene.needed().T, self.rows.motion.q[:, :3])
 
     @cached_property
     def noise_budget(self) -> NoiseBudget | None:
-        """What noise makes of the wrench; None where no camera shows that of the markers."""
+        """Energy that noise has in the wrench, band by band; None where no camera shows that of the markers."""
         if self.response is None:
             return None
         left = measured(self.rows) - self.identified
@@ -134,13 +151,15 @@ class TrialObservation:
 
 @dataclass(frozen=True)
 class BodyEstimate:
-    """What is known of the body before and after its inertia was fitted."""
+    """Inertial parameters of the body before and after they were fitted."""
 
     prior: Float[Tensor, "bodies 10"]
-    """Where effects are linearised: a fit without an effect has swallowed part of it."""
+    """Parameters before the fit [kg, kg m, kg m^2], at which effects are linearised: a fit without an effect has
+    swallowed part of it."""
     phi: Float[Tensor, "bodies 10"]
+    """Parameters as identified without any effect."""
     recorded_kg: float
-    """Mass of the body before any force was seen."""
+    """Mass of the body as recorded before any force was seen [kg]."""
 
 
 def observe_trial(
@@ -150,18 +169,20 @@ def observe_trial(
     frames: tuple[PlateFrame, ...],
     known: BodyEstimate,
     seen: tuple[GeometryFit, Markers, Tracked] | None = None,
+    options: ObservationOptions = ObservationOptions(),
 ) -> TrialObservation:
-    """A followed trial as the diagnosis sees it.
+    """Return a tracked trial as the diagnosis sees it.
 
     Args:
-        rows: motion and total wrench.
-        forces: of its plates, raw, on the clock of the motion.
+        rows: motion and total wrench of the trial.
+        forces: readings of its plates, unfiltered, on the clock of the motion.
         measured: frames whose wrench is on plates.
-        frames: of its plates.
-        known: inertia.
-        seen: geometry, markers and how they were followed; None: nothing is asked of the markers.
+        frames: frames of its plates.
+        known: inertia before and after the fit.
+        seen: geometry, markers and the coordinates that follow them; None: nothing is asked of the markers.
+        options: thresholds of what is believed.
     """
-    rows = _inner(rows)
+    rows = _inner(rows, options.ends_periods)
     scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, known.prior)
     raw = reading(rows.name, forces, frames)
     smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
@@ -169,8 +190,8 @@ def observe_trial(
     read = replace(raw, time=rows.motion.time, wrench=smooth)
     view = View(scene, _borne(read, *(x.T for x in scene.needed_by(known.prior, known.phi))), read)
     root = rows.motion.q[:, None, :3].expand(*raw.wrench.shape[:2], 3)
-    scatter = _scatter(wrench_about(raw.wrench, root), raw.wrench[..., 2])
-    unloaded = find_unloaded(replace(raw, time=rows.motion.time), rows.rate)
+    scatter = _scatter(wrench_about(raw.wrench, root), raw.wrench[..., 2], options.noise_frames)
+    unloaded = find_unloaded(replace(raw, time=rows.motion.time), rows.rate, options)
     force = raw.wrench.sum(1)[:, :3]
     if seen is None:
         return TrialObservation(rows, view, known.phi, scatter, unloaded, force)
@@ -178,14 +199,16 @@ def observe_trial(
     return TrialObservation(rows, replace(view, sight=response.sight), known.phi, scatter, unloaded, force, response)
 
 
-def _inner(rows: WrenchTrial) -> WrenchTrial:
-    margin = round(ENDS / rows.motion.smoother.cutoff_hz * rows.rate)
+def _inner(rows: WrenchTrial, periods: float) -> WrenchTrial:
+    """Return the rows without the frames near the ends of the clock."""
+    margin = round(periods / rows.motion.smoother.cutoff_hz * rows.rate)
     used = rows.used.clone()
     used[:margin] = used[len(used) - margin :] = False
     return replace(rows, used=used)
 
 
 def _cameras(scene: Scene, fit: GeometryFit, markers: Markers, tracked: Tracked) -> MarkerResponse:
+    """Return the markers of a trial, with their distance from the fitted model."""
     position = markers.select(fit.attachment.labels).position.to(fit.xi)
     seen = torch.isfinite(position).all(2)
     error = torch.where(seen[:, :, None], position - modelled(fit, tracked.q), 0.0)
@@ -196,29 +219,36 @@ def _cameras(scene: Scene, fit: GeometryFit, markers: Markers, tracked: Tracked)
 
 
 def _borne(measured: Reading, prior: Float[Tensor, "frames 6"], needed: Float[Tensor, "frames 6"]) -> Reading:
-    """What the plates bore: their readings, the model's residual taken off in proportion to their loads.
+    """Return what the plates bore: their readings, with the model's residual taken off in proportion to their loads.
 
-    Readings hold the noise that the total holds. As columns they would explain it by itself: an unloaded plate was
-    found to gain 30 %.
+    Readings hold the noise that the total holds, which columns made of them would explain by themselves.
 
     Args:
-        measured: what they read.
-        prior: what the motion needs of a body of tables, and ...
-        needed: ... of the identified one, about the origin of W.
+        measured: filtered readings.
+        prior: wrench about the origin of W that the motion needs of a body of tables [N, N m].
+        needed: wrench about the origin of W that the motion needs of the identified body [N, N m].
     """
     read = measured.wrench
-    load = read[..., 2:3].clamp(min=0.0) * (read[..., 2:3] > LOADED)
-    share = load / load.sum(1, keepdim=True).clamp(min=LOADED)
+    load = read[..., 2:3].clamp(min=0.0) * (read[..., 2:3] > LOADED_N)
+    share = load / load.sum(1, keepdim=True).clamp(min=LOADED_N)
     read = read * (load > 0.0)
     bore = read - share * (read.sum(1) - needed)[:, None]
     return replace(measured, wrench=bore, unborne=prior - bore.sum(1))
 
 
-def _scatter(read: Float[Tensor, "frames plates 6"], load: Float[Tensor, "frames plates"]) -> Float[Tensor, " 6"]:
-    """Of the total, plates independent: each as it is while it bears nothing, or as in the rest of the trial."""
+def _scatter(
+    read: Float[Tensor, "frames plates 6"], load: Float[Tensor, "frames plates"], frames: int
+) -> Float[Tensor, " 6"]:
+    """Return the standard deviation of the noise of the plates' total, plates being independent [N, N m].
+
+    Args:
+        read: readings about the root's origin.
+        load: vertical force of each plate [N].
+        frames: length of a run of unloaded frames from which a plate's noise is taken; without one, the whole trial is.
+    """
     found = []
     for k in range(read.shape[1]):
-        unloaded = [part for part in runs(load[:, k].abs() < LOADED) if part[1] - part[0] >= ENOUGH]
+        unloaded = [part for part in runs(load[:, k].abs() < LOADED_N) if part[1] - part[0] >= frames]
         longest = max(unloaded, key=lambda part: part[1] - part[0], default=(0, len(read)))
         found.append(white_scatter(read[slice(*longest), k]).square())
     return torch.stack(found).sum(0).sqrt()

@@ -1,4 +1,4 @@
-"""What plates read while they bear nothing: their zero errors, and nothing else."""
+"""Readings of plates while they bear nothing, which are their zero errors and nothing else."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,27 +7,19 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchid.conventions import LOADED_N
 from torchid.effects.columns import STEP
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
-from torchid.effects.plates import to_plate
+from torchid.effects.plate_map import ZeroError, to_plate
 from torchid.effects.scene import Reading
+from torchid.observation.options import ObservationOptions
 from torchid.regressor.rows import runs
 from torchid.regressor.whitening import white_scatter
 
-LOADED = 20.0
-"""Vertical force beyond a plate's lowest below which it bears nothing [N]."""
-ZERO = 100.0
-"""No plate's zero is that far off [N]: one that never reads less was stood on all the time."""
-LEAST_S, EDGE_S = 0.2, 0.04
-"""Length of a run that counts, and what is cut off at its ends: filters carry a stance into the swing. With half a
-second as the least, a runner's plates were never idle, and one was 39 N off that read 0.1 N in every swing."""
-STILL_N, DRIFT_N_S, SHORT_S = 2.0, 2.0, 0.5
-"""By how much a plate's load may bend within a run, and lean, the more the longer it lasts, beside its noise; shorter
-ones do not tell, but end in a moment. The least that a foot bears while the weight is on the other was taken for a zero
-error of 44 N, and for drifts of 3 N/s."""
 SCATTER = (0.2, 0.2, 0.2, 0.05, 0.05, 0.05)
-"""Of a run's mean [N, N m]: zeros wander within a trial, whatever the noise."""
+"""Estimator. Standard deviation of a run's mean [N, N m], a choice: zeros wander within a trial, whatever the noise;
+strain-gauge and charge amplifiers are specified to some tenths of a newton a minute."""
 
 
 @dataclass(frozen=True)
@@ -35,32 +27,44 @@ class UnloadedPlates:
     """Mean readings of the longest unloaded run of each plate of a trial, in the plate's axes."""
 
     reading: Reading
-    """Its clock and frames; bears nothing."""
+    """Reading of the trial's plates on its clock, with all wrenches zero."""
     runs: tuple[tuple[int, slice, Float[Tensor, " 6"], Float[Tensor, " 6"]], ...]
-    """Plate, frames, mean and its error."""
+    """Number of the plate, frames of the run, mean reading and its standard deviation [N, N m]."""
 
 
 @dataclass(frozen=True)
 class ZeroStatistics:
-    """Gram matrix and moment of those rows."""
+    """Gram matrix and moment of zero errors by unloaded plates, both dimensionless for unit parameters."""
 
     columns: Int[Tensor, " some"]
+    """Columns of the design that belong to zero errors."""
     gram: Float[Tensor, "some some"]
+    """Products of these columns with each other."""
     moment: Float[Tensor, " some"]
+    """Products of these columns with the mean readings."""
 
 
-def find_unloaded(raw: Reading, rate: float) -> UnloadedPlates:
-    """Plates that read exactly zero were zeroed by a program: they say nothing."""
+def find_unloaded(raw: Reading, rate: float, options: ObservationOptions = ObservationOptions()) -> UnloadedPlates:
+    """Return the longest run of each plate in which it bears nothing, and what it reads there.
+
+    Plates that read exactly zero were zeroed by a program, and say nothing.
+
+    Args:
+        raw: readings of the plates before any filter.
+        rate: samples per second [Hz].
+        options: thresholds by which a plate is unloaded.
+    """
     found = []
     for k, frame in enumerate(raw.frames):
         load = raw.wrench[:, k, 2]
         low = float(load.quantile(0.02))
-        quiet = ((load - low).abs() < LOADED) & (raw.wrench[:, k] != 0.0).any(1) & (abs(low) < ZERO)
-        edge, noise = round(EDGE_S * rate), float(white_scatter(load[:, None]))
-        some = [(a, b) for a, b in runs(quiet) if b - a >= LEAST_S * rate]
-        some = [(a, b) for a, b in some if b - a >= SHORT_S * rate or _sudden(load - low, a - edge, b - 1 + edge)]
+        quiet = ((load - low).abs() < LOADED_N) & (raw.wrench[:, k] != 0.0).any(1) & (abs(low) < options.zero_most_N)
+        edge, noise = round(options.unloaded_edge_s * rate), float(white_scatter(load[:, None]))
+        some = [(a, b) for a, b in runs(quiet) if b - a >= options.unloaded_least_s * rate]
+        short = options.unloaded_short_s * rate
+        some = [(a, b) for a, b in some if b - a >= short or _sudden(load - low, a - edge, b - 1 + edge)]
         parts = [slice(a + edge, b - edge) for a, b in some]
-        still = [part for part in parts if _still(load[part], rate, noise)]
+        still = [part for part in parts if _still(load[part], rate, noise, options)]
         if still:
             part = max(still, key=lambda part: part.stop - part.start)
             read = to_plate(frame, raw.wrench[part, k])
@@ -69,24 +73,29 @@ def find_unloaded(raw: Reading, rate: float) -> UnloadedPlates:
     return UnloadedPlates(replace(raw, wrench=torch.zeros_like(raw.wrench)), tuple(found))
 
 
-def _still(load: Float[Tensor, " frames"], rate: float, noise: float) -> bool:
-    """Whether the parabola through a run is flat."""
+def _still(load: Float[Tensor, " frames"], rate: float, noise: float, options: ObservationOptions) -> bool:
+    """Return whether the parabola through a run is flat within the plate's noise."""
     s = torch.linspace(-1.0, 1.0, len(load)).to(load)
     A = torch.stack([torch.ones_like(s), s, s.square()], 1)
     _, lean, bend = torch.linalg.lstsq(A, load[:, None]).solution[:, 0].abs().tolist()
     _, leans, bends = (noise * torch.linalg.inv(A.T @ A).diagonal().sqrt()).tolist()
-    drift = 0.5 * DRIFT_N_S * len(load) / rate
-    return lean < STILL_N + drift + 1.5 * leans and bend < STILL_N + 1.5 * bends
+    drift = 0.5 * options.still_N_s * len(load) / rate
+    return lean < options.still_N + drift + 1.5 * leans and bend < options.still_N + 1.5 * bends
 
 
 def _sudden(load: Float[Tensor, " frames"], *ends: int) -> bool:
-    """Whether a foot stands on the plate just outside a run."""
-    return all(0 <= k < len(load) and float(load[k]) > 3.0 * LOADED for k in ends)
+    """Return whether a foot stands on the plate at frames just outside a run."""
+    return all(0 <= k < len(load) and float(load[k]) > 3.0 * LOADED_N for k in ends)
 
 
 def zero_statistics(unloaded: UnloadedPlates, sources: Sequence[tuple[Effect, Place, slice]]) -> ZeroStatistics | None:
-    """Against the columns of zero errors; None where nothing is idle."""
-    own = [(effect, place, at) for effect, place, at in sources if effect.name in ("plate_offset", "plate_drift")]
+    """Return Gram matrix and moment of the columns of zero errors; None where no plate is unloaded.
+
+    Args:
+        unloaded: readings of a trial's plates while they bear nothing.
+        sources: effect, place and columns of all sources of the trial's design.
+    """
+    own = [(effect, place, at) for effect, place, at in sources if isinstance(effect, ZeroError)]
     columns = torch.tensor([k for _, _, at in own for k in range(at.start, at.stop)], dtype=torch.long)
     if not unloaded.runs or not len(columns):
         return None
@@ -101,6 +110,7 @@ def zero_statistics(unloaded: UnloadedPlates, sources: Sequence[tuple[Effect, Pl
 
 
 def _responses(nothing: Reading, effect: Effect, place: Place) -> list[Reading]:
+    """Return what plates that bear nothing read by each parameter of a zero error, per unit."""
     found = []
     for k, scale in enumerate(effect.scale(place)):
         theta = nothing.wrench.new_zeros(effect.size(place))

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchid.conventions import INERTIAL_NAMES
 from torchid.diagnosis.verdict.table import verdict_table
 from torchid.effects.catalogue import effect
+from torchid.effects.kinds import AttachedLoad
 from torchid.geometry.result import GeometryFit
 from torchid.outcome.outcome import Outcome
 from torchid.regressor.rows import residual_rms
@@ -26,8 +27,8 @@ def diagnosis_table(outcome: Outcome) -> dict[str, Any]:
     found["extended"]["heldout"] = heldout_errors(outcome)
     before, after = (found[k]["heldout"]["marker_rmse_mm"] for k in ("baseline", "extended"))
     for cause in found["causes"]:
-        kinematic = effect(cause["effect"]).moves_markers
-        cause["gain"]["marker_rmse_pct"] = 100.0 * (1.0 - after / before) if kinematic and before > 0.0 else 0.0
+        seen = before > 0.0 and effect(cause["effect"]).moves_markers
+        cause["gain"]["marker_rmse_pct"] = 100.0 * (1.0 - after / before) if seen else 0.0
     return found
 
 
@@ -142,15 +143,12 @@ def inertia_table(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-ATTACHED = frozenset({"payload", "grasped_object", "flywheel", "wobbling_mass"})
-"""Effects that are things on a segment."""
-
-
 def attachments(outcome: Outcome) -> list[dict[str, Any]]:
     """What the diagnosis found on segments; their own parameters are without it."""
     causes = () if outcome.diagnosis is None else outcome.diagnosis.causes
     keys = ("effect", "where", "when", "parameters")
-    return [{key: getattr(c, key) for key in keys} for c in causes if c.effect in ATTACHED]
+    attached = [cause for cause in causes if isinstance(effect(cause.effect), AttachedLoad)]
+    return [{key: getattr(cause, key) for key in keys} for cause in attached]
 
 
 def identified_table(outcome: Outcome) -> dict[str, Any]:

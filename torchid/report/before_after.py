@@ -17,7 +17,7 @@ from torchid.regressor.whitening import BAND_EDGES_HZ, BEYOND, band_of, cosine_m
 from torchid.report.facts import only
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.report.marker_distances import marker_cells
-from torchid.report.text import clean, number
+from torchid.wording import clean, number
 
 POINTS = 600
 """Samples drawn per line at most."""

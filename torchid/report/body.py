@@ -14,7 +14,7 @@ from torchid.outcome.tables import identified_table, segment_lengths
 from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Table
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
 from torchid.report.stick_figure import rest, stick_points, tips
-from torchid.report.text import ABSENT, clean, listing, number, percent, plural, segment, spread
+from torchid.wording import ABSENT, clean, listing, number, percent, plural, segment, spread
 
 DETERMINED = 0.5
 """Progress of a mass above which the motion, not the table, decided it."""

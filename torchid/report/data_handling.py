@@ -9,7 +9,7 @@ import torch
 
 from torchid.outcome import Outcome
 from torchid.report.blocks import Paragraph, Section, Table
-from torchid.report.text import ABSENT, clean, listing, merge, number, pattern, percent, plural
+from torchid.wording import ABSENT, clean, listing, merge, number, pattern, percent, plural
 
 
 @dataclass(frozen=True)

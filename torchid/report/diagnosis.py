@@ -9,19 +9,19 @@ from matplotlib.figure import Figure as Canvas
 from torch import Tensor
 
 from torchid.diagnosis.diagnose import select_effects
-from torchid.diagnosis.evidence.adequacy import P_VALUE, Adequacy
-from torchid.diagnosis.search.rivals import NAMED
-from torchid.diagnosis.testing.heldout import REFUTED
+from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.outcome import Outcome
 from torchid.outcome.tables import heldout_errors
 from torchid.report.before_after import Sides, draw_curves, draw_spectrum, sides, telling_trial, trial_rows
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
 from torchid.report.cause_sentences import WORTH, name, rivals, surely, told
-from torchid.report.effect_words import LABELLED, NOUN, called, place
+from torchid.report.decisions import why
+from torchid.report.effect_words import called, noun, of_markers, place
 from torchid.report.figure import IDENTIFIED, MUTED, draw, tidy
 from torchid.report.marker_distances import draw_markers, marker_error
-from torchid.report.text import clean, listing, number, percent, scientific
+from torchid.wording import clean, listing, number, percent, scientific
 
 SAME = 0.005
 """Part of an error below which its change is none."""
@@ -40,12 +40,13 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
         blocks += _changes(outcome, found)
         blocks += _rivals(found)
         blocks.append(Details("All parameters of the named causes", (_parameters(found),)))
-    blocks.append(Paragraph(_unexplained(found.unexplained)))
+    blocks.append(Paragraph(_unexplained(found.unexplained, outcome.config.diagnosis.thresholds)))
+    blocks += why(found.trace)
     if found.causes:
         blocks.append(Paragraph(EXTENDED))
     if found.not_testable:
         blocks.append(Paragraph("What these recordings cannot test:"))
-        blocks.append(Items(tuple(f"{_noun(n)}: {clean(why)}" for n, why in found.not_testable.items())))
+        blocks.append(Items(tuple(f"{noun(n)}: {clean(why)}" for n, why in found.not_testable.items())))
     return Section("diagnosis", "What the model gets wrong", _finding(outcome, found), tuple(blocks))
 
 
@@ -62,7 +63,7 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
         options = outcome.config.diagnosis
         tried = len(select_effects(options.include, options.exclude))
         silent = f"None of the {tried} effects that were tried is supported by all recordings: nothing was corrected."
-        return " ".join([silent, *_refuted(found), *_nearest(found)])
+        return " ".join([silent, *_refuted(found), *_nearest(found, options.thresholds.naming.named_nats)])
     return " ".join([*(told(cause) for cause in found.causes), *_gains(outcome, found), *_refuted(found)])
 
 
@@ -74,9 +75,9 @@ def _refuted(found: Diagnosis) -> list[str]:
 
 def _against(one: Refuted) -> str:
     """What held-out motion says; forces may err more that are hardly less likely."""
-    if (nats := -one.heldout_log_likelihood) < REFUTED:
+    if one.rule == "heldout_errors":
         return "held-out forces err more with it"
-    return f"held-out motion is {_times(nats)} likelier without it"
+    return f"held-out motion is {_times(-one.heldout_log_likelihood)} likelier without it"
 
 
 def _instead(one: Refuted) -> str:
@@ -92,10 +93,10 @@ def _times(nats: float) -> str:
     return f"{number(math.exp(nats), 0)} times" if nats < math.log(1e6) else "more than a million times"
 
 
-def _nearest(found: Diagnosis) -> list[str]:
+def _nearest(found: Diagnosis, named_nats: float) -> list[str]:
     """Of a diagnosis that names nothing, what is likelier than nothing."""
     said = "The nearest is {}, {} times as likely as none; what is {} times as likely is named."
-    bar = number(math.exp(NAMED), 0)
+    bar = number(math.exp(named_nats), 0)
     return [
         said.format(called(near), number(math.exp(near.evidence_nats), 1), bar)
         for near in found.nearest[:1]
@@ -110,7 +111,7 @@ def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
     before, after = heldout_errors(outcome.base), heldout_errors(outcome)
     said = [gained(before, after, "held-out")]
     confined = sorted({trial for cause in found.causes if not cause.everywhere for trial in cause.trials})
-    marked = [cause for cause in found.causes if cause.effect in LABELLED and not cause.everywhere]
+    marked = [cause for cause in found.causes if of_markers(cause) and not cause.everywhere]
     if marked:
         labels = tuple(dict.fromkeys(label for cause in marked for label in cause.where))
         trials = sorted({trial for cause in marked for trial in cause.trials})
@@ -184,7 +185,7 @@ def _forces(outcome: Outcome, trials: dict[str, Sides], side: Sides) -> list[Blo
 def _trial_table(outcome: Outcome, found: Diagnosis, trials: dict[str, Sides]) -> Table:
     assert outcome.base is not None
     markers = outcome.base.fit is not outcome.fit
-    named = tuple(dict.fromkeys(n for c in found.causes if c.effect in LABELLED for n in c.where))
+    named = tuple(dict.fromkeys(n for c in found.causes if of_markers(c) for n in c.where))
     head = ["Trial", "Role"]
     kinds = ["Force [N]", "Moment [N\N{NO-BREAK SPACE}m]", *(["Markers [mm]"] if markers else [])]
     kinds += [f"{listing(list(named), 2)} [mm]"] if markers and named else []
@@ -241,7 +242,7 @@ def _draw_rivals(causes: list[Cause]) -> Markup:
     return draw("rivals", (7.5, height), "Probability of each named cause and of its rivals", paint)
 
 
-def _unexplained(left: Adequacy) -> str:
+def _unexplained(left: Adequacy, options: DiagnosisOptions) -> str:
     """What remains, in a sentence."""
     if not math.isfinite(left.share_of_residual):
         return f"Whether anything remains unexplained {clean(left.description, 400)}."
@@ -249,7 +250,7 @@ def _unexplained(left: Adequacy) -> str:
         said = clean(left.description, 400)
         return f"Something remains that no effect of the catalogue explains: {said} (p {_p(left.p_value)})."
     least = f"at most {percent(left.share_of_residual)} of a band of the residual exceeds it"
-    if left.p_value < P_VALUE:
+    if left.p_value < options.adequacy.p_value:
         return (
             f"What is left is a little more than the noise of plates and markers makes: {least} (p {_p(left.p_value)})."
         )
@@ -262,17 +263,12 @@ def _p(value: float) -> str:
 
 def _parameters(found: Diagnosis) -> Table:
     rows = tuple(
-        (_noun(cause.effect), place(cause), key, _valued(entry))
+        (noun(cause.effect), place(cause), key, _valued(entry))
         for cause in found.causes
         for key, entry in (cause.parameters or {"present": {}}).items()
     )
     head = ("Cause", "Where", "Parameter, as in diagnosis.json", "Value ± standard deviation")
     return Table("Parameters of the named causes", head, rows, text=4, wrap=True)
-
-
-def _noun(effect: str) -> str:
-    noun = NOUN.get(effect, effect.replace("_", " "))
-    return noun[0].upper() + noun[1:]
 
 
 def _valued(entry: dict[str, Tensor]) -> str:

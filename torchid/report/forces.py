@@ -16,7 +16,7 @@ from torchid.regressor.rows import runs
 from torchid.report.blocks import Block, Figure, Paragraph, Section, Table
 from torchid.report.facts import Judges, Wrenches, body_weight, force_rms, improved, judges, only, some, used_frames
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, SHADE, draw, tidy
-from torchid.report.text import ABSENT, change, clean, number, percent, plural
+from torchid.wording import ABSENT, change, clean, number, percent, plural
 
 PANELS = 4
 POINTS = 400

@@ -12,7 +12,7 @@ from torchid.report.blocks import Figure, Section, Table
 from torchid.report.facts import judges
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
 from torchid.report.forces import POINTS, peak
-from torchid.report.text import ABSENT, clean, listing, number, percent
+from torchid.wording import ABSENT, clean, listing, number, percent
 
 SHOWN = ("hip_{}_flexion", "hip_{}_adduction", "knee_{}_flexion", "ankle_{}_flexion", "shoulder_{}_flexion")
 """Coordinates of the built-in model, left and right."""

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.outcome import Outcome
 from torchid.outcome.tables import rms
 from torchid.report.figure import IDENTIFIED, SCALED, draw, tidy
-from torchid.report.text import clean, number
+from torchid.wording import clean, number
 
 POINTS = 600
 """Samples drawn per line at most."""

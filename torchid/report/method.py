@@ -7,7 +7,7 @@ from torchid.outcome import Outcome
 from torchid.outcome.tables import identified_table
 from torchid.provenance import StageTime, versions
 from torchid.report.blocks import Block, Details, Items, Listing, Section, Table
-from torchid.report.text import clean, listing, number, percent, plural, scientific, segment
+from torchid.wording import clean, listing, number, percent, plural, scientific, segment
 
 METHODS = (
     "Equations linear in the inertial parameters: Atkeson, An & Hollerbach, Int J Robotics Res 5(3), 1986",

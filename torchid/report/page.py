@@ -20,7 +20,7 @@ from torchid.report.joints import joints_section
 from torchid.report.method import method_section
 from torchid.report.skeleton import skeleton_section
 from torchid.report.summary import head_section
-from torchid.report.text import bind, clean
+from torchid.wording import bind, clean
 
 
 def sections(outcome: Outcome, failure: DataError | None = None) -> list[Section]:

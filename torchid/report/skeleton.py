@@ -16,7 +16,7 @@ from torchid.report.blocks import Figure, Section, Table
 from torchid.report.facts import judges, marker_rms
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.report.stick_figure import facing, stick_points, tips
-from torchid.report.text import ABSENT, change, clean, listing, number, segment
+from torchid.wording import ABSENT, change, clean, listing, number, segment
 
 PIECE = 1 << 15
 """Frames whose errors are looked at together."""

@@ -10,7 +10,7 @@ from torchid.report.blocks import Block, Items, Paragraph, Section, Table
 from torchid.report.cause_sentences import likely, told
 from torchid.report.data_handling import grouped
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
-from torchid.report.text import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
+from torchid.wording import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
 
 READING = (
     "axes.",

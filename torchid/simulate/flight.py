@@ -93,13 +93,14 @@ def leap(subject: SimulatedSubject, script: Script, rate: float) -> Moving:
     inner = slice(int(0.3 * rate), -int(0.3 * rate))
     drop, legs, seen = script.drop - rise, None, []
     place, turn = pendulum(wanted, rate), torch.zeros_like(script.pelvis_turn)
+    inertia, top = None, None
     for k in range(ITERATIONS):
         tried = replace(script, pelvis_turn=script.pelvis_turn + turn, drop=drop)
         q, legs = stand(subject, tried, place, legs if k > AFRESH else None)
         motion = smooth_motion(subject.model.tree, script.time, q, exact)
         wrench, centre = needed_wrench(subject, motion), centre_of_mass(subject, motion)
-        inertia = _inertia(subject, motion, centre) if k == 0 else inertia
-        top = centre[0, 2] if k == 0 else top
+        if inertia is None or top is None:
+            inertia, top = _inertia(subject, motion, centre), centre[0, 2]
         tilting = (torch.stack([-wrench[:, 4], wrench[:, 3]], 1) - wanted * wrench[:, 2:3]) / weight
         high = centre[:, 2] - top - rise
         miss, low = float(tilting[inner].norm(dim=1).max()), float(high[inner].abs().max())

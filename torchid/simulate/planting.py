@@ -7,15 +7,11 @@ import torch
 
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Planted
-from torchid.effects.joints import MODES, MissingDof
 from torchid.effects.place import Place, parse_angle
 from torchid.effects.scene import PlateFrame, Reading, plate_frame
 from torchid.errors import ConfigError
 from torchid.recording import Plate, Trial
 from torchid.simulate.options import PlantedOptions
-
-GRID = ("frequency_hz", "damping_ratio", "recorded_kg")
-"""Parameters of a planted effect that belong to its place's grid."""
 
 
 def planted(options: PlantedOptions) -> Planted:
@@ -26,12 +22,9 @@ def planted(options: PlantedOptions) -> Planted:
     """
     found = effect(options.effect)
     values = {key: torch.as_tensor(value, dtype=torch.float64) for key, value in options.parameters.items()}
-    grid = {key: float(values[key]) for key in GRID if key in values}
-    if isinstance(found, MissingDof):
-        grid |= {"turning": float("range_rad" in values), "modes": float(MODES), "x": 1.0, "y": 1.0, "z": 1.0}
     point = tuple(values["point_seg_m"].tolist()) if "point_seg_m" in values else None
     follows = None if options.follows is None else parse_angle(options.follows)
-    place = Place(options.where, options.when, point, grid, follows=follows, markers=options.markers)
+    place = Place(options.where, options.when, point, found.grid(values), follows=follows, markers=options.markers)
     return Planted(found, place, found.internal(place, values))
 
 

@@ -1,4 +1,4 @@
-"""What could be hidden: an effect at a place, and the columns that it has in a design."""
+"""Effects at places as candidates, and the columns that they have in a design."""
 
 from dataclasses import dataclass
 
@@ -15,15 +15,19 @@ class Source:
     """Columns that a nuisance or candidates share."""
 
     effect: Effect
+    """Effect whose columns they are."""
     place: Place
+    """Place at which they are made."""
     columns: slice
+    """Columns of the design."""
     mean: tuple[float, ...]
+    """Mean of the prior of its parameters."""
     scale: tuple[float, ...]
-    """Of the prior of its parameters."""
+    """Standard deviations of the prior of its parameters."""
     trial: str | None = None
-    """The only one that has its columns; None: every one does."""
+    """Name of the only trial that has its columns; None: every trial has them."""
     at: tuple[float, ...] | None = None
-    """Parameters at which those of a curved effect on markers are taken; None: where it is absent."""
+    """Parameters at which the columns of a nonlinear effect on markers are taken; None: where it is absent."""
 
 
 @dataclass(frozen=True)
@@ -31,35 +35,38 @@ class Candidate:
     """An effect at a place."""
 
     effect: Effect
+    """The effect."""
     place: Place
+    """Place of the effect."""
     source: Source
+    """Source that has its columns."""
     trials: frozenset[int]
-    """In which it could act, by their order."""
+    """Indices of the trials in which it could act."""
 
     odds: float = 1.0
-    """Of the place among all places of the effect."""
+    """Odds of the place among all places of the effect."""
     proposed: Place | None = None
-    """Before the ends of its interval were moved."""
+    """Place before the ends of its interval were moved; None if they were not."""
     widened: float = 1.0
-    """Times the prior of the effect."""
+    """Factor on the standard deviations of the effect's prior."""
 
     @property
     def blocks(self) -> tuple[frozenset[int], ...]:
-        """Trials that share parameters."""
+        """Sets of trials that share parameters."""
         return tuple(frozenset({k}) for k in sorted(self.trials)) if self.effect.per_trial else (self.trials,)
 
     @property
     def size(self) -> int:
-        """Number of parameters."""
+        """Number of parameters, over all blocks."""
         return len(self.columns) * len(self.blocks)
 
     @property
     def columns(self) -> Int[Tensor, " columns"]:
-        """In the design."""
+        """Columns in the design."""
         return torch.arange(self.source.columns.start, self.source.columns.stop)
 
     @property
     def relative(self) -> Float[Tensor, " columns"]:
-        """Prior standard deviations against those of the source."""
+        """Prior standard deviations over those of the source."""
         own = torch.tensor(self.effect.scale(self.place), dtype=torch.float64)
         return self.widened * own / torch.tensor(self.source.scale, dtype=torch.float64)

@@ -1,7 +1,7 @@
 """Weight that is plainly borne where no plate is: a seat, a box, a rail that somebody leans on.
 
-Such a force is many times what noise or any other effect makes. It would drown the search that looks for those, and
-teach the inertia what is no inertia; so it is recognised by its size alone, named, and its frames are set aside.
+Such a force is many times what noise or any other effect makes. It would drown the search that looks for those, and be
+taken for inertia; so it is recognised by its size alone, named, and its frames are set aside.
 """
 
 import math
@@ -14,33 +14,27 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.contact.contact import Contact
+from torchid.diagnosis.options import MissingWeightOptions
 from torchid.dynamics import wrench_about
+from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.columns import columns
-from torchid.effects.forces import MOST_KNOTS, UnmeasuredContact
+from torchid.effects.contact import MOST_KNOTS, CoursedForce
 from torchid.effects.place import Interval, Place, inside_any
 from torchid.observation.trial import TrialObservation
 from torchid.recording import Forces
 from torchid.regressor.rows import predict, runs
 
-EFFECT = UnmeasuredContact()
-GROSS, GONE = 0.2, 0.05
-"""Parts of the weight that are missing within an interval, and at its ends."""
-SHORTEST_S = 0.25
-"""A stance of running leaves as much for half that time."""
-LONGEST = 0.7
-"""Part of a trial in all: what is missing longer is no interval, but a harness or a wrong mass."""
-RAISED_M = 0.08
-"""Above its lowest, a foot that touches something stands on no floor."""
-REACH_M = 0.2
-"""From the centre of a foot, horizontally, in which a force goes through it."""
+EFFECT = next(one for one in CATALOGUE.values() if isinstance(one, CoursedForce))
+"""The effect as which such weight is named."""
 REST_M = 0.1
-"""Standard deviation of where a segment is touched, from its centre of mass."""
+"""Estimator. Prior standard deviation of where a segment is touched, from its centre of mass [m]: half of a thigh's
+depth, a choice."""
 BLOCK_S = 0.1
-"""Frames that a filter leaves independent, about."""
+"""Resolution. Time after which a filter leaves frames about independent [s]."""
 SPREAD_S = 0.1
-"""Terms an interval, that the filters carry it."""
+"""Resolution. Time either side of an interval into which filters carry it [s]."""
 SCALE_NM = 2.0
-"""Least error of a moment."""
+"""Estimator. Least error of a moment [N m]: what plates of 2 N leave at the height of a hip."""
 
 
 @dataclass(frozen=True)
@@ -48,32 +42,48 @@ class MissingWeight:
     """A contact of one trial, in one or several intervals."""
 
     place: Place
+    """Segment that is touched, the intervals, the point, and the number of knots of the force's course."""
     theta: Float[Tensor, " params"]
+    """Internal parameters of ``EFFECT``: the force at its knots [N]."""
     sd: Float[Tensor, " params"]
+    """Standard deviations of these."""
     odds: dict[str, float]
-    """Of the segments that may be touched."""
+    """Posterior probabilities of the segments that may be touched."""
     gain: dict[str, float]
-    """On every second tenth of a second, its course found from the others."""
+    """Held-out gain, as ``HeldOutFit.over`` has it: every second block of ``BLOCK_S`` is predicted by the others'
+    course."""
+    missing_part: float
+    """Largest part of the weight that is missing."""
+
+    @property
+    def effect(self) -> CoursedForce:
+        """Effect as which it is named."""
+        return EFFECT
 
     @property
     def aside(self) -> tuple[Interval, ...]:
-        """What no model should be fitted to."""
+        """Intervals that no model should be fitted to."""
         assert self.place.when is not None
         return tuple(Interval(i.trial, i.t0 - SPREAD_S, i.t1 + SPREAD_S) for i in self.place.when)
 
 
 def find_missing_weight(
-    observed: TrialObservation, forces: Forces, contact: Contact, observable: Bool[Tensor, " frames"]
+    observed: TrialObservation,
+    forces: Forces,
+    contact: Contact,
+    observable: Bool[Tensor, " frames"],
+    options: MissingWeightOptions = MissingWeightOptions(),
 ) -> MissingWeight | None:
-    """Intervals of a trial in which plates miss a good part of the weight, if there are any.
+    """Return the contact of a trial in which plates miss a good part of the weight; None if there is none.
 
-    What goes through feet on the floor is none.
+    A force that goes through feet on the floor is no such contact.
 
     Args:
-        watched: the trial; its inertia tells what is missing.
-        forces: of its plates, raw, on the clock of the motion.
-        contact: of its feet.
+        observed: the trial; its inertia tells what is missing.
+        forces: readings of its plates, unfiltered, on the clock of the motion.
+        contact: contact of its feet.
         observable: frames whose markers determine every coordinate: a bridged motion needs what nobody supplied.
+        options: thresholds of what is plainly much.
     """
     rows, scene = observed.rows, observed.view.scene
     known = torch.isfinite(forces.total).all(1) & observable
@@ -81,12 +91,13 @@ def find_missing_weight(
     read = rows.motion.smoother(torch.nan_to_num(forces.total), known.to(torch.float64))
     missing = wrench_about(predict(rows, observed.phi), -rows.motion.q[:, :3]) - read
     weight = 9.81 * float(observed.phi[:, 0].sum())
-    plain = _clear(known, round(SPREAD_S * rows.rate)) & ~_underfoot(observed, contact, missing)
-    when = _lacking(torch.where(torch.isfinite(forces.total).all(1), missing[:, 2] / weight, 0.0), plain, observed)
+    plain = _clear(known, round(SPREAD_S * rows.rate)) & ~_underfoot(observed, contact, missing, options)
+    lack = torch.where(torch.isfinite(forces.total).all(1), missing[:, 2] / weight, 0.0)
+    when = _lacking(lack, plain, observed, options)
     if not when:
         return None
     inside = inside_any(when, rows.name, scene.time)
-    odds, points = _touched(observed, contact, missing, inside)
+    odds, points = _touched(observed, contact, missing, inside, options)
     best = max(odds, key=lambda name: odds[name])
     longest = max(own.t1 - own.t0 for own in when)
     knots = min(MOST_KNOTS, max(3, 1 + round(longest / BLOCK_S)))
@@ -95,73 +106,89 @@ def find_missing_weight(
 
 
 def set_aside(observed: TrialObservation, aside: Sequence[Interval]) -> TrialObservation:
-    """Without the frames of intervals."""
+    """Return the trial without the frames of intervals.
+
+    Args:
+        observed: the trial.
+        aside: intervals, of any trials.
+    """
     rows = observed.rows
     used = rows.used & ~inside_any(aside, rows.name, rows.motion.time)
     return replace(observed, rows=replace(rows, used=used))
 
 
 def _lacking(
-    lack: Float[Tensor, " frames"], plain: Bool[Tensor, " frames"], observed: TrialObservation
+    lack: Float[Tensor, " frames"],
+    plain: Bool[Tensor, " frames"],
+    observed: TrialObservation,
+    options: MissingWeightOptions,
 ) -> tuple[Interval, ...]:
-    """Intervals in which more than a little is missing, and for a while plainly much."""
-    time, name, much = observed.view.scene.time, observed.rows.name, (lack > GROSS) & plain
-    parts = [part for part in runs(lack > GONE) if _lasts(much[slice(*part)], observed.rows.rate)]
-    if sum(b - a for a, b in parts) > LONGEST * len(lack):
+    """Return intervals in which more than a little is missing, and for a while plainly much."""
+    time, name, much = observed.view.scene.time, observed.rows.name, (lack > options.missing_part) & plain
+    parts = [part for part in runs(lack > options.gone_part)]
+    parts = [part for part in parts if _lasts(much[slice(*part)], options.shortest_s * observed.rows.rate)]
+    if sum(b - a for a, b in parts) > options.longest_part * len(lack):
         return ()
     return tuple(Interval(name, float(time[a]), float(time[b - 1])) for a, b in parts)
 
 
-def _lasts(much: Bool[Tensor, " frames"], rate: float) -> bool:
-    return any(stop - start >= SHORTEST_S * rate for start, stop in runs(much))
+def _lasts(much: Bool[Tensor, " frames"], frames: float) -> bool:
+    """Return whether a run of True has at least so many frames."""
+    return any(stop - start >= frames for start, stop in runs(much))
 
 
 def _clear(flag: Bool[Tensor, " frames"], frames: int) -> Bool[Tensor, " frames"]:
-    """So far from every False that no filter carries it here."""
+    """Return where every False is so far that no filter carries it there."""
     n = 2 * frames + 1
     wide = torch.nn.functional.max_pool1d((~flag).double()[None, None], n, stride=1, padding=frames)
     return wide[0, 0] == 0.0
 
 
 def _underfoot(
-    observed: TrialObservation, contact: Contact, missing: Float[Tensor, "frames 6"]
+    observed: TrialObservation, contact: Contact, missing: Float[Tensor, "frames 6"], options: MissingWeightOptions
 ) -> Bool[Tensor, " frames"]:
-    """Frames in which the missing force goes through feet on the floor, or between them.
+    """Return frames in which the missing force goes through feet on the floor, or between them.
 
-    Terms the plates that is the floor; on a plate, it is the plate that reads too little.
+    Beside the plates the floor bears it; on a plate, the plate reads too little.
     """
     centre = torch.stack([-missing[:, 4], missing[:, 3]], 1) / missing[:, 2:3]
     at = torch.stack([_centre(observed, foot) for foot in contact.feet])
-    stands = contact.touching.T & ~torch.stack([_raised(one) for one in at])
+    stands = contact.touching.T & ~torch.stack([_raised(one, options) for one in at])
     found = torch.zeros_like(stands[0])
     for a, b in combinations_with_replacement(range(len(at)), 2):
         start, along = at[a, :2].T, (at[b, :2] - at[a, :2]).T
         share = ((centre - start) * along).sum(1) / along.square().sum(1).clamp(min=1e-9)
         away = (centre - start - share.clamp(0.0, 1.0)[:, None] * along).norm(dim=1)
-        found |= stands[a] & stands[b] & (away < REACH_M)
+        found |= stands[a] & stands[b] & (away < options.reach_m)
     return found
 
 
 def _centre(observed: TrialObservation, segment: str) -> Float[Tensor, "3 frames"]:
+    """Return the centre of mass of a segment in W [m]."""
     scene = observed.view.scene
     return scene.point(segment, scene.centre(segment)).p
 
 
-def _raised(at: Float[Tensor, "3 frames"]) -> Bool[Tensor, " frames"]:
-    return at[2] - at[2].quantile(0.02) > RAISED_M
+def _raised(at: Float[Tensor, "3 frames"], options: MissingWeightOptions) -> Bool[Tensor, " frames"]:
+    """Return whether a point is above the lowest floor that it reaches."""
+    return at[2] - at[2].quantile(0.02) > options.raised_m
 
 
 def _touched(
-    observed: TrialObservation, contact: Contact, missing: Float[Tensor, "frames 6"], inside: Bool[Tensor, " frames"]
+    observed: TrialObservation,
+    contact: Contact,
+    missing: Float[Tensor, "frames 6"],
+    inside: Bool[Tensor, " frames"],
+    options: MissingWeightOptions,
 ) -> tuple[dict[str, float], dict[str, tuple[float, float, float]]]:
-    """Posterior odds of the segments, and where each is touched, in its axes.
+    """Return posterior probabilities of the segments, and the point at which each is touched, in its axes [m].
 
-    Of a wrench F, M at a point p + R d of a segment, M - p x F is linear in d; the force itself may be anything. A
-    foot that rests on something above the floor needs no search.
+    For a wrench F, M at a point p + R d of a segment, M - p x F is linear in d, whatever the force is. A foot that
+    rests on something above the floor needs no search.
     """
     scene, step = observed.view.scene, max(1, round(BLOCK_S * observed.rows.rate))
     some = inside.nonzero()[::step, 0]
-    raised = [f for k, f in enumerate(contact.feet) if bool(_on_something(observed, contact, k)[some].any())]
+    raised = [f for k, f in enumerate(contact.feet) if bool(_on_something(observed, contact, k, options)[some].any())]
     names = raised or [n for n in scene.tree.names if n not in contact.feet]
     pairs = [_levers(observed, name, missing[some], some) for name in names]
     scale = max(SCALE_NM, min(_spread(*pair) for pair in pairs))
@@ -171,14 +198,17 @@ def _touched(
     return dict(zip(names, odds, strict=True)), dict(zip(names, points, strict=True))
 
 
-def _on_something(observed: TrialObservation, contact: Contact, foot: int) -> Bool[Tensor, " frames"]:
-    return contact.touching[:, foot] & _raised(_centre(observed, contact.feet[foot]))
+def _on_something(
+    observed: TrialObservation, contact: Contact, foot: int, options: MissingWeightOptions
+) -> Bool[Tensor, " frames"]:
+    """Return frames in which a foot touches something that is no floor."""
+    return contact.touching[:, foot] & _raised(_centre(observed, contact.feet[foot]), options)
 
 
 def _levers(
     observed: TrialObservation, segment: str, wrench: Float[Tensor, "some 6"], some: Tensor
 ) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 3"]]:
-    """Moment about a segment's centre, and its change per place in the segment's axes."""
+    """Return the moment about a segment's centre [N m], and its change per place in the segment's axes [N]."""
     scene, force = observed.view.scene, wrench[:, :3]
     left = wrench[:, 3:] - torch.linalg.cross(_centre(observed, segment)[:, some].T, force)
     axes = scene.state.at.R[scene.at(segment)][..., some].permute(2, 0, 1)
@@ -187,13 +217,14 @@ def _levers(
 
 
 def _spread(left: Float[Tensor, " rows"], A: Float[Tensor, "rows 3"]) -> float:
-    """RMS of what the best place leaves [N m]."""
+    """Return the RMS of what the best place leaves [N m]."""
     d = torch.linalg.lstsq(A, left[:, None]).solution
     return float((left[:, None] - A @ d).square().mean().sqrt())
 
 
 def _rest(left: Float[Tensor, " rows"], A: Float[Tensor, "rows 3"]) -> tuple[Float[Tensor, " 3"], float]:
-    """Place from the centre of mass, and log evidence of rows of unit variance up to what segments share."""
+    """Return the place from the centre of mass [m], and the log evidence of rows of unit variance up to what segments
+    share."""
     L = torch.linalg.cholesky(A.T @ A + torch.eye(3).to(A) / REST_M**2)
     u = torch.linalg.solve_triangular(L, (A.T @ left)[:, None], upper=False)
     d = torch.linalg.solve_triangular(L.T, u, upper=True)[:, 0]
@@ -204,7 +235,8 @@ def _coursed(
     observed: TrialObservation, place: Place, missing: Float[Tensor, "frames 6"], inside: Bool[Tensor, " frames"],
     odds: dict[str, float],
 ) -> MissingWeight:  # fmt: skip
-    """The force from knot to knot; its gain where it was not looked at."""
+    """Return the contact with its force from knot to knot, and the gain of that at frames which it was not fitted
+    to."""
     root = observed.rows.motion.q[inside, :3]
     load = -columns(EFFECT, observed.view.scene, observed.view.reading, place)[..., inside].permute(1, 2, 0)
     Y = wrench_about(load, root.expand(len(load), -1, -1)).permute(1, 2, 0)
@@ -218,19 +250,22 @@ def _coursed(
     part = (100.0 * (1.0 - after / before)).tolist()
     nats = 3.0 * float((~seen).sum()) / tenth * math.log(float(before[0] / after[0]))
     gain = {"heldout_log_likelihood": nats, "force_rmse_pct": part[0], "moment_rmse_pct": part[1]}
-    return MissingWeight(place, theta, sd, odds, gain)
+    weight = 9.81 * float(observed.phi[:, 0].sum())
+    return MissingWeight(place, theta, sd, odds, gain, float(missing[inside, 2].max()) / weight)
 
 
 def _rms(x: Float[Tensor, "frames 3"]) -> Float[Tensor, ""]:
+    """Return the root mean square of the norm of vectors."""
     return x.square().sum(1).mean().sqrt()
 
 
 def _solved(Y: Float[Tensor, "frames 6 params"], wrench: Float[Tensor, "frames 6"]) -> Float[Tensor, " params"]:
-    """By the forces: a moment also says where."""
+    """Return the solution by the forces alone: a moment also depends on the place."""
     return _inverse(Y) @ (Y[:, :3].flatten(0, 1).T @ wrench[:, :3].flatten())
 
 
 def _inverse(Y: Float[Tensor, "frames 6 params"]) -> Float[Tensor, "params params"]:
+    """Return the inverse of the columns' Gram matrix, made regular by a thousandth of its diagonal."""
     flat = Y[:, :3].flatten(0, 1)
     gram = flat.T @ flat
     return torch.linalg.inv(gram + 1e-3 * gram.diagonal().mean() * torch.eye(len(gram)).to(gram))

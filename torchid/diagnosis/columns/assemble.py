@@ -1,4 +1,4 @@
-"""Everything that could be hidden: every effect at every place, as columns beside those of the inertia."""
+"""Columns of every effect at every place, beside those of the inertia."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -8,15 +8,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.candidates.candidate import Candidate, Source
-from torchid.diagnosis.candidates.enumeration import PERIODS, confined, longest_s, mass, source_key
-from torchid.diagnosis.candidates.nuisances import nuisances
-from torchid.diagnosis.candidates.proposals import propose
+from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.enumeration import enumerate_candidates
 from torchid.diagnosis.columns.corrected_scores import noise_scores
 from torchid.diagnosis.columns.design import Columns, Design, Terms, marker_columns, positions
 from torchid.diagnosis.columns.force_columns import about_root, plate_columns
 from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.diagnosis.columns.rate_calibration import calibrated
+from torchid.diagnosis.options import NamingOptions
 from torchid.effects.effect import Effect
 from torchid.geometry.result import GeometryFit
 from torchid.observation.marker_bands import MarkerStatistics, marker_statistics, retaken_statistics
@@ -26,51 +25,36 @@ from torchid.observation.trial import TrialObservation
 from torchid.observation.unloaded_plates import zero_statistics
 
 TOGETHER = 64
-"""Columns whose momenta are turned into wrenches at once: of a whole catalogue, each step would fill a gigabyte."""
+"""Resolution. Number of columns whose momenta are turned into wrenches at once: all columns of a catalogue would fill
+gigabytes at each step."""
 
 
 def make_design(
-    observed: Sequence[TrialObservation], effects: Sequence[Effect], fit: GeometryFit | None = None
+    observed: Sequence[TrialObservation],
+    effects: Sequence[Effect],
+    fit: GeometryFit | None = None,
+    options: NamingOptions = NamingOptions(),
 ) -> Design:
-    """Columns of every effect at every place, trial by trial.
+    """Return the design of every effect at every place, with the columns of each trial.
 
     Args:
-        watched: trials.
-        effects: to try.
-        fit: whose geometry the trials were followed with; its errors are nuisances.
+        observed: trials.
+        effects: effects to try.
+        fit: geometry that the trials were tracked with, whose errors are nuisances; None: none are.
+        options: thresholds; ``periods`` decides which trials can show what repeats itself.
     """
-    names = [w.rows.name for w in observed]
-    inertia = observed[0].view.scene.phi.numel()
-    known, at = {}, inertia
-    for effect, place, mean, scale in nuisances(observed, fit):
-        known[source_key(effect, place)] = Source(effect, place, slice(at, at + len(scale)), mean, scale)
-        at += len(scale)
-    base, candidates = at, []
-    offered = {effect: propose(effect, observed) for effect in effects}
-    wanted = [(effect, effect.source(place)[0]) for effect, places in offered.items() for place in places]
-    # Those that markers show stand together, behind the nuisances that markers show; those of one trial stand last.
-    for effect, own in sorted(wanted, key=lambda both: (not both[0].moves_markers, confined(*both) is not None)):
-        if source_key(effect, own) not in known:
-            scale = effect.scale(own)
-            part = slice(at, at + len(scale))
-            known[source_key(effect, own)] = Source(
-                effect, own, part, (0.0,) * len(scale), scale, confined(effect, own)
-            )
-            at = part.stop
-    for effect, places in offered.items():
-        for place in places:
-            own, trials = effect.source(place)
-            which = range(len(names)) if trials is None else [names.index(t) for t in trials]
-            told = frozenset(k for k in which if longest_s(observed[k]) >= PERIODS * effect.period_s(place))
-            odds = place.odds / mass(effect, places)
-            if told:
-                candidates.append(Candidate(effect, place, known[source_key(effect, own)], told, odds))
-    sources = tuple(known.values())
-    return Design(inertia, base, sources, tuple(candidates), tuple(trial_columns(w, sources) for w in observed))
+    found = enumerate_candidates(observed, effects, fit, options)
+    trials = tuple(trial_columns(one, found.sources) for one in observed)
+    return Design(observed[0].phi.numel(), found.base, found.sources, found.candidates, trials)
 
 
 def trial_columns(observed: TrialObservation, sources: Sequence[Source]) -> Columns:
-    """Of the sources that could act in one trial."""
+    """Return the columns of the sources that could act in one trial.
+
+    Args:
+        observed: the trial.
+        sources: sources of the design.
+    """
     sources = [s for s in sources if s.trial in (None, observed.rows.name)]
     own, first = marker_columns(sources), observed.phi.numel()
     live = torch.cat([torch.arange(first), *(torch.arange(s.columns.start, s.columns.stop) for s in sources)])
@@ -94,13 +78,13 @@ def trial_columns(observed: TrialObservation, sources: Sequence[Source]) -> Colu
 
 
 def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source], others: Sequence[Source]) -> Columns:
-    """Columns of a trial with those of some effects on markers taken elsewhere.
+    """Return the columns of a trial after some effects on markers were linearised at other parameters.
 
     Args:
-        watched: the trial.
-        own: its columns.
-        sources: of all of them, ``others`` where they are now.
-        others: that are elsewhere than they were; no trial lacks them.
+        observed: the trial.
+        own: its columns as they were.
+        sources: sources of all columns, with those of ``others`` as they are now.
+        others: sources whose parameters (``Source.at``) have changed; no trial lacks them.
     """
     response = observed.response
     assert response is not None, "effects on markers have been found"
@@ -124,7 +108,8 @@ def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source],
 def _of_cameras(
     response: MarkerResponse, sources: Sequence[Source]
 ) -> tuple[MarkerStatistics, Float[Tensor, "6 columns frames"]]:
-    """Sums of what markers show of the columns, and the wrench about the origin of W that the motion needs by them."""
+    """Return statistics of what markers show of the columns, and the wrench about the origin of W that the motion needs
+    by them [N, N m]."""
     bands, fixed, wrenches, at = response.bands, ResponseCache(response), [], 0
     own = [s for s in sources if s.effect.moves_markers]
     n = sum(len(s.scale) for s in own)
@@ -140,7 +125,7 @@ def _of_cameras(
 
 
 def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:
-    """Neighbours that have as many columns as are best worked on at once."""
+    """Yield neighbours that have as many columns as are best worked on at once."""
     some, columns = [], 0
     for source in sources:
         some.append(source)
@@ -155,7 +140,7 @@ def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:
 def _covariation(
     observed: TrialObservation, sources: Sequence[Source], live: Int[Tensor, " live"]
 ) -> Float[Tensor, "bands 6 6 live"] | None:
-    """See ``Terms``; zero for what no acceleration enters."""
+    """Return the scores of the noise (``Terms.noise_scores``), zero for columns that no acceleration enters."""
     if observed.noise_budget is None:
         return None
     some, n = [s for s in sources if s.effect.follows_acceleration], observed.phi.numel()

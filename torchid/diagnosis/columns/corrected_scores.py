@@ -1,10 +1,9 @@
-"""What the noise of markers leaves in columns and in the total alike.
+"""Products that the noise of markers leaves between columns and the total, and their correction.
 
-Columns that come from the found motion hold its noise, and so does the residual: theirs agree where no truth does. Each
-column's moment gains what the two are expected to share (corrected scores; Carroll et al. 2006, Measurement Error in
-Nonlinear Models, chapter 7). Columns that were only shrunk by what is believed of the total left the thorax, whose
-markers make most of the noise while legs make most of the motion, to wobble at 1.0 in two sessions of three that hid
-nothing.
+Columns that come from the found motion hold its noise, and so does the residual: their noises agree where no truth
+does. Each column's moment gains what the two are expected to share (corrected scores; Carroll et al. 2006, Measurement
+Error in Nonlinear Models, chapter 7). Shrinking the columns by what is believed of the total is not enough: the thorax
+has markers that make most of the noise, while legs make most of the motion.
 
 Most columns are fixed combinations of those of the inertia, or of what plates bore, and so is what they share.
 """
@@ -21,7 +20,7 @@ from torchid.diagnosis.candidates.candidate import Source
 from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.dynamics import body_rows, wrenches_about
 from torchid.effects.columns import columns
-from torchid.effects.effect import Effect
+from torchid.effects.kinds import ReadingEffect
 from torchid.effects.marker_scene import View
 from torchid.effects.scene import Scene
 from torchid.observation.noise_budget import NoiseBudget
@@ -30,23 +29,24 @@ from torchid.regressor.rows import WrenchTrial
 from torchid.regressor.whitening import BAND_EDGES_HZ, band_of, coefficients, cosine_matrix, frequencies
 
 Pair = Float[Tensor, "6 rows frames"]
-"""A draw's noise in each channel of the total and band, rows of both, as each channel of a column believes it."""
+"""A draw's noise in each channel of the total and band (rows), times the part of it that each channel of a column
+keeps."""
 
 
 def noise_scores(
     observed: TrialObservation, noise_budget: NoiseBudget, sources: Sequence[Source], inertia: bool
 ) -> Float[Tensor, "bands 6 6 all"]:
-    """Products of the noise of each channel of the total with that of each channel of columns, band by band.
+    """Return products of the noise of each channel of the total with that of each channel of columns, band by band.
 
     Args:
-        watched: the trial.
-        expected: what columns are shrunk to, and how much of the noise is there.
-        sources: of the columns; without the inertia's, of such as are no combinations of others.
-        inertia: whether the inertia's stand before them.
+        observed: the trial.
+        noise_budget: reliability to which columns are shrunk, and the part of the noise that is there.
+        sources: sources of the columns; without the inertia's, only of such as are no combinations of others.
+        inertia: True if the inertia's columns stand before them.
     """
     few = observed.thinned
     rigid = [s.effect.rigid(observed.view.scene, s.place) for s in sources]
-    reads = [type(s.effect).read is not Effect.read for s in sources]
+    reads = [isinstance(s.effect, ReadingEffect) for s in sources]
     own = [s for s, fixed, read in zip(sources, rigid, reads, strict=True) if fixed is None and not read]
     assert inertia or len(own) == len(sources), "combinations need what they combine"
     body, plates, rest = torch.zeros(3, 1, 1, 1).to(few.rows.wrench)
@@ -65,7 +65,7 @@ def noise_scores(
 
 
 def _draws(observed: TrialObservation, noise_budget: NoiseBudget) -> Iterator[tuple[Scene, Pair]]:
-    """Scene and noise of each draw at a few frames; at last the scene as it was found, to take off all noise."""
+    """Yield scene and noise of each draw at a few frames; at last the scene as it was found, to take off all noise."""
     thin, whole = slice(None, None, observed.thinning), torch.zeros(1, 1, 1).to(observed.rows.wrench)
     for one in observed.noise_draws:
         pair = observed.thinning * _paired(observed.rows, noise_budget, one.total)[:, :, thin]
@@ -75,7 +75,7 @@ def _draws(observed: TrialObservation, noise_budget: NoiseBudget) -> Iterator[tu
 
 
 def _of_inertia(observed: TrialObservation, scene: Scene, pair: Pair) -> Float[Tensor, "6 rows params"]:
-    """Products with the columns of the inertia."""
+    """Return products with the columns of the inertia."""
     state = scene.state
     rows, position = body_rows(state, _root(observed)), list(state.plan.position)
     found = pair.new_zeros(6, pair.shape[1], len(position), 10)
@@ -86,7 +86,7 @@ def _of_inertia(observed: TrialObservation, scene: Scene, pair: Pair) -> Float[T
 
 
 def _of_plates(observed: TrialObservation, scene: Scene, pair: Pair) -> Float[Tensor, "12 rows channels"]:
-    """Products with the channels of what each plate bore, and of what none did; see ``_mapped``."""
+    """Return products with the channels of what each plate bore, and of what none did, as ``_mapped`` needs them."""
     reading, away = observed.bore(scene), _root(observed)[:, None]
     none = torch.zeros_like(observed.rows.wrench) if reading.unborne is None else reading.unborne
     turned = [pair[3:] * away.roll(-k, 0) for k in (1, 2)]
@@ -96,10 +96,10 @@ def _of_plates(observed: TrialObservation, scene: Scene, pair: Pair) -> Float[Te
 def _mapped(
     plates: Float[Tensor, "12 rows channels"], unit: Float[Tensor, "6 channels params"]
 ) -> Float[Tensor, "6 rows params"]:
-    """Products with columns that an effect makes of the channels.
+    """Return products with columns that an effect makes of the plates' channels.
 
-    Of a force F and a moment about the origin of W, that about the root has component j less by d[j+1] F[j+2] - d[j+2]
-    F[j+1]: the last rows of ``plates`` hold noise times d[j+1] and d[j+2].
+    With d the vector to the root, the moment about the root has component j less than that about the origin of W by
+    d[j+1] F[j+2] - d[j+2] F[j+1]: the last rows of ``plates`` hold noise times d[j+1] and d[j+2].
     """
     found, force = plates[:6] @ unit, unit[:3]
     found[3:] += plates[9:] @ force.roll(-1, 0) - plates[6:9] @ force.roll(-2, 0)
@@ -107,7 +107,7 @@ def _mapped(
 
 
 def _unit(view: View, source: Source) -> Float[Tensor, "6 channels params"]:
-    """Columns of an effect on readings, channel by channel that bears one unit."""
+    """Return columns of an effect on readings, channel by channel that bears one unit."""
     plates = len(view.reading.frames)
     unit = torch.eye(6 * plates + 6).to(view.reading.wrench).unflatten(1, (-1, 6))
     time = torch.arange(len(unit)).to(unit)
@@ -118,7 +118,7 @@ def _unit(view: View, source: Source) -> Float[Tensor, "6 channels params"]:
 def _of_columns(
     observed: TrialObservation, scene: Scene, sources: Sequence[Source], pair: Pair
 ) -> Float[Tensor, "6 rows some"]:
-    """Products with columns as they are in another scene."""
+    """Return products with columns as they are in another scene."""
     root, parts = _root(observed), [pair[:, :, :0]]
     for _, alike in groupby(sources, key=lambda s: s.effect):
         parts.append(pair @ wrenches_about(_seen(observed, scene, list(alike)), root).mT)
@@ -126,7 +126,7 @@ def _of_columns(
 
 
 def _seen(observed: TrialObservation, scene: Scene, alike: Sequence[Source]) -> Float[Tensor, "6 some frames"]:
-    """Columns of one effect; postures answer as they did."""
+    """Return columns of one effect in another scene, to which postures respond as they did."""
     effect, response = alike[0].effect, observed.response
     if effect.moves_markers and response is not None:
         sight = replace(response.sight, scene=scene)
@@ -138,12 +138,12 @@ def _seen(observed: TrialObservation, scene: Scene, alike: Sequence[Source]) -> 
 
 
 def _root(observed: TrialObservation) -> Float[Tensor, "3 frames"]:
-    """Where the columns' moments are taken about."""
+    """Return the point that the columns' moments are taken about [m]."""
     return observed.rows.motion.q[:, :3].T
 
 
 def _paired(rows: WrenchTrial, noise_budget: NoiseBudget, total: Float[Tensor, "6 frames"]) -> Pair:
-    """Of one draw; zero where frames are not used.
+    """Return the noise of one draw as ``Pair`` has it, zero where frames are not used.
 
     What multiplies the columns is transformed back: it has fewer rows than they have coefficients.
     """

@@ -17,8 +17,9 @@ class Selection:
     """Columns of a design that a narrower one has."""
 
     all: Int[Tensor, " kept"]
+    """Indices of the columns in the wider design."""
     marker_columns: Int[Tensor, " some"]
-    """Those among the kinematic ones, from the first of these on."""
+    """Indices of those that markers show, counted from the first that they show."""
 
 
 @dataclass(frozen=True)
@@ -28,14 +29,19 @@ class Terms:
     live: Int[Tensor, " live"]
     """Columns of the design that the trial has: those of the inertia, and of sources that could act in it."""
     markers: MarkerStatistics | None
-    """Of the kinematic ones."""
+    """Statistics of the columns that markers show; None where no camera is at hand."""
     unloaded: ZeroStatistics | None = None
-    """Of zero errors."""
+    """Statistics of zero errors by unloaded plates; None where none is unloaded."""
     noise_scores: Float[Tensor, "bands 6 6 live"] | None = None
-    """Of the noise that markers leave in the columns with that of the total."""
+    """Products that noise of markers in the columns is expected to have with the noise of the total, by band, channel
+    of the total and channel of the column; None where no camera shows the noise."""
 
     def only(self, some: "Selection") -> "Terms":
-        """Of a narrower design, in which nuisances stand where they did."""
+        """Return the terms of a narrower design, in which nuisances stand where they did.
+
+        Args:
+            some: columns that it has.
+        """
         at, live = positions(self.live, some.all)
         noise = None if self.noise_scores is None else self.noise_scores[..., at]
         return Terms(
@@ -45,39 +51,50 @@ class Terms:
 
 @dataclass(frozen=True)
 class Columns:
-    """Of those sources that could act in one trial."""
+    """Columns of the sources that could act in one trial."""
 
     wide: Float[Tensor, "6 wide frames"]
-    """Behind those of the inertia, about the root's origin; see ``kept``."""
+    """Columns behind those of the inertia, about the root's origin [N, N m per unit parameter]; see ``kept``."""
     terms: Terms
+    """Terms of the trial that do not come from its rows of forces."""
     beyond: Float[Tensor, "frames 6"] | None = None
-    """What late effects do beyond their columns, about the origin of W, where those are linearised elsewhere."""
+    """Wrench about the origin of W [N, N m] of effects that shift time beyond their columns, where those are linearised
+    away from zero; None where none are."""
     kept: Int[Tensor, " more"] | None = None
-    """Those of a wider design's that these are: to copy them out took a second of five trials of 25 s."""
+    """Indices of those of the wider design's columns that these are, which saves copying them; None: all."""
 
     @property
     def extra(self) -> Float[Tensor, "6 more frames"]:
-        """Behind those of the inertia, about the root's origin; made anew where some of many were kept."""
+        """Columns behind those of the inertia, about the root's origin; a copy where some of many are kept."""
         return self.wide if self.kept is None else self.wide[:, self.kept]
 
     @property
     def copied(self) -> Float[Tensor, "6 more frames"]:
-        """The same, to be changed."""
+        """A copy of ``extra`` that may be changed."""
         return self.wide.clone() if self.kept is None else self.extra
 
     @property
     def alone(self) -> "Columns":
-        """Without the others of the wider design, which go when nothing else holds them."""
+        """The columns without those of the wider design, whose memory is freed when nothing else holds it."""
         return replace(self, wide=self.extra, kept=None)
 
     def only(self, some: "Selection", inertia: int) -> "Columns":
-        """Of a narrower design, in which nuisances stand where they did."""
+        """Return the columns of a narrower design, in which nuisances stand where they did.
+
+        Args:
+            some: columns that it has.
+            inertia: number of inertial parameters.
+        """
         at, _ = positions(self.terms.live, some.all)
         at = at[inertia:] - inertia
         return replace(self, kept=at if self.kept is None else self.kept[at], terms=self.terms.only(some))
 
     def added(self, theta: Float[Tensor, " more"]) -> Float[Tensor, "frames 6"]:
-        """By these parameters."""
+        """Return the wrench about the root's origin that parameters add [N, N m].
+
+        Args:
+            theta: parameters of the columns behind the inertia's.
+        """
         if self.kept is not None:
             theta = theta.new_zeros(self.wide.shape[1]).index_copy(0, self.kept, theta)
         return (theta @ self.wide).T
@@ -92,8 +109,11 @@ class Design:
     base: int
     """Number of columns of inertia and nuisances."""
     sources: tuple[Source, ...]
+    """Sources of the columns behind the inertia's, in their order."""
     candidates: tuple[Candidate, ...]
+    """Effects at places, each with its source."""
     trials: tuple[Columns, ...]
+    """Columns of each trial."""
 
     @property
     def marker_columns(self) -> slice:
@@ -112,28 +132,38 @@ class Design:
 
     @property
     def noisy(self) -> list[bool]:
-        """Which columns behind the inertia come from accelerations that were found, see ``Effect.noisy``."""
+        """True for every column behind the inertia that holds noise of the found accelerations (``Effect.noisy``)."""
         return [s.effect.noisy for s in self.sources for _ in s.scale]
 
     @property
     def mean(self) -> Float[Tensor, " more"]:
-        """Of the prior of everything behind the inertia."""
+        """Mean of the prior of everything behind the inertia."""
         return torch.tensor([x for s in self.sources for x in s.mean], dtype=torch.float64)
 
     @property
     def scale(self) -> Float[Tensor, " more"]:
-        """Its standard deviations."""
+        """Standard deviations of the prior of everything behind the inertia."""
         return torch.tensor([x for s in self.sources for x in s.scale], dtype=torch.float64)
 
 
 def marker_columns(sources: Sequence[Source]) -> slice:
-    """Columns of those that markers show, which stand together."""
+    """Return the columns of sources that markers show, which stand together.
+
+    Args:
+        sources: sources of a design, in the order of their columns.
+    """
     own = [s.columns for s in sources if s.effect.moves_markers]
     return slice(own[0].start, own[-1].stop) if own else slice(0, 0)
 
 
 def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Selection]:
-    """As ``only``, without columns of its own."""
+    """Return a design of the base and some candidates without columns of trials, these in it, and the columns that it
+    keeps.
+
+    Args:
+        design: the wider design.
+        some: candidates to keep.
+    """
     wanted = {c.source.columns.start for c in some}
     kept = [s for s in design.sources if s.columns.start < design.base or s.columns.start in wanted]
     sources, at, index = {}, design.inertia, [torch.arange(design.inertia)]
@@ -149,7 +179,12 @@ def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[C
 
 
 def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:
-    """A design of the base and some candidates, these in it, and which columns of all it keeps."""
+    """Return a design of the base and some candidates, these in it, and the indices of the columns that it keeps.
+
+    Args:
+        design: the wider design.
+        some: candidates to keep.
+    """
     small, own, which = narrower(design, some)
     return replace(small, trials=tuple(one.only(which, design.inertia) for one in design.trials)), own, which.all
 
@@ -157,7 +192,12 @@ def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candi
 def positions(
     live: Int[Tensor, " live"], some: Int[Tensor, " some"]
 ) -> tuple[Int[Tensor, " kept"], Int[Tensor, " kept"]]:
-    """Where those of some columns that live stand among all that do, and which of the some they are."""
+    """Return where those of some columns that live stand among all that do, and which of the some they are.
+
+    Args:
+        live: columns that a trial has, ascending.
+        some: columns to find.
+    """
     at = torch.searchsorted(live, some).clamp(max=len(live) - 1)
     there = (live[at] == some).nonzero()[:, 0]
     return at[there], there

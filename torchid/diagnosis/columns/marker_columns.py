@@ -1,4 +1,4 @@
-"""How the cameras' rows answer to unit parameters of an effect."""
+"""Response of the markers' rows to unit parameters of an effect."""
 
 from itertools import groupby
 
@@ -7,20 +7,20 @@ import torch
 from torchid.diagnosis.candidates.candidate import Source
 from torchid.effects.columns import STEP
 from torchid.effects.marker_scene import Sight
-from torchid.observation.marker_response import MarkerResponse, Response, concatenate
+from torchid.observation.marker_response import MarkerResponse, RowResponse, concatenate
 from torchid.observation.response_cache import ResponseCache
 
 
 def response_of(
     response: MarkerResponse, source: Source, sight: Sight | None = None, fixed: ResponseCache | None = None
-) -> Response:
-    """To unit parameters of an effect, on what the cameras saw or another sight of it.
+) -> RowResponse:
+    """Return the response to unit parameters of an effect, in the trial's motion or in another.
 
     Args:
-        cameras: what they saw.
-        source: of the columns.
-        sight: another one.
-        fixed: answers to displacements in fixed ways, which several sources share.
+        response: markers of the trial.
+        source: source of the columns.
+        sight: markers in another motion, such as one with another draw of noise; None: the trial's own.
+        fixed: responses to displacements in fixed ways, which several sources share; None: they are made here.
     """
     effect, place = source.effect, source.place
     plain = sight is None and source.at is None

@@ -1,4 +1,4 @@
-"""Rates of change of what plates read, as columns: what is expected of the true rate, given a noisy one."""
+"""Rates of change of what plates read, as columns: the expectation of the true rate, given a noisy one."""
 
 import math
 
@@ -14,15 +14,16 @@ from torchid.regressor.whitening import coefficients, cosine_matrix, frequencies
 def calibrated(
     rate: Float[Tensor, "6 columns frames"], rows: WrenchTrial, scatter: Float[Tensor, " 6"]
 ) -> Float[Tensor, "6 columns frames"]:
-    """Each channel shrunk to the part of its energy that is not the plates' noise (``belief``); zero where not used.
+    """Return rates with each channel shrunk to the part of its energy that is not the plates' noise; zero where not
+    used.
 
-    Not shrunk, of 12 ms, 10 ms were found. Noise taken off the Gram matrix instead can leave less than nothing in a
-    trial that hardly moves.
+    A lag whose columns are not shrunk comes out too small. Noise taken off the Gram matrix instead can leave less than
+    nothing in a trial that hardly moves. See ``observation.reliability``.
 
     Args:
-        rate: of the filtered wrench about the root's origin [N/s, N m/s].
-        rows: whose blocks and filter they are.
-        scatter: of the wrench per frame, before the filter [N, N m].
+        rate: rate of the filtered wrench about the root's origin [N/s, N m/s].
+        rows: trial whose blocks and filter are meant.
+        scatter: standard deviation of the wrench per frame, before the filter [N, N m].
     """
     parts, found = [], torch.zeros_like(rate)
     for part in rows.blocks():

@@ -1,9 +1,9 @@
 """Effects that are not linear in their parameters, linearised where they were found.
 
-Those of curved ones (``Effect.curved``) times their parameters are all that they do. Linear about zero, flesh of 3 mm
-was 0.3 mm too stiff on all segments, eight standard deviations together. Others shift readings in time: with m what
-plates read and m(-x) the same taken back by x, the effect adds f(x) = m - m(-x), whose slope at x is that
-of a small shift of m(-x). Linear about zero, 30 ms came out as 27 ms, and three bodies were found to wobble.
+Columns of a nonlinear effect (``Effect.nonlinear``) times the parameters at which they are taken are all that it does.
+An effect that shifts time (``Effect.shifts_time``) adds f(x) = m - m(-x), with m what plates read and m(-x) the same
+taken back by x; the slope of f at x is that of a small shift of m(-x). Columns taken about zero would be wrong by the
+curvature.
 """
 
 from collections.abc import Sequence
@@ -26,18 +26,18 @@ from torchid.observation.trial import TrialObservation
 from torchid.regressor.rows import WrenchTrial
 
 MOVED = 0.1
-"""Part of its parameters by which a curved effect on markers must have moved for its columns to be taken again: their
-error is about a tenth of that."""
+"""Resolution. Part of its parameters by which a nonlinear effect on markers must have moved for its columns to be taken
+again: their error is about a tenth of that."""
 
 
 def relinearised(
     observed: Sequence[TrialObservation], design: Design, theta: Sequence[Float[Tensor, " more"]]
 ) -> Design:
-    """Columns of a design where curved and late effects were found.
+    """Return a design with columns of nonlinear effects, and of such that shift time, where they were found.
 
     Args:
-        watched: its trials.
-        design: wherever its columns were taken.
+        observed: its trials.
+        design: design with columns taken anywhere.
         theta: parameters behind the inertia's, trial by trial.
     """
     design = _yielded(observed, design, theta[0])
@@ -46,7 +46,8 @@ def relinearised(
 
 
 def _yielded(observed: Sequence[TrialObservation], design: Design, theta: Float[Tensor, " more"]) -> Design:
-    """With curved effects on markers, which act in all trials alike."""
+    """Return a design with columns of nonlinear effects on markers where they were found, which is the same in all
+    trials."""
     sources = tuple(_taken(s, theta[_part(s, design.inertia)]) for s in design.sources)
     others = [new for old, new in zip(design.sources, sources, strict=True) if new.at != old.at]
     if not others:
@@ -56,7 +57,7 @@ def _yielded(observed: Sequence[TrialObservation], design: Design, theta: Float[
 
 
 def _taken(source: Source, theta: Float[Tensor, " own"]) -> Source:
-    """Where it was found, unless it was about there that it had been taken."""
+    """Return a source with its columns where it was found, unless they are taken about there already."""
     if not (source.effect.moves_markers and source.effect.nonlinear):
         return source
     away = theta if source.at is None else theta - theta.new_tensor(source.at)
@@ -64,20 +65,21 @@ def _taken(source: Source, theta: Float[Tensor, " own"]) -> Source:
 
 
 def _part(source: Source, inertia: int) -> slice:
-    """Of the columns behind those of the inertia."""
+    """Return the columns of a source, counted behind those of the inertia."""
     return slice(source.columns.start - inertia, source.columns.stop - inertia)
 
 
 def linearised(
     observed: TrialObservation, own: Columns, sources: Sequence[Source], theta: Float[Tensor, " more"]
 ) -> Columns:
-    """Columns of a trial with those that plates show of curved and late effects taken at ``theta``.
+    """Return a trial's columns with those that plates show of nonlinear effects and of shifts in time taken at
+    ``theta``.
 
     Args:
-        watched: the trial.
-        own: its columns, wherever such ones were taken.
-        sources: of all columns.
-        theta: parameters of all columns.
+        observed: the trial.
+        own: its columns, with such ones taken anywhere.
+        sources: sources of all columns.
+        theta: parameters of all columns behind the inertia's.
     """
     first = observed.phi.numel()
     if own.beyond is None and not any(bool(theta[_part(s, first)].any()) for s in sources if _plates_bend(s.effect)):
@@ -104,10 +106,15 @@ def linearised(
 
 
 def _plates_bend(effect: Effect) -> bool:
-    """Whether plates show more of an effect than its columns."""
+    """Return whether plates show more of an effect than its columns about zero."""
     return effect.shifts_time or (effect.nonlinear and not effect.moves_markers)
 
 
 def without_beyond(rows: WrenchTrial, own: Columns) -> WrenchTrial:
-    """Rows that columns are linear in."""
+    """Return the rows less what columns do not hold of shifts in time, in which those are linear.
+
+    Args:
+        rows: motion and measured wrench of a trial.
+        own: its columns.
+    """
     return rows if own.beyond is None else replace(rows, wrench=rows.wrench - own.beyond)

@@ -1,6 +1,7 @@
-"""Whether the residual holds more than noise, by a model of the noise that no residual has entered.
+"""Test of whether the residual holds more than noise, by a model of the noise that no residual has entered.
 
-Every band of the residual has an expectation (``expected``). What exceeds it is structure, whatever its name.
+Every band of the residual has an expectation (``observation.noise_budget``). What exceeds it is structure, whatever its
+name.
 """
 
 from collections.abc import Sequence
@@ -11,56 +12,69 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.diagnosis.options import AdequacyOptions
 from torchid.observation.noise_budget import NoiseBudget, energy
 from torchid.observation.trial import TrialObservation
 from torchid.regressor.whitening import BAND_EDGES_HZ
 
-SHARE = 0.4
-"""Part of a band's residual that noise does not explain, from which on it matters: two thirds as much as the noise.
-Below, fits to other people's models and slightly coloured noise go as far."""
-P_VALUE = 0.01
-ENOUGH = 30
-"""Coefficients below which a band tells nothing."""
 LEAST = 1e-150
-"""Energy that noise has at least; its square is a number still."""
+"""Resolution. Energy that noise has at least; its square is still a number."""
 KINDS = ("force", "moment")
+"""Kinds of residual, in the order of the rows of ``Energy``."""
 
 
 @dataclass(frozen=True)
 class Adequacy:
-    """What remains when all that is named is taken out."""
+    """Assessment of what remains when all that is named is taken out."""
 
     significant: bool
+    """True if more remains than noise."""
     p_value: float
+    """Chance of such a residual in the worst band, times the number of bands that were tried; NaN where it cannot be
+    told."""
     share_of_residual: float
+    """Part of that band's residual energy that noise does not explain, 0 to 1; NaN where it cannot be told."""
     description: str
+    """Sentence on what remains; empty if that is noise."""
     beyond: bool = False
-    """It lies where no cause was told, above the filter, or in what one named force leaves out of itself."""
+    """True if it lies where forces were not asked for causes: above the filter, or in what one named force leaves of
+    itself."""
     alone: bool = False
-    """Too little to tell, and no other trial that could agree."""
+    """True if there is too little to tell, and no other trial that could agree."""
 
 
 @dataclass(frozen=True)
 class Energy:
-    """Of the cosine coefficients of one trial: measured and expected, by kind and band."""
+    """Energy of the cosine coefficients of one trial [N^2, N^2 m^2], measured and expected, by kind and band."""
 
     trial: str
+    """Name of the trial."""
     left: Float[Tensor, "kinds bands"]
+    """Energy of the residual."""
     noise: Float[Tensor, "kinds bands"]
+    """Energy that plates' and markers' noise is expected to have."""
     spread: Float[Tensor, "kinds bands"]
     """Half the variance of the energy of such noise."""
     count: Float[Tensor, " bands"]
+    """Number of coefficients of one channel."""
 
 
 def assess_adequacy(
-    observed: Sequence[TrialObservation], left: Sequence[Float[Tensor, "frames 6"]], others: int = 0
+    observed: Sequence[TrialObservation],
+    left: Sequence[Float[Tensor, "frames 6"]],
+    options: AdequacyOptions = AdequacyOptions(),
+    others: int = 0,
 ) -> Adequacy:
-    """Judge the residuals of the extended model.
+    """Return the assessment of the residuals of the extended model.
+
+    The energy of a band, of channels as loud as they are, is compared with a chi-square variable of the same mean and
+    variance (Satterthwaite, Biometrics Bulletin 2:110 (1946)).
 
     Args:
-        watched: trials.
-        left: residual of each about the root's origin.
-        others: number of trials that could agree beside them.
+        observed: trials.
+        left: residual of each about the root's origin [N, N m].
+        options: thresholds from which on a residual is structure.
+        others: number of trials beside them that could agree.
     """
     found = [_energy(w, w.noise_budget, r) for w, r in zip(observed, left, strict=True) if w.noise_budget is not None]
     if not found:
@@ -72,10 +86,10 @@ def assess_adequacy(
     worst, tried = None, 0
     for k, kind in enumerate(KINDS):
         for b in range(len(count)):
-            if float(count[b]) < ENOUGH:
+            if float(count[b]) < options.coefficients:
                 continue
             tried += 1
-            # Of channels as loud as they are (Satterthwaite, Biometrics Bulletin 2 (1946)).
+            # Channels are as loud as they are (Satterthwaite, Biometrics Bulletin 2:110 (1946)).
             n, ratio = float(freedom[k, b]), float(total[k, b] / noise[k, b])
             p, share = float(scipy.stats.chi2.sf(n * ratio, n)), max(0.0, 1.0 - 1.0 / ratio)
             if worst is None or share > worst[1]:
@@ -83,12 +97,13 @@ def assess_adequacy(
     if worst is None:
         return _untold(len(observed) + others)
     p, share, kind, b = min(1.0, worst[0] * tried), *worst[1:]
-    significant = p < P_VALUE and share > SHARE
+    significant = p < options.p_value and share > options.band_part
     return Adequacy(significant, p, share, _described(found, kind, b, share) if significant else "")
 
 
 def _untold(trials: int) -> Adequacy:
-    """Too few frames for any band. A single trial of 27 found a clock to be 18 ms off with certainty."""
+    """Return the assessment of trials with too few frames for any band; a single one may be certain of what is
+    wrong."""
     said = "cannot be told: too few seconds on plates"
     if trials == 1:
         said += ", and no other trial could agree with what forces tell"
@@ -96,6 +111,7 @@ def _untold(trials: int) -> Adequacy:
 
 
 def _described(found: Sequence[Energy], kind: str, b: int, share: float) -> str:
+    """Return a sentence on the band that noise explains least."""
     k = KINDS.index(kind)
     excess = {e.trial: float(e.left[k, b] / e.noise[k, b]) for e in found if float(e.count[b]) > 0.0}
     trial = max(excess, key=lambda name: excess[name])
@@ -107,6 +123,7 @@ def _described(found: Sequence[Energy], kind: str, b: int, share: float) -> str:
 
 
 def _energy(observed: TrialObservation, noise: NoiseBudget, left: Float[Tensor, "frames 6"]) -> Energy:
+    """Return the energy of one trial's residual and of its noise."""
     chance = (noise.motion + noise.plates).clamp(min=LEAST)
     parts = energy(observed.rows, left)[0], chance, chance.square() / noise.count.clamp(min=1.0)[:, None]
     own, noise_budget, spread = (x.unflatten(1, (2, 3)).sum(2).T for x in parts)

@@ -1,4 +1,8 @@
-"""Log evidence that candidates add to a model, all of them by one factorisation of the model."""
+"""Log evidence that candidates add to a model, all of them by one factorisation of the model.
+
+The gain follows from the Schur complement of the base in the Gram matrix of both (MacKay, Neural Computation 4:415
+(1992)).
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -12,13 +16,18 @@ from torchid.diagnosis.evidence.posterior import Posterior
 from torchid.diagnosis.evidence.statistics import Statistics, TrialStatistics
 
 SMALLER = (1.0, 0.25, 0.0625)
-"""Widths of priors against those by which effects are named, which are those of large ones."""
+"""Resolution. Widths of priors against those by which effects are named, which are those of large ones."""
 
 
 def gains(statistics: Statistics, base: Posterior, candidates: Sequence[Candidate]) -> Float[Tensor, "2 candidates"]:
-    """Log evidence that each candidate alone would add to a base, on the trials of the base.
+    """Return the log evidence that each candidate alone would add to a base, on the trials of the base [nat].
 
     The second row is half the whitened energy that it would take away: the evidence without its price.
+
+    Args:
+        statistics: statistics of all trials.
+        base: posterior of the base.
+        candidates: candidates, of the same design.
     """
     found = base.factor.new_zeros(2, len(candidates))
     for rows, told, left in informed(statistics, base, candidates):
@@ -29,7 +38,14 @@ def gains(statistics: Statistics, base: Posterior, candidates: Sequence[Candidat
 def scale_averaged_gains(
     statistics: Statistics, base: Posterior, candidates: Sequence[Candidate]
 ) -> Float[Tensor, " candidates"]:
-    """The same where not even the order of magnitude of a size is known: the mean over ``SMALLER``."""
+    """Return the log evidence where not even the order of magnitude of a size is known [nat]: the mean over
+    ``SMALLER``.
+
+    Args:
+        statistics: statistics of all trials.
+        base: posterior of the base.
+        candidates: candidates, of the same design.
+    """
     found = base.factor.new_zeros(len(candidates))
     for rows, told, left in informed(statistics, base, candidates):
         some = [candidates[k] for k in rows]
@@ -41,7 +57,16 @@ def scale_averaged_gains(
 def informed(
     statistics: Statistics, base: Posterior, candidates: Sequence[Candidate]
 ) -> Iterator[tuple[list[int], Float[Tensor, "some n n"], Float[Tensor, "some n"]]]:
-    """Candidates of one size that act in the same trials, information on their parameters beside a base, and moment."""
+    """Yield groups of candidates of one size that act in the same trials: indices, information and moment.
+
+    Both are of their parameters in units of their priors, beside the base. Candidates that act in no trial of the base
+    are left out.
+
+    Args:
+        statistics: statistics of all trials.
+        base: posterior of the base.
+        candidates: candidates, of the same design.
+    """
     groups: dict[tuple[tuple[frozenset[int], ...], int], list[int]] = {}
     for k, one in enumerate(candidates):
         blocks = tuple(block & base.seen for block in one.blocks if block & base.seen)
@@ -52,6 +77,7 @@ def informed(
 
 
 def _grams_of(raw: TrialStatistics, index: Int[Tensor, "some columns"]) -> Float[Tensor, "some columns columns"]:
+    """Return the Gram matrix of each candidate's columns in one trial."""
     at = raw.at(index)
     return raw.gram[at[:, :, None], at[:, None, :]]
 
@@ -59,7 +85,7 @@ def _grams_of(raw: TrialStatistics, index: Int[Tensor, "some columns"]) -> Float
 def _informed(
     statistics: Statistics, base: Posterior, some: Sequence[Candidate], blocks: tuple[frozenset[int], ...]
 ) -> tuple[Float[Tensor, "some n n"], Float[Tensor, "some n"]]:
-    """Blocks of trials have parameters of their own."""
+    """Return information and moment of candidates; blocks of trials have parameters of their own."""
     index = torch.stack([c.columns for c in some])
     relative = torch.stack([c.relative for c in some]).to(base.factor)
     parts, lefts, owns = [], [], []
@@ -79,6 +105,8 @@ def _informed(
 def _gains(
     told: Float[Tensor, "some n n"], left: Float[Tensor, "some n"], some: Sequence[Candidate], scale: float = 1.0
 ) -> Float[Tensor, "2 some"]:
+    """Return the gains of candidates whose prior standard deviations are multiplied by a scale, and half the
+    energies."""
     L = torch.linalg.cholesky(scale**2 * told + torch.eye(told.shape[1]).to(told))
     u = torch.linalg.solve_triangular(L, scale * left[..., None], upper=False)[..., 0]
     energy = 0.5 * u.square().sum(1)

@@ -1,7 +1,8 @@
 """Effects whose parameters are others in every trial, taken trial by trial.
 
-Eight trials that each have 100 parameters of their own cost eight factors of 100, not one of 800: given what the trials
-share, theirs are independent, so that they are integrated out of each trial's sums alone (Schur complements).
+Given what the trials share, such parameters are independent from trial to trial, so that they are integrated out of
+each trial's statistics alone (Schur complements): eight trials that each have 100 parameters of their own cost eight
+factors of 100, not one of 800.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,21 +19,31 @@ from torchid.diagnosis.evidence.statistics import Statistics, TrialStatistics
 
 @dataclass(frozen=True)
 class TrialPosterior:
-    """What all trials together tell of one trial's parameters."""
+    """Posterior of the parameters that act in one trial, by all trials together."""
 
     columns: Int[Tensor, " acting"]
-    """Of the design; effects that share a source have the same ones."""
+    """Columns of the design; effects that share a source have the same ones."""
     relative: Float[Tensor, " acting"]
-    """Prior standard deviations against those of the sources."""
+    """Prior standard deviations over those of the sources."""
     mean: Float[Tensor, " acting"]
+    """Mean, in units of the priors."""
     covariance: Float[Tensor, "acting acting"]
+    """Covariance, in units of the priors."""
 
     def z(self, columns: int) -> Float[Tensor, " all"]:
-        """Mean over all columns of the design."""
+        """Return the mean of z over all columns of the design.
+
+        Args:
+            columns: number of columns.
+        """
         return self.mean.new_zeros(columns).index_add_(0, self.columns, self.relative * self.mean)
 
     def lost(self, raw: TrialStatistics) -> float:
-        """Degrees of freedom that the trial's rows with these sums have given to the parameters."""
+        """Return the degrees of freedom that a trial's rows have given to the parameters.
+
+        Args:
+            raw: statistics of the rows.
+        """
         at = raw.at(self.columns)
         gram = raw.gram[at][:, at]
         return float((self.relative[:, None] * gram * self.relative * self.covariance).sum())
@@ -40,22 +51,28 @@ class TrialPosterior:
 
 @dataclass(frozen=True)
 class _Own:
-    """Of one trial: columns, and factor of what it says of them."""
+    """Columns of one trial's own parameters, and the factor of what it says of them."""
 
     columns: Int[Tensor, " own"]
+    """Columns of the design."""
     at: Int[Tensor, " own"]
-    """Where they stand in the trial."""
+    """Positions of the columns in the trial."""
     relative: Float[Tensor, " own"]
+    """Prior standard deviations over those of the sources."""
     factor: Float[Tensor, "own own"]
+    """Lower Cholesky factor of their Gram matrix plus the unit matrix."""
 
     def cross(self, raw: TrialStatistics) -> Float[Tensor, "own padded"]:
+        """Return products of the own columns with all columns of the trial."""
         return self.relative[:, None] * raw.gram[self.at]
 
     def moment(self, raw: TrialStatistics) -> Float[Tensor, "own 1"]:
+        """Return the moment of the own columns."""
         return (self.relative * raw.moment[self.at])[:, None]
 
 
 def _own(raw: TrialStatistics, acting: Sequence[Candidate]) -> _Own:
+    """Return the columns of effects that act in a trial with parameters of their own."""
     columns, relative = torch.cat([c.columns for c in acting]), torch.cat([c.relative for c in acting]).to(raw.gram)
     at = raw.at(columns)
     gram = relative[:, None] * raw.gram[at][:, at] * relative
@@ -63,7 +80,13 @@ def _own(raw: TrialStatistics, acting: Sequence[Candidate]) -> _Own:
 
 
 def marginalise_per_trial(statistics: Statistics, chosen: Sequence[Candidate]) -> tuple[Statistics, list[Candidate]]:
-    """Sums in which effects that are anew in every trial are integrated out, and the other effects."""
+    """Return statistics in which effects with parameters of their own in every trial are integrated out, and the
+    others.
+
+    Args:
+        statistics: statistics of all trials.
+        chosen: effects of the model.
+    """
     anew, trials, constant = [c for c in chosen if c.effect.per_trial], [], statistics.constant
     if not anew:
         return statistics, list(chosen)
@@ -80,7 +103,12 @@ def marginalise_per_trial(statistics: Statistics, chosen: Sequence[Candidate]) -
 
 
 def trial_posteriors(statistics: Statistics, chosen: Sequence[Candidate]) -> Iterator[TrialPosterior]:
-    """Of every trial in turn."""
+    """Yield the posterior of every trial in turn.
+
+    Args:
+        statistics: statistics of all trials.
+        chosen: effects of the model.
+    """
     less, shared = marginalise_per_trial(statistics, chosen)
     posterior = fit(less, shared)
     mean, covariance = posterior.mean, posterior.covariance
@@ -94,7 +122,7 @@ def trial_posteriors(statistics: Statistics, chosen: Sequence[Candidate]) -> Ite
 def _acting(
     base: int, shared: Sequence[Candidate], trial: int
 ) -> tuple[Int[Tensor, " some"], Int[Tensor, " some"], Float[Tensor, " some"]]:
-    """Where parameters of a model without anew effects stand that act in a trial, their columns and scales."""
+    """Return positions, columns and scales of shared parameters that act in a trial."""
     at, columns, relative = [torch.arange(base)], [torch.arange(base)], [torch.ones(base, dtype=torch.float64)]
     first = base
     for one in shared:
@@ -107,7 +135,8 @@ def _acting(
 
 
 def _joined(here: TrialPosterior, own: _Own, raw: TrialStatistics) -> TrialPosterior:
-    """With the trial's own parameters, which are linear in what it shares, plus what it leaves open."""
+    """Return the posterior with the trial's own parameters, which are linear in what trials share, plus what it leaves
+    open."""
     both = torch.cat([own.cross(raw)[:, raw.at(here.columns)] * here.relative, own.moment(raw)], 1)
     solved = torch.cholesky_solve(both, own.factor)
     slope, n = -solved[:, :-1], len(here.mean)

@@ -1,10 +1,11 @@
 """Evidence of models that are linear in inertia, nuisances and effects, all integrated out.
 
 In coordinates in which every prior is a unit normal, a model with columns I has log evidence (up to what all models
-share) b' L^-1 b / 2 - log det L / 2 with L = G_II + 1. A candidate's gain over a base follows from the Schur
-complement of the base: one factorisation serves the whole catalogue.
+share) b' L^-1 b / 2 - log det L / 2 with L = G_II + 1. A candidate's gain over a base follows from the Schur complement
+of the base: one factorisation serves the whole catalogue.
 
-Reference: MacKay, Neural Computation 4 (1992), on evidence; Chib, JASA 90 (1995), on its chain rule over trials.
+Reference: MacKay, Neural Computation 4:415 (1992), on evidence; Chib, JASA 90:1313 (1995), on its chain rule over
+trials.
 """
 
 from collections.abc import Sequence
@@ -23,28 +24,36 @@ class Posterior:
     """Posterior of one model: chosen effects, factor of L, whitened moment; base columns first."""
 
     chosen: tuple[Candidate, ...]
+    """Effects of the model."""
     seen: frozenset[int]
-    """Trials it was fitted to."""
+    """Indices of the trials that it was fitted to."""
     factor: Float[Tensor, "n n"]
+    """Lower Cholesky factor of L."""
     whitened: Float[Tensor, " n"]
+    """Inverse of the factor times the moment."""
 
     @property
     def log_evidence(self) -> float:
-        """Up to what all models of the same rows share."""
+        """Log evidence up to what all models of the same rows share [nat]."""
         return float(0.5 * self.whitened @ self.whitened - self.factor.diagonal().log().sum())
 
     @property
     def mean(self) -> Float[Tensor, " n"]:
-        """Of z."""
+        """Mean of z: base columns, then each chosen effect's, block after block of trials."""
         return torch.linalg.solve_triangular(self.factor.T, self.whitened[:, None], upper=True)[:, 0]
 
     @property
     def covariance(self) -> Float[Tensor, "n n"]:
-        """Of z."""
+        """Covariance of z, in the order of ``mean``."""
         return torch.cholesky_inverse(self.factor)
 
     def z(self, columns: int, trial: int) -> Float[Tensor, " all"]:
-        """Mean over all columns of the design in one trial."""
+        """Return the mean of z over all columns of the design in one trial.
+
+        Args:
+            columns: number of columns of the design.
+            trial: index of the trial.
+        """
         found = self.shares(columns, trial).sum(0)
         base = len(self.factor) - sum(c.size for c in self.chosen)
         # Candidates may share the columns of nuisances.
@@ -52,7 +61,12 @@ class Posterior:
         return found
 
     def shares(self, columns: int, trial: int) -> Float[Tensor, "chosen all"]:
-        """Of it, each chosen effect's."""
+        """Return the share of each chosen effect in the mean of z in one trial.
+
+        Args:
+            columns: number of columns of the design.
+            trial: index of the trial.
+        """
         mean = self.mean
         found = mean.new_zeros(len(self.chosen), columns)
         at = len(mean) - sum(c.size for c in self.chosen)
@@ -67,7 +81,13 @@ class Posterior:
 def assembled(
     statistics: Statistics, chosen: Sequence[Candidate], seen: frozenset[int]
 ) -> tuple[Float[Tensor, "n n"], Float[Tensor, " n"]]:
-    """Gram matrix and moment of the base and these effects."""
+    """Return Gram matrix and moment of the base and some effects.
+
+    Args:
+        statistics: statistics of all trials.
+        chosen: the effects.
+        seen: indices of the trials to sum over.
+    """
     blocks = [statistics.cross(chosen, slice(statistics.base), seen)]
     moments = [statistics.moment(slice(statistics.base), seen)]
     for own, scale, block in blocks_of(chosen):
@@ -78,7 +98,13 @@ def assembled(
 
 
 def fit(statistics: Statistics, chosen: Sequence[Candidate] = (), seen: frozenset[int] | None = None) -> Posterior:
-    """The model with these effects, on some trials or all."""
+    """Return the posterior of the model with some effects, on some trials.
+
+    Args:
+        statistics: statistics of all trials.
+        chosen: the effects.
+        seen: indices of the trials; None: all.
+    """
     seen = statistics.all if seen is None else seen
     L, moment = assembled(statistics, chosen, seen)
     factor = torch.linalg.cholesky(L + torch.eye(len(L)).to(L))

@@ -13,17 +13,25 @@ from torchid.model.model import InertialPrior
 
 @dataclass(frozen=True)
 class Prior:
-    """theta = mean + factor z with z unit normal."""
+    """Normal prior theta = mean + factor z with z unit normal; the factor is that of the inertia beside a diagonal."""
 
     mean: Float[Tensor, " all"]
+    """Mean of theta."""
     inertia: Float[Tensor, "params params"]
-    """Lower Cholesky factor of the inertial parameters."""
+    """Lower Cholesky factor of the covariance of the inertial parameters."""
     scale: Float[Tensor, " more"]
+    """Standard deviations of all other parameters."""
 
     def standard(
         self, gram: Float[Tensor, "live live"], moment: Float[Tensor, " live"], live: Int[Tensor, " live"]
     ) -> TrialStatistics:
-        """Sums over theta in terms of z."""
+        """Return statistics of theta in terms of z.
+
+        Args:
+            gram: Gram matrix of theta's columns.
+            moment: moment of theta's columns.
+            live: columns of the design that they are.
+        """
         n, L = len(self.inertia), len(live)
         scale, left = self.scale[live[n:] - n], moment - gram @ self.mean[live]
         both = gram.new_zeros(L + 1, L + 1)
@@ -34,18 +42,32 @@ class Prior:
         return TrialStatistics(live, both, torch.cat([self.inertia.T @ left[:n], scale * left[n:], left.new_zeros(1)]))
 
     def widened(self, design: Design) -> "Prior":
-        """The same of inertia, for another design."""
+        """Return the prior with the same inertia, for another design.
+
+        Args:
+            design: the other design.
+        """
         n = len(self.inertia)
         return Prior(torch.cat([self.mean[:n], design.mean.to(self.mean)]), self.inertia, design.scale.to(self.mean))
 
     def theta(self, z: Float[Tensor, " all"]) -> Float[Tensor, " all"]:
-        """Back to the parameters."""
+        """Return the parameters theta.
+
+        Args:
+            z: coordinates in which the prior is a unit normal.
+        """
         n = len(self.inertia)
         return self.mean + torch.cat([self.inertia @ z[:n], self.scale * z[n:]])
 
 
 def make_prior(inertia: InertialPrior, omega: float, design: Design) -> Prior:
-    """Of all columns of a design; ``omega`` weighs the inertial prior as the inertial fit did."""
+    """Return the prior of all columns of a design.
+
+    Args:
+        inertia: prior of the inertial parameters.
+        omega: weight of that prior, as in the inertial fit.
+        design: the design.
+    """
     factor = torch.linalg.cholesky(inertia.covariance / omega)
     scale = design.scale.to(factor)
     return Prior(torch.cat([inertia.mean.reshape(-1), design.mean.to(factor)]), factor, scale)

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.columns.design import Columns, Design
+from torchid.diagnosis.columns.design import Columns
 from torchid.diagnosis.columns.relinearise import without_beyond
+from torchid.diagnosis.evidence.model import LinearModel
 from torchid.diagnosis.evidence.posterior import Posterior
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.observation.trial import TrialObservation
@@ -14,17 +15,31 @@ from torchid.regressor.rows import measured
 
 
 def residuals(
-    observed: Sequence[TrialObservation], design: Design, prior: Prior, posterior: Posterior
+    observed: Sequence[TrialObservation], model: LinearModel, posterior: Posterior
 ) -> list[Float[Tensor, "frames 6"]]:
-    """Of the trials a model was fitted to, about the root's origin."""
-    both = enumerate(zip(observed, design.trials, strict=True))
-    return [residual(own, columns, prior, posterior, k) for k, (own, columns) in both]
+    """Return what a posterior leaves of the wrenches of all trials of a model, about the root's origin [N, N m].
+
+    Args:
+        observed: trials of the model.
+        model: the model.
+        posterior: posterior of the model with some effects.
+    """
+    both = enumerate(zip(observed, model.design.trials, strict=True))
+    return [residual(own, columns, model.prior, posterior, k) for k, (own, columns) in both]
 
 
 def residual(
     observed: TrialObservation, columns: Columns, prior: Prior, posterior: Posterior, trial: int
 ) -> Float[Tensor, "frames 6"]:
-    """Of one trial about the root's origin, with everything that the model knows taken off."""
+    """Return what a posterior leaves of the wrench of one trial, about the root's origin [N, N m].
+
+    Args:
+        observed: the trial.
+        columns: columns of the trial.
+        prior: prior of all columns of the design.
+        posterior: posterior of a model on any trials.
+        trial: index of it among the posterior's trials, or one behind them.
+    """
     theta, n = prior.theta(posterior.z(len(prior.mean), trial)), len(prior.inertia)
     late = any(one.effect.shifts_time for one in posterior.chosen)
     rows = without_beyond(observed.rows, columns) if late else observed.rows

@@ -1,4 +1,4 @@
-"""What trials say of all parameters, in coordinates in which every prior is a unit normal."""
+"""Gram matrices and moments of all parameters, in coordinates z in which every prior is a unit normal."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,21 +15,31 @@ from torchid.diagnosis.columns.design import Design, narrower, positions
 
 @dataclass(frozen=True)
 class TrialStatistics:
-    """What one trial's whitened rows say of z: what could happen in another trial alone has no columns in them."""
+    """Gram matrix and moment of one trial's whitened rows; what could happen in another trial alone has no columns in
+    them."""
 
     live: Int[Tensor, " live"]
     """Columns of the design that this trial has, in order."""
     gram: Float[Tensor, "live+1 live+1"]
-    """Its last row and column, zero, are those of all columns that do not live."""
+    """Gram matrix; its last row and column, zero, are those of all columns that do not live."""
     moment: Float[Tensor, " live+1"]
+    """Moment; its last element, zero, is that of all columns that do not live."""
 
     def at(self, columns: Int[Tensor, "*some"]) -> Int[Tensor, "*some"]:
-        """Where columns of the design stand."""
+        """Return where columns of the design stand; those that do not live stand last.
+
+        Args:
+            columns: columns of the design.
+        """
         at = torch.searchsorted(self.live, columns)
         return torch.where(self.live[at.clamp(max=len(self.live) - 1)] == columns, at, len(self.live))
 
     def only(self, some: Int[Tensor, " fewer"]) -> "TrialStatistics":
-        """Of a design that kept these columns of this one."""
+        """Return the statistics of a design that kept some columns of this one.
+
+        Args:
+            some: columns that it kept.
+        """
         at, live = positions(self.live, some)
         where = torch.cat([at, at.new_tensor([len(self.live)])])
         return TrialStatistics(live, self.gram[where][:, where], self.moment[where])
@@ -40,36 +50,58 @@ class Statistics:
     """Gram matrices and moments of z, trial by trial."""
 
     base: int
-    """Columns of inertia and nuisances, which every trial has; those of the candidates' sources follow."""
+    """Number of columns of inertia and nuisances, which every trial has; those of the candidates' sources follow."""
     shared: int
-    """Columns that every trial has; those follow that are one trial's."""
+    """Number of columns that every trial has; those follow that are one trial's."""
     trials: tuple[TrialStatistics, ...]
+    """Statistics of each trial."""
     constant: float = 0.0
-    """Log density of all rows but for what models of one noise differ in."""
+    """Log density of all rows up to what models of one noise differ in [nat]."""
 
     @property
     def all(self) -> frozenset[int]:
-        """Every trial."""
+        """Indices of all trials."""
         return frozenset(range(len(self.trials)))
 
     def only(self, design: Design, some: Sequence[Candidate]) -> "Statistics":
-        """Of a design of these candidates alone."""
+        """Return the statistics of a design of some candidates alone.
+
+        Args:
+            design: design of these statistics.
+            some: candidates to keep.
+        """
         small, _, which = narrower(design, some)
         return replace(self, shared=small.shared, trials=tuple(raw.only(which.all) for raw in self.trials))
 
     def block(
         self, rows: slice | Tensor, columns: slice | Tensor, seen: frozenset[int]
     ) -> Float[Tensor, "rows columns"]:
-        """Part of the Gram matrix, summed over some trials."""
+        """Return part of the Gram matrix, summed over some trials.
+
+        Args:
+            rows: columns of the design that its rows are of.
+            columns: columns of the design.
+            seen: indices of the trials.
+        """
         # Symmetric: rows of a matrix lie together in memory, columns do not.
         return self.summed(seen, lambda raw: raw.gram[_of(raw, columns)][:, _of(raw, rows)]).mT
 
     def moment(self, columns: slice | Tensor, seen: frozenset[int]) -> Float[Tensor, " columns"]:
-        """Part of the moment, summed over some trials."""
+        """Return part of the moment, summed over some trials.
+
+        Args:
+            columns: columns of the design.
+            seen: indices of the trials.
+        """
         return self.summed(seen, lambda raw: raw.moment[_of(raw, columns)])
 
     def summed(self, seen: frozenset[int], part: Callable[[TrialStatistics], Tensor]) -> Tensor:
-        """A linear part of what some trials say together."""
+        """Return the sum over some trials of a part of their statistics that is linear in them.
+
+        Args:
+            seen: indices of the trials.
+            part: function that takes the part out of a trial's statistics.
+        """
         left = self.all - seen
         if 0 < len(left) < len(seen):
             # All but a few: what those say taken off.
@@ -81,7 +113,7 @@ class Statistics:
 
     @cached_property
     def _whole(self) -> TrialStatistics:
-        """Of the shared columns: what is one trial's is never summed."""
+        """Sum of all trials over the shared columns: what is one trial's is never summed."""
         n, first = self.shared, self.trials[0]
         gram, moment = first.gram.new_zeros(n + 1, n + 1), first.moment.new_zeros(n + 1)
         for raw in self.trials:
@@ -90,7 +122,13 @@ class Statistics:
         return TrialStatistics(first.live[:n], gram, moment)
 
     def cross(self, chosen: Sequence[Candidate], columns: slice | Tensor, seen: frozenset[int]) -> Tensor:
-        """Rows of the base and of chosen candidates against columns, summed over the trials in which they act."""
+        """Return rows of the base and of chosen candidates against columns, summed over the trials in which they act.
+
+        Args:
+            chosen: the candidates.
+            columns: columns of the design.
+            seen: indices of the trials.
+        """
         rows = [self.block(slice(self.base), columns, seen)]
         for own, relative, block in blocks_of(chosen):
             rows.append(relative.to(rows[0])[:, None] * self.block(own, columns, block & seen))
@@ -98,14 +136,18 @@ class Statistics:
 
 
 def _of(raw: TrialStatistics, some: slice | Tensor) -> slice | Tensor:
-    """Slices are of columns that every trial has."""
+    """Return where columns stand in a trial; slices are of columns that every trial has."""
     return some if isinstance(some, slice) else raw.at(some)
 
 
 def blocks_of(
     chosen: Sequence[Candidate],
 ) -> Iterator[tuple[Int[Tensor, " columns"], Float[Tensor, " columns"], frozenset[int]]]:
-    """Columns and relative scales of neighbours that act in the same trials, and these."""
+    """Yield columns and relative scales of neighbours that act in the same trials, and these.
+
+    Args:
+        chosen: candidates, in the order of their parameters.
+    """
     for block, some in groupby(((one, block) for one in chosen for block in one.blocks), key=lambda both: both[1]):
         own = [one for one, _ in some]
         yield torch.cat([c.columns for c in own]), torch.cat([c.relative for c in own]), block

@@ -1,7 +1,11 @@
-"""Causes that evidence supports and that are none: where noise does not explain the residual, evidence is cheap."""
+"""Rules that take causes out again, each a pure function from a result to a result with the step that it took.
+
+Evidence names causes one after the other. A later one may make an earlier one superfluous, and where noise does not
+explain the residual, evidence is cheap: then a cause must also be seen to gain.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -10,145 +14,229 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.search.estimates import parameter_map
 from torchid.diagnosis.search.result import SearchResult, support, without
-from torchid.diagnosis.search.rivals import NAMED
 from torchid.diagnosis.search.scan import scan_all
+from torchid.diagnosis.trace import StepKind, step
 from torchid.observation.trial import TrialObservation
 
-PLAIN = 0.05
-"""Part of the residual force or moment that a cause takes away that nobody doubts."""
-OPPOSED = 0.5
-"""Of the energy of the larger of two causes: what is left where they undo each other."""
+Rule = Callable[[SearchResult, Sequence[TrialObservation]], SearchResult]
+"""A function of a result and the fit trials that returns the result without the causes that it takes out."""
+
+
+def drop_unsupported(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
+    """Return the result without causes that the others make superfluous, or that stood by others which have left.
+
+    The last ones that entered, which explain least, are asked first.
+
+    Args:
+        found: result so far.
+        observed: fit trials; not asked.
+    """
+    del observed
+    least, kept, steps = found.options.naming.named_nats, list(found.chosen), []
+    for one in reversed(found.chosen):
+        nats = support(found.model.statistics, kept, one)
+        if nats < least:
+            kept.remove(one)
+            steps.append(step(StepKind.LEAVE, one, "unsupported", evidence_nats=nats, least_nats=least))
+    return found.having(kept, *steps) if steps else found
+
+
+def drop_negative(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
+    """Return the result without causes all of whose loads or springs are negative.
+
+    An effect says that something is there; its negative says that something is taken away, which has another name.
+
+    Args:
+        found: result so far.
+        observed: fit trials; not asked.
+    """
+    del observed
+    return _without_negative(found, math.inf)
+
+
+def drop_surely_negative(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
+    """Return the result without causes of which one load or spring of several is surely negative.
+
+    The rule is for the end only: other causes that leave later may be what makes it negative.
+
+    Args:
+        found: result so far.
+        observed: fit trials; not asked.
+    """
+    del observed
+    return _without_negative(found, found.options.elimination.negative_sd)
+
+
+def _without_negative(found: SearchResult, sd: float) -> SearchResult:
+    """Return the result without causes whose parameters are all negative, or one of them by so many standard
+    deviations."""
+    for k, one in reversed(list(enumerate(found.chosen))):
+        theta, spread = _positive_parameters(found, k)
+        if len(theta) and bool((theta < 0.0).all() or (theta < -sd * spread).any()):
+            lowest = float((theta / spread).min())
+            left = step(StepKind.LEAVE, one, "negative", lowest_sd=lowest, least_sd=-min(sd, 1e3))
+            return _without_negative(found.having(without(found.chosen, one), left), sd)
+    return found
+
+
+def _positive_parameters(found: SearchResult, k: int) -> tuple[Float[Tensor, " some"], Float[Tensor, " some"]]:
+    """Return the parameters of the k-th cause that are never negative, and their standard deviations."""
+    one, factor = found.chosen[k], parameter_map(found, k)
+    n = one.effect.positives(one.place)
+    theta = (factor @ found.posterior.mean)[:n]
+    return theta, (factor @ found.posterior.covariance @ factor.T).diagonal()[:n].sqrt()
+
+
+def drop_opposed(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
+    """Return the result without causes on forces that mostly undo each other: what is left of a pair has another name,
+    or none.
+
+    Args:
+        found: result so far.
+        observed: fit trials; not asked.
+    """
+    del observed
+    energy, limit = _energies(found), found.options.elimination.opposed_part
+    own = [k for k, one in enumerate(found.chosen) if not one.effect.moves_markers]
+    left: dict[int, float] = {}
+    for i, k in combinations(own, 2):
+        both = float(energy[[i, k]][:, [i, k]].sum() / max(energy[i, i], energy[k, k]))
+        if both < limit:
+            left |= {j: min(both, left.get(j, both)) for j in (i, k)}
+    steps = [
+        step(StepKind.LEAVE, found.chosen[k], "opposed", remaining_part=both, least_part=limit)
+        for k, both in sorted(left.items())
+    ]
+    kept = [one for k, one in enumerate(found.chosen) if k not in left]
+    return found.having(kept, *steps) if steps else found
+
+
+def _energies(found: SearchResult) -> Float[Tensor, "chosen chosen"]:
+    """Return products of what the chosen effects do to the whitened rows."""
+    columns = len(found.model.prior.mean)
+    total = found.model.prior.mean.new_zeros(len(found.chosen), len(found.chosen))
+    for trial, raw in enumerate(found.model.statistics.trials):
+        share = found.posterior.shares(columns, trial)[:, raw.live]
+        total += share @ raw.gram[:-1, :-1] @ share.T
+    return total
 
 
 def drop_without_residual_gain(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
-    """Where noise does not explain the residual, evidence alone is cheap: forces must also be seen to gain.
+    """Return the result without causes on forces that take too little of the residual away.
 
-    Judged without courses that are anew in every trial: what markers draw there can double the residual of the forces,
-    beside which 32 N of a plate went unseen. A wrong record is spared: a body 3 kg heavier than written down, 48 nats
-    against a scale of 0.3 kg, left in forces nothing that inertia did not take on.
+    They are judged without effects that have parameters of their own in every trial, beside which a plate's error can
+    go unseen. A wrong record is spared: inertia takes it on, so that it leaves nothing in the residual.
+
+    Args:
+        found: result so far.
+        observed: fit trials.
     """
-    kept = list(found.chosen)
-    # The last that were named, which explain least, are asked first: of two that can stand for each other, they go.
+    least, kept, steps = found.options.elimination.residual_part, list(found.chosen), []
     for one in reversed(found.chosen):
         if one.effect.moves_markers or one.effect.intermittent or one.effect.on_record:
             continue
-        if _takes_away(found, observed, kept, one) < PLAIN:
+        part = _takes_away(found, observed, kept, one)
+        if part < least:
             kept.remove(one)
-    return replace(found, chosen=tuple(kept), posterior=fit(found.statistics, kept))
+            steps.append(step(StepKind.LEAVE, one, "no_residual_gain", residual_part=part, least_part=least))
+    return found.having(kept, *steps) if steps else found
 
 
 def _takes_away(
     found: SearchResult, observed: Sequence[TrialObservation], chosen: Sequence[Candidate], one: Candidate
 ) -> float:
-    """Part of the residual force or moment, whichever is more, that an effect takes away beside the others chosen."""
+    """Return the part of the residual force or moment, whichever is more, that an effect takes away beside the
+    others."""
     others = [c for c in without(chosen, one) if not c.effect.per_trial]
     with_, less = (
-        sizes(observed, residuals(observed, found.design, found.prior, fit(found.statistics, some)))
-        for some in ([*others, one], others)
+        sizes(observed, residuals(observed, found.model, found.model.fit(some))) for some in ([*others, one], others)
     )
     return 1.0 - float((with_ - less).exp().min())
 
 
-def stands_out(found: SearchResult, observed: Sequence[TrialObservation], k: int) -> float:
-    """Part of the residual force or moment, whichever is more, that the k-th chosen effect takes away by itself.
+def restore_record(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
+    """Return the result with a wrong record or a common gain, if forces that have left had stood for it.
 
-    Nothing else makes up for it: what a hidden load needs, the inertia takes on.
+    Args:
+        found: result so far.
+        observed: fit trials; not asked.
     """
-    n, more = found.design.inertia, []
-    left = residuals(observed, found.design, found.prior, found.posterior)
-    for trial, (columns, own) in enumerate(zip(found.design.trials, left, strict=True)):
-        share = found.prior.scale * found.posterior.shares(len(found.prior.mean), trial)[k, n:]
+    del observed
+    left = [c for c in found.scales if c not in found.chosen]
+    if not left or not any(one.rule in ("opposed", "no_residual_gain") for one in found.trace):
+        return found
+    scan = scan_all(found.model.statistics, left, found.chosen, found.options.naming).round
+    if scan.named is None:
+        return found
+    one = scan.named.candidate
+    enter = step(StepKind.ENTER, one, "restored_record", score_nats=scan.named.score)
+    rounds = (*found.rounds[:-1], scan, found.rounds[-1])
+    return replace(found.having((*found.chosen, one), enter), rounds=rounds)
+
+
+SUPPORTED: tuple[Rule, ...] = (drop_unsupported, drop_negative)
+"""Rules that every result must pass."""
+VISIBLE: tuple[Rule, ...] = (drop_opposed, drop_without_residual_gain)
+"""Rules for results whose residual noise does not explain."""
+AT_LAST: tuple[Rule, ...] = (drop_unsupported, drop_surely_negative)
+"""Rules for the end, when nothing else changes any more."""
+
+
+def eliminate(found: SearchResult, observed: Sequence[TrialObservation], rules: Sequence[Rule]) -> SearchResult:
+    """Return the result after each rule in turn.
+
+    Args:
+        found: result so far.
+        observed: fit trials.
+        rules: the rules, in order.
+    """
+    for rule in rules:
+        found = rule(found, observed)
+    return found
+
+
+def settle(found: SearchResult, observed: Sequence[TrialObservation], rules: Sequence[Rule]) -> SearchResult:
+    """Return the result after the rules, applied in turn until none takes out a cause.
+
+    Args:
+        found: result so far.
+        observed: fit trials.
+        rules: the rules, in order.
+    """
+    after = eliminate(found, observed, rules)
+    return after if len(after.chosen) == len(found.chosen) else settle(after, observed, rules)
+
+
+def stands_out(found: SearchResult, observed: Sequence[TrialObservation], k: int) -> float:
+    """Return the part of the residual force or moment, whichever is more, that the k-th chosen effect takes away by
+    itself.
+
+    Nothing else makes up for it here, whereas in another fit the inertia takes on what a hidden load needs.
+
+    Args:
+        found: result of the search.
+        observed: fit trials.
+        k: index of the effect.
+    """
+    model, n, more = found.model, found.model.design.inertia, []
+    left = residuals(observed, model, found.posterior)
+    for trial, (columns, own) in enumerate(zip(model.design.trials, left, strict=True)):
+        share = model.prior.scale * found.posterior.shares(len(model.prior.mean), trial)[k, n:]
         more.append(own + columns.added(share[columns.terms.live[n:] - n]))
     return 1.0 - float((sizes(observed, left) - sizes(observed, more)).exp().min())
 
 
 def sizes(observed: Sequence[TrialObservation], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:
-    """Logarithms of the RMS of forces and moments, averaged over trials: a landing must not drown what squats show."""
+    """Return logarithms of the RMS of residual forces [log N] and moments [log N m].
+
+    They are averaged over trials so that none drowns the others.
+
+    Args:
+        observed: trials.
+        left: residual of each about the root's origin [N, N m].
+    """
     parts = [x[w.rows.used].unflatten(1, (2, 3)) for w, x in zip(observed, left, strict=True)]
     return torch.stack([0.5 * part.square().mean((0, 2)).log() for part in parts]).mean(0)
-
-
-def drop_opposed(found: SearchResult) -> SearchResult:
-    """Without causes on forces that mostly undo each other: what is left of such a pair has another name, or none.
-
-    A runner's trunk that moved less than its markers was 9 kg less of mass and a tether that pulled down by as much.
-    """
-    energy = _energies(found)
-    own = [k for k, one in enumerate(found.chosen) if not one.effect.moves_markers]
-    pairs = [(i, k) for i, k in combinations(own, 2)
-             if energy[[i, k]][:, [i, k]].sum() < OPPOSED * max(energy[i, i], energy[k, k])]  # fmt: skip
-    out = {k for pair in pairs for k in pair}
-    kept = tuple(one for k, one in enumerate(found.chosen) if k not in out)
-    return replace(found, chosen=kept, posterior=fit(found.statistics, kept))
-
-
-def _energies(found: SearchResult) -> Float[Tensor, "chosen chosen"]:
-    """Products of what the chosen effects do to the whitened rows."""
-    total = torch.zeros(len(found.chosen), len(found.chosen)).to(found.prior.mean)
-    for trial, raw in enumerate(found.statistics.trials):
-        share = found.posterior.shares(len(found.prior.mean), trial)[:, raw.live]
-        total += share @ raw.gram[:-1, :-1] @ share.T
-    return total
-
-
-def restore_record(before: SearchResult, after: SearchResult) -> SearchResult:
-    """With a wrong record or a common gain, if forces that were dropped have stood for it.
-
-    A runner written down 6 kg too light was 25 nats, until forces at an arm and the thorax, which explained more and
-    took nothing away from the residual, pulled at him by as much.
-    """
-    left = [c for c in after.scales if c not in after.chosen]
-    if len(after.chosen) == len(before.chosen) or not left:
-        return after
-    scan = scan_all(after.statistics, left, after.chosen).round
-    if scan.named is None:
-        return after
-    chosen = (*after.chosen, scan.named.candidate)
-    rounds = (*after.rounds[:-1], scan, after.rounds[-1])
-    return replace(after, chosen=chosen, posterior=fit(after.statistics, chosen), rounds=rounds)
-
-
-SURELY = 3.0
-"""Standard deviations below zero that refute one of several parameters that cannot be there. Set with three
-recordings seen: in a runner and in walks and squats no softness of 24 segments is below zero by more than two; in a
-child's walk that hardly stands on plates, two of 15 were by more than three, one by six."""
-
-
-def drop_unsupported(found: SearchResult, last: bool = False) -> SearchResult:
-    """Without those that the others have made superfluous, or that stood by others which have gone since.
-
-    A late runner was 4 kg lighter than written down beside forces that pulled at his arm and thigh; they were dropped,
-    and without them the record had 1.0 nat against it.
-    """
-    kept = list(found.chosen)
-    for one in reversed(found.chosen):
-        if support(found.statistics, kept, one) < NAMED:
-            kept.remove(one)
-    left = drop_negative(replace(found, chosen=tuple(kept), posterior=fit(found.statistics, kept)), last)
-    return left if len(left.chosen) == len(found.chosen) else drop_unsupported(left, last)
-
-
-def drop_negative(found: SearchResult, last: bool = False) -> SearchResult:
-    """No load and no spring is negative: one is there, not its like taken away.
-
-    That one spring of many is negative says something at ``last`` only, when nothing else goes any more: forces that
-    pulled at a runner's arm and thorax, and were dropped later, had made his thorax one.
-    """
-    for k, one in reversed(list(enumerate(found.chosen))):
-        if _negative(found, k, SURELY if last else math.inf):
-            kept = tuple(without(found.chosen, one))
-            return drop_negative(replace(found, chosen=kept, posterior=fit(found.statistics, kept)), last)
-    return found
-
-
-def _negative(found: SearchResult, k: int, surely: float) -> bool:
-    """Whether all parameters that cannot be negative are, or one of them is by that many standard deviations."""
-    one, factor = found.chosen[k], parameter_map(found, k)
-    n = one.effect.positives(one.place)
-    theta = (factor @ found.posterior.mean)[:n]
-    sd = (factor @ found.posterior.covariance @ factor.T).diagonal()[:n].sqrt()
-    return n > 0 and bool((theta < 0.0).all() or (theta < -surely * sd).any())

@@ -1,114 +1,158 @@
-"""What a search for effects found, and what it found them against."""
+"""The result of a search: chosen effects, the scans that named them, and what may stand for them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.columns.design import Design, only
+from torchid.diagnosis.columns.design import Design
 from torchid.diagnosis.evidence.gains import gains
-from torchid.diagnosis.evidence.noise import Noise
+from torchid.diagnosis.evidence.model import LinearModel
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import Posterior, fit
-from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
-from torchid.diagnosis.search.rivals import NAMED, OUT_OF_SIGHT, Round, named_in, same, shares, twins
-
-ALTERNATIVES = 3
-"""Other places of an effect that are asked when held-out motion refutes one."""
+from torchid.diagnosis.options import DiagnosisOptions
+from torchid.diagnosis.search.rivals import Round, named_in, same, shares, twins
+from torchid.diagnosis.trace import Step, Trace
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What was found."""
+    """Effects that a model has, the scans that named them, and what may stand for them."""
 
-    design: Design
-    prior: Prior
-    noise: Noise
+    model: LinearModel
+    """Model with the columns of all candidates that may still be asked about."""
     chosen: tuple[Candidate, ...]
+    """Effects in the model."""
     rounds: tuple[Round, ...]
-    statistics: Statistics
+    """Scans of the catalogue, in order; the last one named nothing."""
     posterior: Posterior
+    """Posterior of the model with the chosen effects."""
+    options: DiagnosisOptions = DiagnosisOptions()
+    """Thresholds of the diagnosis."""
     alternative_places: tuple[tuple[Candidate, Candidate], ...] = ()
-    """A chosen effect and another place of it, likelier ones first, see ``_stand_ins``."""
+    """Pairs of a chosen effect and another place of it, likelier ones first."""
     scales: tuple[Candidate, ...] = ()
-    """What makes all weight wrong by a factor, chosen or not."""
+    """Candidates that make all weight wrong by a factor, chosen or not."""
     twins: tuple[Candidate, ...] = ()
-    """What cannot be told from chosen effects, see ``instead``."""
+    """Candidates that cannot be told from chosen effects."""
+    trace: Trace = ()
+    """Every decision so far."""
+
+    def having(self, chosen: Sequence[Candidate], *steps: Step) -> "SearchResult":
+        """Return the result with other effects chosen, fitted again.
+
+        Args:
+            chosen: the effects.
+            steps: decisions that led to them.
+        """
+        return replace(self, chosen=tuple(chosen), posterior=self.model.fit(chosen), trace=(*self.trace, *steps))
 
 
 def reduced(
-    design: Design,
-    prior: Prior,
-    noise: Noise,
-    chosen: Sequence[Candidate],
-    rounds: Sequence[Round],
-    statistics: Statistics,
+    model: LinearModel, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions, trace: Trace
 ) -> SearchResult:
-    """What a search ended with, without columns that nobody chose, that stand for nothing chosen and weigh nothing."""
-    pairs, more, alike = (
-        list(_alternative_places(design, chosen, rounds)),
-        scales(design),
-        list(_twins(design, chosen, rounds)),
-    )
-    some = list({id(c): c for c in (*chosen, *asked_later(design, chosen, rounds))}.values())
-    small, all_, _ = only(design, some)
-    own = {id(old): new for old, new in zip(some, all_, strict=True)}
-    less, kept = statistics.only(design, some), tuple(own[id(c)] for c in chosen)
-    alternative_places = tuple((own[id(first)], own[id(other)]) for first, other in pairs)
-    weigh, doubles = (tuple(own[id(c)] for c in some) for some in (more, alike))
-    posterior, prior = fit(less, kept), prior.widened(small)
-    small = replace(small, trials=tuple(one.alone for one in small.trials))
-    return SearchResult(small, prior, noise, kept, tuple(rounds), less, posterior, alternative_places, weigh, doubles)
+    """Return the result of a search without columns of what nobody chose, stands for nothing chosen and weighs nothing.
+
+    Args:
+        model: model of all candidates.
+        chosen: effects in it.
+        rounds: scans, in order.
+        options: thresholds.
+        trace: decisions so far.
+    """
+    design = model.design
+    pairs = list(_alternative_places(design, chosen, rounds, options))
+    weigh, alike = scales(design), list(_twins(design, chosen, rounds, options))
+    some = list({id(c): c for c in (*chosen, *asked_later(design, chosen, rounds, options))}.values())
+    small, cut = model.restrict(some)
+    own = {id(old): new for old, new in zip(some, cut, strict=True)}
+    kept = tuple(own[id(c)] for c in chosen)
+    columns = tuple(one.alone for one in small.design.trials)
+    less = replace(small, design=replace(small.design, trials=columns))
+    less.__dict__["statistics"] = small.statistics
+    return SearchResult(
+        less, kept, tuple(rounds), less.fit(kept), options,
+        tuple((own[id(first)], own[id(other)]) for first, other in pairs),
+        tuple(own[id(c)] for c in weigh), tuple(own[id(c)] for c in alike), trace,
+    )  # fmt: skip
 
 
-def asked_later(design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round]) -> list[Candidate]:
-    """What is asked about when the search has ended."""
-    pairs = _alternative_places(design, chosen, rounds)
-    return [*(other for _, other in pairs), *scales(design), *_twins(design, chosen, rounds)]
+def asked_later(
+    design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
+) -> list[Candidate]:
+    """Return the candidates that are asked about when the search has ended, beside the chosen ones.
+
+    Args:
+        design: design of all candidates.
+        chosen: effects in the model.
+        rounds: scans, in order.
+        options: thresholds.
+    """
+    pairs = _alternative_places(design, chosen, rounds, options)
+    return [*(other for _, other in pairs), *scales(design), *_twins(design, chosen, rounds, options)]
 
 
 def scales(design: Design) -> list[Candidate]:
-    """Candidates that make all weight wrong by a factor."""
+    """Return the candidates that make all weight wrong by a factor.
+
+    Args:
+        design: design of all candidates.
+    """
     return [c for c in design.candidates if c.effect.weighs(c.place)]
 
 
 def _alternative_places(
-    design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round]
+    design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
 ) -> Iterator[tuple[Candidate, Candidate]]:
-    """Places that fit trials support nearly as well, of effects on forces alone whose columns do not depend on where
-    they were found.
+    """Yield chosen effects with other places that fit trials support nearly as well.
 
-    Whole-body motions hardly tell a mass that wobbles in the pelvis from one in the thorax (27.6 and 24.7 nats of a
-    hidden one), livelier ones do.
+    They are of effects on forces alone whose columns do not depend on where they were found: whole-body motions hardly
+    tell a mass that wobbles in the pelvis from one in the thorax.
     """
+    naming = options.naming
     open_ = {(c.effect.name, id(c.place)): c for c in design.candidates}
     for one in chosen:
         if one.effect.moves_markers or one.effect.intermittent or one.effect.shifts_time or one.effect.nonlinear:
             continue
         rivals = [r for r in named_in(rounds, one).rivals if r.candidate.effect.name == one.effect.name]
-        near = [r for r in rivals if r.score >= NAMED and r.weighed > rivals[0].weighed - OUT_OF_SIGHT]
+        least = rivals[0].weighed - naming.out_of_sight_nats
+        near = [r for r in rivals if r.score >= naming.named_nats and r.weighed > least]
         best = {r.candidate.place.where: r for r in reversed(near)}
         best.pop(one.place.where, None)
-        for rival in sorted(best.values(), key=lambda rival: -rival.weighed)[:ALTERNATIVES]:
+        for rival in sorted(best.values(), key=lambda rival: -rival.weighed)[: options.heldout.alternatives]:
             key = one.effect.name, id(rival.candidate.place)
             if key in open_:
                 yield one, open_[key]
 
 
-def _twins(design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round]) -> Iterator[Candidate]:
-    """Of chosen effects, as the scan had them; intervals are not searched again."""
+def _twins(
+    design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
+) -> Iterator[Candidate]:
+    """Yield candidates that cannot be told from chosen effects by the scan; intervals are not searched again."""
     for one in chosen:
-        for twin in (share.rival.candidate for share in twins(shares(named_in(rounds, one), one)[1])):
+        others = twins(shares(named_in(rounds, one), one)[1], options.confidence.twins)
+        for twin in (share.rival.candidate for share in others):
             if not twin.effect.intermittent:
                 yield from (c for c in design.candidates if same(twin, c))
 
 
 def without(chosen: Sequence[Candidate], one: Candidate) -> list[Candidate]:
-    """The others."""
+    """Return the chosen effects but for one.
+
+    Args:
+        chosen: effects.
+        one: the very object to leave out.
+    """
     return [c for c in chosen if c is not one]
 
 
 def support(statistics: Statistics, chosen: Sequence[Candidate], one: Candidate) -> float:
-    """Log evidence of one of the chosen effects over the others alone."""
+    """Return the log evidence of one of the chosen effects over the others alone [nat].
+
+    Args:
+        statistics: statistics of all trials.
+        chosen: effects of the model.
+        one: the effect in question.
+    """
     less, rest = marginalise_per_trial(statistics, without(chosen, one))
     return float(gains(less, fit(less, rest), [one])[0])

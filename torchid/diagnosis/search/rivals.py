@@ -1,4 +1,4 @@
-"""What competes in one scan of the catalogue, and what cannot be told apart there."""
+"""Candidates that compete in one scan of the catalogue, and which of them cannot be told apart there."""
 
 import math
 from collections.abc import Sequence
@@ -7,19 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from torchid.diagnosis.candidates.candidate import Candidate
-
-NAMED = 2.5
-"""Nats that name an effect: odds of 12 to one. In sessions that hide nothing
-``scripts/battery`` prints the best score that any effect had: 2.0 in 62."""
-ALIKE = 3.0
-"""Nats within which a rival cannot be told apart, see ``Rival.alike``."""
-OUT_OF_SIGHT = 10.0
-"""Nats behind the best at which nothing matters to it."""
-CHANCE, PART = 1.0, 0.1
-"""Nats, or part of the evidence, by which trials may be predicted worse for a cause that they say nothing of, such as a
-wrong record: a hidden load of 4.8 kg, 103 nats against the recorded mass, was dropped for 1.7 nats."""
-TWINS = 2
-"""Rivals that cannot be told from a cause that are named with it, at most."""
+from torchid.diagnosis.options import NamingOptions
 
 
 @dataclass(frozen=True)
@@ -27,39 +15,50 @@ class Rival:
     """A candidate and what the data say for it."""
 
     candidate: Candidate
+    """The candidate."""
     evidence: float
     """Log evidence gained over the model without it [nat]."""
     crossed: float
-    """The same, each trial predicted from the others; far behind the best, where nobody asks, the evidence itself."""
+    """Log evidence gained where each trial is predicted from the others [nat]; far behind the best, ``evidence``
+    itself."""
     explained: float
     """Half the whitened energy that it takes away, less what as many columns of no meaning would [nat]."""
     ordinary: float = 0.0
     """Log evidence of what all places have some of, over nothing; at least zero [nat]."""
     beside: float = 0.0
-    """Log evidence that it adds even beside the best, however large that may be; none if negative [nat]."""
+    """Log evidence that it adds even beside the best, however large that may be [nat]; less than zero counts as
+    none."""
+    options: NamingOptions = NamingOptions()
+    """Thresholds of naming."""
 
     @property
     def score(self) -> float:
-        """What counts: an effect that does not carry over to other trials is none.
+        """Evidence that counts [nat]: the lesser of evidence and crossed, or the evidence if trials consent, less the
+        ordinary.
 
-        Not the lesser of both: what only the prior contradicts, such as a wrong recorded mass, each trial predicts from
-        the others without the effect as well.
+        Consent means that trials are predicted hardly worse for it. The lesser of both alone would refuse what only the
+        prior contradicts, such as a wrong recorded mass: each trial predicts it from the others without the effect as
+        well.
         """
-        carried = self.crossed > -max(CHANCE, PART * self.evidence)
+        carried = self.crossed > -max(self.options.consent_nats, self.options.consent_part * self.evidence)
         return (self.evidence if carried else min(self.evidence, self.crossed)) - self.ordinary
 
     @property
     def weighed(self) -> float:
-        """The score with the odds of the place."""
+        """Score plus the logarithm of the odds of the place [nat]."""
         return self.score + math.log(self.candidate.odds)
 
     @property
     def alike(self) -> float:
-        """The score of standing for the best, not beside it."""
+        """Score of standing for the best, not beside it [nat]."""
         return self.score - max(self.beside, 0.0)
 
     def likely(self, families: int) -> float:
-        """Log odds that it is there in place of the best; what is there too makes no name doubtful."""
+        """Return the log odds that it is there in place of the best; what is there too makes no name doubtful.
+
+        Args:
+            families: number of effects that compete.
+        """
         odds = math.log(self.candidate.odds / families)
         return odds + self.score - max(odds + self.beside, 0.0)
 
@@ -69,65 +68,95 @@ class Round:
     """One scan of the catalogue, best first."""
 
     rivals: tuple[Rival, ...]
+    """Candidates, best first."""
     families: dict[str, float]
-    """Score of each effect, averaged over its places: what was searched is paid for."""
+    """Score of each effect [nat], averaged over its places: what was searched is paid for."""
+    options: NamingOptions = NamingOptions()
+    """Thresholds of naming."""
     compared: tuple[Rival, ...] = ()
-    """The same rivals where none is known to be large, against the best.
-
-    The width of a prior names no cause: a pull of 2 N at the pelvis explained as much as a tilt of gravity did, and its
-    prior of 20 N alone had made the tilt 0.99 certain.
-    """
+    """Rivals against the best with sizes averaged over orders of magnitude: the width of a prior names no cause."""
 
     @property
     def named(self) -> Rival | None:
-        """The best, if its effect is supported."""
+        """The best rival if its effect is supported, else None."""
         best = self.rivals[0] if self.rivals else None
-        return None if best is None or self.families[best.candidate.effect.name] < NAMED else best
+        return None if best is None or self.family(best) < self.options.named_nats else best
+
+    def family(self, rival: Rival) -> float:
+        """Return the score of a rival's effect [nat].
+
+        Args:
+            rival: one of the round's.
+        """
+        return self.families[rival.candidate.effect.name]
 
     @property
     def weights(self) -> list[float]:
-        """Posterior probabilities of ``compared`` and, implied, of none: families alike, places by their odds."""
+        """Posterior probabilities of ``compared``; one minus their sum is that of none. Effects are alike, places by
+        odds."""
         log = torch.tensor([r.likely(len(self.families)) for r in self.compared], dtype=torch.float64)
         return torch.softmax(torch.cat([log, torch.zeros(1, dtype=torch.float64)]), 0)[:-1].tolist()
 
 
 @dataclass(frozen=True)
 class Share:
-    """What an effect at a place has of the probability, all intervals and grid values together."""
+    """Probability that an effect at a place is there, all its intervals and grid values together."""
 
     rival: Rival
     """The likeliest of them."""
     weight: float
+    """Posterior probability."""
     near: bool
-    """It cannot be told from the cause."""
+    """True if it cannot be told from the cause."""
 
 
 def shares(scan: Round, one: Candidate) -> tuple[Share, list[Share]]:
-    """Of a cause, and of everything that it competes with, the likeliest first."""
+    """Return the share of a cause, and those of everything that it competes with, the likeliest first.
+
+    Args:
+        scan: round that named the cause.
+        one: the cause.
+    """
     best = next(r for r in scan.compared if same(r.candidate, one))
     groups: dict[tuple[str, tuple[str, ...]], list[tuple[float, Rival]]] = {}
     for rival, weight in zip(scan.compared, scan.weights, strict=True):
         groups.setdefault((rival.candidate.effect.name, rival.candidate.place.where), []).append((weight, rival))
-    found = {key: _share(some, best) for key, some in groups.items()}
+    found = {key: _share(some, best, scan.options.alike_nats) for key, some in groups.items()}
     own = found.pop((one.effect.name, one.place.where))
     return own, sorted(found.values(), key=lambda share: -share.weight)
 
 
-def _share(some: Sequence[tuple[float, Rival]], best: Rival) -> Share:
-    near = any(abs(rival.alike - best.alike) < ALIKE for _, rival in some)
+def _share(some: Sequence[tuple[float, Rival]], best: Rival, alike_nats: float) -> Share:
+    """Return the share of rivals of one effect and place."""
+    near = any(abs(rival.alike - best.alike) < alike_nats for _, rival in some)
     return Share(max(some, key=lambda both: both[0])[1], sum(weight for weight, _ in some), near)
 
 
-def twins(others: Sequence[Share]) -> list[Share]:
-    """Those that cannot be told from the cause."""
-    return [share for share in others if share.near][:TWINS]
+def twins(others: Sequence[Share], most: int) -> list[Share]:
+    """Return the shares that cannot be told from the cause.
+
+    Args:
+        others: shares of what it competes with, the likeliest first.
+        most: number of them at most.
+    """
+    return [share for share in others if share.near][:most]
 
 
 def named_in(rounds: Sequence[Round], one: Candidate) -> Round:
-    """The scan that an effect came out best of."""
+    """Return the scan that an effect came out best of.
+
+    Args:
+        rounds: scans of a search.
+        one: the effect.
+    """
     return next(r for r in rounds if r.rivals and same(r.rivals[0].candidate, one))
 
 
 def same(scanned: Candidate, one: Candidate) -> bool:
-    """Whether it is a scan's, whatever was left out of the design since."""
+    """Return whether a scanned candidate is a given one, whatever was left out of the design since.
+
+    Args:
+        scanned: candidate of a scan.
+        one: candidate of any design.
+    """
     return scanned.effect.name == one.effect.name and scanned.place is (one.proposed or one.place)

@@ -1,4 +1,4 @@
-"""One scan of the catalogue: what each candidate would add, with the consent of every trial."""
+"""One scan of the catalogue: log evidence that each candidate would add, with the consent of every trial."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,50 +15,62 @@ from torchid.diagnosis.evidence.gains import gains, informed, scale_averaged_gai
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import Posterior, fit
 from torchid.diagnosis.evidence.statistics import Statistics
-from torchid.diagnosis.search.rivals import OUT_OF_SIGHT, Rival, Round
+from torchid.diagnosis.options import NamingOptions
+from torchid.diagnosis.search.rivals import Rival, Round
 
 LOOSE = 100.0
-"""Times its prior, with which the best takes away all that it can: what a narrow prior keeps it from, its look-alikes
-would add beside it, and pass for other things."""
+"""Resolution. Times its prior, with which the best takes away all that it can: what a narrow prior keeps it from, its
+look-alikes would add beside it, and pass for other things."""
 
 
 @dataclass(frozen=True)
 class Scanned:
-    """Candidates as all trials together speak for them, and what against."""
+    """Candidates as all trials together speak for them, before each trial is asked for its consent."""
 
     statistics: Statistics
+    """Statistics in which effects with parameters of their own in every trial are integrated out."""
     chosen: Sequence[Candidate]
-    """But for effects that are anew in every trial, which are integrated out of the sums."""
+    """Chosen effects but for those."""
     rivals: tuple[Rival, ...]
+    """Candidates with their evidence from all trials."""
+    options: NamingOptions
+    """Thresholds of naming."""
 
     @cached_property
     def round(self) -> Round:
-        """With each trial's consent, best first."""
-        rivals = self.rivals if len(self.statistics.all) == 1 else _consented(self.statistics, self.chosen, self.rivals)
+        """The round with each trial's consent, best first."""
+        rivals = self.rivals
+        if len(self.statistics.all) > 1:
+            rivals = _consented(self.statistics, self.chosen, rivals, self.options.out_of_sight_nats)
         rivals = sorted(rivals, key=lambda rival: -rival.weighed)
         names = dict.fromkeys(one.candidate.effect.name for one in self.rivals)
         families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
-        found = Round(tuple(rivals), families)
+        found = Round(tuple(rivals), families, self.options)
         return found if found.named is None else replace(found, compared=_compared(self.statistics, self.chosen, found))
 
 
-def scan_all(statistics: Statistics, left: Sequence[Candidate], chosen: Sequence[Candidate]) -> Scanned:
-    """Candidates beside the chosen ones.
+def scan_all(
+    statistics: Statistics, left: Sequence[Candidate], chosen: Sequence[Candidate], options: NamingOptions
+) -> Scanned:
+    """Return what each candidate would add beside the chosen effects.
 
     Args:
-        sums: of all trials, of a design that has the columns of both.
+        statistics: statistics of all trials, of a design that has the columns of both.
         left: candidates.
         chosen: effects that the model has.
+        options: thresholds of naming.
     """
     statistics, chosen = marginalise_per_trial(statistics, chosen)
     posterior = fit(statistics, chosen)
     gain, energy = (x.tolist() for x in gains(statistics, posterior, left))
     each = zip(left, gain, energy, _ordinary(statistics, posterior, left), strict=True)
-    return Scanned(statistics, chosen, tuple(Rival(c, g, g, e - 0.5 * c.size, usual) for c, g, e, usual in each))
+    rivals = tuple(Rival(c, g, g, e - 0.5 * c.size, usual, options=options) for c, g, e, usual in each)
+    return Scanned(statistics, chosen, rivals, options)
 
 
 def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candidate]) -> list[float]:
-    """See ``Rival``; the places of an effect tell of each other."""
+    """Return ``Rival.ordinary`` of the candidates, zero but for widespread effects: places of one effect tell of each
+    other."""
     found = [0.0] * len(left)
     for name in dict.fromkeys(c.effect.name for c in left if c.effect.widespread):
         which = [k for k, c in enumerate(left) if c.effect.name == name]
@@ -72,12 +84,12 @@ def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candi
 
 
 def _compared(statistics: Statistics, chosen: Sequence[Candidate], found: Round) -> tuple[Rival, ...]:
-    """Rivals of any smaller size that could come near the best by what they explain.
+    """Return the rivals with sizes averaged over orders of magnitude where they explain nearly what the best does.
 
-    What is strewn is judged by what is ordinary, which is small: its own prior stays.
+    A widespread effect keeps its own prior: it is compared with what is ordinary, which is small.
     """
     best, rivals = found.rivals[0], list(found.rivals)
-    least = best.weighed - OUT_OF_SIGHT
+    least = best.weighed - found.options.out_of_sight_nats
     near = [k for k, r in enumerate(rivals) if r.explained + 0.5 * r.candidate.size > least]
     which = [k for k in near if not rivals[k].candidate.effect.widespread]
     some = [rivals[k].candidate for k in which]
@@ -95,15 +107,17 @@ def _compared(statistics: Statistics, chosen: Sequence[Candidate], found: Round)
     return tuple(rivals)
 
 
-def _consented(statistics: Statistics, chosen: Sequence[Candidate], rivals: Sequence[Rival]) -> list[Rival]:
-    """With the consent of each trial to those that may come out best, or near."""
+def _consented(
+    statistics: Statistics, chosen: Sequence[Candidate], rivals: Sequence[Rival], out_of_sight: float
+) -> list[Rival]:
+    """Return the rivals, with the consent of each trial to those that may come out best, or near."""
     base = [fit(statistics, chosen, statistics.all - {k}) for k in statistics.all]
     asked, best = [], -math.inf
     # What all trials together do not support needs no consent of each.
     silent, waiting = [r for r in rivals if r.evidence <= 0.0], [r for r in rivals if r.evidence > 0.0]
-    while waiting and (top := max(r.weighed for r in waiting)) > best - OUT_OF_SIGHT:
-        fresh = [r for r in waiting if r.weighed >= top - OUT_OF_SIGHT]
-        waiting = [r for r in waiting if r.weighed < top - OUT_OF_SIGHT]
+    while waiting and (top := max(r.weighed for r in waiting)) > best - out_of_sight:
+        fresh = [r for r in waiting if r.weighed >= top - out_of_sight]
+        waiting = [r for r in waiting if r.weighed < top - out_of_sight]
         whole = torch.tensor([r.evidence for r in fresh]).to(statistics.trials[0].moment)
         own = [r.candidate for r in fresh]
         crossed = _crossed(base, whole, lambda without, own=own: gains(statistics, without, own)[0]).tolist()
@@ -115,7 +129,7 @@ def _consented(statistics: Statistics, chosen: Sequence[Candidate], rivals: Sequ
 def _crossed(
     base: Sequence[Posterior], whole: Float[Tensor, " some"], gained: Callable[[Posterior], Float[Tensor, " some"]]
 ) -> Float[Tensor, " some"]:
-    """Log evidence that candidates add to what each trial says after the others, summed over the trials.
+    """Return the log evidence that candidates add to each trial given the others, summed over the trials [nat].
 
     By the chain rule, that of a trial is the evidence of all less that of the others, to which ``base`` was fitted.
     """
@@ -123,5 +137,5 @@ def _crossed(
 
 
 def _mean(rivals: Sequence[Rival]) -> float:
-    """Log of the mean of exponentials, places weighed by their odds."""
+    """Return the logarithm of the mean of exponentials, places weighed by their odds."""
     return float(torch.logsumexp(torch.tensor([r.weighed for r in rivals], dtype=torch.float64), 0))

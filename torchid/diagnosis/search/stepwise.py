@@ -1,4 +1,8 @@
-"""Which effects the data support: add the best, estimate the noise again, scan again, try to remove each."""
+"""Stepwise search: scan the catalogue, add the best, estimate the noise again, until nothing more is supported.
+
+Each round asks every candidate beside the effects already chosen, inertia and geometry integrated out. An effect that
+is not linear in its parameters is linearised where it was found, one that comes and goes gets its interval refined.
+"""
 
 import logging
 import math
@@ -11,239 +15,243 @@ from torchid.diagnosis.columns.design import Design, narrower, only
 from torchid.diagnosis.columns.relinearise import relinearised
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
 from torchid.diagnosis.evidence.gains import gains
-from torchid.diagnosis.evidence.noise import Noise, estimate_noise, initial_noise, summed
+from torchid.diagnosis.evidence.model import Identification, LinearModel, make_model, spectra_of
+from torchid.diagnosis.evidence.noise import Noise
+from torchid.diagnosis.evidence.noise_estimation import estimate_noise
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import fit
-from torchid.diagnosis.evidence.prior import Prior, make_prior
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.evidence.skin_prior import with_slides
-from torchid.diagnosis.evidence.spectra import TrialSpectra, narrowed, trial_spectra
-from torchid.diagnosis.evidence.statistics import Statistics
-from torchid.diagnosis.search.elimination import drop_unsupported
+from torchid.diagnosis.options import DiagnosisOptions, NamingOptions
+from torchid.diagnosis.search.elimination import SUPPORTED, settle
 from torchid.diagnosis.search.interval_refinement import refine_interval
 from torchid.diagnosis.search.result import SearchResult, asked_later, reduced
-from torchid.diagnosis.search.rivals import NAMED, Rival, Round
+from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
+from torchid.diagnosis.trace import Step, StepKind, Trace, step
 from torchid.effects.effect import Effect
-from torchid.geometry.result import GeometryFit
-from torchid.model.model import InertialPrior
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.whitening import Whitening
 
 log = logging.getLogger(__name__)
 NEWTON = 2
-"""Steps by which effects that are not linear in their parameters are found."""
-SECOND = 4
-"""Effects that are tried under the noise that they would leave, at most."""
-GROWN = 1.5
-"""Times what it would have explained then that such an effect must explain to be tried once more."""
-LIKELY = 0.2
-"""Part of what the likeliest explains that another must explain to be tried."""
+"""Resolution. Number of steps by which effects that are not linear in their parameters are found: a third moves no
+value by a tenth of its standard deviation."""
+
+
+@dataclass(frozen=True)
+class _State:
+    """The state of a search between two rounds."""
+
+    model: LinearModel
+    limit: int
+    options: DiagnosisOptions
+    chosen: tuple[Candidate, ...] = ()
+    rounds: tuple[Round, ...] = ()
+    trace: Trace = ()
+    silent: dict[tuple[str, int], float] = field(default_factory=dict)
+    """Energy that effects would explain at places where the noise that they leave did not support them [nat].
+
+    Places are told by identity, which rounds keep alive.
+    """
 
 
 def search(
     observed: Sequence[TrialObservation],
     effects: Sequence[Effect],
-    inertia: InertialPrior,
-    omega: float,
-    whitening: Whitening,
+    known: Identification,
     limit: int,
-    geometry: GeometryFit | None = None,
+    options: DiagnosisOptions = DiagnosisOptions(),
 ) -> SearchResult:
-    """Scan the catalogue until nothing more is supported.
+    """Return the effects that fit trials support, with everything that later tests ask about.
 
     Args:
-        watched: fit trials.
-        effects: to try.
-        inertia: prior of the inertial parameters.
-        omega: weight of that prior.
-        whitening: of the inertial fit, to begin with.
-        limit: number of effects at most, of each kind (see ``_kind``).
-        geometry: with which the trials were followed.
+        observed: fit trials.
+        effects: effects to try.
+        known: what the inertial fit knew and found.
+        limit: number of effects at most of each kind (``kind_of``).
+        options: thresholds.
     """
     log.info("scanning %d effects in %d trials", len(effects), len(observed))
-    chosen: list[Candidate] = []
-    rounds: list[Round] = []
-    noise = initial_noise(whitening, len(observed))
-    scan = _begun(observed, effects, inertia, omega, noise, limit, geometry)
-    noise = scan.noise(chosen, noise)
-    statistics = scan.statistics(noise)
+    state = _State(_begin(observed, effects, known, options.naming), limit, options)
     while True:
-        some, looked, before = open_candidates(scan.design, chosen, limit), None, (noise, statistics)
-        scanned = scan_all(statistics, some, chosen)
-        log.info("scanned %d candidates", len(some))
-        look, scan = scan.closer(noise, statistics, chosen, scanned.rivals)
-        if look is not None:
-            noise, looked = look
-            statistics = scan.statistics(noise)
-            scanned = scan_all(statistics, some, chosen)
-        rounds.append(found := scanned.round)
-        best = found.named
-        if best is None:
-            noise, statistics = before
+        scan, model, looked, silent = _scan(observed, state)
+        trace = (*state.trace, *_decisions(scan, looked))
+        state = replace(state, rounds=(*state.rounds, scan), trace=trace, silent=silent)
+        if (best := scan.named) is None:
             break
         log.info("%s at %s gains %.1f nats", best.candidate.effect.name, best.candidate.place.where, best.score)
-        chosen.append(best.candidate)
-        scan, noise, statistics = scan.took(noise, statistics, chosen, looked)
-        scan, statistics, chosen = scan.opened(statistics, chosen, asked_later(scan.design, chosen, rounds))
-    return drop_unsupported(reduced(scan.design, scan.prior, noise, chosen, rounds, statistics))
+        state = _narrow(_add(observed, replace(state, model=model, chosen=(*state.chosen, best.candidate)), looked))
+        del model  # gigabytes that the next round does without
+    return settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), observed, SUPPORTED)
 
 
-def _begun(
-    observed: Sequence[TrialObservation],
-    effects: Sequence[Effect],
-    inertia: InertialPrior,
-    omega: float,
-    noise: Noise,
-    limit: int,
-    geometry: GeometryFit | None,
-) -> "_Scan":
-    """Apart from the search, which would hold on to gigabytes of columns that it later does without."""
-    design = make_design(observed, effects, geometry)
-    prior, rows = make_prior(inertia, omega, design), _rows(observed, design)
-    design = with_slides(rows, prior, design, noise)
-    return _Scan(observed, rows, design, prior.widened(design), limit)
+def _begin(
+    observed: Sequence[TrialObservation], effects: Sequence[Effect], known: Identification, naming: NamingOptions
+) -> LinearModel:
+    """Return the model of the whole catalogue, under the noise that the model without any of it leaves."""
+    model = with_slides(make_model(observed, make_design(observed, effects, known.geometry, naming), known))
+    return _under_own_noise(model, ())
 
 
-def _rows(observed: Sequence[TrialObservation], design: Design) -> list[TrialSpectra]:
-    return [trial_spectra(w, c, design.noisy) for w, c in zip(observed, design.trials, strict=True)]
+def _under_own_noise(model: LinearModel, chosen: Sequence[Candidate]) -> LinearModel:
+    """Return the model under the noise that it leaves with the chosen effects."""
+    small, own = model.restrict(chosen)
+    return model.with_noise(estimate_noise(small, own))
 
 
-@dataclass(frozen=True)
-class _Scan:
-    """Of the catalogue, under one noise or another."""
-
-    observed: Sequence[TrialObservation]
-    rows: Sequence[TrialSpectra]
-    design: Design
-    prior: Prior
-    limit: int
-    silent: dict[tuple[str, int], float] = field(default_factory=dict)
-    """What effects would explain at places at which the noise that they leave did not support them [nat]; places by
-    identity, which rounds keep alive."""
-
-    def noise(self, chosen: Sequence[Candidate], start: Noise, statistics: Statistics | None = None) -> Noise:
-        """That of what is left by the chosen effects; ``sums`` are those under ``start``, if at hand."""
-        rows, prior, design, own = narrowed(self.rows, self.prior, self.design, chosen)
-        return estimate_noise(rows, prior, design, own, start, statistics and statistics.only(self.design, chosen))
-
-    def statistics(self, noise: Noise) -> Statistics:
-        """Of everything under a noise."""
-        return summed(self.rows, self.prior, self.design, noise)
-
-    def took(
-        self, noise: Noise, statistics: Statistics, chosen: list[Candidate], looked: Candidate | None
-    ) -> tuple["_Scan", Noise, Statistics]:
-        """After the last effect was chosen; the noise may be that which one effect leaves already."""
-        effect = chosen[-1].effect
-        if effect.shifts_time or effect.nonlinear:
-            noise, scan = self.relinearised(noise, chosen)
-        elif effect.intermittent and not effect.moves_markers:
-            scan, chosen[-1] = self.refined(noise, statistics, chosen)
-        elif chosen[-1] is looked:
-            return self, noise, statistics
-        else:
-            noise = self.noise(chosen, noise, statistics)
-            return self, noise, self.statistics(noise)
-        noise = scan.noise(chosen, noise)
-        return scan, noise, scan.statistics(noise)
-
-    def opened(
-        self, statistics: Statistics, chosen: Sequence[Candidate], kept: Sequence[Candidate]
-    ) -> tuple["_Scan", Statistics, list[Candidate]]:
-        """Without the columns of effects of which as many are named as may be, but for those asked about at the end."""
-        some = [*chosen, *open_candidates(self.design, chosen, self.limit)]
-        some += [c for c in kept if c not in some]
-        if narrower(self.design, some)[0].width == self.design.width:
-            return self, statistics, list(chosen)
-        rows, prior, _, _ = narrowed(self.rows, self.prior, self.design, some)
-        less = statistics.only(self.design, some)
-        design, own, _ = only(self.design, some)
-        return replace(self, rows=rows, prior=prior, design=design), less, list(own[: len(chosen)])
-
-    def relinearised(self, noise: Noise, chosen: Sequence[Candidate]) -> tuple[Noise, "_Scan"]:
-        """Late and curved effects linearised where they are."""
-        design, theta, n = self.design, [self.prior.mean.clone() for _ in self.rows], self.design.inertia
-        for step in range(NEWTON):
-            if step:
-                # All columns at once: taken of the chosen effects alone, they were taken again behind this.
-                design = relinearised(self.observed, design, [x[n:] for x in theta])
-            small, own, which = only(design, chosen)
-            rows, prior = _rows(self.observed, small), self.prior.widened(small)
-            noise = estimate_noise(rows, prior, small, own, noise)
-            posterior = fit(summed(rows, prior, small, noise), own)
-            for k, x in enumerate(theta):
-                x[which] = prior.theta(posterior.z(len(prior.mean), k))
-        design = relinearised(self.observed, design, [x[n:] for x in theta])
-        return noise, replace(self, rows=_rows(self.observed, design), design=design)
-
-    def refined(self, noise: Noise, statistics: Statistics, chosen: Sequence[Candidate]) -> tuple["_Scan", Candidate]:
-        """The last effect with its interval and course as they are best."""
-        noise = self.noise(chosen, noise, statistics)
-        own = self.statistics(noise)
-        rows, design, prior, best = refine_interval(
-            self.observed, self.rows, self.design, self.prior, noise, own, chosen
-        )
-        return replace(self, rows=rows, design=design, prior=prior), best
-
-    def closer(
-        self, noise: Noise, statistics: Statistics, chosen: Sequence[Candidate], rivals: Sequence[Rival]
-    ) -> tuple[tuple[Noise, Candidate] | None, "_Scan"]:
-        """Where the residual is more than noise, likely candidates compete under the noise that each would leave.
-
-        Whatever is not yet named is in the noise that was estimated without it: ground that shook at 37 times the noise
-        had no evidence, and two plates that were swapped had less than a tenth of the energy that they explain. Beside
-        the noise comes the candidate whose it is, and the scan that remembers which had no support.
-        """
-        rest = assess_adequacy(
-            self.observed, residuals(self.observed, self.design, self.prior, fit(statistics, chosen))
-        )
-        looks, silent = [], dict(self.silent)
-        for one in _likely(rivals) if rest.significant else ():
-            key = one.candidate.effect.name, id(one.candidate.place)
-            if one.explained > GROWN * silent.get(key, 0.0):
-                look = self._look(noise, statistics, one, chosen)
-                if look is None:
-                    silent[key] = one.explained
-                else:
-                    looks.append((*look, one.candidate))
-        best = max(looks, key=lambda look: look[0])[1:] if looks else None
-        return best, replace(self, silent=silent)
-
-    def _look(
-        self, noise: Noise, statistics: Statistics, rival: Rival, chosen: Sequence[Candidate]
-    ) -> tuple[float, Noise] | None:
-        """Log evidence with one more effect under the noise that it leaves; None where this place of it has no support
-        there."""
-        some = [*chosen, rival.candidate]
-        rows, prior, design, own = narrowed(self.rows, self.prior, self.design, some)
-        other = estimate_noise(rows, prior, design, own, noise, statistics.only(self.design, some))
-        statistics, base = marginalise_per_trial(summed(rows, prior, design, other), own[:-1])
-        posterior = fit(statistics, base)
-        gain = float(gains(statistics, posterior, own[-1:])[0]) + math.log(rival.candidate.odds) - rival.ordinary
-        return None if gain < NAMED else (posterior.log_evidence + gain + statistics.constant, other)
+def _scan(
+    observed: Sequence[TrialObservation], state: _State
+) -> tuple[Round, LinearModel, Candidate | None, dict[tuple[str, int], float]]:
+    """Return a round, the model that it was held under, the candidate whose noise that is, and what was found
+    silent."""
+    naming, some = state.options.naming, open_candidates(state.model.design, state.chosen, state.limit)
+    scanned = scan_all(state.model.statistics, some, state.chosen, naming)
+    log.info("scanned %d candidates", len(some))
+    look, silent = _look_closer(observed, state, scanned.rivals)
+    if look is None:
+        return scanned.round, state.model, None, silent
+    model, looked = look
+    return scan_all(model.statistics, some, state.chosen, naming).round, model, looked, silent
 
 
-def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
-    """Those that may still be chosen: no plate's error is left out because bodies are as bodies are, or for markers.
+def _look_closer(
+    observed: Sequence[TrialObservation], state: _State, rivals: Sequence[Rival]
+) -> tuple[tuple[LinearModel, Candidate] | None, dict[tuple[str, int], float]]:
+    """Return the model under the noise of the likeliest candidate, with that, and what was found silent.
 
-    A wrong record is counted apart as well: a body 6 kg heavier than written down went unnamed beside three errors of
-    plates and time that explained more.
+    Effects that are not yet named are in the noise that was estimated without them, and hide themselves. Where the
+    residual is more than noise, likely ones compete under the noise that each would leave.
     """
-    kinds = [_kind(c.effect) for c in chosen]
-    return [c for c in design.candidates if c not in chosen and kinds.count(_kind(c.effect)) < limit]
+    naming, model = state.options.naming, state.model
+    left = residuals(observed, model, model.fit(state.chosen))
+    rest = assess_adequacy(observed, left, state.options.adequacy)
+    looks, silent = [], dict(state.silent)
+    for one in _likely(rivals, naming) if rest.significant else ():
+        key = one.candidate.effect.name, id(one.candidate.place)
+        if one.explained > naming.look_again_growth * silent.get(key, 0.0):
+            look = _look(model, one, state.chosen, naming)
+            if look is None:
+                silent[key] = one.explained
+            else:
+                looks.append((*look, one.candidate))
+    if not looks:
+        return None, silent
+    _, noise, candidate = max(looks, key=lambda look: look[0])
+    return (model.with_noise(noise), candidate), silent
 
 
-def _kind(effect: Effect) -> tuple[bool, ...]:
-    return effect.bodily, effect.moves_markers, effect.on_record, effect.whole_body
+def _look(
+    model: LinearModel, rival: Rival, chosen: Sequence[Candidate], naming: NamingOptions
+) -> tuple[float, Noise] | None:
+    """Return the log evidence with one more effect under the noise that it leaves, and that noise; None without
+    support."""
+    small, own = model.restrict([*chosen, rival.candidate])
+    noise = estimate_noise(small, own)
+    statistics, base = marginalise_per_trial(small.with_noise(noise).statistics, own[:-1])
+    posterior = fit(statistics, base)
+    gain = float(gains(statistics, posterior, own[-1:])[0]) + math.log(rival.candidate.odds) - rival.ordinary
+    return None if gain < naming.named_nats else (posterior.log_evidence + gain + statistics.constant, noise)
 
 
-def _likely(rivals: Sequence[Rival]) -> list[Rival]:
-    """Of the effects that would explain most, the places that do."""
+def _likely(rivals: Sequence[Rival], naming: NamingOptions) -> list[Rival]:
+    """Return the effects that would explain most, each at the place that does."""
     best: dict[str, Rival] = {}
     for one in rivals:
         name = one.candidate.effect.name
         if name not in best or one.explained > best[name].explained:
             best[name] = one
-    order = sorted(best.values(), key=lambda one: -one.explained)[:SECOND]
-    return [one for one in order if one.explained > LIKELY * order[0].explained]
+    order = sorted(best.values(), key=lambda one: -one.explained)[: naming.look_closer_most]
+    return [one for one in order if one.explained > naming.look_closer_part * order[0].explained]
+
+
+def _decisions(scan: Round, looked: Candidate | None) -> list[Step]:
+    """Return the step of what a round named; if it named nothing, those of what came near, with the reason of
+    refusal."""
+    least = scan.options.named_nats
+    if (best := scan.named) is not None:
+        rule = "evidence" if looked is None else "evidence_under_its_own_noise"
+        numbers = {"evidence_nats": best.evidence, "crossed_nats": best.crossed, "effect_nats": scan.family(best)}
+        return [step(StepKind.ENTER, best.candidate, rule, **numbers, least_nats=least)]
+    refused: dict[str, Step] = {}
+    for one in scan.rivals:
+        if one.evidence + math.log(one.candidate.odds) >= least and one.candidate.effect.name not in refused:
+            numbers = {"evidence_nats": one.evidence, "crossed_nats": one.crossed, "background_nats": one.ordinary,
+                       "effect_nats": scan.family(one), "least_nats": least}  # fmt: skip
+            refused[one.candidate.effect.name] = step(StepKind.REFUSE, one.candidate, _refusal(one), **numbers)
+    return list(refused.values())
+
+
+def _refusal(one: Rival) -> str:
+    """Return the rule by which a place with evidence is refused: trials disagree, all places have some, or search costs
+    more."""
+    if one.score < one.evidence - one.ordinary:
+        return "trials_disagree"
+    return "ordinary_everywhere" if one.ordinary > 0.0 else "search_price"
+
+
+def _add(observed: Sequence[TrialObservation], state: _State, looked: Candidate | None) -> _State:
+    """Return the state with the last effect as it is best, under the noise that all chosen ones leave."""
+    model, chosen, effect = state.model, state.chosen, state.chosen[-1].effect
+    if effect.shifts_time or effect.nonlinear:
+        model = _relinearise(observed, model, chosen)
+    elif effect.intermittent and not effect.moves_markers:
+        model, last = refine_interval(observed, _under_own_noise(model, chosen), chosen)
+        chosen = (*chosen[:-1], last)
+    elif chosen[-1] is looked:
+        return state
+    return replace(state, model=_under_own_noise(model, chosen), chosen=chosen)
+
+
+def _relinearise(observed: Sequence[TrialObservation], model: LinearModel, chosen: Sequence[Candidate]) -> LinearModel:
+    """Return the model with effects that are not linear in their parameters linearised where they are."""
+    design, noise, n = model.design, model.noise, model.design.inertia
+    theta = [model.prior.mean.clone() for _ in model.rows]
+    for newton in range(NEWTON):
+        if newton:
+            # All columns at once: those of the chosen effects alone would have to be taken again behind this.
+            design = relinearised(observed, design, [x[n:] for x in theta])
+        small, own, which = only(design, chosen)
+        less = LinearModel(spectra_of(observed, small), model.prior.widened(small), small, noise)
+        noise = estimate_noise(less, own)
+        posterior = less.with_noise(noise).fit(own)
+        for k, x in enumerate(theta):
+            x[which] = less.prior.theta(posterior.z(len(less.prior.mean), k))
+    design = relinearised(observed, design, [x[n:] for x in theta])
+    return LinearModel(spectra_of(observed, design), model.prior, design, noise)
+
+
+def _narrow(state: _State) -> _State:
+    """Return the state without columns of kinds of which as many are named as may be, but for those asked about
+    later."""
+    design, chosen = state.model.design, state.chosen
+    some = [*chosen, *open_candidates(design, chosen, state.limit)]
+    some += [c for c in asked_later(design, chosen, state.rounds, state.options) if c not in some]
+    if narrower(design, some)[0].width == design.width:
+        return state
+    model, own = state.model.restrict(some)
+    return replace(state, model=model, chosen=own[: len(chosen)])
+
+
+def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
+    """Return the candidates of kinds of which fewer than ``limit`` are chosen.
+
+    Each kind is counted apart, so that no plate's error is left out because bodies are as bodies are, or because of
+    markers or a wrong record.
+
+    Args:
+        design: design of all candidates.
+        chosen: effects in the model.
+        limit: number of effects at most of each kind.
+    """
+    kinds = [kind_of(c.effect) for c in chosen]
+    return [c for c in design.candidates if c not in chosen and kinds.count(kind_of(c.effect)) < limit]
+
+
+def kind_of(effect: Effect) -> tuple[bool, ...]:
+    """Return the kind as which an effect is counted: whether it is of bodies, of markers, of records, all over the
+    body.
+
+    Args:
+        effect: the effect.
+    """
+    return effect.bodily, effect.moves_markers, effect.on_record, effect.whole_body

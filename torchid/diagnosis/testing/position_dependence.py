@@ -1,8 +1,8 @@
-"""Whether a named force changes with the place of its point as its cause would have it.
+"""Test of named forces: each must change with the place of its point as its cause would have it.
 
-A magnet is a constant force on a hand that hardly travels, and a spring on a thorax: the names were worth 72 and 30
-nats, and no band of the residual was louder than its noise. A field beside them, linear in place, explained chi-squares
-of 40 and 81 with 9 parameters, and of 3 to 10 with 9 to 12 beside eight forces that were what they were named.
+A magnet is nearly a constant force on a hand that hardly travels, and nearly a spring on a thorax, and leaves no band
+of the residual louder than its noise. A field beside the named force, linear in place, tells it: what the field
+explains by itself has a chi-square of as many degrees of freedom as it has directions that the motion shows.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,14 +14,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.evidence.adequacy import P_VALUE, Adequacy
+from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.evidence.gains import gains
-from torchid.diagnosis.evidence.noise import standardised
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import fit
-from torchid.diagnosis.evidence.spectra import trial_spectra, with_columns
 from torchid.diagnosis.evidence.statistics import Statistics
-from torchid.diagnosis.search.interval_refinement import extra_columns, extra_terms, with_places
 from torchid.diagnosis.search.result import SearchResult, without
 from torchid.effects.effect import Parameter
 from torchid.effects.forces import PointForce
@@ -29,44 +26,61 @@ from torchid.effects.place import Place
 from torchid.effects.scene import Point, Scene
 from torchid.observation.trial import TrialObservation
 
-SHARE = 0.15**2
-"""Part of what a cause and the field explain together from which on it matters: of a force that is 15 % off."""
-TOLD = 1.0
-"""Information over that of the prior that a direction of the field must have to count."""
+INFORMATIVE = 1.0
+"""Resolution. Information over that of the prior from which on the motion shows a direction of the field."""
 
 
 class Field(PointForce):
-    """A force that is linear in its point's place: whatever it is, near where the point is."""
+    """A force that is linear in its point's place, as any field is near where the point is."""
 
     name = "field"
     parameters = (Parameter("force_N", 20.0, 3), Parameter("gradient_N_m", 20.0, 9))
 
     def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+        """Return the force at the point in W [N], from its mean [N] and its gradient [N/m] in theta.
+
+        Args:
+            scene: motion of the trial.
+            at: the point.
+            theta: mean force, then the rows of the gradient.
+        """
         away = at.p - at.p.mean(1, keepdim=True)
         return theta[:3, None] + theta[3:].view(3, 3) @ away
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """Of a named force, that a field beside it shows."""
+    """A named force that a field beside it contradicts, or does not."""
 
     index: int
-    """Of the chosen effect."""
+    """Index of the chosen effect."""
     p_value: float
-    """Of a field that explains as much by chance, for all that were looked at."""
+    """Chance that a field explains as much, times the number of forces that were looked at."""
     share: float
     """Part of what both explain that the field does."""
 
 
 def misfits(found: SearchResult, observed: Sequence[TrialObservation]) -> list[Misfit]:
-    """Named forces that a field beside them contradicts; those that come and go have courses of their own."""
+    """Return the named forces that a field beside them contradicts; those that come and go have courses of their own.
+
+    Args:
+        found: result of the search.
+        observed: fit trials.
+    """
     which = [k for k, c in enumerate(found.chosen) if isinstance(c.effect, PointForce) and not c.effect.intermittent]
     looked = (_misfit(found, observed, k, len(which)) for k in which)
-    return [one for one in looked if one.p_value < P_VALUE and one.share > SHARE]
+    limits = found.options.adequacy
+    return [one for one in looked if one.p_value < limits.p_value and one.share > limits.position_part]
 
 
 def with_misfits(rest: Adequacy, found: SearchResult, bent: Sequence[Misfit]) -> Adequacy:
-    """What remains, with what fields beside named forces show."""
+    """Return what remains, with what fields beside named forces show.
+
+    Args:
+        rest: adequacy of the model.
+        found: result of the search.
+        bent: named forces that a field contradicts.
+    """
     if not bent:
         return rest
     worst = min(bent, key=lambda one: one.p_value)
@@ -77,6 +91,7 @@ def with_misfits(rest: Adequacy, found: SearchResult, bent: Sequence[Misfit]) ->
 
 
 def _described(one: Candidate, bent: Misfit) -> str:
+    """Return a sentence on a force that a field contradicts."""
     what, where = one.effect.name.replace("_", " "), ", ".join(one.place.where)
     return (
         f"the force that is named {what} at {where} changes with the place of its point as no {what} does: "
@@ -85,16 +100,18 @@ def _described(one: Candidate, bent: Misfit) -> str:
 
 
 def _misfit(found: SearchResult, observed: Sequence[TrialObservation], k: int, looked: int) -> Misfit:
+    """Return what a field beside the k-th chosen effect shows."""
     one = found.chosen[k]
-    probe = Candidate(Field(), Place(one.place.where, point=one.place.point), one.source, found.statistics.all)
-    statistics, columns = _beside(found, observed, probe)
+    probe = Candidate(Field(), Place(one.place.where, point=one.place.point), one.source, found.model.statistics.all)
+    beside, (field,) = found.model.append(observed, probe, (probe.place,))
+    statistics, columns = beside.statistics, field.columns
     statistics, rest = marginalise_per_trial(statistics, found.chosen)
     model = fit(statistics, rest)
     cross, own, moment = (sum(parts) for parts in zip(*_parts(statistics, rest, columns), strict=True))
     shared = torch.linalg.solve_triangular(model.factor, torch.as_tensor(cross), upper=False)
     told, ways = torch.linalg.eigh(own - shared.T @ shared)
     left = ways.T @ (moment - shared.T @ model.whitened)
-    seen = told > TOLD
+    seen = told > INFORMATIVE
     square = float((left.square() / told)[seen].sum())
     others = without(rest, one)
     energy = float(gains(statistics, fit(statistics, others), [one])[1])
@@ -105,7 +122,8 @@ def _misfit(found: SearchResult, observed: Sequence[TrialObservation], k: int, l
 def _parts(
     statistics: Statistics, chosen: Sequence[Candidate], columns: Tensor
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Trial by trial, products of the model and of further columns with those, and their moments."""
+    """Yield, trial by trial, products of the model and of further columns with the latter, and the moments of the
+    latter."""
     for k in statistics.all:
         one = frozenset({k})
         yield (
@@ -113,15 +131,3 @@ def _parts(
             statistics.block(columns, columns, one),
             statistics.moment(columns, one),
         )
-
-
-def _beside(found: SearchResult, observed: Sequence[TrialObservation], probe: Candidate) -> tuple[Statistics, Tensor]:
-    """Sums of a search with the columns of one more candidate behind all others, and which they are."""
-    design = with_places(found.design, probe, (probe.place,))
-    prior, trials = found.prior.widened(design), []
-    for k, (own, columns) in enumerate(zip(observed, found.design.trials, strict=True)):
-        extra = extra_columns(own, design)
-        rows = trial_spectra(own, columns, found.design.noisy)
-        rows = with_columns(rows, extra_terms(design, k, extra), own, extra, probe.effect.noisy)
-        trials.append(standardised(rows, prior, design, found.noise, k)[0])
-    return replace(found.statistics, trials=tuple(trials)), design.candidates[0].columns

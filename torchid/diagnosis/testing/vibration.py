@@ -1,4 +1,4 @@
-"""Vibration above the cut-off: what the filter hides from every other look at the forces.
+"""Vibration above the cut-off, which the filter hides from every other look at the forces.
 
 A motor on the body or beside the plates makes one line in the spectrum of the raw force, at the same frequency in every
 trial. Noise of plates has no lines; those of a gait, which come in combs, are nobody's vibration.
@@ -13,46 +13,52 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.evidence.adequacy import P_VALUE, Adequacy
+from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.options import AdequacyOptions
 from torchid.observation.trial import TrialObservation
 from torchid.regressor.rows import runs
 from torchid.regressor.whitening import BEYOND, QUIET
 
 WIDTH_HZ, STEP_HZ, AROUND_HZ = 0.3, 0.1, 1.5
-"""Of a line, between lines that are tried, and to either side of what a line is compared with."""
+"""Resolution. Widths of a line, steps between lines that are tried, and distance to either side up to which a line is
+compared [Hz]."""
 LONG_S = 3.0
-"""Of used frames on end that show lines of that width."""
-TRIALS = 3
-"""That must show a line, and all that are as long must: two trials of walking share one of theirs by chance."""
-LINE = 3.0
-"""Times what is beside it that a line must have in every trial: two thirds of it are then not noise. In 50 sessions
-without any the highest was 1.6; two with a motor of 9 N had 18 and 75."""
-COMB = 2
-"""Lines up to which they are a machine's and one of its harmonics; more are a gait's."""
+"""Resolution. Time of used frames on end that shows lines of that width [s]."""
 
 
 @dataclass(frozen=True)
 class _Power:
-    """Of one trial's raw force, under a Hann window."""
+    """Spectrum of one trial's raw force, under a Hann window."""
 
     frequency: Float[Tensor, " kept"]
+    """Frequencies [Hz]."""
     power: Float[Tensor, " kept"]
+    """Power, summed over the three components [N^2]."""
     free: float
     """Degrees of freedom of a line's power, if only one component has any."""
 
 
-def with_vibration(rest: Adequacy, observed: Sequence[TrialObservation]) -> Adequacy:
-    """What remains, with a line that stands above the cut-off in every trial that is long enough."""
+def with_vibration(
+    rest: Adequacy, observed: Sequence[TrialObservation], options: AdequacyOptions = AdequacyOptions()
+) -> Adequacy:
+    """Return what remains, with a line that stands above the cut-off in every trial that is long enough.
+
+    Args:
+        rest: adequacy of the model, below the cut-off.
+        observed: fit trials.
+        options: thresholds of a line.
+    """
     spectra = [s for w in observed if (s := _spectrum(w)) is not None]
     first = BEYOND * max(w.rows.motion.smoother.cutoff_hz for w in observed) + WIDTH_HZ
     last = min(QUIET[0] * w.rows.rate for w in observed)
-    if len(spectra) < TRIALS or last - first < 2.0 * AROUND_HZ:
+    if len(spectra) < options.vibration_trials or last - first < 2.0 * AROUND_HZ:
         return rest
     at = torch.arange(first, last, STEP_HZ, dtype=torch.float64)
     peak = torch.stack([_peaks(one, at) for one in spectra]).min(0).values
     height, hz = float(peak.max()), float(at[peak.argmax()])
     p = min(1.0, len(at) * math.prod(_chance(height, one.free) for one in spectra))
-    if height < LINE or p > P_VALUE or len(runs(peak > 0.5 * LINE)) > COMB:
+    lines = len(runs(peak > 0.5 * options.vibration_ratio))
+    if height < options.vibration_ratio or p > options.p_value or lines > options.vibration_lines:
         return rest
     said = (
         f"a vibration of {hz:.1f} Hz, above what the filter leaves, stands out of the raw forces of every trial of "
@@ -64,12 +70,12 @@ def with_vibration(rest: Adequacy, observed: Sequence[TrialObservation]) -> Adeq
 
 
 def _chance(height: float, free: float) -> float:
-    """That noise alone stands so high over its median."""
+    """Return the chance that noise alone stands so high over its median."""
     return float(scipy.stats.chi2.sf(height * scipy.stats.chi2.median(free), free))
 
 
 def _spectrum(observed: TrialObservation) -> _Power | None:
-    """Of the longest run of used frames; None where that is short."""
+    """Return the spectrum of the longest run of used frames; None where that is short."""
     start, stop = max(runs(observed.rows.used), key=lambda run: run[1] - run[0], default=(0, 0))
     frames, rate = stop - start, observed.rows.rate
     if frames < LONG_S * rate:
@@ -83,7 +89,7 @@ def _spectrum(observed: TrialObservation) -> _Power | None:
 
 
 def _peaks(one: _Power, at: Float[Tensor, " lines"]) -> Float[Tensor, " lines"]:
-    """Power of each line against the median of those around it."""
+    """Return the power of each line over the median of those around it."""
     near = (one.frequency[None] - at.to(one.frequency)[:, None]).abs() <= 0.5 * WIDTH_HZ + 1e-9
     line = (near * one.power).sum(1) / near.sum(1).clamp(min=1)
     n = round(AROUND_HZ / STEP_HZ)

@@ -1,50 +1,93 @@
-"""How sure a verdict may be of a model that the data contradict, or that nothing can check."""
+"""Discounts on the confidence of causes in a model that the data contradict, or that nothing can check."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.evidence.adequacy import P_VALUE, Adequacy
-from torchid.diagnosis.search.elimination import PLAIN, stands_out
+from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.options import DiagnosisOptions
+from torchid.diagnosis.search.elimination import stands_out
 from torchid.diagnosis.search.result import SearchResult
+from torchid.diagnosis.testing.position_dependence import Misfit
+from torchid.diagnosis.trace import StepKind, Trace, step
 from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.session import SESSION
 from torchid.observation.trial import TrialObservation
 
-ALONE = 0.5
-"""Times the confidence of what forces of a single short trial tell."""
-BENT = 0.5
-"""Times the confidence of a named force that a field beside it contradicts."""
 
+def trust(rest: Adequacy, options: DiagnosisOptions) -> float:
+    """Return the factor, 0 to 1, on the confidence of what forces told a model that leaves such a residual.
 
-def trust(rest: Adequacy) -> float:
-    """Times the confidence of what forces told a model that leaves such a residual."""
-    if rest.alone:
-        return ALONE
-    return 1.0 - 0.5 * rest.share_of_residual if rest.p_value < P_VALUE else 1.0
-
-
-def with_trust(
-    found: SearchResult, observed: Sequence[TrialObservation], rest: Adequacy, causes: Iterable[Cause]
-) -> list[Cause]:
-    """A model that the data contradict is sure of nothing that the contradicted forces told: what bodies do and cameras
-    see is none of that.
-
-    So is one that nothing can check. Too little of it to be flagged leaves in doubt what is small beside it: at a share
-    of 0.31, a harness of 9 N that nobody wore had stayed at 1.00.
+    Args:
+        rest: adequacy of the model.
+        options: thresholds.
     """
-    if not (rest.p_value < P_VALUE or rest.alone):
-        return list(causes)
-    sure = [
-        one.effect.moves_markers and one.effect.bodily if rest.significant
-        else visible(one) if rest.alone
-        else one.effect.moves_markers or one.effect.intermittent or stands_out(found, observed, k) > PLAIN
-        for k, one in enumerate(found.chosen)
-    ]  # fmt: skip
-    both = zip(causes, sure, strict=True)
-    return [c if plain else replace(c.scaled(trust(rest)), doubted=True) for c, plain in both]
+    doubt = options.confidence.doubt
+    if rest.alone:
+        return doubt
+    return 1.0 - (1.0 - doubt) * rest.share_of_residual if rest.p_value < options.adequacy.p_value else 1.0
+
+
+def discounted(
+    found: SearchResult, observed: Sequence[TrialObservation], rest: Adequacy, causes: Iterable[Cause]
+) -> tuple[list[Cause], Trace]:
+    """Return causes, with less confidence where the data contradict the model or nothing can check it, and those steps.
+
+    What forces say to such a model is doubted; what bodies do and cameras see is not. Where the residual is too little
+    to be flagged, only what is small beside it stays in doubt.
+
+    Args:
+        found: result of the search, with the chosen effects.
+        observed: fit trials.
+        rest: adequacy of the model on them.
+        causes: causes of the chosen effects, in their order.
+    """
+    options, causes = found.options, list(causes)
+    if not (rest.p_value < options.adequacy.p_value or rest.alone):
+        return causes, ()
+    factor, rule = trust(rest, options), "nothing_can_check" if rest.alone else "residual_structure"
+    numbers = {"factor": factor} | ({} if rest.alone else {"unexplained_part": rest.share_of_residual})
+    steps = []
+    for k, one in enumerate(found.chosen):
+        if not _sure(found, observed, rest, k):
+            causes[k] = replace(causes[k].scaled(factor), doubted=True)
+            steps.append(step(StepKind.DISCOUNT, one, rule, **numbers))
+    return causes, tuple(steps)
+
+
+def _sure(found: SearchResult, observed: Sequence[TrialObservation], rest: Adequacy, k: int) -> bool:
+    """Return whether the k-th cause is beyond the doubt that the residual casts."""
+    one = found.chosen[k]
+    if rest.significant:
+        return one.effect.moves_markers and one.effect.bodily
+    if rest.alone:
+        return visible(one)
+    least = found.options.elimination.residual_part
+    return one.effect.moves_markers or one.effect.intermittent or stands_out(found, observed, k) > least
 
 
 def visible(one: Candidate) -> bool:
-    """Markers alone tell it: where all of them do it, only forces disagree, and in one short trial nothing agrees."""
+    """Return whether markers alone tell an effect.
+
+    Where all markers show it at once, or the whole session does, only forces disagree, and in one trial nothing agrees.
+
+    Args:
+        one: candidate of the effect.
+    """
     return one.effect.moves_markers and not one.effect.whole_body and one.place != SESSION
+
+
+def bent_by_position(found: SearchResult, causes: Sequence[Cause], bent: Sequence[Misfit]) -> tuple[list[Cause], Trace]:
+    """Return causes, with less confidence where a field beside a named force contradicts it, and those steps.
+
+    Args:
+        found: result of the search, with the chosen effects.
+        causes: causes of the chosen effects, in their order.
+        bent: named forces that a field contradicts.
+    """
+    causes, steps, factor = list(causes), [], found.options.confidence.doubt
+    for one in bent:
+        causes[one.index] = replace(causes[one.index].scaled(factor), doubted=True)
+        numbers = {"factor": factor, "field_part": one.share, "p_value": one.p_value}
+        steps.append(step(StepKind.DISCOUNT, found.chosen[one.index], "position_dependence", **numbers))
+    return causes, tuple(steps)

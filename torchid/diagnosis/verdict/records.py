@@ -1,4 +1,4 @@
-"""What a diagnosis says: causes with their parameters, rivals and confidence, and what they gain."""
+"""Records of a diagnosis: causes with their parameters, rivals and confidence, and what they gain."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -8,31 +8,33 @@ from torch import Tensor
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.testing.heldout import Errors
+from torchid.diagnosis.trace import Trace
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Planted
 from torchid.effects.place import Interval, Place
 from torchid.observation.plate_registry import SessionPlate
 
-RIVALS = 4
-"""Alternatives that are listed at most."""
-
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another explanation."""
+    """Another explanation of what a cause explains, with its posterior probability."""
 
     effect: str
+    """Name of the effect."""
     where: tuple[str, ...]
+    """Names of its place."""
     confidence: float
+    """Probability that it is there in place of the cause."""
 
 
 @dataclass(frozen=True)
 class Twin(Alternative):
-    """One that cannot be told from the cause."""
+    """An explanation that cannot be told from the cause."""
 
     place: Place | None = None
+    """Place that it takes; None where its parameters need another search."""
     parameters: dict[str, dict[str, Tensor]] | None = None
-    """In place of the cause, as there; both None where that needs another search."""
+    """``value`` and ``sd`` by key, in place of the cause; None where they need another search."""
 
 
 @dataclass(frozen=True)
@@ -40,28 +42,38 @@ class Cause:
     """An effect that the data support."""
 
     effect: str
+    """Name of the effect."""
     where: tuple[str, ...]
+    """Names of its place."""
     when: tuple[Interval, ...] | None
+    """Intervals in which it is there [s]; None: throughout."""
     parameters: dict[str, dict[str, Tensor]]
-    """``value`` and ``sd`` by key."""
+    """``value`` and ``sd`` by key, in the units that the keys end in."""
     confidence: float
     """Probability that it, or one that cannot be told from it, is there."""
     alternatives: tuple[Alternative, ...]
+    """Rivals, the likeliest first."""
     indistinguishable: tuple[Twin, ...]
+    """Rivals that cannot be told from it."""
     gain: dict[str, float]
-    """Held-out, of this cause on top of the others."""
+    """Held-out gain of this cause on top of the others (``HeldOutFit.over``)."""
     place: Place
+    """Place of the effect."""
     theta: Float[Tensor, "blocks params"]
-    """Internal parameters, see ``Effect``; one row, or one for each of the trials."""
+    """Internal parameters (``Effect.internal``): one row, or one for each of the trials."""
     trials: tuple[str, ...]
-    """In which it acts."""
+    """Names of the trials in which it acts."""
     everywhere: bool
-    """In all fit trials, and therefore in others too."""
+    """True if it acts in all fit trials, and therefore in others too."""
     doubted: bool = False
-    """What contradicts the model, or cannot be checked, has been taken off the confidence."""
+    """True if something contradicts the model, or nothing can check it, which has been taken off the confidence."""
 
     def scaled(self, factor: float) -> "Cause":
-        """As many times as sure, and so of its rivals."""
+        """Return the cause with its confidence, and that of its rivals, times a factor.
+
+        Args:
+            factor: 0 to 1.
+        """
         alternatives, twins = (
             tuple(replace(one, confidence=factor * one.confidence) for one in some)
             for some in (self.alternatives, self.indistinguishable)
@@ -70,10 +82,14 @@ class Cause:
         return replace(self, confidence=confidence, alternatives=alternatives, indistinguishable=twins)
 
     def on(self, trial: str) -> Planted | None:
-        """As it acts in a trial, None where it does not or nobody knows."""
+        """Return the cause as it acts in a trial; None where it does not, or where nobody knows.
+
+        Args:
+            trial: name of the trial, which may be one that was neither fitted nor held out.
+        """
         own, place = effect(self.effect), self.place
         if own.per_recording and place.when is not None:
-            # Of a long recording a part was searched; what was knocked stayed so in all of it.
+            # Only part of a long recording was searched; what was knocked stays so in all of it.
             place = replace(place, when=tuple(Interval(i.trial, -math.inf, math.inf) for i in place.when))
         if trial in self.trials:
             return Planted(own, place, self.theta[self.trials.index(trial) if own.per_trial else 0])
@@ -85,9 +101,11 @@ class Near:
     """An effect that was not named, at its best place."""
 
     effect: str
+    """Name of the effect."""
     where: tuple[str, ...]
+    """Names of the place."""
     evidence_nats: float
-    """Of the effect, averaged over its places; ``NAMED`` would name it."""
+    """Score of the effect, averaged over its places [nat]; ``NamingOptions.named_nats`` would name it."""
 
 
 @dataclass(frozen=True)
@@ -95,27 +113,45 @@ class Refuted:
     """A cause that fit trials named and held-out motion speaks against; the model was not extended by it."""
 
     effect: str
+    """Name of the effect."""
     where: tuple[str, ...]
+    """Names of its place."""
     heldout_log_likelihood: float
-    """What it gained there; where it acts on forces alone, that of the forces after what cameras saw. Less than
-    ``-REFUTED``, unless both forces and moments err plainly more with it."""
+    """Log density that it gained there [nat]; where it acts on forces alone, that of forces given what cameras saw.
+
+    It is below ``-HeldOutOptions.refuted_nats``, less its leeway, unless both forces and moments err plainly more with
+    it.
+    """
+    rule: str
+    """``heldout_density`` or ``heldout_errors``."""
+    numbers: dict[str, float]
+    """Numbers that the rule compared, by names that end in their unit."""
     instead: tuple[str, ...] | None = None
-    """Where it sits as held-out motion has it, among places that fit trials support nearly as well."""
+    """Names of the place that held-out motion has it at, among those that fit trials support nearly as well; None:
+    none."""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the model gets wrong, and why."""
+    """Causes of what the model gets wrong, what remains, and how the verdict came about."""
 
     plates: tuple[SessionPlate, ...]
+    """Plates of the session."""
     baseline: Errors
+    """Held-out errors of the model without any effect."""
     extended: Errors
+    """Held-out errors of the model with the causes."""
     causes: tuple[Cause, ...]
+    """Causes, those of plates and clocks first."""
     unexplained: Adequacy
+    """Adequacy of the model with the causes."""
     not_testable: dict[str, str] = field(default_factory=dict)
-    """Why, by effect."""
+    """Reason why an effect could not be tested, by its name."""
     nearest: tuple["Near", ...] = ()
-    """What came closest to being named beside the causes, best first."""
+    """Effects that came closest to being named beside the causes, best first."""
     refuted: tuple["Refuted", ...] = ()
+    """Causes that held-out motion refuted."""
+    trace: Trace = ()
+    """Every entry, exit, discount and refusal, in order."""
     aside: tuple[Interval, ...] = ()
-    """What no model was fitted to, or should be: something unmeasured bears a good part of the weight."""
+    """Intervals that no model is fitted to: something unmeasured bears a good part of the weight there."""

@@ -3,13 +3,18 @@
 import dataclasses
 from typing import Any
 
+from torchid.diagnosis.trace import Step
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
 from torchid.effects.place import Place
 from torchid.effects.recommendations import tell_apart
 
 
 def verdict_table(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Content of ``diagnosis.json`` but for what the extended model makes of markers."""
+    """Return the content of ``diagnosis.json``, but for what the extended model makes of markers.
+
+    Args:
+        diagnosis: the verdict.
+    """
     return {
         "baseline": {"heldout": dataclasses.asdict(diagnosis.baseline)},
         "causes": [_listed(cause) for cause in diagnosis.causes],
@@ -18,11 +23,19 @@ def verdict_table(diagnosis: Diagnosis) -> dict[str, Any]:
         "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
         "nearest": [dataclasses.asdict(near) for near in diagnosis.nearest],
         "refuted": [dataclasses.asdict(one) for one in diagnosis.refuted],
+        "trace": [_step(k, one) for k, one in enumerate(diagnosis.trace, 1)],
         "plates": {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in diagnosis.plates},
     }
 
 
+def _step(number: int, one: Step) -> dict[str, Any]:
+    """Return one step of the trace with its number."""
+    return {"step": number, "kind": str(one.kind), "effect": one.effect, "where": one.where, "rule": one.rule,
+            "numbers": dict(one.numbers)}  # fmt: skip
+
+
 def _listed(cause: Cause) -> dict[str, Any]:
+    """Return one cause."""
     names = ("effect", "where", "when", "parameters", "confidence", "alternatives", "indistinguishable", "gain")
     found = {name: getattr(cause, name) for name in names}
     found["indistinguishable"] = [_twin(cause, twin) for twin in cause.indistinguishable]
@@ -30,10 +43,12 @@ def _listed(cause: Cause) -> dict[str, Any]:
 
 
 def _twin(cause: Cause, twin: Twin) -> dict[str, Any]:
+    """Return one twin of a cause, with the motion that would tell the two apart."""
     names = ("effect", "where", "confidence", "parameters")
     found = {name: getattr(twin, name) for name in names} | {"motion": tell_apart(cause.effect, twin.effect)}
     return found if twin.place is None else found | _joint_and_markers(twin.place)
 
 
 def _joint_and_markers(place: Place) -> dict[str, Any]:
+    """Return what of a place only some effects have."""
     return {"follows": place.follows and str(place.follows), "markers": place.markers or None}

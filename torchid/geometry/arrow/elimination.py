@@ -1,4 +1,4 @@
-"""The motion of each frame eliminated from the normal equations, branch by branch, then the core.
+"""This module eliminates the motion of each frame from the normal equations, branch by branch, then the core.
 
 With H = L L' (a block Cholesky factor in the order branches, core) and V = L^-1 [H_qx g_q], what is left for xi is
 H_xx - V_x' V_x and g_x - V_x' V_g, and L' d = -(V_g + V_x dx) gives the step d of the motion. Both the factor and V
@@ -14,20 +14,23 @@ from torchid.geometry.arrow.limb_partition import Group, Partition, pick
 from torchid.geometry.arrow.normal_blocks import Pieces
 
 ROUNDING = (1e-3, 0.1, 10.0)
-"""Damping, relative to the diagonal, of a block that rounding has made indefinite; one after the other."""
+"""Damping, relative to the diagonal, that a block made indefinite by rounding gets, one after the other; chosen."""
 
 
 @dataclass(frozen=True)
 class Eliminated:
-    """Factors of one chunk of frames; V has columns for the core's motion (branches only), xi and the gradient."""
+    """The factors of one chunk of frames, for each branch and, last, for the core."""
 
     L: list[Tensor]
+    """Cholesky factors (frames, motion, motion)."""
     V: list[Tensor]
+    """L^-1 times the columns of the core's motion (branches only), xi and the gradient (frames, motion, columns)."""
     diagonal: Tensor
     """Diagonal that the damping multiplies (frames, motion in the order of the elimination)."""
     damping: Tensor
+    """Damping of each frame (frames,)."""
     g_x: Tensor
-    """(frames, xi in the order of the elimination)"""
+    """Gradient (frames, xi in the order of the elimination)."""
 
 
 def eliminate(partition: Partition, pieces: Pieces, damping: Tensor) -> Eliminated:
@@ -36,7 +39,7 @@ def eliminate(partition: Partition, pieces: Pieces, damping: Tensor) -> Eliminat
     Args:
         partition: branches and core.
         pieces: twists and wrenches of the frames.
-        damping: Levenberg-Marquardt's, relative to the diagonal, (frames,).
+        damping: Levenberg-Marquardt damping, relative to the diagonal, (frames,).
     """
     core, columns = partition.core, pieces.columns
     g_x = columns.g.index_select(1, core.entries)
@@ -44,10 +47,10 @@ def eliminate(partition: Partition, pieces: Pieces, damping: Tensor) -> Eliminat
         g_x[:, column] += g_x[:, entry]
     g_x = g_x[:, : len(core.xi)]
     floor = 1e-9 * columns.F[:, 0, 0] + 1e-12
-    system, weight = _rows(core, pieces, floor, damping)
+    system, weight = _group_rows(core, pieces, floor, damping)
     n, kept, diagonals = core.size, [], []
     for group in partition.branches:
-        own, diagonal = _rows(group, pieces, floor, damping)
+        own, diagonal = _group_rows(group, pieces, floor, damping)
         L, V = _factorise(own, group.size, diagonal)
         kept.append((L, V))
         diagonals.append(diagonal)
@@ -62,8 +65,8 @@ def eliminate(partition: Partition, pieces: Pieces, damping: Tensor) -> Eliminat
     )
 
 
-def _rows(group: Group, pieces: Pieces, floor: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
-    """[H_qq damped, H_q,core, H_qx, g_q] of a group, and the diagonal that the damping multiplies."""
+def _group_rows(group: Group, pieces: Pieces, floor: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the rows [H_qq damped, H_q,core, H_qx, g_q] of a group, and the diagonal that the damping multiplies."""
     columns = pieces.columns
     S = pick(columns.S, group.columns)
     wide = torch.cat([S, pick(columns.S, group.core), columns.S.index_select(1, group.entries)], dim=1)
@@ -83,15 +86,16 @@ def _rows(group: Group, pieces: Pieces, floor: Tensor, damping: Tensor) -> tuple
 
 
 def _factorise(rows: Tensor, n: int, scale: Tensor) -> tuple[Tensor, Tensor]:
+    """Return L of the first n columns, damped further where rounding made them indefinite, and L^-1 of the others."""
     L, info = torch.linalg.cholesky_ex(rows[:, :, :n])
     for more in ROUNDING:
         if not info.any():
             break
-        # Single precision in a frame that hardly determines its pose: damped more, it takes a shorter step downhill.
+        # In single precision a frame may hardly determine its pose: damped more, it takes a shorter step downhill.
         torch.diagonal(rows[:, :, :n], dim1=1, dim2=2).add_(torch.where(info > 0, more, 0.0)[:, None] * scale)
         L, info = torch.linalg.cholesky_ex(rows[:, :, :n])
     assert not info.any(), "a Gauss-Newton block is positive semidefinite by construction"
-    # From the right on the transpose: what is row-major here is then column-major there, and nothing is copied.
+    # The system is solved from the right on the transpose: row-major here is column-major there, and nothing is copied.
     return L, torch.linalg.solve_triangular(L.mT, rows[:, :, n:].mT, upper=True, left=False).mT
 
 
@@ -105,7 +109,14 @@ def _subtract(system: Tensor, update: Tensor, group: Group, common: slice, n: in
 
 
 def reduce_shared(partition: Partition, eliminated: Eliminated, S: Tensor, rhs: Tensor) -> None:
-    """Subtract V_x' V_x from S and V_x' V_g from rhs, which are in the order of the elimination."""
+    """Subtract V_x' V_x from S and V_x' V_g from rhs, in place.
+
+    Args:
+        partition: branches and core.
+        eliminated: factors of one chunk of frames.
+        S: normal matrix of xi (xi, xi), in the order of the elimination.
+        rhs: gradient of xi (xi,), in the order of the elimination.
+    """
     for group, V in zip((*partition.branches, partition.core), eliminated.V, strict=True):
         flat = V.reshape(-1, V.shape[2])[:, V.shape[2] - len(group.xi) - 1 :]
         gram = flat.T @ flat
@@ -114,11 +125,18 @@ def reduce_shared(partition: Partition, eliminated: Eliminated, S: Tensor, rhs: 
 
 
 def back_substitute(partition: Partition, eliminated: Eliminated, dx: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Step of the motion for a step of xi (in the order of the elimination).
+    """Return the step of the motion that belongs to a step of xi.
 
-    Returns the step (frames, motion in the order of the elimination) and, per frame, the fall of the cost that the
-    quadratic model predicts (without the part of xi alone) and the size of its quadratic term. From L' d = -y follow
-    d' (H + damping) d = y' y and d' H_qx dx = -y' (y - V_g).
+    From L' d = -y with y = V_g + V_x dx follow d' (H + damping) d = y' y and d' H_qx dx = -y' (y - V_g).
+
+    Args:
+        partition: branches and core.
+        eliminated: factors of one chunk of frames.
+        dx: step of xi (xi,), in the order of the elimination.
+
+    Returns:
+        The step (frames, motion in the order of the elimination) and, per frame, the fall of the cost that the
+        quadratic model predicts (without the part of xi alone) and the size of the model's quadratic term.
     """
     steps: list[Tensor] = []
     yy = yg = torch.zeros_like(eliminated.damping)

@@ -1,4 +1,4 @@
-"""Which coordinate moves which markers: the index tables behind the arrow's normal matrix.
+"""This module says which coordinate moves which markers, by the index tables behind the arrow's normal matrix.
 
 Every coordinate, of motion or of geometry, moves the markers of one subtree with a twist that all of them share
 (a marker's own place moves that marker alone). Supports are therefore nested or disjoint, and the entry of J^T J
@@ -17,17 +17,17 @@ from torchid.model.tree import BASE_DOFS
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Index tables of a problem; bodies by plan position.
+class ArrowLayout:
+    """The index tables of a problem, in which bodies are numbered by their position in the plan.
 
     *Columns* are those of ``twists.Twists``. *Motion* is the subset that q drives, whatever moves more first.
     *Entries* are the rest: one for each (named parameter, subtree that it moves), then three for each free marker.
     """
 
     motion: Tensor
-    """Column of each coordinate of motion, when geometry has columns too."""
+    """Column of each coordinate of motion where geometry has columns too."""
     motion_alone: Tensor
-    """The same when it has none."""
+    """Column of each coordinate of motion where geometry has none."""
     dof_rows: Tensor
     """Row of q of each coordinate of motion."""
     motion_body: Tensor
@@ -35,6 +35,7 @@ class Layout:
     entries: Tensor
     """Column of each entry."""
     entry_body: Tensor
+    """Body whose subtree each entry moves, or that carries the entry's marker."""
     entry_xi: Tensor
     """Row of xi that each entry belongs to."""
     geometric: int
@@ -46,32 +47,42 @@ class Layout:
     sliding_body: Tensor
     """Body of each slide and offset entry."""
     hinge_map: Tensor
-    """(hinge entries, hinge turns): axis of the entry from the axes of the turns."""
+    """Matrix (hinge entries, hinge turns) from the axes of the turns to those of the entries."""
     offset_map: Tensor
-    """(offset entries, 3 * bodies): direction of the entry from the columns of all R_WB."""
+    """Matrix (offset entries, 3 * bodies) from the columns of all R_WB to the directions of the entries."""
     above: Tensor
-    """(bodies, bodies): 1 where the row is the column or an ancestor of it."""
+    """Matrix (bodies, bodies) with 1 where the row is the column or an ancestor of it."""
     subtree: Tensor
-    """(bodies, markers): 1 where the marker is on or below the body."""
+    """Matrix (bodies, markers) with 1 where the marker is on or below the body."""
 
     def of_entries(self, x: Tensor) -> Tensor:
-        """The entries' columns of (frames, columns, 6): a view where they stand side by side."""
+        """Return the entries' columns of x (frames, columns, 6), as a view where they stand side by side."""
         first, n = (int(self.entries[0]) if len(self.entries) else 0), len(self.entries)
         return x[:, first:] if first + n == x.shape[1] else x.index_select(1, self.entries)
 
     def within(self, inner: Tensor, outer: Tensor) -> Tensor:
-        """(inner, outer) 1 where the subtree of the inner body lies within the outer's."""
+        """Return the matrix (inner, outer) with 1 where the subtree of the inner body lies within that of the outer."""
         return self.above[outer][:, inner].T.contiguous()
 
     def nesting(self, body: Tensor) -> tuple[Tensor, Tensor]:
-        """Of subtrees (rows) and entries (columns): 1 where the row lies within the column; strictly the reverse."""
+        """Compare the subtrees of some bodies (rows) with those of all entries (columns).
+
+        Returns:
+            Two matrices (body, entries) with 1 where the row lies within the column, and where the column lies strictly
+            within the row.
+        """
         inside = self.within(body, self.entry_body)
         inside[:, self.geometric :] = 0.0
         return inside, self.within(self.entry_body, body).T * (1.0 - inside)
 
 
-def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Layout:
-    """Index tables of ``problem`` on its device, in its precision or another."""
+def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> ArrowLayout:
+    """Build the index tables of a problem on its device.
+
+    Args:
+        problem: tree, free parameters and markers.
+        dtype: precision of the matrices; None takes that of the problem.
+    """
     plan, like = problem.plan, problem.target[:0].to(dtype or problem.target.dtype)
     position = plan.position
     hinge, offset = _entries(problem)
@@ -87,8 +98,8 @@ def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Lay
     rank = {k: place for place, k in enumerate(turn_order)}
     column = [BASE_DOFS + rank[k] if k < turns else first_slide + k - turns for k in plan.motion_order]
     alone = [BASE_DOFS + rank.get(k, k) for k in plan.motion_order]
-    above = _above(plan).to(like)
-    return Layout(
+    above = _ancestor_matrix(plan).to(like)
+    return ArrowLayout(
         motion=index(base + column),
         motion_alone=index(base + alone),
         dof_rows=index(base + [c.row for c in plan.motion]),
@@ -106,14 +117,15 @@ def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Lay
         turn_order=index(turn_order),
         turning_body=index([position[plan.turns[k].body] for k in turn_order] + [body for _, body in hinge]),
         sliding_body=index([position[c.body] for c in plan.slides] + [body for _, body in offset]),
-        hinge_map=_table(hinge, len(plan.hinges), like),
-        offset_map=_table(offset, 3 * len(plan.order), like),
+        hinge_map=_coefficient_table(hinge, len(plan.hinges), like),
+        offset_map=_coefficient_table(offset, 3 * len(plan.order), like),
         above=above,
         subtree=above[:, problem.body].contiguous(),
     )
 
 
-def _above(plan: Plan) -> Tensor:
+def _ancestor_matrix(plan: Plan) -> Tensor:
+    """Return the matrix (bodies, bodies) with 1 where the row is the column or an ancestor of it."""
     n, position = len(plan.order), plan.position
     above = torch.zeros(n, n)
     for body, ancestors in enumerate(plan.tree.ancestors):
@@ -123,11 +135,11 @@ def _above(plan: Plan) -> Tensor:
 
 
 Entries = dict[tuple[int, int], dict[int, float]]
-"""(named parameter, body) to coefficients of the hinge turns, or of the columns of all rotations, that move it."""
+"""Coefficients of the hinge turns, or of the columns of all rotations, by (named parameter, body that it moves)."""
 
 
 def _entries(problem: MarkerProblem) -> tuple[Entries, Entries]:
-    """Hinge entries and offset entries."""
+    """Return the hinge entries and the offset entries of the free parameters."""
     plan, prior = problem.plan, problem.geometry
     position, parents = plan.position, plan.tree.parents
     hinge: Entries = {}
@@ -148,7 +160,8 @@ def _entries(problem: MarkerProblem) -> tuple[Entries, Entries]:
     return hinge, offset
 
 
-def _table(entries: Entries, width: int, like: Tensor) -> Tensor:
+def _coefficient_table(entries: Entries, width: int, like: Tensor) -> Tensor:
+    """Return the coefficients of the entries as a matrix (entries, width)."""
     table = like.new_zeros(len(entries), width)
     for row, sources in enumerate(entries.values()):
         for column, coefficient in sources.items():

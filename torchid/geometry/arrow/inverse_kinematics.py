@@ -1,21 +1,24 @@
-"""Inverse kinematics: all frames at fixed geometry, each frame on its own damping and its own convergence."""
+"""This module is inverse kinematics: all frames at fixed geometry, each with its own damping and convergence."""
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchid.geometry.arrow.elimination import back_substitute, eliminate
-from torchid.geometry.arrow.index_tables import Layout, make_layout
+from torchid.geometry.arrow.index_tables import ArrowLayout, make_layout
 from torchid.geometry.arrow.limb_partition import Partition, make_partition
 from torchid.geometry.arrow.normal_blocks import Pieces, make_pieces
 from torchid.geometry.problem import MarkerProblem, Shape, retract
 
 CHUNK = 2048
-STEP = torch.float32
-"""Of the steps alone: half the memory to move, and an error of 1e-7 in a step that the next one mends. Cost, poses and
-coordinates keep the precision of the input."""
+"""Frames solved in one batch; chosen for memory."""
+STEP_DTYPE = torch.float32
+"""Precision of the steps; chosen, because it halves the memory to move and the next step mends the error of one.
+
+Cost, poses and coordinates keep the precision of the input.
+"""
 LEAST_DAMPING = 1e-6
-"""Damping that keeps a block in ``STEP`` positive definite."""
+"""Least damping; chosen to keep a block in ``STEP_DTYPE`` positive definite."""
 
 
 def solve_poses(
@@ -25,11 +28,21 @@ def solve_poses(
     iterations: int = 40,
     tolerance: float = 1e-5,
 ) -> tuple[Float[Tensor, "dofs frames"], Float[Tensor, " frames"]]:
-    """Coordinates that minimise every frame's cost at fixed xi, and that cost.
+    """Find the coordinates that minimise every frame's cost at fixed xi.
 
     Frames that have converged leave the batch. Long sessions need only one chunk of intermediates at a time.
+
+    Args:
+        problem: markers, weights and posture prior of all frames.
+        q: coordinates to start from.
+        xi: geometry and marker places.
+        iterations: most Levenberg-Marquardt steps of a frame.
+        tolerance: relative fall of a frame's cost, as predicted for the next step, at which the frame stops.
+
+    Returns:
+        The coordinates and the cost of each frame.
     """
-    layout = make_layout(problem, STEP)
+    layout = make_layout(problem, STEP_DTYPE)
     partition = make_partition(problem.plan, layout, 0)
     q, cost, shape = q.clone(), q.new_empty(q.shape[1]), problem.shape(xi)
     for start in range(0, q.shape[1], CHUNK):
@@ -42,13 +55,14 @@ def solve_poses(
 
 def _solve_chunk(
     problem: MarkerProblem,
-    layout: Layout,
+    layout: ArrowLayout,
     partition: Partition,
     q: Tensor,
     shape: Shape,
     iterations: int,
     tolerance: float,
 ) -> tuple[Tensor, Tensor]:
+    """Return the coordinates (dofs, frames) and cost (frames,) of one chunk; arguments are those of ``solve_poses``."""
     out_q, out_cost = torch.empty_like(q), torch.empty_like(q[0])
     active = torch.arange(q.shape[1], device=q.device)
     seen, damping, before = problem.evaluate(q, shape), q.new_full((q.shape[1],), 1e-3), q.new_ones(q.shape[1])
@@ -59,7 +73,7 @@ def _solve_chunk(
         fall = torch.where(better, (seen.cost - new.cost) / seen.cost.clamp(min=1e-300), 1.0)
         q, cost = torch.where(better, trial, q), torch.where(better, new.cost, seen.cost)
         damping = torch.where(better, damping / 10.0, damping * 10.0 + 1e-4).clamp(min=LEAST_DAMPING)
-        # The falls of a converging frame shrink by a factor that itself shrinks: the next one is known beforehand.
+        # The falls of a converging frame shrink by a factor that itself shrinks, which bounds the next one.
         open_ = ~((fall.square() < 0.1 * tolerance * before) & (fall < before) | (damping > 1e8))
         out_q[:, active], out_cost[active], before = q, cost, fall
         left = int(open_.sum())
@@ -74,6 +88,7 @@ def _solve_chunk(
 
 
 def _motion_step(partition: Partition, pieces: Pieces, damping: Tensor) -> Tensor:
+    """Return the damped Gauss-Newton step (dofs, frames) of the coordinates alone."""
     given = damping.to(pieces.pull.dtype)
     d, _, _ = back_substitute(partition, eliminate(partition, pieces, given), given[:0])
     dq = damping.new_empty(d.shape[1], d.shape[0])

@@ -1,4 +1,4 @@
-"""How the coordinates of a frame fall into branches that touch each other only through a core.
+"""This module divides the coordinates of a frame into branches that touch each other only through a core.
 
 Limbs share no marker: their blocks of the normal matrix are coupled by the root and the trunk alone. Eliminating each
 branch by itself leaves out the zeros between them (sparsity of a tree's mass matrix; Featherstone 2008, section 6.5).
@@ -10,33 +10,34 @@ from itertools import chain
 import torch
 from torch import Tensor
 
-from torchid.geometry.arrow.index_tables import Layout
+from torchid.geometry.arrow.index_tables import ArrowLayout
 from torchid.kinematics.plan import Plan
 from torchid.model.tree import BASE_DOFS
 
 Pick = slice | Tensor
-"""Columns that stand side by side, or any columns."""
+"""Columns as a slice where they stand side by side, else as indices."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Coordinates of motion that are eliminated together, and the columns of xi that meet them."""
+    """The coordinates of motion that are eliminated together, with the columns of xi that meet them."""
 
     size: int
+    """Number of coordinates of motion."""
     motion: Pick
-    """Which coordinates of motion (rows of ``layout.motion``)."""
+    """Coordinates of motion, as rows of ``layout.motion``."""
     columns: Pick
-    """Their columns in ``Twists``."""
+    """Columns in ``Twists`` of the coordinates of motion."""
     core: Pick
     """Columns in ``Twists`` of the core's motion; none for the core itself."""
     entries: Tensor
     """Columns in ``Twists`` that make the columns of xi: the first of each, then those to be added."""
     extra: tuple[tuple[int, int], ...]
-    """(column of xi, entry) of those to be added."""
+    """Pairs (column of xi, position in ``entries``) of those to be added."""
     inside: Tensor
-    """(motion; itself, the core, entries) 1 where the row's support lies within the column's; lower where square."""
+    """Matrix (motion; motion, core, entries), lower where square: 1 where the row's support lies in the column's."""
     around: Tensor
-    """(motion, entries) strictly the reverse."""
+    """Matrix (motion, entries) with 1 where the column's support lies strictly within the row's."""
     own: slice
     """Columns of xi, in the order of the elimination, that belong to the branch alone."""
     xi: Tensor
@@ -45,33 +46,40 @@ class Group:
 
 @dataclass(frozen=True)
 class Partition:
-    """All branches and the core."""
+    """The branches and the core of all coordinates, with the order in which they are eliminated."""
 
     branches: tuple[Group, ...]
     core: Group
     dof_rows: Tensor
     """Rows of q in the order of the elimination: branches one by one, then the core."""
     motion: Tensor
-    """The same as coordinates of motion."""
+    """Coordinates of motion in the order of the elimination."""
     xi: Tensor
-    """xi in the order of the elimination: own columns of each branch, parameters of the core, markers of the core."""
+    """Rows of xi in the order of the elimination: each branch's own, parameters of the core, markers of the core."""
     common: slice
     """Parameters of the core, which all branches may meet, in that order."""
 
 
 def pick(x: Tensor, columns: Pick) -> Tensor:
-    """Some columns of (frames, columns, ...): a view where they stand side by side."""
+    """Return some columns of x (frames, columns, ...), as a view where they stand side by side."""
     return x[:, columns] if isinstance(columns, slice) else x.index_select(1, columns)
 
 
-def _side_by_side(columns: Tensor) -> Pick:
+def _as_slice(columns: Tensor) -> Pick:
+    """Return the columns as a slice where they stand side by side."""
     first, n = int(columns[0]) if len(columns) else 0, len(columns)
     together = bool((columns == torch.arange(first, first + n, device=columns.device)).all())
     return slice(first, first + n) if together else columns
 
 
-def make_partition(plan: Plan, layout: Layout, n_xi: int) -> Partition:
-    """Branches and core; ``n_xi = 0`` leaves xi out."""
+def make_partition(plan: Plan, layout: ArrowLayout, n_xi: int) -> Partition:
+    """Divide the coordinates of a problem into branches and core.
+
+    Args:
+        plan: tree with its branches.
+        layout: index tables of the problem.
+        n_xi: number of entries of xi; 0 leaves xi out.
+    """
     branches = plan.branches
     owner = {body: k for k, bodies in enumerate(branches) for body in bodies}
     core = len(branches)
@@ -93,8 +101,8 @@ def make_partition(plan: Plan, layout: Layout, n_xi: int) -> Partition:
     return Partition(tuple(groups), everything, layout.dof_rows[rows], rows, xi, common)
 
 
-def _owners(layout: Layout, owner: dict[int, int], core: int, n_xi: int) -> tuple[list[list[int]], list[int]]:
-    """Columns of xi of each branch and of the core's parameters; apart from them, those of the core's markers."""
+def _owners(layout: ArrowLayout, owner: dict[int, int], core: int, n_xi: int) -> tuple[list[list[int]], list[int]]:
+    """Return the columns of xi of each branch and of the core's parameters and, apart, those of the core's markers."""
     homes: list[set[int]] = [set() for _ in range(n_xi)]
     first_marker = layout.entry_xi[layout.geometric] if layout.geometric < len(layout.entry_xi) else n_xi
     if n_xi:
@@ -108,20 +116,32 @@ def _owners(layout: Layout, owner: dict[int, int], core: int, n_xi: int) -> tupl
     return own, markers
 
 
-def _group(layout: Layout, motion: list[int], core: list[int], order: list[int], where: list[int], own: slice) -> Group:
+def _group(
+    layout: ArrowLayout, motion: list[int], core: list[int], order: list[int], where: list[int], own: slice
+) -> Group:
+    """Build the group of some coordinates of motion.
+
+    Args:
+        layout: index tables.
+        motion: coordinates of motion of the group.
+        core: coordinates of motion of the core; none for the core itself.
+        order: xi in the order of the elimination.
+        where: places in that order of the columns of xi that meet the group.
+        own: places in that order of the columns that belong to the group alone.
+    """
     like = layout.motion
     rows, carriers = (torch.tensor(x, device=like.device, dtype=torch.long) for x in (motion, core))
     body = layout.motion_body[rows]
     inside, around = layout.nesting(body)
-    first, extra = _gathered(layout, ((inside + around) > 0).any(0).tolist(), [order[w] for w in where])
+    first, extra = _entries_of_columns(layout, ((inside + around) > 0).any(0).tolist(), [order[w] for w in where])
     chosen = torch.tensor(first + [entry for _, entry in extra], device=like.device, dtype=torch.long)
     column = layout.motion if order else layout.motion_alone
     lower = torch.tril(layout.within(body, body))
     return Group(
         size=len(rows),
-        motion=_side_by_side(rows),
-        columns=_side_by_side(column[rows]),
-        core=_side_by_side(column[carriers]),
+        motion=_as_slice(rows),
+        columns=_as_slice(column[rows]),
+        core=_as_slice(column[carriers]),
         entries=layout.entries[chosen],
         extra=tuple((column, len(first) + k) for k, (column, _) in enumerate(extra)),
         inside=torch.cat([lower, layout.within(body, layout.motion_body[carriers]), inside[:, chosen]], dim=1),
@@ -131,8 +151,10 @@ def _group(layout: Layout, motion: list[int], core: list[int], order: list[int],
     )
 
 
-def _gathered(layout: Layout, relevant: list[bool], columns: list[int]) -> tuple[list[int], list[tuple[int, int]]]:
-    """For each column of xi one of its entries, and (position, entry) of the others that matter."""
+def _entries_of_columns(
+    layout: ArrowLayout, relevant: list[bool], columns: list[int]
+) -> tuple[list[int], list[tuple[int, int]]]:
+    """Return one entry for each column of xi, and (position, entry) of its others that matter."""
     of: dict[int, list[int]] = {}
     for entry, k in enumerate(layout.entry_xi.tolist()):
         of.setdefault(k, []).append(entry)

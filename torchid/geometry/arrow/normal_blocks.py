@@ -1,4 +1,4 @@
-"""Blocks of the arrow: normal matrix of one chunk of frames, without ever forming a marker Jacobian.
+"""This module makes the blocks of the arrow, the normal matrix of a chunk of frames, without any marker Jacobian.
 
 Given q, a marker's position is linear in the offsets and in its own place; H_qq is the mass matrix of point masses
 w_m at the markers, the gradient a subtree sum of wrenches. The dense blocks of this module serve covariances and are
@@ -10,46 +10,54 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchid.geometry.arrow.index_tables import Layout
+from torchid.geometry.arrow.index_tables import ArrowLayout
 from torchid.geometry.arrow.twists import Twists, column_gradient, column_twists, moments, with_markers
 from torchid.geometry.problem import Evaluation, MarkerProblem
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Quadratic model of the cost of a chunk: frames first, motion columns in plan order."""
+    """The quadratic model of the cost of a chunk, with frames first and the columns of motion as in the layout."""
 
     cost: Tensor
-    """(frames,)"""
+    """Cost (frames,), posture included."""
     g_q: Tensor
-    """(frames, motion)"""
+    """Gradient of motion (frames, motion)."""
     H_qq: Tensor
-    """(frames, motion, motion), lower triangle."""
+    """Lower triangle of the block of motion (frames, motion, motion)."""
     H_qx: Tensor | None = None
-    """(frames, motion, xi)"""
+    """Mixed block (frames, motion, xi)."""
     g_x: Tensor | None = None
-    """(frames, xi)"""
+    """Gradient of xi (frames, xi)."""
     H_xx: Tensor | None = None
-    """(xi, xi), summed over the frames."""
+    """Block of xi (xi, xi), summed over the frames."""
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """What all blocks of a chunk are made of."""
+    """The parts of which all blocks of a chunk of frames are made."""
 
     cost: Tensor
-    """(frames,), posture included."""
+    """Cost (frames,), posture included."""
     columns: Twists
+    """Twists, wrenches and gradients of all columns."""
     pull: Tensor
-    """Gradient of the posture prior, (frames, motion)."""
+    """Gradient of the posture prior (frames, motion)."""
     curvature: Tensor
-    """Its second derivative, (frames, motion)."""
+    """Diagonal of the posture prior's second derivative (frames, motion)."""
     marker_weight: Tensor
-    """Sum of the free markers' weights over the frames, three times each; empty without xi."""
+    """Sum of the weights of each free marker over the frames, three times (3 * free,)."""
 
 
-def make_pieces(problem: MarkerProblem, layout: Layout, seen: Evaluation, shared: bool) -> Pieces:
-    """Twists, wrenches and gradients of the frames of ``problem`` where it was evaluated, in the layout's precision."""
+def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: Evaluation, shared: bool) -> Pieces:
+    """Compute twists, wrenches and gradients of all frames of a problem, in the layout's precision.
+
+    Args:
+        problem: markers and tree.
+        layout: index tables of the problem.
+        seen: the problem at the point where the pieces are wanted.
+        shared: False leaves the columns of xi out.
+    """
     dtype = layout.subtree.dtype
     at, weight, p = seen.at.about_root(dtype), seen.weight.to(dtype), (seen.p - seen.at.p[:1]).to(dtype)
     pull = weight[:, None] * seen.residual.to(dtype)
@@ -64,9 +72,20 @@ def make_pieces(problem: MarkerProblem, layout: Layout, seen: Evaluation, shared
 
 
 def make_gradient(
-    problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shared: bool
+    problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Cost (frames,) and gradient of each frame in motion (motion, frames) and entries (entries, frames)."""
+    """Compute the cost and its gradient alone, without any block.
+
+    Args:
+        problem: markers, weights and posture prior.
+        layout: index tables of the problem.
+        q: coordinates (dofs, frames).
+        xi: geometry and marker places.
+        shared: False leaves the entries out.
+
+    Returns:
+        Cost (frames,), gradient in motion (motion, frames), and gradient in the entries (entries, frames).
+    """
     seen = problem.evaluate(q, problem.shape(xi))
     at, pull = seen.at.about_root(q.dtype), seen.weight[:, None] * seen.residual
     columns = column_gradient(layout, at, seen.p - seen.at.p[:1], pull, shared)
@@ -80,8 +99,16 @@ def make_gradient(
     return seen.cost, g_q, torch.cat([columns[layout.entries[: layout.geometric]], places])
 
 
-def assemble(problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shared: bool) -> Blocks:
-    """Blocks of the frames of ``problem`` at (q, xi); without the columns of xi unless ``shared``."""
+def assemble(problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool) -> Blocks:
+    """Compute the dense blocks of all frames of a problem.
+
+    Args:
+        problem: markers, weights and posture prior.
+        layout: index tables of the problem.
+        q: coordinates (dofs, frames).
+        xi: geometry and marker places.
+        shared: False leaves the columns of xi out.
+    """
     pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared)
     motion = layout.motion if shared else layout.motion_alone
     S, F = pieces.columns.S[:, motion], pieces.columns.F[:, motion]
@@ -91,13 +118,13 @@ def assemble(problem: MarkerProblem, layout: Layout, q: Tensor, xi: Tensor, shar
     return _with_shared(layout, pieces, blocks, S, F, len(xi)) if shared else blocks
 
 
-def lower_mask(layout: Layout, body: Tensor) -> Tensor:
-    """(motion, motion) 1 in the lower triangle where the row's support lies within the column's."""
+def lower_mask(layout: ArrowLayout, body: Tensor) -> Tensor:
+    """Return the matrix (body, body) with 1 in the lower triangle where the row's support lies within the column's."""
     return torch.tril(layout.within(body, body))
 
 
-def _with_shared(layout: Layout, pieces: Pieces, blocks: Blocks, S: Tensor, F: Tensor, n_xi: int) -> Blocks:
-    """Add the columns of xi: named parameters, then places of free markers."""
+def _with_shared(layout: ArrowLayout, pieces: Pieces, blocks: Blocks, S: Tensor, F: Tensor, n_xi: int) -> Blocks:
+    """Return the blocks with the columns of xi added: named parameters, then places of free markers."""
     Se, Fe = pieces.columns.S[:, layout.entries], pieces.columns.F[:, layout.entries]
     inside, around = layout.nesting(layout.motion_body)
     fold = torch.nn.functional.one_hot(layout.entry_xi, n_xi).to(S)
@@ -106,10 +133,10 @@ def _with_shared(layout: Layout, pieces: Pieces, blocks: Blocks, S: Tensor, F: T
     return Blocks(blocks.cost, blocks.g_q, blocks.H_qq, H_qx, g_x, fold.T @ shared_block(layout, pieces) @ fold)
 
 
-def shared_block(layout: Layout, pieces: Pieces) -> Tensor:
-    """H of the entries (entries, entries), summed over the frames."""
+def shared_block(layout: ArrowLayout, pieces: Pieces) -> Tensor:
+    """Return the normal matrix of the entries (entries, entries), summed over the frames of ``pieces``."""
     geometric = layout.geometric
-    S, F = _rows(pieces.columns.S, layout.entries[:geometric]), _rows(pieces.columns.F, layout.entries)
+    S, F = _stacked(pieces.columns.S, layout.entries[:geometric]), _stacked(pieces.columns.F, layout.entries)
     H, FS = torch.diag(torch.cat([F.new_zeros(geometric), pieces.marker_weight])), F @ S.T
     inside = layout.within(layout.entry_body, layout.entry_body[:geometric])
     own = inside[:geometric]
@@ -120,8 +147,16 @@ def shared_block(layout: Layout, pieces: Pieces) -> Tensor:
     return H
 
 
-def shared_curve(layout: Layout, pieces: Pieces, dx: Tensor) -> Tensor:
-    """dx' H dx / 2 of the entries alone, for each frame; left out of a frame's model, it looks like a bad model."""
+def shared_curve(layout: ArrowLayout, pieces: Pieces, dx: Tensor) -> Tensor:
+    """Return dx' H dx / 2 of the entries alone, for each frame (frames,).
+
+    A frame's quadratic model needs the term: without it, a good model looks like a bad one.
+
+    Args:
+        layout: index tables.
+        pieces: twists and wrenches of the frames.
+        dx: step of xi (xi,).
+    """
     geometric, step = layout.geometric, dx[layout.entry_xi]
     S, F = layout.of_entries(pieces.columns.S), layout.of_entries(pieces.columns.F)
     inside = layout.within(layout.entry_body, layout.entry_body[:geometric])
@@ -131,6 +166,6 @@ def shared_curve(layout: Layout, pieces: Pieces, dx: Tensor) -> Tensor:
     return work @ step
 
 
-def _rows(x: Tensor, columns: Tensor) -> Tensor:
-    """Some columns of (frames, n, 6) as (columns, 6 frames)."""
+def _stacked(x: Tensor, columns: Tensor) -> Tensor:
+    """Return some columns of x (frames, n, 6) as a matrix (columns, 6 frames)."""
     return x.transpose(0, 1).index_select(0, columns).reshape(len(columns), x.shape[0] * x.shape[2])

@@ -1,8 +1,8 @@
-"""Twists of all coordinates, and the wrenches with which the markers resist them.
+"""This module computes the twists of all coordinates, and the wrenches with which the markers resist them.
 
 Every coordinate, of motion or of geometry, moves the markers of one subtree as a rigid body. All twists and wrenches
 are taken about the origin of the root body of each frame, in W axes. Columns: six of the base, turns, hinge entries,
-slides, offset entries (``Layout``).
+slides, offset entries (``ArrowLayout``).
 """
 
 from dataclasses import dataclass
@@ -10,28 +10,37 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchid.geometry.arrow.index_tables import Layout
+from torchid.geometry.arrow.index_tables import ArrowLayout
 from torchid.kinematics.recursion import Poses, cross
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Order of the six second moments."""
 
 
 @dataclass(frozen=True)
 class Twists:
-    """Twist, wrench and gradient of every column, frames first."""
+    """The twist, wrench and gradient of every column, with frames first."""
 
     S: Tensor
-    """(frames, columns, 6)"""
+    """Twists (frames, columns, 6)."""
     F: Tensor
-    """(frames, columns, 6): wrench of the subtree's markers, point masses of their weight, that move with S."""
+    """Wrenches (frames, columns, 6) of the subtree's markers, point masses of their weight, that move with S."""
     g: Tensor
-    """(frames, columns)"""
+    """Gradient of the markers' cost (frames, columns)."""
 
 
-def moments(layout: Layout, weight: Tensor, p: Tensor, pull: Tensor) -> Tensor:
-    """Sums over the markers of each subtree (bodies, 16, frames).
+def moments(layout: ArrowLayout, weight: Tensor, p: Tensor, pull: Tensor) -> Tensor:
+    """Sum weights and residuals over the markers of each subtree.
 
-    Mass, first and six second moments of the weights, then force and moment of the weighted residuals.
+    Args:
+        layout: index tables.
+        weight: weights of the markers (markers, frames).
+        p: the markers' positions from the root's origin (markers, 3, frames).
+        pull: weighted residuals (markers, 3, frames).
+
+    Returns:
+        Sums (bodies, 16, frames): mass, three first and six second moments of the weights, then force and moment of
+        the weighted residuals.
     """
     markers, _, frames = p.shape
     stacked = torch.empty(markers, 16, frames, dtype=p.dtype, device=p.device)
@@ -45,15 +54,22 @@ def moments(layout: Layout, weight: Tensor, p: Tensor, pull: Tensor) -> Tensor:
     return (layout.subtree @ stacked.flatten(1)).view(len(layout.subtree), 16, frames)
 
 
-def column_twists(layout: Layout, at: Poses, sums: Tensor, shared: bool) -> Twists:
-    """Twists of the columns of motion, and of geometry where ``shared``; ``at`` measures places from the root."""
-    z, t = _axes(layout, at, shared)
+def column_twists(layout: ArrowLayout, at: Poses, sums: Tensor, shared: bool) -> Twists:
+    """Compute the twists of the columns of motion, and of geometry.
+
+    Args:
+        layout: index tables.
+        at: poses of all bodies, measured from the root's origin.
+        sums: from ``moments``.
+        shared: False leaves geometry out.
+    """
+    z, t = _column_axes(layout, at, shared)
     turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
     twist = z.new_empty(6 + len(z) + len(t), 6, z.shape[2])
     wrench = torch.empty_like(twist)
-    _base(sums[0], twist[:6], wrench[:6])
-    _turn(at, sums.index_select(0, turning), turning, z, twist[6 : 6 + len(z)], wrench[6 : 6 + len(z)])
-    _slide(sums.index_select(0, sliding), t, twist[6 + len(z) :], wrench[6 + len(z) :])
+    _fill_base(sums[0], twist[:6], wrench[:6])
+    _fill_turns(at, sums.index_select(0, turning), turning, z, twist[6 : 6 + len(z)], wrench[6 : 6 + len(z)])
+    _fill_slides(sums.index_select(0, sliding), t, twist[6 + len(z) :], wrench[6 + len(z) :])
     g = torch.empty_like(twist[:, 0])
     g[:6] = sums[0, 10:]
     pull = sums[:, 10:].index_select(0, torch.cat([turning, sliding]))
@@ -61,8 +77,8 @@ def column_twists(layout: Layout, at: Poses, sums: Tensor, shared: bool) -> Twis
     return Twists(_frames_first(twist), _frames_first(wrench), g.T)
 
 
-def _axes(layout: Layout, at: Poses, shared: bool) -> tuple[Tensor, Tensor]:
-    """Axes of turns and hinge entries, directions of slides and offset entries."""
+def _column_axes(layout: ArrowLayout, at: Poses, shared: bool) -> tuple[Tensor, Tensor]:
+    """Return the axes of turns and hinge entries, and the directions of slides and offset entries."""
     z, t = at.turn_axis.index_select(0, layout.turn_order), at.slide_axis
     if not shared:
         return z, t
@@ -72,9 +88,20 @@ def _axes(layout: Layout, at: Poses, shared: bool) -> tuple[Tensor, Tensor]:
     return torch.cat([z, hinge]), torch.cat([t, offset])
 
 
-def column_gradient(layout: Layout, at: Poses, p: Tensor, pull: Tensor, shared: bool) -> Tensor:
-    """Gradient (columns, frames) alone, as in ``column_twists``, for a third of the work."""
-    z, t = _axes(layout, at, shared)
+def column_gradient(layout: ArrowLayout, at: Poses, p: Tensor, pull: Tensor, shared: bool) -> Tensor:
+    """Compute the gradient of ``column_twists`` alone, for a third of the work.
+
+    Args:
+        layout: index tables.
+        at: poses of all bodies, measured from the root's origin.
+        p: the markers' positions from the root's origin (markers, 3, frames).
+        pull: weighted residuals (markers, 3, frames).
+        shared: False leaves geometry out.
+
+    Returns:
+        The gradient (columns, frames).
+    """
+    z, t = _column_axes(layout, at, shared)
     turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
     wrench = torch.cat([pull, cross(p, pull)], dim=1)
     wrench = (layout.subtree @ wrench.flatten(1)).view(len(layout.subtree), 6, p.shape[2])
@@ -86,12 +113,12 @@ def column_gradient(layout: Layout, at: Poses, p: Tensor, pull: Tensor, shared: 
 
 
 def _frames_first(x: Tensor) -> Tensor:
-    """(n, 6, frames) to (frames, n, 6); a transpose of matrices is what torch copies fast."""
+    """Turn (n, 6, frames) into (frames, n, 6) by a transpose of matrices, which torch copies fast."""
     return x.flatten(0, 1).T.contiguous().view(x.shape[2], x.shape[0], 6)
 
 
-def _base(sums: Tensor, twist: Tensor, wrench: Tensor) -> None:
-    """Translations and rotations of the root: identity, and the composite inertia of all markers."""
+def _fill_base(sums: Tensor, twist: Tensor, wrench: Tensor) -> None:
+    """Fill in the root's translations and rotations: the identity, and the composite inertia of all markers."""
     first, second = sums[1:4], sums[4:10]
     twist.zero_()
     twist[range(6), range(6)] = 1.0
@@ -106,8 +133,8 @@ def _base(sums: Tensor, twist: Tensor, wrench: Tensor) -> None:
         wrench[3 + j, 3 + i] = wrench[3 + i, 3 + j] = trace - second[k] if i == j else -second[k]
 
 
-def _turn(at: Poses, sums: Tensor, body: Tensor, z: Tensor, twist: Tensor, wrench: Tensor) -> None:
-    """Turns about axes z through the origins of their bodies."""
+def _fill_turns(at: Poses, sums: Tensor, body: Tensor, z: Tensor, twist: Tensor, wrench: Tensor) -> None:
+    """Fill in the turns about axes z through the origins of their bodies."""
     mass, first, second = sums[:, :1], sums[:, 1:4], sums[:, 4:10]
     v = cross(at.p.index_select(0, body), z)
     twist[:, :3], twist[:, 3:] = v, z
@@ -119,8 +146,8 @@ def _turn(at: Poses, sums: Tensor, body: Tensor, z: Tensor, twist: Tensor, wrenc
     wrench[:, 3:] = moment
 
 
-def _slide(sums: Tensor, t: Tensor, twist: Tensor, wrench: Tensor) -> None:
-    """Translations along t."""
+def _fill_slides(sums: Tensor, t: Tensor, twist: Tensor, wrench: Tensor) -> None:
+    """Fill in the translations along t."""
     twist[:, :3] = t
     twist[:, 3:] = 0.0
     torch.mul(sums[:, :1], t, out=wrench[:, :3])
@@ -128,12 +155,14 @@ def _slide(sums: Tensor, t: Tensor, twist: Tensor, wrench: Tensor) -> None:
 
 
 def with_markers(columns: Twists, R: Tensor, p: Tensor, weight: Tensor, pull: Tensor) -> Twists:
-    """Columns with those of some markers' places appended: three each, along the axes of the marker's body.
+    """Append the columns of some markers' places: three each, along the axes of the marker's body.
 
     Args:
-        columns: of motion and named parameters.
-        R: columns of R_WB of the marker's body (markers, 3 columns, 3, frames).
-        p: the markers' positions from the root's origin; weight, pull: their weights and weighted residuals.
+        columns: twists of motion and named parameters.
+        R: columns of R_WB of each marker's body (markers, 3 columns, 3, frames).
+        p: the markers' positions from the root's origin (markers, 3, frames).
+        weight: weights of the markers (markers, frames).
+        pull: weighted residuals (markers, 3, frames).
     """
     n, frames = len(p), p.shape[2]
     twist, wrench = (torch.zeros(n, 3, 6, frames, dtype=p.dtype, device=p.device) for _ in range(2))

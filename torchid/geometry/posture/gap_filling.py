@@ -1,8 +1,8 @@
-"""A temporal prior: where markers are missing, each coordinate is drawn to the smooth course of its neighbours.
+"""This module is a temporal prior: where markers are missing, each coordinate is drawn to its own smooth course.
 
 The prior is diagonal per frame (its mean is a smoothing spline through the current coordinates, weighted by what the
-markers of each frame tell about each of them), so that the arrow keeps its shape. A robust loss without it does worse
-under gaps than plain least squares.
+markers of each frame tell about each of them), so that the arrow keeps its shape. A robust loss needs it under gaps
+(`docs/decisions.md`, Geometry).
 """
 
 from dataclasses import replace
@@ -17,25 +17,30 @@ from torchid.geometry.arrow.normal_blocks import assemble
 from torchid.geometry.problem import MarkerProblem, PosturePrior
 
 SMOOTH = 0.06
-"""Cut-off of the course as part of the frame rate (6 Hz at 100 Hz)."""
-LOOSE = 1e-3
-"""Least scatter about the course [m or rad]."""
+"""Cut-off of the course as a share of the frame rate (6 Hz at 100 Hz); chosen."""
+LEAST_SCATTER = 1e-3
+"""Least scatter about the course [m or rad]; chosen."""
 CHUNK = 256
+"""Frames whose covariances are held at a time; chosen for memory."""
 
 
 def bridge_gaps(
     problem: MarkerProblem, q: Tensor, xi: Tensor, typical: Tensor | None = None, rounds: int = 2
 ) -> Tensor:
-    """Coordinates solved again with the temporal prior in frames where a marker is missing that others show.
+    """Solve again, with the temporal prior, the frames that lack a marker which others show.
 
-    A course is for what no marker tells: where those that are seen would pay for it, the frame stays as it was. Through
-    angles that jump, as those of a shoulder do, it drew an arm 0.36 m off its markers, all of them then outliers.
+    A course is for what no marker tells: where those that are seen would pay for it, the frame stays as it was.
 
     Args:
         problem: consecutive frames of one trial.
         q: solution without the prior (dofs, frames).
         xi: geometry and marker places.
-        typical: variance of each coordinate in the trial that these frames are part of; absent, in these frames.
+        typical: variance (dofs, 1) of each coordinate in the trial that these frames are part of; None takes that in
+            these frames.
+        rounds: number of times that course and frames are found again from each other.
+
+    Returns:
+        The coordinates of all frames (dofs, frames).
     """
     gaps = _gaps(problem).nonzero()[:, 0]
     for _ in range(rounds if len(gaps) else 0):
@@ -50,13 +55,20 @@ def bridge_gaps(
 
 
 def _gaps(problem: MarkerProblem) -> Tensor:
-    """Frames that lack a marker that is seen in others."""
+    """Return the mask of frames that lack a marker which is seen in others."""
     seen = problem.weight > 0
     return (~seen[seen.any(1)]).any(0)
 
 
 def smooth_course(problem: MarkerProblem, q: Tensor, xi: Tensor, typical: Tensor | None = None) -> PosturePrior:
-    """The posture prior with the smooth course of each coordinate where its frame lacks a marker."""
+    """Return the posture prior with the smooth course of each coordinate where its frame lacks a marker.
+
+    Args:
+        problem: consecutive frames of one trial.
+        q: solution without the course (dofs, frames).
+        xi: geometry and marker places.
+        typical: variance (dofs, 1) of each coordinate with all markers; None takes the median of these frames.
+    """
     variance = _variance(problem, q, xi)
     typical = variance.median(dim=1, keepdim=True).values if typical is None else typical
     weight = (typical / variance).clamp(max=1.0)
@@ -64,7 +76,7 @@ def smooth_course(problem: MarkerProblem, q: Tensor, xi: Tensor, typical: Tensor
     course = torch.stack([smoother(row, w.clamp(min=1e-9)) for row, w in zip(q, weight, strict=True)])
     sure = weight > 0.5
     scatter = torch.where(sure, (q - course).abs(), torch.nan).nanmedian(dim=1, keepdim=True).values * 1.5
-    precision = torch.nan_to_num(scatter, LOOSE).clamp(min=LOOSE).square().reciprocal()
+    precision = torch.nan_to_num(scatter, LEAST_SCATTER).clamp(min=LEAST_SCATTER).square().reciprocal()
     unsure = _gaps(problem) & (weight < 0.9)
     unsure[3:6] &= (q[3:6].diff(dim=1).abs().amax() < torch.pi).item()
     base = problem.posture
@@ -76,12 +88,12 @@ def smooth_course(problem: MarkerProblem, q: Tensor, xi: Tensor, typical: Tensor
 
 
 def typical_variance(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
-    """Median over the frames of the variance of each coordinate given its frame's markers (dofs, 1)."""
+    """Return the median over the frames of each coordinate's variance given its frame's markers (dofs, 1)."""
     return _variance(problem, q, xi).median(dim=1, keepdim=True).values
 
 
 def _variance(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
-    """Variance of each coordinate given the markers of its frame (dofs, frames)."""
+    """Return the variance of each coordinate given the markers of its frame (dofs, frames)."""
     layout, out = make_layout(problem), torch.empty_like(q)
     for start in range(0, q.shape[1], CHUNK):
         part = slice(start, start + CHUNK)

@@ -1,4 +1,7 @@
-"""Where the solvers start: a closed-form pose of the root, joints at rest, and restarts of frames that went astray."""
+"""This module finds where the solvers start.
+
+The root's pose comes in closed form, joints start at rest, and frames that went astray start again from others.
+"""
 
 from dataclasses import replace
 
@@ -14,21 +17,29 @@ from torchid.kinematics.recursion import poses
 from torchid.model.tree import BASE_DOFS
 
 ASTRAY = 3.0
-"""A frame whose cost is this many times that of the best fiftieth restarts from a neighbour. Of the best fifth, all
-frames passed where four of five had a hand turned round."""
+"""A frame whose cost per marker is this many times that of the best fiftieth restarts from a neighbour; chosen."""
 CLIFF = 1.5
-"""One that stands out of the frame beside it so many times restarts from that one."""
+"""A frame whose cost per marker is this many times that of the frame beside it restarts from that one; chosen."""
 EXAMPLES, STARTS, SPREAD = 4, 8, 0.5
-"""Frames of a trial that are tried from other postures, from how many each, and how far these are from rest [rad]."""
+"""Frames that are tried from drawn postures, number of these, and their scatter about rest [rad]; chosen."""
 CLIMB = 200
-"""Frames in a row that are regained at most, from either side."""
+"""Frames in a row that are regained at most, from either side; chosen."""
 
 
 def initial_posture(problem: MarkerProblem, xi: Float[Tensor, " xi"], rest: Float[Tensor, " dofs"]) -> Tensor:
-    """Coordinates (dofs, frames): root pose by weighted Procrustes on the root's rigid neighbourhood, joints at rest.
+    """Return coordinates with the root's pose by weighted Procrustes (Umeyama 1991) and joints at rest.
 
     Markers of the root body count fully; those of its neighbours, taken at the resting pose, help with a hundredth
-    of the weight, so that a frame with fewer than three root markers still gets a pose. (Umeyama 1991.)
+    of the weight, so that a frame with fewer than three root markers still gets a pose. A frame without any of them
+    takes the pose of the nearest frame that has one.
+
+    Args:
+        problem: frames of one trial.
+        xi: geometry and marker places.
+        rest: resting coordinates.
+
+    Returns:
+        The coordinates (dofs, frames).
     """
     geometry, place = problem.split(xi)
     q = rest[:, None].expand(-1, problem.target.shape[2]).clone()
@@ -46,7 +57,7 @@ def initial_posture(problem: MarkerProblem, xi: Float[Tensor, " xi"], rest: Floa
 
 
 def _procrustes(model: Tensor, target: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-    """R (frames, 3, 3) and t (frames, 3) that bring (markers, 3) onto (markers, 3, frames)."""
+    """Return R (frames, 3, 3) and t (frames, 3) that bring (markers, 3) onto (markers, 3, frames)."""
     share = (weight / weight.sum(0)).T
     to = target.permute(2, 0, 1)
     centre_m, centre_t = share @ model, (share[:, :, None] * to).sum(1)
@@ -56,12 +67,12 @@ def _procrustes(model: Tensor, target: Tensor, weight: Tensor) -> tuple[Tensor, 
 
 
 def evenly(frames: int, wanted: int) -> Int[Tensor, " chosen"]:
-    """Indices of at most ``wanted`` of the frames, evenly spaced."""
+    """Return the indices of at most ``wanted`` of the frames, evenly spaced."""
     return torch.linspace(0, frames - 1, min(frames, wanted)).round().long()
 
 
 def hold(q: Tensor, good: Tensor) -> Tensor:
-    """Columns of q that are not good, replaced by the nearest good one."""
+    """Return q (dofs, frames) with every column that is not good (frames,) replaced by the nearest good one."""
     if bool(good.all()) or not bool(good.any()):
         return q
     known = good.nonzero()[:, 0]
@@ -73,11 +84,20 @@ def hold(q: Tensor, good: Tensor) -> Tensor:
 
 
 def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> Tensor:
-    """Inverse kinematics from q, then again from good neighbours where the cost stands out.
+    """Solve inverse kinematics from q, and again from good neighbours where the cost stands out.
 
     Least squares comes first: from far away a redescending loss would take every raised arm for an outlier. A limb
     that was lost for a while is regained from both ends, a few frames in every round; joints that ended beyond their
     limits are turned back before they pass for good neighbours, and before a robust loss could give up their markers.
+
+    Args:
+        problem: frames of one trial.
+        q: coordinates to start from (dofs, frames).
+        xi: geometry and marker places.
+        rounds: most restarts from good neighbours.
+
+    Returns:
+        The coordinates (dofs, frames), with the problem's robust loss if it has one.
     """
     plain = replace(problem, robust=None)
     q, cost = solve_poses(plain, q, xi)
@@ -97,16 +117,21 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
 
 
 def mended(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
-    """Inverse kinematics from postures that are nearly right: no frame is tried from others.
+    """Solve inverse kinematics from postures that are nearly right, without restarts from other frames.
 
-    Least squares first here too: markers may have been corrected by more than a robust loss believes.
+    Least squares comes first here too: markers may have been corrected by more than a robust loss believes.
+
+    Args:
+        problem: frames of one trial.
+        q: coordinates to start from (dofs, frames).
+        xi: geometry and marker places.
     """
     q, _ = solve_poses(replace(problem, robust=None), q, xi)
     return q if problem.robust is None else solve_poses(problem, q, xi)[0]
 
 
 def _turn_back(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> None:
-    """Frames with a joint beyond its limits again from its other angles; in place."""
+    """Solve frames with a joint beyond its limits again from its other angles; q and cost change in place."""
     other = turned_back(problem.plan.tree, problem.posture, q)
     index = (other != q).any(0).nonzero()[:, 0]
     if len(index):
@@ -114,10 +139,10 @@ def _turn_back(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> N
 
 
 def _exemplify(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> None:
-    """All frames again from an example, if one is found that fares better than they; in place.
+    """Solve all frames again from examples, if drawn postures fare better than they; q and cost change in place.
 
-    Where a hand came to rest turned round in every frame, none stood out and none was a good neighbour: of 288 drawn
-    starts ten ended with 3 to 14 % of the frames so.
+    Where a hand comes to rest turned round in every frame, none stands out and none is a good neighbour: the examples
+    come from postures drawn about rest.
     """
     enough = _enough(problem).nonzero()[:, 0]
     chosen = enough[evenly(len(enough), EXAMPLES)]
@@ -139,28 +164,29 @@ def _exemplify(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> N
 
 
 def _enough(problem: MarkerProblem) -> Tensor:
-    """Frames with as many markers as most: of those with few or none little is asked, and they are no measure."""
+    """Return the mask of frames with at least the median number of markers; the others are no measure of the cost."""
     seen = (problem.weight > 0).sum(0)
     return seen >= seen.median().clamp(min=1)
 
 
 def _astray(problem: MarkerProblem, cost: Tensor) -> Tensor:
-    rating, enough = _rating(problem, cost), _enough(problem)
+    """Return the mask of frames whose cost per marker stands out of the best fiftieth of the frames."""
+    rating, enough = _cost_per_marker(problem, cost), _enough(problem)
     return rating > ASTRAY * rating[enough].quantile(0.02) if bool(enough.any()) else torch.zeros_like(enough)
 
 
-def _rating(problem: MarkerProblem, cost: Tensor) -> Tensor:
+def _cost_per_marker(problem: MarkerProblem, cost: Tensor) -> Tensor:
+    """Return each frame's cost (frames,) divided by the number of its markers."""
     return cost / (problem.weight > 0).sum(0).clamp(min=1)
 
 
 def _climb(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> None:
-    """Frames that stand out of their neighbours again from the better one, for as long as that helps; in place.
+    """Solve frames that stand out of a neighbour again from it, for as long as that helps, in place.
 
-    Half a trial astray (a landing, in which skin moves) hid an arm that was lost overhead for 50 frames: no good frame
-    was near, but one beside it always was.
+    The steps reach a limb that is lost for so long that no good frame is near: one beside the lost ones always is.
     """
     for _ in range(CLIMB):
-        rating = _rating(problem, cost)
+        rating = _cost_per_marker(problem, cost)
         wide = torch.nn.functional.pad(rating, (1, 1), value=torch.inf)
         steep = rating > CLIFF * torch.minimum(wide[:-2], wide[2:])
         index = (steep & _astray(problem, cost)).nonzero()[:, 0]
@@ -170,7 +196,7 @@ def _climb(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor) -> None:
 
 
 def _retried(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor, index: Tensor, start: Tensor) -> bool:
-    """Whether some frames fare better from other postures; kept in place where they do."""
+    """Solve some frames from other postures, keep those that fare better in place, and return whether any did."""
     again, new = solve_poses(problem.frames(index), start, xi)
     better = new < 0.99 * cost[index]
     q[:, index[better]], cost[index[better]] = again[:, better], new[better]

@@ -1,8 +1,7 @@
-"""Short runs of frames in which a robust loss chose another explanation than in the frames around them.
+"""This module repairs short runs of frames in which a robust loss chose another explanation than around them.
 
 Where a model lacks a freedom (shoulders that rise with the arms), giving up the markers of the shoulders or those of
-the pelvis can cost about the same. In eight frames of a landing the pelvis turned by half a radian within 10 ms and
-back: 800 N that nobody felt.
+the pelvis can cost about the same, and the posture may leap from one to the other and back.
 """
 
 from itertools import combinations, pairwise
@@ -16,16 +15,18 @@ from torchid.geometry.posture.initial_posture import hold
 from torchid.geometry.problem import MarkerProblem
 
 LEAP = 0.03
-"""Both the change of pace of a modelled marker and of its way from the measured one, from one frame to the next [m]: a
-foot that strikes the floor does the first, a label that jumps the second."""
+"""A leap changes both the pace of a modelled marker and its way from the measured one by more than this [m]; chosen.
+
+The first alone happens to a foot that strikes the floor, the second alone to a label that jumps.
+"""
 LONGEST_S = 0.4
-"""Of a run at most: what lasts longer may be right, and what is around it wrong."""
+"""Longest run [s]; chosen, because what lasts longer may be right, and what is around it wrong."""
 TRIED = 12
-"""Runs that are tried at most."""
+"""Runs that are tried at most; chosen."""
 CHEAPER = 0.99
-"""Times its cost that a run must not exceed from where the frames beside it lead, to be there."""
+"""A run is regained when it costs less than this share of what it did; chosen."""
 DEARER = 2.0
-"""Times its cost that a run may have on the way on which nothing leaps."""
+"""A run is steadied when it costs at most this many times what it did; chosen."""
 
 
 def steadied(
@@ -35,16 +36,20 @@ def steadied(
     rate_hz: float,
     near: Float[Tensor, "dofs frames"] | None = None,
 ) -> Float[Tensor, "dofs frames"]:
-    """Runs between two leaps followed frame by frame from what is before them, kept where no leap is left.
+    """Follow runs between two leaps frame by frame from what is before them, and keep those without a leap.
 
-    Longest first: of several leaps, the outermost lead back to what most frames have.
+    The longest run is tried first: of several leaps, the outermost lead back to what most frames have.
 
     Args:
         problem: consecutive frames of one trial.
-        q: postures of all of them.
+        q: postures of all frames.
         xi: geometry and marker places.
-        rate_hz: of the frames.
-        near: postures that were steadied before: a run is followed from these, all frames at once.
+        rate_hz: frame rate [Hz].
+        near: postures that were steadied before and from which a run is followed, all frames at once; None follows
+            each frame from the one before it.
+
+    Returns:
+        The postures of all frames.
     """
     longest = round(LONGEST_S * rate_hz)
     tried: set[tuple[int, int]] = set()
@@ -55,7 +60,11 @@ def steadied(
             break
         first, last = max(runs, key=lambda run: run[1] - run[0])
         tried.add((first, last))
-        found = _followed(problem, q, xi, first, last) if near is None else _taken(problem, q, xi, first, last, near)
+        found = (
+            _followed(problem, q, xi, first, last)
+            if near is None
+            else _followed_near(problem, q, xi, first, last, near)
+        )
         q = q if found is None or _worse(problem, q, found, xi, first, last) else found
     return q
 
@@ -63,18 +72,20 @@ def steadied(
 def regained(
     problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"], rate_hz: float
 ) -> Float[Tensor, "dofs frames"]:
-    """Runs to which the model leaps and back, followed from the frames beside them, each kept where it costs less.
+    """Follow runs to which the model leaps and back from the frames beside them, and keep those that cost less.
 
-    Where an upper arm is lost, its forearm alone shows two. Rest led to the dearer one for 0.13 s, and what an arm that
-    turned about by 2 rad needs was an object in the hand, at 1.0.
+    Where an upper arm is lost, its forearm alone allows two, and rest may lead to the dearer one.
 
     Args:
         problem: consecutive frames of one trial.
-        q: postures of all of them.
+        q: postures of all frames.
         xi: geometry and marker places.
-        rate_hz: of the frames.
+        rate_hz: frame rate [Hz].
+
+    Returns:
+        The postures of all frames.
     """
-    at = (_pace(problem.residual(q, xi)[1]) > LEAP).any(0).nonzero()[:, 0].tolist()
+    at = (_pace_change(problem.residual(q, xi)[1]) > LEAP).any(0).nonzero()[:, 0].tolist()
     runs = [torch.arange(a + 1, b + 1) for a, b in pairwise(at) if b - a <= round(LONGEST_S * rate_hz)]
     if not runs:
         return q
@@ -90,20 +101,26 @@ def regained(
 
 
 def leaps(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]) -> Int[Tensor, " leaps"]:
-    """Frames after which the model leaps and the markers do not."""
+    """Return the indices of the frames after which the model leaps and the markers do not.
+
+    Args:
+        problem: consecutive frames of one trial.
+        q: postures of all frames.
+        xi: geometry and marker places.
+    """
     _, p, residual = problem.residual(q, xi)
     both = (problem.weight[:, 1:] > 0) & (problem.weight[:, :-1] > 0)
     away = torch.where(both, residual.diff(dim=2).norm(dim=1), 0.0)
-    return (torch.minimum(away, _pace(p)) > LEAP).any(0).nonzero()[:, 0]
+    return (torch.minimum(away, _pace_change(p)) > LEAP).any(0).nonzero()[:, 0]
 
 
-def _pace(p: Float[Tensor, "markers 3 frames"]) -> Float[Tensor, "markers steps"]:
-    """Change of a modelled marker's step to the next frame against the step before it."""
+def _pace_change(p: Float[Tensor, "markers 3 frames"]) -> Float[Tensor, "markers steps"]:
+    """Return the change of each modelled marker's step to the next frame against the step before it [m]."""
     return torch.nn.functional.pad(p.diff(dim=2).diff(dim=2).norm(dim=1), (1, 0))
 
 
 def _followed(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: int) -> Tensor | None:
-    """Frames after ``first`` up to ``last`` each followed from the one before it; none where they leap."""
+    """Follow each frame after ``first`` up to ``last`` from the one before it; return None where they leap."""
     found = q.clone()
     for k in range(first + 1, last + 1):
         found[:, k : k + 1], _ = solve_poses(problem.frames(slice(k, k + 1)), found[:, k - 1 : k], xi)
@@ -113,15 +130,15 @@ def _followed(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: i
     return found
 
 
-def _taken(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: int, near: Tensor) -> Tensor:
-    """These frames each followed from the posture near it."""
+def _followed_near(problem: MarkerProblem, q: Tensor, xi: Tensor, first: int, last: int, near: Tensor) -> Tensor:
+    """Follow each frame after ``first`` up to ``last`` from the posture near it."""
     found, run = q.clone(), slice(first + 1, last + 1)
     found[:, run], _ = solve_poses(problem.frames(run), near[:, run], xi)
     return found
 
 
 def _worse(problem: MarkerProblem, q: Tensor, found: Tensor, xi: Tensor, first: int, last: int) -> bool:
-    """Whether it costs too much, or does not end where the others go on."""
+    """Return whether a run that was found costs too much, or does not end where the other frames go on."""
     around = slice(max(first - 1, 0), last + 2)
     part = problem.frames(around)
     dearer = part.frame_cost(found[:, around], xi).sum() > DEARER * part.frame_cost(q[:, around], xi).sum()

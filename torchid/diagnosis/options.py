@@ -1,0 +1,194 @@
+"""Every threshold that decides a verdict, with its kind and its source.
+
+The docstring of each field begins with its kind: *Derived* follows from the model of the noise or from what a number
+means, *Cited* stands in the source that is named, *Calibrated* is recomputed by ``scripts/battery --calibrate`` on
+seeds that no quoted figure uses. ``threshold_kinds`` reads them. Steps of grids, sizes of pieces and the like, which
+only say how finely something is computed, stay beside the code that uses them.
+"""
+
+import ast
+import inspect
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from torchid.bounds import Count, NonNegative, Positive, Share
+from torchid.observation.options import ObservationOptions
+
+
+@dataclass(frozen=True)
+class NamingOptions:
+    """Thresholds by which one scan of the catalogue names an effect, and tells it from others."""
+
+    named_nats: Positive = 2.5
+    """Calibrated. Log odds from which an effect is named, 12 to one: above the best score of any effect in sessions
+    that hide nothing (``scripts/battery --calibrate``)."""
+    alike_nats: Positive = 3.0
+    """Cited. Log odds within which a rival cannot be told from the best: below 20 to one, evidence is not strong
+    (Kass & Raftery, JASA 90:773 (1995), section 3.2)."""
+    out_of_sight_nats: Positive = 10.0
+    """Derived. Log odds behind the best at which nothing that is reported changes: odds of 22 000 to one move no
+    stated percentage."""
+    consent_nats: NonNegative = 1.0
+    """Derived. Log likelihood by which trials may be predicted worse for a cause that they say nothing of: half a
+    unit for each of two parameters, their price (Akaike, IEEE TAC 19:716 (1974))."""
+    consent_part: Share = 0.1
+    """Calibrated. Part of the evidence by which trials may be predicted worse, if that is more: for causes that only
+    the prior contradicts, such as a wrong record."""
+    look_closer_part: Share = 0.2
+    """Calibrated. Part of what the likeliest explains that another effect must explain to be tried under the noise
+    that it would leave."""
+    look_closer_most: Count = 4
+    """Derived. Effects that are tried so in one round: each costs one estimate of the noise, as much as a scan."""
+    look_again_growth: Positive = 1.5
+    """Derived. Times what an effect explained when it found no support under its own noise that it must explain to be
+    tried again: with less, the answer of before stands."""
+    periods: Positive = 2.0
+    """Derived. Periods of what repeats itself that a trial must show: over fewer, sine and cosine are nearly
+    combinations of an offset and a drift, which every plate has."""
+
+
+@dataclass(frozen=True)
+class EliminationOptions:
+    """Thresholds by which a cause leaves that evidence alone would keep."""
+
+    residual_part: Share = 0.05
+    """Calibrated. Part of the residual force or moment that a cause must take away where noise does not explain the
+    residual."""
+    opposed_part: Share = 0.5
+    """Derived. Two causes undo each other where both together have less than this part of the energy of the larger:
+    half, as two equal forces at right angles would have twice."""
+    negative_sd: Positive = 3.0
+    """Derived. Standard deviations below zero that refute one of several parameters that are never negative: one in
+    700 of true ones by chance."""
+
+
+@dataclass(frozen=True)
+class HeldOutOptions:
+    """Thresholds by which motion that was not fitted refutes a cause."""
+
+    refuted_nats: Positive = 3.0
+    """Derived. Log likelihood by which held-out motion must speak against a cause, beyond its leeway: a ratio that
+    should be m has a standard deviation of (2 m)^0.5, so that a true cause falls below -3 once in 140 at most."""
+    error_part: Share = 0.05
+    """Calibrated. Part by which held-out force and moment errors must both grow because of a cause to refute it."""
+    cameras_part: Share = 0.1
+    """Calibrated. Part of what cameras said for a cause in some trials by which other trials may speak against it."""
+    alternatives: Count = 3
+    """Derived. Other places of a refuted effect that held-out motion is asked about; each is paid for by the logarithm
+    of their number, so that more than e^refuted_nats / 2 could not be believed."""
+
+
+@dataclass(frozen=True)
+class AdequacyOptions:
+    """Thresholds from which on what is left is more than noise."""
+
+    p_value: Share = 0.01
+    """Cited. Chance of such a residual below which it is not noise (the contract of ``unexplained.significant``)."""
+    band_part: Share = 0.4
+    """Derived. Part of a band's residual that noise does not explain from which on it matters: two thirds as much as
+    the noise itself; coloured noise of real amplifiers goes as far."""
+    coefficients: Count = 30
+    """Derived. Cosine coefficients below which a band is not judged: the variance of fewer is known to no better than
+    a quarter, (2 / 30)^0.5."""
+    position_part: Share = 0.15**2
+    """Derived. Part of what a named force and a field beside it explain from which on the field matters: the energy of
+    a force that is 15 % off, the accuracy that is asked of sizes."""
+    vibration_ratio: Positive = 3.0
+    """Calibrated. Times the power beside it that a line above the cut-off must have in every trial."""
+    vibration_trials: Count = 3
+    """Derived. Trials that must show the line: two share one of their lines by chance."""
+    vibration_lines: Count = 2
+    """Derived. Lines up to which they are a machine's and its first harmonic; more are a gait's."""
+
+
+@dataclass(frozen=True)
+class ConfidenceOptions:
+    """Limits of what a verdict may claim."""
+
+    doubt: Share = 0.5
+    """Derived. Times the confidence of a cause that nothing can check, or that a test contradicts without an answer of
+    its own: even odds."""
+    rivals: Count = 4
+    """Derived. Rivals that are listed at most; what they have in common stays in the confidence."""
+    twins: Count = 2
+    """Cited. Rivals that cannot be told from a cause that are named with it at most (the contract of
+    ``indistinguishable``)."""
+
+
+@dataclass(frozen=True)
+class MissingWeightOptions:
+    """Thresholds by which weight is plainly borne where no plate is."""
+
+    missing_part: Share = 0.2
+    """Calibrated. Part of the weight that must be missing for a while."""
+    gone_part: Share = 0.05
+    """Derived. Part of the weight that is missing at the ends of such an interval: what plates and inertia leave open
+    on a good recording."""
+    shortest_s: Positive = 0.25
+    """Calibrated. Time for which that part must be missing: a stance of running leaves as much for half of it."""
+    longest_part: Share = 0.7
+    """Derived. Part of a trial beyond which it is no interval, but a harness or a wrong mass; a second third would be
+    needed to tell the two apart."""
+    raised_m: Positive = 0.08
+    """Derived. Height above its lowest from which the centre of a foot that touches something is on no floor: half of a
+    stair's riser of 0.16 m, the lowest thing that people step on, and no more than rising on the toes lifts it."""
+    reach_m: Positive = 0.2
+    """Derived. Distance from the centre of a foot within which a force goes through it: most of a foot's length."""
+
+
+@dataclass(frozen=True)
+class DiagnosisOptions:
+    """Options of the diagnosis: one section for each question that a verdict answers."""
+
+    observation: ObservationOptions = field(default_factory=ObservationOptions)
+    naming: NamingOptions = field(default_factory=NamingOptions)
+    elimination: EliminationOptions = field(default_factory=EliminationOptions)
+    heldout: HeldOutOptions = field(default_factory=HeldOutOptions)
+    adequacy: AdequacyOptions = field(default_factory=AdequacyOptions)
+    confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)
+    missing_weight: MissingWeightOptions = field(default_factory=MissingWeightOptions)
+
+
+SECTIONS = (
+    ObservationOptions, NamingOptions, EliminationOptions, HeldOutOptions, AdequacyOptions, ConfidenceOptions,
+    MissingWeightOptions,
+)  # fmt: skip
+"""Sections of the options, in the order of the table in ``docs/diagnosis.md``."""
+
+
+class Kind(StrEnum):
+    """Kinds of thresholds by where they come from."""
+
+    DERIVED = "Derived"
+    CITED = "Cited"
+    CALIBRATED = "Calibrated"
+
+
+def threshold_kinds() -> dict[str, tuple[Kind, str]]:
+    """Return kind and reason of every threshold, by ``Section.field``, as its docstring has them.
+
+    Raises:
+        ValueError: a field has no docstring, or one that begins with no kind.
+    """
+    return {f"{one.__name__}.{name}": _kind(doc) for one in SECTIONS for name, doc in _field_docs(one).items()}
+
+
+def _field_docs(section: type) -> dict[str, str]:
+    """Return the docstring of every field of a section, empty where there is none."""
+    body = ast.parse(inspect.getsource(section)).body[0]
+    assert isinstance(body, ast.ClassDef)
+    fields = [s.target.id for s in body.body if isinstance(s, ast.AnnAssign) and isinstance(s.target, ast.Name)]
+    pairs = zip(body.body, body.body[1:], strict=False)
+    docs = {
+        a.target.id: inspect.cleandoc(str(b.value.value))
+        for a, b in pairs
+        if isinstance(a, ast.AnnAssign) and isinstance(a.target, ast.Name)
+        and isinstance(b, ast.Expr) and isinstance(b.value, ast.Constant)
+    }  # fmt: skip
+    return {name: docs.get(name, "") for name in fields}
+
+
+def _kind(doc: str) -> tuple[Kind, str]:
+    """Return the kind with which a docstring begins, and the rest of it."""
+    kind, _, reason = doc.partition(". ")
+    return Kind(kind), reason

@@ -1,0 +1,98 @@
+"""Sizes of findings in words: as many digits as their standard deviations allow, directions by name."""
+
+import math
+from collections.abc import Mapping
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.place import Place
+from torchid.wording import decimals, listing, number, stated
+
+BODY = (("forward", "back"), ("left", "right"), ("up", "down"))
+ROOM = tuple((f"along {axis}", f"against {axis}") for axis in "xyz")
+"""Directions along the axes of a segment and of the laboratory, and against them."""
+DEGREES = 180.0 / math.pi
+
+
+@runtime_checkable
+class Finding(Protocol):
+    """An effect as it was found: what its sentence may say."""
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """Names of the place."""
+        ...
+
+    @property
+    def place(self) -> Place:
+        """The place with all that belongs to it."""
+        ...
+
+    @property
+    def parameters(self) -> Mapping[str, Mapping[str, Tensor]]:
+        """``value`` and ``sd`` of reported parameters, by key."""
+        ...
+
+
+def of(finding: Finding, key: str) -> tuple[Float[Tensor, " size"], Float[Tensor, " size"]]:
+    """A parameter's value and standard deviation, both flat."""
+    entry = finding.parameters[key]
+    value, sd = (torch.as_tensor(entry[k], dtype=torch.float64).reshape(-1) for k in ("value", "sd"))
+    return value, sd.expand_as(value)
+
+
+def size(finding: Finding, key: str, unit: str, factor: float = 1.0) -> str:
+    """A scalar with its standard deviation, both times ``factor``."""
+    value, sd = of(finding, key)
+    return stated(value[0], sd[0], unit, factor)
+
+
+def length(value: Float[Tensor, " n"], sd: Float[Tensor, " n"], unit: str, factor: float = 1.0) -> str:
+    """Length of a vector with its standard deviation along the vector, components taken as independent."""
+    norm = value.norm()
+    spread = (value / norm.clamp(min=1e-12) * sd).norm()
+    return stated(norm, spread, unit, factor)
+
+
+def vector(finding: Finding, key: str, unit: str, factor: float, words: tuple[tuple[str, str], ...]) -> str:
+    """Length of a vector, then its components in words.
+
+    Args:
+        finding: that has the parameter.
+        key: of the parameter.
+        unit: after ``factor``.
+        factor: from the parameter's unit.
+        words: for each component, what it is called where positive and where negative.
+    """
+    value, sd = of(finding, key)
+    shown = parts(value, sd, unit, factor, words)
+    return length(value, sd, unit, factor) + (f", that is {shown}" if shown else "")
+
+
+def parts(
+    value: Float[Tensor, " n"], sd: Float[Tensor, " n"], unit: str, factor: float, words: tuple[tuple[str, str], ...]
+) -> str:
+    """Components in words; those that are not known from zero, or that nobody would see, are left out."""
+    digits = decimals(factor * float(sd.max()), 1) if float(sd.max()) > 0.0 else decimals(factor * float(value.norm()))
+    least = 0.05 * float(value.norm())
+    said = [
+        f"{number(abs(v), digits, factor)} {unit} {pair[v < 0.0]}"
+        for v, s, pair in zip(value.tolist(), sd.tolist(), words, strict=True)
+        if abs(v) > max(least, s)
+    ]
+    return listing(said) if said else ""
+
+
+def much(finding: Finding, key: str, words: tuple[str, str] = ("much", "little")) -> str:
+    """A factor's distance from one, in words for above and below it."""
+    value, sd = of(finding, key)
+    more = float(value[0]) - 1.0
+    return f"{stated(abs(more), sd[0], '%', 100.0)} too {words[more < 0.0]}"
+
+
+def main_axis(value: Float[Tensor, " 3"]) -> str:
+    """The axis of a segment along which most of a vector is: ``forward``, ``left`` or ``upward``."""
+    return ("forward", "left", "upward")[int(value.abs().argmax())]

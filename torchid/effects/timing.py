@@ -1,0 +1,135 @@
+"""Clocks of cameras and plates that disagree, and markers that were filtered before anybody saw them."""
+
+import math
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+import scipy.interpolate
+import scipy.linalg
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.kinds import ReadingEffect, SlidingMarkers
+from torchid.effects.marker_scene import Sight, Slid, View
+from torchid.effects.parameter import Parameter, value_of
+from torchid.effects.place import SESSION, Place, covers
+from torchid.effects.quantities import Finding, of, size
+from torchid.effects.scene import Reading
+from torchid.effects.traits import Correction, Response, Site
+from torchid.filters import Smoother
+from torchid.wording import stated
+
+
+@final
+class TimeOffset(ReadingEffect):
+    """Cameras and plates disagree about when: forces come late by a lag, in all trials or in one."""
+
+    name = "time_offset"
+    response = Response.TIME_SHIFT
+    site = Site.TRIAL
+    parameters = (
+        Parameter("lag_s", 0.01, source="Lemaire & Kuo, bioRxiv 2024.06.24.600392 (2024): latencies within standard "
+                  "equipment put forces and motion some ten milliseconds apart"),
+    )  # fmt: skip
+    noun = "a clock that is off"
+    advice = "a jump or a stamp, which marks one instant in markers and forces alike"
+    apart = {
+        "time_offset": "a stamp in every trial",
+        "drag": "a jump or a stamp: a wrong clock shows at the impact, a drag does not",
+        "filter_lag": "a jump or a stamp: a filter blunts the impact, a wrong clock only shifts it",
+    }
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        """The session, or single trials: cables and triggers seldom change, so that all of these together are a fifth
+        as likely."""
+        single = tuple(Place((view.scene.trial,), odds=0.2 / len(views)) for view in views)
+        return (SESSION, *single) if len(views) > 1 else (SESSION,)
+
+    def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
+        return SESSION, None if place.where == SESSION.where else place.where
+
+    def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
+        """Readings as they were a lag ago, by a cubic spline; what comes before the first sample is that sample."""
+        if not covers(place, reading.trial):
+            return reading
+        time, lag = reading.time.cpu().numpy(), float(theta[0])
+        flat = reading.wrench.flatten(1).cpu().numpy()
+        late = scipy.interpolate.make_interp_spline(time, flat, k=3)(np.clip(time - lag, time[0], time[-1]))
+        wrench = torch.as_tensor(late, dtype=reading.wrench.dtype, device=reading.wrench.device)
+        return Reading(reading.trial, reading.time, wrench.reshape(reading.wrench.shape), reading.frames)
+
+    def sentence(self, finding: Finding) -> str:
+        lag, sd = of(finding, "lag_s")
+        late = f"{stated(lag.abs()[0], sd[0], 'ms', 1e3)} {'late' if lag[0] > 0 else 'early'}"
+        return f"forces come {late} in {self.located(finding.where)}"
+
+
+TRUSTED = 0.6
+"""Part of the cut-off up to which motion is restored: there, 0.9 of an amplitude came through. Faster, what markers
+show that slide on the skin would be restored as well, which no force has."""
+
+
+@final
+class FilterLag(SlidingMarkers):
+    """The markers were low-passed before anybody saw them: accelerations come out too small, the more the faster.
+
+    The filter is a second-order Butterworth run both ways. Internal is its cut-off to the power of -4 [1/Hz^4]: what it
+    took away of the markers as they are read is that times the fourth derivative, exactly. Columns explain markers as
+    they were read; a simulation filters true ones.
+    """
+
+    name = "filter_lag"
+    correction = Correction.WRENCH
+    """No marker gives back what a filter took away."""
+    site = Site.TRIAL
+    parameters = (
+        Parameter("slowness", 5e-4, positive=True, source="a choice: one standard deviation is a cut-off of 6.7 Hz, "
+                  "about what is usual for gait (Winter, Sidhu & Hobson, J Biomech 7 (1974))"),
+    )  # fmt: skip
+    noun = "markers that were low-passed"
+    advice = "a quick motion (a stamp, a shaken arm) with the cameras' own filter switched off"
+    apart = {
+        "wobbling_mass": "a stamp with a heavy rigid tool: it has no soft mass, but passes the filter",
+        "drag": "slow and quick motion: a drag shows at low speed too",
+        "skin_lag": "a stamp with markers on something rigid: it has no flesh, but passes the filter",
+    }
+
+    def places(self, views: Sequence[View]) -> tuple[Place, ...]:
+        return (SESSION,)
+
+    def slide(self, sight: Sight, place: Place, theta: Float[Tensor, " params"]) -> Slid:
+        """The filter as (1 + theta D^4)^-1, with D^4 a stencil of five frames, places and slopes at the ends held.
+
+        The stencil is local, so that ends matter near the ends only.
+        """
+        p = sight.p
+        flat, n = p.flatten(0, 1).T.cpu().numpy(), p.shape[2]
+        weight = float(theta[0]) * (sight.scene.rate / (2.0 * math.pi)) ** 4
+        band = weight * np.repeat(np.array([1.0, -4.0, 6.0, -4.0, 1.0])[:, None], n, 1)
+        # Column j of a row is the matrix' entry (j + row - 2, j): the two rows at either end are those of the identity.
+        for row in range(5):
+            at = np.arange(n) + row - 2
+            band[row, (at < 2) | (at > n - 3)] = 0.0
+        band[2] += 1.0
+        slid = torch.as_tensor(scipy.linalg.solve_banded((2, 2), band, flat) - flat).to(p)
+        return Slid(tuple(range(len(p))), slid.T.reshape(p.shape))
+
+    def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
+        return {"cutoff_hz": theta[0].clamp(min=1e-12) ** -0.25}
+
+    def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
+        return value_of(values, self.name, "cutoff_hz", 1) ** -4
+
+    def trusted(
+        self, added: Float[Tensor, "frames 6"], rate_hz: float, place: Place, theta: Float[Tensor, " params"]
+    ) -> Float[Tensor, "frames 6"]:
+        """The wrench up to ``TRUSTED`` times the cut-off."""
+        return Smoother(TRUSTED * float(self.named(place, theta)["cutoff_hz"]), rate_hz)(added)
+
+    def sentence(self, finding: Finding) -> str:
+        return (
+            f"the markers had been low-passed at {size(finding, 'cutoff_hz', 'Hz')} before anybody read them, "
+            "so that quick accelerations come out too small"
+        )

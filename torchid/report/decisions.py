@@ -1,0 +1,119 @@
+"""Why a cause was named, left out or doubted, step by step in plain words."""
+
+import math
+from collections.abc import Callable, Mapping
+
+from torchid.diagnosis.trace import Step
+from torchid.effects.catalogue import effect
+from torchid.report.blocks import Block, Details, Items, Paragraph
+from torchid.wording import number, percent
+
+Numbers = Mapping[str, float]
+HEAD = (
+    "Each line is one decision, in the order in which they were made. One effect after the other enters as long as the "
+    "fit trials support one; rules then take out what the others made superfluous, held-out motion is asked, and what "
+    "contradicts the model lowers the confidence. Support is given as odds: so many times likelier with the effect "
+    "than without it, the search for it paid for."
+)
+
+
+def why(trace: tuple[Step, ...]) -> list[Block]:
+    """The fold-out of all decisions; nothing where none was made.
+
+    Args:
+        trace: of the diagnosis.
+    """
+    if not trace:
+        return []
+    lines = tuple(sentence(one) for one in trace)
+    return [Details("Why this, and what else was considered", (Paragraph(HEAD), Items(lines)))]
+
+
+def sentence(one: Step) -> str:
+    """A decision as a sentence."""
+    called = effect(one.effect).called(one.where)
+    said = RULES[one.rule](one.numbers)
+    return f"{called[0].upper()}{called[1:]} {said}."
+
+
+def odds(nats: float) -> str:
+    """A log likelihood ratio as odds that a person can read."""
+    if abs(nats) < 0.05:
+        return "even odds"
+    if nats < 0.0:
+        return f"{odds(-nats)} against"
+    return (
+        f"{number(math.exp(nats), 0 if nats > 1.0 else 1)} to one" if nats < math.log(1e6) else "over a million to one"
+    )
+
+
+def _entered(noise: str) -> Callable[[Numbers], str]:
+    def said(n: Numbers) -> str:
+        return (
+            f"enters{noise}: {odds(n['effect_nats'])} ({odds(n['least_nats'])} are asked), and each trial is predicted "
+            f"from the others with {odds(n['crossed_nats'])}"
+        )
+
+    return said
+
+
+def _field(n: Numbers) -> str:
+    return (
+        f"is doubted ({percent(n['factor'])} of its confidence stay): a force that changes freely with place explains "
+        f"{percent(n['field_part'])} of what is there, which this cause could not"
+    )
+
+
+RULES: dict[str, Callable[[Numbers], str]] = {
+    "evidence": _entered(""),
+    "evidence_under_its_own_noise": _entered(", judged beside the noise that it would leave itself"),
+    "restored_record": lambda n: f"enters since forces that stood for it have left: {odds(n['score_nats'])}",
+    "alternative_place": lambda n: (
+        f"enters in place of the one that was refuted: held-out motion speaks for it with {odds(n['heldout_nats'])} "
+        f"({odds(n['least_nats'])} are asked)"
+    ),
+    "missing_weight": lambda n: (
+        f"enters before any search: up to {percent(n['missing_part'])} of the weight are borne where no plate is"
+    ),
+    "unsupported": lambda n: (
+        f"leaves: beside the others it has {odds(n['evidence_nats'])} ({odds(n['least_nats'])} are asked)"
+    ),
+    "negative": lambda n: (
+        f"leaves: it would be a negative load or spring, by {number(-n['lowest_sd'])} standard deviations"
+    ),
+    "opposed": lambda n: (
+        f"leaves together with another cause: the two undo each other but for {percent(n['remaining_part'])} of the "
+        "larger one's energy"
+    ),
+    "no_residual_gain": lambda n: (
+        f"leaves: it takes {percent(n['residual_part'], 1)} of the residual away, where {percent(n['least_part'])} "
+        "are asked because noise does not explain what remains"
+    ),
+    "heldout_density": lambda n: (
+        f"is refuted: held-out motion has {odds(n['heldout_nats'])} of it, beyond its leeway of "
+        f"{number(n['leeway_nats'])} nats"
+    ),
+    "heldout_errors": lambda n: (
+        f"is refuted: held-out forces and moments both err by {percent(n['error_growth_part'])} more because of it"
+    ),
+    "trials_disagree": lambda n: (
+        f"is not named: all trials together have {odds(n['evidence_nats'])}, but predicted from each other "
+        f"{odds(n['crossed_nats'])}"
+    ),
+    "ordinary_everywhere": lambda n: (
+        f"is not named: it has {odds(n['evidence_nats'])}, of which what all places have some of explains "
+        f"{odds(n['background_nats'])}"
+    ),
+    "search_price": lambda n: (
+        f"is not named: at this place it has {odds(n['evidence_nats'])}, with all the places that were tried "
+        f"{odds(n['effect_nats'])} ({odds(n['least_nats'])} are asked)"
+    ),
+    "nothing_can_check": lambda n: (
+        f"is doubted ({percent(n['factor'])} of its confidence stay): there is too little in one trial to check it by"
+    ),
+    "residual_structure": lambda n: (
+        f"is doubted ({percent(n['factor'])} of its confidence stay): more remains than the noise of plates and markers"
+    ),
+    "position_dependence": _field,
+}
+"""What each rule of the diagnosis says, by its name in the trace."""
