@@ -1,6 +1,14 @@
-"""What a diagnosis is worth against the truth."""
+"""What a diagnosis is worth against the truth.
 
+    PYTHONPATH=.:scripts python -m batteries.judge scripts/batteries/battery.json
+
+prints the tables of the sessions that a file keeps, one line each.
+"""
+
+import json
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +22,10 @@ UNNAMED = {"gain": "gain", "scale": "scale"}
 SURE = 0.9
 WORTH, PART = 10.0, 0.8
 """Nats of held-out density that matter, and the part of what can be had that must be."""
+COLUMNS = ("kind", "level", "names", "seed", "engine", "where", "named", "wrong", "found", "first", "sizes",
+           "unexplained", "nearest", "gain", "gained", "failed")  # fmt: skip
+"""What is kept of a session: ``where`` of each hidden effect; which of ``named`` are ``wrong``, by number; of ``sizes``
+whether each is right; of ``nearest`` the best score in nats; trailing nulls are left out."""
 
 
 def judged(truth: Sequence[dict], said: dict) -> dict:
@@ -205,3 +217,49 @@ def _sizes(rows: Sequence[dict]) -> tuple[int, int]:
 
 def _fooled(row: dict) -> bool:
     return not row["unexplained"] and any(confidence > SURE for _, _, confidence in row["named"])
+
+
+def kept(row: dict) -> list:
+    """A session's row in the order of ``COLUMNS``, without what no table and no calibration needs."""
+    if "failed" in row:
+        short = {"failed": row["failed"]}
+    else:
+        short = {
+            "where": [one["where"] for one in row["truth"]],
+            "wrong": [row["named"].index(one) for one in row["wrong"]],
+            "found": [int(one) for one in row["found"]],
+            "first": int(row["first"]),
+            "sizes": [one and {key: int(entry["right"]) for key, entry in one.items()} for one in row["sizes"]],
+            "unexplained": int(bool(row["unexplained"])),
+            "nearest": max((score for *_, score in row["nearest"]), default=None),
+            "gain": [round(nats, 1) for nats in row["gain"]],
+            "gained": row.get("gained") and [round(nats, 2) for nats in row["gained"]],
+        }
+    values = [(row | short).get(column) for column in COLUMNS]
+    while values[-1] is None:
+        values.pop()
+    return values
+
+
+def restored(values: Sequence) -> dict:
+    """A kept row as ``tables`` reads it."""
+    row = dict(zip(COLUMNS, values, strict=False))
+    if row.get("failed"):
+        return row
+    sizes = [one and {key: {"right": bool(right)} for key, right in one.items()} for one in row["sizes"]]
+    nearest = [] if row.get("nearest") is None else [["", [], row["nearest"]]]
+    return row | {"wrong": [row["named"][k] for k in row["wrong"]], "sizes": sizes, "nearest": nearest}
+
+
+def document(rows: Sequence[dict], date: str, first: int) -> str:
+    """JSON of the tables and of every session's kept row, one a line."""
+    table = tables([restored(kept(row)) for row in rows])
+    head = {"date": date, "first_seed": first, "tables": table["text"].splitlines(), "columns": COLUMNS}
+    lines = ",\n".join(json.dumps(kept(row), separators=(",", ":")) for row in rows)
+    figures = json.dumps(table["figures"])
+    return f'{json.dumps(head, indent=1)[:-2]},\n "figures": {figures},\n "rows": [\n{lines}\n]}}\n'
+
+
+if __name__ == "__main__":
+    stored = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    print(tables([restored(values) for values in stored["rows"]])["text"])

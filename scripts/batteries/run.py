@@ -3,8 +3,9 @@
     scripts/battery --levels medium --each 4 --nulls 20 --out out/battery
 
 Every session is written by the MuJoCo simulator, run from its files alone, and judged by its truth only then. A row per
-session goes to ``rows.jsonl``, so that a battery that was stopped goes on; tables are printed and written to
-``battery.json`` with seeds and date, beside ``reliability.png``.
+session goes to ``rows.jsonl``, so that a battery that was stopped goes on. Tables are printed and written to
+``battery.json`` with seeds, date and what they need of every session in a line, beside ``reliability.png``. With
+``--calibrate``, on seeds of its own, it is said what hangs on the calibrated thresholds (``batteries/calibrate.py``).
 """
 
 import argparse
@@ -15,18 +16,21 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from batteries import calibrate
 from batteries.gain import heldout_gains
-from batteries.judge import judged, tables
+from batteries.judge import document, judged
 from batteries.mujoco_session import draw_effect, simulate
 from batteries.power import draw_reliability
 from batteries.sizes import SIZES
 from torchid.allocator import keep_memory
 from torchid.config import Config, load_config
+from torchid.diagnosis.options import DiagnosisOptions
 from torchid.effects.catalogue import BODILY
 from torchid.experiment import run_experiment
 from torchid.outcome import Outcome
@@ -96,13 +100,13 @@ def _drawn(seed: int) -> tuple[str]:
     return (str(np.random.default_rng(seed).choice([name for name in KNOWN if name not in BODILY])),)
 
 
-def perform(job: Job, out: Path, keep: bool) -> dict:
-    """Simulate, run, and only then compare."""
+def perform(job: Job, out: Path, keep: bool, varied: tuple[str, ...] = ()) -> dict:
+    """Simulate, run, and only then compare; given thresholds to vary, verdicts with each of them changed."""
     torch.set_num_threads(1)
     keep_memory()
     folder, begun = out / job.key, time.perf_counter()
     try:
-        row = _row(job, folder)
+        row = _varied(job, folder, varied) if varied else _row(job, folder)
     except Exception as failure:  # a battery goes on; the row says what happened
         row = {"failed": f"{type(failure).__name__}: {failure}"}
     if not keep:
@@ -115,10 +119,21 @@ def _row(job: Job, folder: Path) -> dict:
     outcome = run_experiment(config)
     stages = {name: spent.seconds for name, spent in outcome.times.items()}
     said = json.loads((config.out / "diagnosis.json").read_text())
-    hidden = json.loads((folder / "truth" / "truth.json").read_text())["effects"] if job.names else []
+    hidden = _hidden(job, folder)
     row = judged(hidden, said) | {"diagnosis_s": stages.get("diagnosis")}
     row["gained"] = _gained(outcome, hidden, folder / "perfect") if hidden else None
     return row
+
+
+def _varied(job: Job, folder: Path, names: tuple[str, ...]) -> dict:
+    some, config = calibrate.variants(DiagnosisOptions(), names), _simulated(job, folder)
+    said = calibrate.diagnosed(config, some)
+    return calibrate.row(_hidden(job, folder), said, some)
+
+
+def _hidden(job: Job, folder: Path) -> list[dict]:
+    """The truth, which nobody opens before the verdict."""
+    return json.loads((folder / "truth" / "truth.json").read_text())["effects"] if job.names else []
 
 
 def _simulated(job: Job, folder: Path) -> Config:
@@ -153,19 +168,53 @@ def main() -> None:
     parser.add_argument(
         "--skin", type=int, default=0, help="sessions of living skin without effects, and with one of any kind, medium"
     )
-    parser.add_argument("--first", type=int, default=int(time.time()) % 10**6, help="seed (default: the clock's)")
+    parser.add_argument("--first", type=int, help="seed (default: the clock's; the first reserved one to calibrate)")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--keep", action="store_true", help="keep the sessions' folders")
-    parser.add_argument("--out", type=Path, default=Path("out/battery"))
+    parser.add_argument("--out", type=Path, help="folder (default: out/battery; out/calibration to calibrate)")
+    parser.add_argument("--calibrate", action="store_true", help="say what hangs on the calibrated thresholds instead")
+    parser.add_argument("--sessions", type=int, default=2 * len(KNOWN), help="that calibrate")
+    names = calibrate.calibrated_names()
+    parser.add_argument("--thresholds", nargs="+", default=names, choices=names, metavar="NAME", help="only these")
     arguments = parser.parse_args()
+    if arguments.first is None:
+        reserved = calibrate.RESERVED.start
+        arguments.first = reserved if arguments.calibrate else int(time.time()) % reserved
+    arguments.out = arguments.out or Path("out/calibration" if arguments.calibrate else "out/battery")
+    try:
+        planned = _planned(arguments)
+    except ValueError as problem:
+        parser.error(str(problem))
     arguments.out.mkdir(parents=True, exist_ok=True)
+    (_calibrate if arguments.calibrate else _battery)(arguments, planned)
+
+
+def _planned(arguments: argparse.Namespace) -> list[Job]:
+    """The sessions.
+
+    Raises:
+        ValueError: a calibration would have other seeds than those reserved for it, or a battery one of these.
+    """
+    if arguments.calibrate:
+        return [_job(one) for one in calibrate.plan(arguments.first, arguments.sessions)]
+    planned = list(jobs(arguments))
+    if any(job.seed in calibrate.RESERVED for job in planned):
+        raise ValueError(f"--first {arguments.first}: some seeds of this battery are reserved for --calibrate")
+    return planned
+
+
+def _job(one: calibrate.Session) -> Job:
+    if one.effect is None:
+        return Job("null", (), OWN if one.own else "none", one.seed)
+    return Job("single", (one.effect,), "medium", one.seed)
+
+
+def _battery(arguments: argparse.Namespace, planned: list[Job]) -> None:
     path = arguments.out / "rows.jsonl"
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     done = {Job(r["kind"], tuple(r["names"]), r["level"], r["seed"]).key for r in rows}
     with ProcessPoolExecutor(arguments.workers) as pool:
-        waiting = [
-            pool.submit(perform, job, arguments.out, arguments.keep) for job in jobs(arguments) if job.key not in done
-        ]
+        waiting = [pool.submit(perform, job, arguments.out, arguments.keep) for job in planned if job.key not in done]
         for one in as_completed(waiting):
             rows.append(one.result())
             with path.open("a") as file:
@@ -175,14 +224,25 @@ def main() -> None:
     print(written(arguments.out, arguments.first, rows))
 
 
+def _calibrate(arguments: argparse.Namespace, planned: list[Job]) -> None:
+    options, names, rows = DiagnosisOptions(), tuple(arguments.thresholds), []
+    work = partial(perform, out=arguments.out, keep=arguments.keep, varied=names)
+    present, path = calibrate.present_values(options, names), arguments.out / "rows.jsonl"
+    with ProcessPoolExecutor(arguments.workers) as pool:
+        for row in calibrate.finished({job.key: job for job in planned}, path, present, pool, work):
+            rows.append(row)
+            print(f"{len(rows):4d} {row['key']} {row.get('failed') or row['verdict']['named']}", flush=True)
+            found = calibrate.document(rows, options, names, datetime.date.today().isoformat())
+            (arguments.out / "calibration.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
+    print("\n".join(found["text"]))
+
+
 def written(out: Path, first: int, rows: list[dict]) -> str:
-    """The tables of all rows so far; with seeds and date in ``battery.json``."""
-    found = tables(rows)
-    text = found.pop("text")
-    report = {"date": datetime.date.today().isoformat(), "first_seed": first, **found, "rows": rows}
-    (out / "battery.json").write_text(json.dumps(report, indent=1))
+    """The tables of all rows so far; with seeds, date and short rows in ``battery.json``."""
+    text = document(rows, datetime.date.today().isoformat(), first)
+    (out / "battery.json").write_text(text, encoding="utf-8")
     draw_reliability([r for r in rows if "failed" not in r], out / "reliability.png")
-    return text
+    return "\n".join(json.loads(text)["tables"])
 
 
 if __name__ == "__main__":
