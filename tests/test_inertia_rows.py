@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from rows_problem import RowsProblem, direct, human, pseudo, small
 import torchid
 from torchid.conventions import INERTIAL_NAMES
 from torchid.errors import ConfigError, DataError, TorchidError
-from torchid.inertia import cone
+from torchid.inertia import cone, entropic
 from torchid.inertia.certificate import InertiaStatus
 from torchid.inertia.linear import ellipsoid_matrix
 from torchid.inertia.pseudo import params_to_pseudo
@@ -378,6 +379,44 @@ def test_a_solver_that_lies_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("torchid.inertia.cone.project", dishonest)
     refused("rows.not_optimal", "residuals")
     assert small_fit(refuse=False).status is InertiaStatus.NOT_OPTIMAL
+
+
+def one_tight() -> Limits:
+    """The limbs' ellipsoids, the second so small that it holds with equality."""
+    return Limits(ellipsoids=spoiled(small().Q, (1, 3, 3), float(small().Q[1, 3, 3]) - 0.1))
+
+
+def test_a_bound_is_met_without_the_cone_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the solver breaks down on the second-order cone, steps of the multiplier alone meet the bound."""
+    options: dict[str, Any] = {"rms_bound": 0.7, "limits": one_tight()}
+    own, honest = small_fit(**options), cone.clarabel_solve
+
+    def breaks(*args: Any) -> Any:
+        if "SecondOrder" in str(args[-1]):
+            return SimpleNamespace(status="NumericalError"), 3
+        return honest(*args)
+
+    monkeypatch.setattr("torchid.inertia.cone.clarabel_solve", breaks)
+    fit = small_fit(**options)
+    assert own.at_limit and own.weight < float("inf")
+    torch.testing.assert_close(fit.phi, own.phi, rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(fit.residual_rms, 0.7, rtol=1e-8)
+
+
+def test_a_wrong_guess_of_what_is_touched_is_mended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever rows the solver's multipliers point at, Newton steps end with those that hold with equality."""
+    prior = RowsPrior(small().mean, "entropic", 0.3)
+    own, honest = small_fit(prior=prior, limits=one_tight()), entropic.solve_program
+    assert 0 < len(own.at_limit) < 3
+    for guess in (np.zeros(3), np.ones(3)):
+
+        def guessing(*args: Any, guess: np.ndarray = guess) -> Any:
+            return honest(*args)[0], guess
+
+        monkeypatch.setattr("torchid.inertia.entropic.solve_program", guessing)
+        fit = small_fit(prior=prior, limits=one_tight())
+        assert fit.at_limit == own.at_limit
+        torch.testing.assert_close(fit.phi, own.phi, rtol=1e-8, atol=1e-11)
 
 
 def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -31,8 +31,8 @@ from torchid.inertia.weights import Weights
 
 _REACH = 1e6
 """Price of the whole budget against one unit of prior distance, when the smallest reachable residual is looked for."""
-_SECANTS = 8
-"""Largest number of secant steps; from the cone program's multiplier two to four are enough."""
+_SECANTS = 30
+"""Largest number of secant steps, each at most a factor e; from the cone program's multiplier two are usual."""
 _NUDGE = 1e-4
 """First step of the logarithm of the multiplier."""
 _MET = 1e-10
@@ -54,6 +54,9 @@ def solve_within(problem: Problem, spectrum: Spectrum, budget: float, options: I
         DataError: no parameters that fulfil the other constraints meet the budget, or Clarabel found no solution.
     """
     task = pose_bounded(problem, spectrum, budget, options)
+    untouched = _weighed(task, 0.0)
+    if _log_excess(task, untouched) <= 0:
+        return untouched
     scaled = scale(task)
     if scaled is None:
         raise _out_of_reach(task, "")
@@ -72,8 +75,11 @@ def _quadratic(task: BoundedTask, scaled: Scaled) -> BoundedSolution:
     b = np.concatenate([rows.b - rows.A @ scaled.centre, [1.0], -scaled.target / scaled.radius])
     cones = [*rows.cones, clarabel.SecondOrderConeT(len(ball))]
     solution, attempts = cone.clarabel_solve(sp.csc_array(np.triu(2 * curve)), slope, A, b, cones)
-    if str(solution.status) not in cone.SOLVED:
-        raise _out_of_reach(task, str(solution.status))
+    status = str(solution.status)
+    if "Infeasible" in status:
+        raise _out_of_reach(task, status)
+    if status not in cone.SOLVED:
+        return _refine(task, scaled.multiplier)
     multiplier = float(np.asarray(solution.z)[len(rows.b)]) / (2 * scaled.radius**2)
     return _refine(task, task.active(multiplier))
 
@@ -81,7 +87,8 @@ def _quadratic(task: BoundedTask, scaled: Scaled) -> BoundedSolution:
 def _refine(task: BoundedTask, multiplier: float) -> BoundedSolution:
     """Meet the bound to rounding: secant steps of the multiplier, each an accurate fit with that weight.
 
-    The cone program leaves five to six digits of the multiplier, and the residual falls steadily with it.
+    The cone program leaves five to six digits of the multiplier, and the residual falls steadily with it. Where the
+    program ends without a solution, the steps start from the multiplier of the problem without cones.
     """
     found = _weighed(task, multiplier)
     if multiplier == 0:

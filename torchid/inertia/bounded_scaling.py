@@ -61,6 +61,8 @@ class Scaled:
     target: Float[np.ndarray, " rank"]
     radius: float
     """Square root of budget - rest."""
+    multiplier: float
+    """Multiplier of the squared residual in the problem without cones."""
 
 
 def pose_bounded(problem: Problem, spectrum: Spectrum, budget: float, options: InertiaOptions) -> BoundedTask:
@@ -105,4 +107,4 @@ def scale(task: BoundedTask) -> Scaled | None:
     gain = np.sqrt(values[solid])
     target = -(axes[:, solid].T @ (rotate.T @ misfit.slope(centre))) / (2 * gain)
     room = float(target @ target) - misfit.excess(centre, task.budget)
-    return Scaled(centre, rotate, gain[:, None] * axes[:, solid].T, target, room**0.5) if room > 0 else None
+    return Scaled(centre, rotate, gain[:, None] * axes[:, solid].T, target, room**0.5, mu) if room > 0 else None

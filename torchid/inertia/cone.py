@@ -138,13 +138,18 @@ def _settings(changes: Mapping[str, object]) -> clarabel.DefaultSettings:
 def clarabel_solve(
     P: sp.csc_array, q: np.ndarray, A: sp.csc_array, b: np.ndarray, cones: list[object]
 ) -> tuple[clarabel.DefaultSolution, int]:
-    """Solution with the first settings that reach ``Solved``, else with the last; and how many were tried."""
-    attempts, solution = 0, None
-    while attempts < len(_SETTINGS) and (solution is None or str(solution.status) != "Solved"):
-        solution = clarabel.DefaultSolver(P, q, A, b, cones, _settings(_SETTINGS[attempts])).solve()
-        attempts += 1
-    assert solution is not None
-    return solution, attempts
+    """Return the solution of the first settings that reach ``Solved``, and how many settings were tried.
+
+    Where none does, it is the first ``AlmostSolved`` one, or else the last.
+    """
+    best = None
+    for attempts, changes in enumerate(_SETTINGS, start=1):
+        solution = clarabel.DefaultSolver(P, q, A, b, cones, _settings(changes)).solve()
+        if str(solution.status) == "Solved":
+            return solution, attempts
+        if best is None or str(best.status) not in SOLVED:
+            best = solution
+    return best, len(_SETTINGS)
 
 
 def project(free: Vector, hessian: Matrix, linear: Linear, *, lmi: bool, floor: float) -> ConeSolution:

@@ -24,6 +24,10 @@ from torchid.inertia.pseudo import triangle, untriangle
 
 _TOUCHED = 1e-5
 """Multiplier, over the largest or 1, above which a linear row counts as touched."""
+_VIOLATED = 1e-10
+"""Violation of a linear row of unit length, in relative parameters, above which it must be held."""
+_ROUNDS = 10
+"""Largest number of changes of the rows that are held; one or none is usual."""
 
 
 def body_weights(
@@ -134,12 +138,24 @@ def finish(
     convexity: float,
     surface: Surface | None = None,
 ) -> tuple[ConeSolution, float]:
-    """Newton steps along the rows that the solver's multipliers ``dual`` say are touched (see ``newton.polish``)."""
-    held = np.flatnonzero(dual > _TOUCHED * max(1.0, dual.max(initial=0.0)))
-    rows, value = np.vstack([linear.equality, linear.inequality[held]]), np.append(linear.value, np.zeros(len(held)))
-    x, multipliers, multiplier = polish(x, objective, rows, value, convexity, surface)
+    """Newton steps along the rows that hold with equality (see ``newton.polish``), found by an active-set method.
+
+    The first guess is what the solver's multipliers ``dual`` say; rows that push the wrong way are then let go and
+    rows that are violated are held (Nocedal & Wright, Numerical Optimization, 2006, section 16.5).
+    """
+    held = dual > _TOUCHED * max(1.0, dual.max(initial=0.0))
+    for _ in range(_ROUNDS):
+        rows = np.vstack([linear.equality, linear.inequality[held]])
+        value = np.append(linear.value, np.zeros(int(held.sum())))
+        x, multipliers, multiplier = polish(x, objective, rows, value, convexity, surface)
+        pushing = multipliers[len(linear.value) :]
+        wrong = np.flatnonzero(held)[pushing < 0]
+        violated = np.flatnonzero(~held & (linear.inequality @ x < -_VIOLATED))
+        if not len(wrong) and not len(violated):
+            break
+        held[wrong], held[violated] = False, True
     inequality_dual = np.zeros(len(dual))
-    inequality_dual[held] = multipliers[len(linear.value) :]
+    inequality_dual[held] = pushing
     return ConeSolution(
         x=x,
         lmi_dual=np.zeros((len(x) // 10, 4, 4)),

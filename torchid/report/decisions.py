@@ -49,10 +49,10 @@ def odds(nats: float) -> str:
 
 def _entered(noise: str) -> Callable[[Numbers], str]:
     def said(n: Numbers) -> str:
-        return (
-            f"enters{noise}: {odds(n['effect_nats'])} ({odds(n['least_nats'])} are asked), and each trial is predicted "
-            f"from the others with {odds(n['crossed_nats'])}"
-        )
+        entered = f"enters{noise}: {odds(n['effect_nats'])} ({odds(n['least_nats'])} are asked)"
+        if n["crossed_nats"] == n["evidence_nats"]:
+            return f"{entered}; no other trial could be asked"
+        return f"{entered}, and each trial is predicted from the others with {odds(n['crossed_nats'])}"
 
     return said
 
