@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchid.conventions import GRAVITY, LOADED_N
+from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
 from torchid.io.plates import baseline
 from torchid.io.resample import to_clock
 from torchid.recording import Forces, Trial
@@ -49,7 +49,7 @@ def check_plate(forces: Forces, k: int, kind: str) -> PlateCheck:
 def _outside(forces: Forces, k: int) -> float:
     """Share of the loaded time that the centre of pressure of plate k lies beside it."""
     corners = forces.plates[k].corners
-    point = forces.centre_of_pressure(LOADED_N)[:, k]
+    point = forces.centre_of_pressure(SAMPLE_LOADED_N)[:, k]
     point = point[point.isfinite().all(dim=1)]
     if corners is None or not len(point):
         return float("nan")
@@ -67,7 +67,7 @@ def _saturated(forces: Forces, k: int) -> int:
     worst = 0
     for column in forces.wrench[:, k, :3].numpy().T:
         size = np.abs(column)
-        if not size.max() > LOADED_N:
+        if not size.max() > SAMPLE_LOADED_N:
             continue
         inner = column[(size < size.max()) & (column != 0.0)]
         coarse = len(np.unique(inner)) < len(inner) / 2
@@ -85,11 +85,11 @@ def _longest(mask: np.ndarray) -> int:
 def plate_weight(forces: Forces) -> float | None:
     """Mean total vertical force while loaded, as a mass [kg]; None where nobody stands on the plates.
 
-    Loaded are the samples above half of the median of those above ``LOADED_N``: steps onto and off the plates would
-    otherwise lower the mean.
+    Loaded are the samples above half of the median of those above ``SAMPLE_LOADED_N``: steps onto and off the plates
+    would otherwise lower the mean.
     """
     vertical = forces.total[:, 2]
-    vertical = vertical[vertical > LOADED_N]
+    vertical = vertical[vertical > SAMPLE_LOADED_N]
     if not len(vertical):
         return None
     return float(vertical[vertical > 0.5 * vertical.median()].mean()) / GRAVITY
@@ -111,7 +111,7 @@ def moved_mass(trial: Trial) -> float | None:
     mean = height.mean(dim=1)
     acceleration = (mean[4:] - 2 * mean[2:-2] + mean[:-4]) * (rate / 2) ** 2
     vertical = to_clock(trial.forces, trial.markers.time).total[2:-2, 2].nan_to_num()
-    loaded = vertical > LOADED_N
+    loaded = vertical > SAMPLE_LOADED_N
     if int(loaded.sum()) < 5:
         return None
     loaded = vertical > 0.5 * vertical[loaded].median()

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from torchid.conventions import LOADED_N
+from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
 from torchid.io.frame import SAMPLES, to_world, turn_to_world, vertical_axis
 from torchid.io.missing import held_samples, missing_samples
@@ -70,7 +70,7 @@ def _force_notes(forces: Forces | None, raw: RawTrial) -> list[Note]:
     notes = []
     for k, plate in enumerate(forces.plates):
         vertical = forces.wrench[:: max(1, len(forces.wrench) // SAMPLES), k, 2].numpy()
-        loaded = vertical[np.abs(vertical) > LOADED_N]
+        loaded = vertical[np.abs(vertical) > SAMPLE_LOADED_N]
         if len(loaded) and loaded.mean() < 0:
             text = f"{plate.name} pulls the subject down ({loaded.mean():.0f} N while loaded): its sign is reversed"
             notes.append(Note("plates.sign", text, raw.source))
