@@ -388,7 +388,7 @@ def one_tight() -> Limits:
 
 def test_a_bound_is_met_without_the_cone_program(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the solver breaks down on the second-order cone, steps of the multiplier alone meet the bound."""
-    options: dict[str, Any] = {"rms_bound": 0.7, "limits": one_tight()}
+    options: dict[str, Any] = {"rms_bound": 2.0, "limits": one_tight()}
     own, honest = small_fit(**options), cone.clarabel_solve
 
     def breaks(*args: Any) -> Any:
@@ -400,7 +400,7 @@ def test_a_bound_is_met_without_the_cone_program(monkeypatch: pytest.MonkeyPatch
     fit = small_fit(**options)
     assert own.at_limit and own.weight < float("inf")
     torch.testing.assert_close(fit.phi, own.phi, rtol=1e-7, atol=1e-10)
-    np.testing.assert_allclose(fit.residual_rms, 0.7, rtol=1e-8)
+    np.testing.assert_allclose(fit.residual_rms, 2.0, rtol=1e-8)
 
 
 def test_a_wrong_guess_of_what_is_touched_is_mended(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,8 @@ Vector = Float[np.ndarray, " params"]
 Objective = Callable[[Vector], tuple[Vector, Matrix]]
 """Gradient and Hessian at a point."""
 
-_STEPS = 20
+_STEPS = 100
+"""Largest number of steps; two or three where the solver has told rightly what is touched."""
 _DONE = 1e-10
 """Newton decrement at which steps end."""
 
@@ -61,7 +62,7 @@ def polish(
         x: where the solver ended.
         objective: its gradient and Hessian.
         rows, value: linear constraints that hold with equality.
-        convexity: smallest weight of a self-concordant term of the objective; below 1/2 it shortens the steps.
+        convexity: smallest weight of a divergence in the objective; a small one shortens the first steps.
         surface: the error bound, where it holds with equality.
 
     Returns:
@@ -83,8 +84,9 @@ def polish(
         if surface is not None:
             multiplier, dual = float(dual[-1]) / size, dual[:-1]
         decrement = float(np.sqrt(max(step @ bend @ step, 0.0)))
-        # Self-concordance holds for the divergence with weight 1/2 or more; smaller weights shorten the step.
-        x = x + step / (1 + decrement / np.sqrt(2 * min(convexity, 0.5)))
+        # -log det times 2 * convexity is self-concordant with that constant (Nesterov, Lectures on Convex
+        # Optimization, 2018, theorem 5.1.15); what is quadratic or linear changes nothing.
+        x = x + step / (1 + decrement / np.sqrt(2 * convexity))
         if decrement < _DONE:
             break
     return x, dual, multiplier
