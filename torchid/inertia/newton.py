@@ -85,7 +85,7 @@ def polish(
             multiplier, dual = float(dual[-1]) / size, dual[:-1]
         decrement = float(np.sqrt(max(step @ bend @ step, 0.0)))
         # -log det times 2 * convexity is self-concordant with that constant (Nesterov, Lectures on Convex
-        # Optimization, 2018, theorem 5.1.15); what is quadratic or linear changes nothing.
+        # Optimization, 2018, chapter 5); what is quadratic or linear changes nothing.
         x = x + step / (1 + decrement / np.sqrt(2 * convexity))
         if decrement < _DONE:
             break
