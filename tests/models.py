@@ -15,9 +15,7 @@ from torchid.regressor.whitening import initial_whitening
 def model_of(design: Design, prior: Prior, statistics: Statistics) -> LinearModel:
     """A model that has these statistics under any noise."""
     noise = initial_noise(initial_whitening(torch.ones(2).to(prior.mean)), len(statistics.trials))
-    model = LinearModel((), prior, design, noise)
-    model.__dict__["statistics"] = statistics
-    return model
+    return LinearModel((), prior, design, noise).with_statistics(statistics)
 
 
 def with_candidates(model: LinearModel, candidates: tuple) -> LinearModel:

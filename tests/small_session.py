@@ -1,16 +1,22 @@
 """One small synthetic session and its fits, made once for all the tests that need a moving person.
 
-The seed is new in every test run, or ``$TORCHID_SEED``; tests print it, so that pytest shows it when one fails.
+The seed is new in every test run, or ``$TORCHID_SEED``; tests print it, so that pytest shows it when one fails. Where
+``$TORCHID_TEST_SHARED`` names a folder (``scripts/test`` makes one), all processes of a run have the same session: the
+first that asks for something keeps it there for the others.
 """
 
 import functools
 import os
+import pickle
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import torch
+from filelock import FileLock
 
 from torchid.config import load_config
 from torchid.experiment import run_experiment
@@ -30,12 +36,40 @@ from torchid.regressor.rows import WrenchTrial
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, simulate_session, write_session
 
-SEED = int(os.environ.get("TORCHID_SEED", time.time_ns() % 2**32))
+SHARED = Path(os.environ["TORCHID_TEST_SHARED"]) if "TORCHID_TEST_SHARED" in os.environ else None
+"""Folder that all processes of a run share, or None if they share nothing."""
+
+
+Make = TypeVar("Make", bound=Callable[..., Any])
+
+
+def shared(make: Make) -> Make:
+    """What a function makes, once for all processes that share a folder, else once in this one."""
+
+    def of_all(*args: object) -> object:
+        if SHARED is None:
+            return make(*args)
+        path = SHARED / "-".join(map(str, (make.__name__, *args)))
+        with FileLock(path.with_name(path.name + ".lock")):
+            if not path.exists():
+                path.write_bytes(pickle.dumps(make(*args)))
+            return pickle.loads(path.read_bytes())  # noqa: S301 - of this run
+
+    return functools.cache(functools.wraps(make)(of_all))  # type: ignore[return-value]
+
+
+@shared
+def seed() -> int:
+    """Of the session."""
+    return int(os.environ.get("TORCHID_SEED", time.time_ns() % 2**32))
+
+
+SEED = seed()
 OPTIONS = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=("sway_steps",), duration_s=4.0)
 GEOMETRY = GeometryOptions(max_frames=80)
 
 
-@functools.cache
+@shared
 def session() -> Session:
     """A static trial, four fit trials and a held-out one, with 1 mm and 2 N of noise."""
     return simulate_session(OPTIONS, SEED)
@@ -61,9 +95,13 @@ def markers(role: str) -> dict[str, Markers]:
     return {item.trial.name: item.trial.markers for item in session().trials if item.trial.role == role}
 
 
-@functools.cache
 def fit(free: bool = True) -> GeometryFit:
     """The geometric fit, or the scaled template."""
+    return _fit(free)
+
+
+@shared
+def _fit(free: bool) -> GeometryFit:
     given = assignment()
     return fit_geometry(given.model, given.attachment, markers("fit"), markers("static")["static"], GEOMETRY, free)
 
@@ -87,29 +125,35 @@ def true_rows(role: str = "fit", cutoff_hz: float = 10.0) -> tuple[WrenchTrial, 
 
 
 @functools.cache
-def folder() -> tempfile.TemporaryDirectory:
-    """Where the session and its results are written; gone when the tests end."""
-    made = tempfile.TemporaryDirectory(prefix="torchid-")
-    write_session(session(), OPTIONS, Path(made.name) / "recordings")
+def _temporary() -> tempfile.TemporaryDirectory:
+    """A folder that is gone when the tests end."""
+    return tempfile.TemporaryDirectory(prefix="torchid-")
+
+
+@shared
+def folder() -> Path:
+    """Where the session and its results are written."""
+    made = SHARED or Path(_temporary().name)
+    write_session(session(), OPTIONS, made / "recordings")
     return made
 
 
 def config() -> Path:
     """Config of the written session."""
-    return Path(folder().name) / "recordings" / "config.yaml"
+    return folder() / "recordings" / "config.yaml"
 
 
 def run_again() -> Outcome:
     """The whole experiment on the written session, into ``out`` beside it."""
     overrides = [
-        f"out={Path(folder().name) / 'out'}",
+        f"out={folder() / 'out'}",
         f"geometry.max_frames={GEOMETRY.max_frames}",
         "diagnosis.enabled=false",
     ]
     return run_experiment(load_config(config(), overrides))
 
 
-@functools.cache
+@shared
 def outcome() -> Outcome:
     """The first run."""
     return run_again()

@@ -48,6 +48,7 @@ def test_what_another_simulator_hides_is_found(tmp_path):
     outcome = run_experiment(config)
     said = json.loads((config.out / "diagnosis.json").read_text())
     truth = json.loads((tmp_path / "truth" / "truth.json").read_text())["effects"]
+    assert {"baseline", "causes", "extended", "nearest", "not_testable", "plates", "trace"} <= set(said)
     row = judged(truth, said)
     print(row["told"])  # noqa: T201
     assert row["first"], row["told"]

@@ -5,9 +5,10 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
@@ -41,9 +42,33 @@ def test_each_calibrated_threshold_is_halved_and_doubled_alone():
     assert wanted and {one.threshold for one in found} == wanted
     for one in found:
         assert flat(one.options) == before | {one.threshold: one.value}
-        assert one.value == pytest.approx({"half": 0.5, "double": 2.0}[one.factor] * before[one.threshold])
+        asked = {"half": 0.5, "double": 2.0}[one.factor] * before[one.threshold]
+        whole, share = isinstance(one.value, int), one.threshold.endswith("_part")
+        assert abs(one.value - asked) <= (0.5 if whole else 1e-9) or (share and one.value == 1.0 < asked)
     assert len(found) == 2 * len(wanted)
     assert flat(OPTIONS) == before == flat(DiagnosisOptions())
+
+
+@pytest.mark.parametrize("name", calibrate.OFF)
+def test_a_rule_can_be_put_off(name, monkeypatch):
+    """By a value within its bounds; where the rule took no step the verdict is the present one without a run."""
+    (one,) = variants(OPTIONS, [name], ("off",))
+    assert TypeAdapter(DiagnosisOptions).validate_json(json.dumps(asdict(one.options))) == one.options
+    assert one.value == calibrate.OFF[name][0] != flat(OPTIONS)[name]
+    runs, steps = [], [SimpleNamespace(rule="evidence")]
+
+    def diagnose(outcome: Outcome) -> SimpleNamespace:
+        runs.append(outcome)
+        return SimpleNamespace(trace=list(steps))
+
+    monkeypatch.setattr(calibrate, "run_experiment", Outcome)
+    monkeypatch.setattr(calibrate, "diagnose_outcome", diagnose)
+    said = calibrate.diagnosed(Config(), [one])
+    assert (said[0] is said[1], len(runs)) == ((True, 1) if one.rules else (False, 2))
+    for rule in one.rules:
+        steps[:] = [SimpleNamespace(rule=rule)]
+        said = calibrate.diagnosed(Config(), [one])
+        assert said[0] is not said[1]
 
 
 @pytest.mark.parametrize(
@@ -103,9 +128,9 @@ def test_one_run_is_diagnosed_with_each_variant(monkeypatch):
         runs.append(config)
         return Outcome(config)
 
-    def diagnose(config: Config, outcome: Outcome) -> None:
-        assert outcome.config == config and config.diagnosis.enabled
-        seen.append(config.diagnosis.thresholds)
+    def diagnose(outcome: Outcome) -> None:
+        assert outcome.config.diagnosis.enabled
+        seen.append(outcome.config.diagnosis.thresholds)
 
     monkeypatch.setattr(calibrate, "run_experiment", experiment)
     monkeypatch.setattr(calibrate, "diagnose_outcome", diagnose)
@@ -194,7 +219,7 @@ def test_a_threshold_is_kept_unless_another_value_alone_is_better(half, double, 
 def test_the_document_has_what_it_was_made_of():
     """Date, seeds and present values, and a text with each threshold; it can be written as it is."""
     rows = [made_row(700_003, verdict(), verdict(RIGHT), verdict()), {"seed": 700_001, "key": "a", "failed": "no"}]
-    found = document(rows, OPTIONS, [NAMED, VIBRATION], "2026-01-02")
+    found = document(rows, OPTIONS, [NAMED, VIBRATION], tuple(calibrate.FACTORS), "2026-01-02")
     assert found == json.loads(json.dumps(found)) | {"lines": found["lines"]}
     assert (found["date"], found["seeds"], found["failed"]) == ("2026-01-02", [700_001, 700_003], 1)
     assert found["present"] == {NAMED: 2.5, VIBRATION: 3.0}

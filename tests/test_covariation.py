@@ -24,6 +24,8 @@ from torchid.experiment.diagnosis_stage import observe_outcome
 from torchid.observation.trial import TrialObservation
 from torchid.regressor.whitening import BAND_EDGES_HZ, band_of, coefficients, column_spectra, cosine_matrix, frequencies
 
+pytestmark = pytest.mark.slow
+
 TRIED = (
     "body_mass", "payload", "grasped_object", "wobbling_mass",
     "plate_gain", "plate_pose", "plate_crosstalk", "skin_lag",

@@ -23,6 +23,8 @@ from torchid.io.c3d_write import write_c3d
 from torchid.outcome import Residual
 from torchid.recording import Trial
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _seed_is_shown():
@@ -31,7 +33,7 @@ def _seed_is_shown():
 
 def out() -> Path:
     small.outcome()
-    return Path(small.folder().name) / "out"
+    return small.folder() / "out"
 
 
 def table(name: str, folder: Path | None = None) -> dict:

@@ -54,9 +54,9 @@ def test_a_force_that_goes_another_way_with_its_place_is_told(name, tmp_path, mo
     options = SimulateOptions(
         fit=("squats", "arms", "trunk"), heldout=("sway_steps",), duration_s=6.0, effects=(hidden,), skin_motion_mm=0.0
     )
-    config = load_config(simulate_session(options, SEED, tmp_path).config)
-    asked = config.diagnosis.model_copy(update={"include": KNOWN})
-    run_experiment(config.model_copy(update={"diagnosis": asked}))
+    asked = [f"diagnosis.include=[{', '.join(KNOWN)}]", "geometry.max_frames=60"]
+    config = load_config(simulate_session(options, SEED, tmp_path).config, asked)
+    run_experiment(config)
     said = json.loads((config.out / "diagnosis.json").read_text())
     print([(c["effect"], c["where"], c["confidence"]) for c in said["causes"]], said["unexplained"])  # noqa: T201
     assert said["unexplained"]["significant"] == (name == "magnet")

@@ -24,7 +24,8 @@ from torchid.filters import Smoother
 from torchid.geometry.trial_problem import posture_prior
 from torchid.kinematics.plan import plan_tree
 from torchid.motion import smooth_motion
-from torchid.observation.marker_response import MarkerResponse, _usual
+from torchid.observation.marker_noise import usual_variance
+from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.noise_budget import energy, passed
 from torchid.observation.noise_draws import DRAWS, draw_noise
 from torchid.observation.reliability import estimate_reliability
@@ -140,7 +141,9 @@ def test_noise_is_told_by_short_runs_of_fast_cameras():
     """A band narrower than one coefficient still tells white noise of 1 from none, within a factor of a few."""
     generator = torch.Generator().manual_seed(small.SEED)
     for frames, band in ((64 * 40, (0.006, 0.010)), (25, (0.03, 0.05))):
-        found = [_usual(torch.randn(frames, 3, generator=generator, dtype=torch.float64), band) for _ in range(20)]
+        found = [
+            usual_variance(torch.randn(frames, 3, generator=generator, dtype=torch.float64), band) for _ in range(20)
+        ]
         assert 0.4 < float(np.mean(found)) < 2.5
 
 

@@ -22,7 +22,7 @@ SHORT = (
     "diagnosis.enabled=false",
 )
 
-pytestmark = pytest.mark.data
+pytestmark = [pytest.mark.data, pytest.mark.slow]
 
 
 def run(name: str, data: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *overrides: str) -> Outcome:

@@ -7,6 +7,8 @@ import torch
 from torchid.kinematics.chain import chain_poses
 from torchid.regressor.rows import residual_rms
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _seed_is_shown():

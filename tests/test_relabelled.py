@@ -19,6 +19,8 @@ from torchid.experiment.swapped_markers import fitted_anew, merged, put_right, r
 from torchid.outcome import Outcome
 from torchid.results import OutputFolder
 
+BENDING = ("marker_swap", "marker_shift", "soft_tissue", "joint_centre_shift", "missing_dof", "plate_gain", "drag")
+"""Effects that could be made of what a swap bends, and two on forces."""
 QUIET, LOUD = Adequacy(False, 0.5, 0.1, ""), Adequacy(True, 1e-9, 0.6, "much")
 
 
@@ -73,14 +75,12 @@ def test_names_go_back_and_forth(swap):
 @pytest.fixture(scope="module")
 def fits(swap, tmp_path_factory) -> dict[str, Outcome]:
     """Of the recordings as they are, with the swap in them, and with it put right by what is found of it."""
-    config = load_config(small_session.config(), [f"geometry.max_frames={small_session.GEOMETRY.max_frames}"])
-    outcome = replace(small_session.outcome(), config=config)
-    found = {}
-    for name, causes in (("clean", []), ("bent", [swap])):
-        with OutputFolder(tmp_path_factory.mktemp(name)) as folder:
-            found[name] = fitted_anew(outcome, causes, folder, name, _silent)
+    asked = [f"geometry.max_frames={small_session.GEOMETRY.max_frames}", f"diagnosis.include=[{', '.join(BENDING)}]"]
+    clean = replace(small_session.outcome(), config=load_config(small_session.config(), asked))
+    with OutputFolder(tmp_path_factory.mktemp("bent")) as folder:
+        found = {"clean": clean, "bent": fitted_anew(clean, [swap], folder, "bent", _silent)}
     with OutputFolder(tmp_path_factory.mktemp("right")) as folder:
-        bent = replace(found["bent"], diagnosis=diagnose_outcome(config, found["bent"]))
+        bent = replace(found["bent"], diagnosis=diagnose_outcome(found["bent"]))
         found["whole"], found["right"] = put_right(bent, folder, "right", _silent)
     return found
 
@@ -88,6 +88,7 @@ def fits(swap, tmp_path_factory) -> dict[str, Outcome]:
 def _silent(stage: str, fraction: float) -> None: ...
 
 
+@pytest.mark.slow
 def test_a_swap_leaves_nothing_for_skin_and_joints(swap, fits):
     """Planted, it is the only thing named, when it was; nothing is left for the fit with the names put right."""
     (found,) = fits["whole"].diagnosis.causes
@@ -98,12 +99,14 @@ def test_a_swap_leaves_nothing_for_skin_and_joints(swap, fits):
     assert fits["right"].diagnosis.causes == ()
 
 
+@pytest.mark.slow
 def test_a_fit_with_the_names_put_right_is_that_of_clean_recordings(fits):
     """Which the fit with the swap is not."""
     bent, right = ((fits[k].fit.xi - fits["clean"].fit.xi).norm() for k in ("bent", "right"))
     assert float(right) < 0.5 * float(bent)
 
 
+@pytest.mark.slow
 def test_a_swap_that_is_taken_back_changes_nothing(swap, fits, monkeypatch, tmp_path):
     """The verdict stays the first."""
     monkeypatch.setattr(swapped_markers, "diagnose_outcome", lambda *_: fits["whole"].diagnosis)

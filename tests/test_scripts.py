@@ -30,6 +30,7 @@ def rows(folder: Path) -> list[dict]:
     return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["adam", "lbfgs", "arrow"])
 def test_geometry_script_lowers_the_cost_and_resumes(solver, tmp_path, capsys):
     """A second call goes on where the first one stopped, and LBFGS and the arrow are lower from step to step.
@@ -48,6 +49,7 @@ def test_geometry_script_lowers_the_cost_and_resumes(solver, tmp_path, capsys):
     assert "shank_l_length" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_inertia_script_improves_and_resumes(tmp_path, capsys):
     """With a stored geometry, rounds of noise and parameters are counted on and masses are printed."""
     script("fit_geometry").main(

@@ -18,8 +18,9 @@ from torch import Tensor
 GRAVITY = 9.80665
 """Standard gravity [m/s^2]; the field points along -Z of W."""
 LOADED_N = 20.0
-"""A plate is loaded where it bears more than this vertical force [N], the usual threshold of foot contact (Tirosh &
-Sparrow, J Appl Biomech 19:162 (2003)); the one definition for reading, contact and diagnosis."""
+"""A plate is loaded where it bears more than this vertical force [N], a choice within the 10 to 50 N by which contacts
+of a heel are timed alike (Tirosh & Sparrow, J Appl Biomech 19:178 (2003)); the one definition for reading, contact and
+diagnosis."""
 SAMPLE_LOADED_N = 2.5 * LOADED_N
 """A single unfiltered sample shows a load above this vertical force [N]: idle plates that scatter by 6 N at 1 kHz pass
 ``LOADED_N`` once in 700 samples, and this never."""

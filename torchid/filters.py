@@ -24,7 +24,7 @@ TOGETHER = 2
 ENTRIES = 1 << 17
 """... and as many as have no more samples than that: of short trials, one by one takes twice as long."""
 BUTTERWORTH_PASS = 0.802
-"""A 2nd-order Butterworth run both ways has -3 dB at this part of its design cut-off (Winter 2009, section 3.4.4.2)."""
+"""A 2nd-order Butterworth run both ways has -3 dB at this part of its design cut-off: (2^0.5 - 1)^0.25."""
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,15 @@
 """What hangs on the calibrated thresholds of the diagnosis, on seeds that no quoted figure uses.
 
     scripts/battery --calibrate --sessions 108 --out out/calibration
+    scripts/battery --calibrate --factors off --sessions 54 --out out/rules
 
 A session is simulated and run once with the diagnosis disabled. Then it is diagnosed with the present thresholds, and
-with each calibrated one at half and at double, all others as they are; the truth is opened only after that. A row per
-session goes to ``rows.jsonl``, so that a calibration that was stopped goes on; rows of other present values do not
-count, and after any other change of the diagnosis another ``--out`` is needed. A table of what each change wins and
-loses, and what that says of the threshold, is printed and written to ``calibration.json``.
+with each calibrated one at half and at double, all others as they are; the truth is opened only after that. ``off``
+puts a threshold where its rule does nothing, which shows what the rule is worth: where the rule took no step, the
+verdict is the present one without a run. A row per session goes to a file, so that a calibration that was stopped goes
+on; rows of other present values do not count, and after any other change of the diagnosis another ``--out`` is needed.
+A table of what each change wins and loses, and what that says of the threshold, is printed and written to
+``calibration.json``.
 """
 
 import json
@@ -33,6 +36,22 @@ RESERVED = range(700_000, 800_000)
 """Seeds of the sessions that calibrate thresholds: no quoted figure uses them, and no other battery may."""
 FACTORS = {"half": 0.5, "double": 2.0}
 """What a threshold is multiplied by."""
+NEVER = 1e9
+"""Nats and standard deviations that nothing has."""
+OFF: dict[str, tuple[float, tuple[str, ...]]] = {
+    "NamingOptions.look_closer_part": (1.0, ()),
+    "EliminationOptions.residual_part": (0.0, ("no_residual_gain",)),
+    "EliminationOptions.opposed_part": (0.0, ("opposed",)),
+    "EliminationOptions.negative_sd": (NEVER, ("negative",)),
+    "HeldOutOptions.refuted_nats": (NEVER, ("heldout_density",)),
+    "HeldOutOptions.error_part": (1.0, ("heldout_errors",)),
+    "HeldOutOptions.alternatives": (0, ("heldout_density", "heldout_errors")),
+    "AdequacyOptions.position_part": (1.0, ("position_dependence",)),
+    "ConfidenceOptions.doubt": (1.0, ("nothing_can_check", "residual_structure", "position_dependence")),
+    "MissingWeightOptions.missing_part": (1.0, ("missing_weight",)),
+}  # fmt: skip
+"""Values at which a threshold's rule does nothing, and the rules one of which has taken a step if that matters; none
+where steps do not tell."""
 SURE = 0.5
 """Confidence above which a false cause counts."""
 
@@ -46,12 +65,15 @@ class Session(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """One threshold, by its name in ``threshold_kinds``, has another value; ``factor`` is a key of ``FACTORS``."""
+    """One threshold, by its name in ``threshold_kinds``, has another value; ``factor`` is a key of ``FACTORS`` or
+    ``off``."""
 
     threshold: str
     factor: str
     value: float
     options: DiagnosisOptions
+    rules: tuple[str, ...] = ()
+    """Rules of which one has taken a step wherever the verdict is another; empty if that is not known."""
 
 
 @dataclass(frozen=True)
@@ -106,18 +128,19 @@ def present_values(options: DiagnosisOptions, names: Sequence[str]) -> dict[str,
     return {name: attrgetter(".".join(_place(options, name)))(options) for name in names}
 
 
-def variants(options: DiagnosisOptions, names: Sequence[str]) -> list[Variant]:
-    """Each threshold at half and at double, within its bounds; what these leave as it is, is left out."""
+def variants(options: DiagnosisOptions, names: Sequence[str], factors: Sequence[str] = tuple(FACTORS)) -> list[Variant]:
+    """Each threshold by each factor, within its bounds; what these leave as it is, is left out."""
     found = []
     for name, present in present_values(options, names).items():
         section, key = _place(options, name)
         own = getattr(options, section)
         kind = get_type_hints(type(own), include_extras=True)[key]
-        for factor, times in FACTORS.items():
-            value = bounded(kind, times * present)
+        tried = {f: (bounded(kind, FACTORS[f] * present), ()) for f in factors if f in FACTORS}
+        tried |= {f: OFF[name] for f in factors if f not in FACTORS and name in OFF}
+        for factor, (value, rules) in tried.items():
             if value != present:
                 changed = replace(options, **{section: replace(own, **{key: value})})
-                found.append(Variant(name, factor, value, changed))
+                found.append(Variant(name, factor, value, changed, rules))
     return found
 
 
@@ -138,7 +161,7 @@ def bounded(kind: object, value: float) -> float:
             value = max(value, bound.ge)
         elif isinstance(bound, Gt) and base is int:
             value = max(value, bound.gt + 1)
-    return value
+    return base(value)
 
 
 def diagnosed(config: Config, some: Sequence[Variant]) -> list[Diagnosis | None]:
@@ -148,12 +171,18 @@ def diagnosed(config: Config, some: Sequence[Variant]) -> list[Diagnosis | None]
     """
     disabled = config.diagnosis.model_copy(update={"enabled": False})
     outcome = run_experiment(config.model_copy(update={"diagnosis": disabled}))
-    said = []
-    for options in (config.diagnosis.thresholds, *(one.options for one in some)):
+
+    def said(options: DiagnosisOptions) -> Diagnosis | None:
         section = config.diagnosis.model_copy(update={"thresholds": options})
-        own = config.model_copy(update={"diagnosis": section})
-        said.append(diagnose_outcome(own, replace(outcome, config=own)))
-    return said
+        return diagnose_outcome(replace(outcome, config=config.model_copy(update={"diagnosis": section})))
+
+    present = said(config.diagnosis.thresholds)
+    return [present, *(present if _idle(one, present) else said(one.options) for one in some)]
+
+
+def _idle(one: Variant, present: Diagnosis | None) -> bool:
+    """Whether no rule that the variant concerns has taken a step."""
+    return bool(one.rules) and not (present and any(step.rule in one.rules for step in present.trace))
 
 
 def row(truth: Sequence[dict], said: Sequence[Diagnosis | None], some: Sequence[Variant]) -> dict:
@@ -209,9 +238,11 @@ def decided(lines: Sequence[Line]) -> str:
     return f"{ahead[0]} is better" if best > 0 and len(ahead) == 1 else "keep"
 
 
-def document(rows: Sequence[dict], options: DiagnosisOptions, names: Sequence[str], date: str) -> dict:
+def document(
+    rows: Sequence[dict], options: DiagnosisOptions, names: Sequence[str], factors: Sequence[str], date: str
+) -> dict:
     """Content of ``calibration.json``; ``text`` is what is printed."""
-    lines, present = counted(rows, variants(options, names)), present_values(options, names)
+    lines, present = counted(rows, variants(options, names, factors)), present_values(options, names)
     said = {name: decided([line for line in lines if line.threshold == name]) for name in names}
     failed = sum("failed" in r for r in rows)
     text = [f"{'threshold':38s} {'factor':>7s} {'value':>7s} sessions changed   right   false flagged (won/lost)"]

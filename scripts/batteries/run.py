@@ -100,13 +100,15 @@ def _drawn(seed: int) -> tuple[str]:
     return (str(np.random.default_rng(seed).choice([name for name in KNOWN if name not in BODILY])),)
 
 
-def perform(job: Job, out: Path, keep: bool, varied: tuple[str, ...] = ()) -> dict:
+def perform(
+    job: Job, out: Path, keep: bool, varied: tuple[str, ...] = (), factors: tuple[str, ...] = tuple(calibrate.FACTORS)
+) -> dict:
     """Simulate, run, and only then compare; given thresholds to vary, verdicts with each of them changed."""
     torch.set_num_threads(1)
     keep_memory()
     folder, begun = out / job.key, time.perf_counter()
     try:
-        row = _varied(job, folder, varied) if varied else _row(job, folder)
+        row = _varied(job, folder, varied, factors) if varied else _row(job, folder)
     except Exception as failure:  # a battery goes on; the row says what happened
         row = {"failed": f"{type(failure).__name__}: {failure}"}
     if not keep:
@@ -125,8 +127,8 @@ def _row(job: Job, folder: Path) -> dict:
     return row
 
 
-def _varied(job: Job, folder: Path, names: tuple[str, ...]) -> dict:
-    some, config = calibrate.variants(DiagnosisOptions(), names), _simulated(job, folder)
+def _varied(job: Job, folder: Path, names: tuple[str, ...], factors: tuple[str, ...]) -> dict:
+    some, config = calibrate.variants(DiagnosisOptions(), names, factors), _simulated(job, folder)
     said = calibrate.diagnosed(config, some)
     return calibrate.row(_hidden(job, folder), said, some)
 
@@ -174,9 +176,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder (default: out/battery; out/calibration to calibrate)")
     parser.add_argument("--calibrate", action="store_true", help="say what hangs on the calibrated thresholds instead")
     parser.add_argument("--sessions", type=int, default=2 * len(KNOWN), help="that calibrate")
-    names = calibrate.calibrated_names()
-    parser.add_argument("--thresholds", nargs="+", default=names, choices=names, metavar="NAME", help="only these")
+    factors, names = tuple(calibrate.FACTORS), calibrate.calibrated_names()
+    parser.add_argument("--factors", nargs="+", default=factors, choices=(*factors, "off"), help="half, double, off")
+    parser.add_argument("--thresholds", nargs="+", choices={*names, *calibrate.OFF}, metavar="NAME", help="only these")
     arguments = parser.parse_args()
+    if arguments.thresholds is None:
+        arguments.thresholds = list(calibrate.OFF) if "off" in arguments.factors else names
     if arguments.first is None:
         reserved = calibrate.RESERVED.start
         arguments.first = reserved if arguments.calibrate else int(time.time()) % reserved
@@ -226,13 +231,14 @@ def _battery(arguments: argparse.Namespace, planned: list[Job]) -> None:
 
 def _calibrate(arguments: argparse.Namespace, planned: list[Job]) -> None:
     options, names, rows = DiagnosisOptions(), tuple(arguments.thresholds), []
-    work = partial(perform, out=arguments.out, keep=arguments.keep, varied=names)
-    present, path = calibrate.present_values(options, names), arguments.out / "rows.jsonl"
+    factors = tuple(arguments.factors)
+    work = partial(perform, out=arguments.out, keep=arguments.keep, varied=names, factors=factors)
+    present, path = calibrate.present_values(options, names), arguments.out / f"rows_{'_'.join(factors)}.jsonl"
     with ProcessPoolExecutor(arguments.workers) as pool:
         for row in calibrate.finished({job.key: job for job in planned}, path, present, pool, work):
             rows.append(row)
             print(f"{len(rows):4d} {row['key']} {row.get('failed') or row['verdict']['named']}", flush=True)
-            found = calibrate.document(rows, options, names, datetime.date.today().isoformat())
+            found = calibrate.document(rows, options, names, factors, datetime.date.today().isoformat())
             (arguments.out / "calibration.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
     print("\n".join(found["text"]))
 

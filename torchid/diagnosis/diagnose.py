@@ -13,7 +13,7 @@ from torchid.diagnosis.testing.heldout import HeldOut
 from torchid.diagnosis.testing.position_dependence import misfits, with_misfits
 from torchid.diagnosis.testing.refutation import Upheld, uphold
 from torchid.diagnosis.testing.vibration import with_vibration
-from torchid.diagnosis.verdict.causes import after_forces, causes_of, nearest, untested_plates
+from torchid.diagnosis.verdict.causes import after_forces, causes_of, nearest, untested
 from torchid.diagnosis.verdict.confidence import bent_by_position, discounted
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import CATALOGUE, effect
@@ -83,7 +83,7 @@ def _verdict(
     rest = with_misfits(with_vibration(rest, observed, limits.adequacy), found, bent)
     return Diagnosis(
         plates, unseen.fit(()).errors, extended.errors, _ordered(found, causes), rest,
-        untested_plates(observed, plates), nearest(found.rounds[-1], limits.confidence.rivals),
+        untested(observed, plates), nearest(found.rounds[-1], limits.confidence.rivals),
         _refuted(found, upheld), (*found.trace, *contradicted, *positions),
     )  # fmt: skip
 

@@ -1,9 +1,10 @@
 """Every threshold that decides a verdict, with its kind and its source.
 
 The docstring of each field begins with its kind: *Derived* follows from the model of the noise or from what a number
-means, *Cited* stands in the source that is named, *Calibrated* is recomputed by ``scripts/battery --calibrate`` on
-seeds that no quoted figure uses. ``threshold_kinds`` reads them. Steps of grids, sizes of pieces and the like, which
-only say how finely something is computed, stay beside the code that uses them.
+means, *Cited* stands in the source that is named, *Calibrated* was set on sessions or recordings that were seen before:
+``scripts/battery --calibrate`` shows on seeds that no quoted figure uses what hangs on it. ``threshold_kinds`` reads
+them. Steps of grids, sizes of pieces and the like, which only say how finely something is computed, stay beside the
+code that uses them.
 """
 
 import ast
@@ -11,7 +12,7 @@ import inspect
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from torchid.bounds import Count, NonNegative, Positive, Share
+from torchid.bounds import Count, CountOrNone, NonNegative, Positive, Share
 from torchid.observation.options import ObservationOptions
 
 
@@ -24,13 +25,13 @@ class NamingOptions:
     that hide nothing (``scripts/battery --calibrate``)."""
     alike_nats: Positive = 3.0
     """Cited. Log odds within which a rival cannot be told from the best: below 20 to one, evidence is not strong
-    (Kass & Raftery, JASA 90:773 (1995), section 3.2)."""
+    (Kass & Raftery, JASA 90:773 (1995))."""
     out_of_sight_nats: Positive = 10.0
     """Derived. Log odds behind the best at which nothing that is reported changes: odds of 22 000 to one move no
     stated percentage."""
     consent_nats: NonNegative = 1.0
-    """Derived. Log likelihood by which trials may be predicted worse for a cause that they say nothing of: half a
-    unit for each of two parameters, their price (Akaike, IEEE TAC 19:716 (1974))."""
+    """Calibrated. Log likelihood by which trials may be predicted worse for a cause that they say nothing of. Set on a
+    hidden load of 4.8 kg."""
     consent_part: Share = 0.1
     """Calibrated. Part of the evidence by which trials may be predicted worse, if that is more: for causes that only
     the prior contradicts, such as a wrong record."""
@@ -38,10 +39,10 @@ class NamingOptions:
     """Calibrated. Part of what the likeliest explains that another effect must explain to be tried under the noise
     that it would leave."""
     look_closer_most: Count = 4
-    """Derived. Effects that are tried so in one round: each costs one estimate of the noise, as much as a scan."""
+    """Calibrated. Number of effects that are tried so in one round, at most; each costs one estimate of the noise."""
     look_again_growth: Positive = 1.5
-    """Derived. Times what an effect explained when it found no support under its own noise that it must explain to be
-    tried again: with less, the answer of before stands."""
+    """Calibrated. Times what an effect explained when it found no support under its own noise that it must explain to
+    be tried again; it saves time."""
     periods: Positive = 2.0
     """Derived. Periods of what repeats itself that a trial must show: over fewer, sine and cosine are nearly
     combinations of an offset and a drift, which every plate has."""
@@ -55,11 +56,11 @@ class EliminationOptions:
     """Calibrated. Part of the residual force or moment that a cause must take away where noise does not explain the
     residual."""
     opposed_part: Share = 0.5
-    """Derived. Two causes undo each other where both together have less than this part of the energy of the larger:
-    half, as two equal forces at right angles would have twice."""
+    """Calibrated. Part of the energy of the larger of two causes below which both together undo each other. Set on a
+    runner, whose trunk moves less than its markers."""
     negative_sd: Positive = 3.0
-    """Derived. Standard deviations below zero that refute one of several parameters that are never negative: one in
-    700 of true ones by chance."""
+    """Calibrated. Standard deviations below zero that refute one of several parameters that are never negative. Set on
+    three recordings; of true ones one in 700 is so low by chance."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,8 @@ class HeldOutOptions:
     """Calibrated. Part by which held-out force and moment errors must both grow because of a cause to refute it."""
     cameras_part: Share = 0.1
     """Calibrated. Part of what cameras said for a cause in some trials by which other trials may speak against it."""
-    alternatives: Count = 3
-    """Derived. Other places of a refuted effect that held-out motion is asked about; each is paid for by the logarithm
-    of their number, so that more than e^refuted_nats / 2 could not be believed."""
+    alternatives: CountOrNone = 3
+    """Calibrated. Number of other places of a refuted effect that held-out motion is asked about, at most."""
 
 
 @dataclass(frozen=True)
@@ -85,20 +85,20 @@ class AdequacyOptions:
     p_value: Share = 0.01
     """Cited. Chance of such a residual below which it is not noise (the contract of ``unexplained.significant``)."""
     band_part: Share = 0.4
-    """Derived. Part of a band's residual that noise does not explain from which on it matters: two thirds as much as
-    the noise itself; coloured noise of real amplifiers goes as far."""
+    """Calibrated. Part of a band's residual that noise does not explain from which on it matters: two thirds as much as
+    the noise itself. Set before any battery was seen."""
     coefficients: Count = 30
     """Derived. Cosine coefficients below which a band is not judged: the variance of fewer is known to no better than
     a quarter, (2 / 30)^0.5."""
     position_part: Share = 0.15**2
-    """Derived. Part of what a named force and a field beside it explain from which on the field matters: the energy of
-    a force that is 15 % off, the accuracy that is asked of sizes."""
+    """Calibrated. Part of what a named force and a field beside it explain from which on the field matters: the energy
+    of a force that is 15 % off. Set after two magnets had shown 0.13 and 0.21, and true forces at most 0.005."""
     vibration_ratio: Positive = 3.0
     """Calibrated. Times the power beside it that a line above the cut-off must have in every trial."""
     vibration_trials: Count = 3
-    """Derived. Trials that must show the line: two share one of their lines by chance."""
+    """Calibrated. Number of trials that must show the line. Set on walks, two of which shared a line by chance."""
     vibration_lines: Count = 2
-    """Derived. Lines up to which they are a machine's and its first harmonic; more are a gait's."""
+    """Calibrated. Number of lines up to which they are a machine's and its first harmonic; gaits have more."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,8 @@ class ConfidenceOptions:
     """Derived. Times the confidence of a cause that nothing can check, or that a test contradicts without an answer of
     its own: even odds."""
     rivals: Count = 4
-    """Derived. Rivals that are listed at most; what they have in common stays in the confidence."""
+    """Derived. Number of rivals that are listed at most; what the others have stays in the confidence, so that no
+    verdict hangs on it."""
     twins: Count = 2
     """Cited. Rivals that cannot be told from a cause that are named with it at most (the contract of
     ``indistinguishable``)."""
@@ -122,18 +123,17 @@ class MissingWeightOptions:
     missing_part: Share = 0.2
     """Calibrated. Part of the weight that must be missing for a while."""
     gone_part: Share = 0.05
-    """Derived. Part of the weight that is missing at the ends of such an interval: what plates and inertia leave open
-    on a good recording."""
+    """Calibrated. Part of the weight that is missing at the ends of such an interval: more than plates and inertia
+    leave open on a good recording."""
     shortest_s: Positive = 0.25
     """Calibrated. Time for which that part must be missing: a stance of running leaves as much for half of it."""
     longest_part: Share = 0.7
-    """Derived. Part of a trial beyond which it is no interval, but a harness or a wrong mass; a second third would be
-    needed to tell the two apart."""
+    """Calibrated. Part of a trial beyond which it is no interval, but a harness or a wrong mass."""
     raised_m: Positive = 0.08
-    """Derived. Height above its lowest from which the centre of a foot that touches something is on no floor: half of a
-    stair's riser of 0.16 m, the lowest thing that people step on, and no more than rising on the toes lifts it."""
+    """Calibrated. Height above its lowest from which the centre of a foot that touches something is on no floor [m]:
+    half of the lowest step that people stand on."""
     reach_m: Positive = 0.2
-    """Derived. Distance from the centre of a foot within which a force goes through it: most of a foot's length."""
+    """Calibrated. Distance from the centre of a foot within which a force goes through it [m]."""
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,15 @@ class Effect(Traits, Described, ABC):
         """The place with a finer course in time, worth its columns only where the effect is known to be."""
         return ()
 
+    def untested(self, views: Sequence[View], plates: Sequence[str]) -> str:
+        """Return why it cannot be tested at some places in a session; empty where it can be.
+
+        Args:
+            views: of the fit trials.
+            plates: names of all plates of the session.
+        """
+        return ""
+
     def period_s(self, place: Place) -> float:
         """Time after which it repeats itself [s]; zero where it does not."""
         return 0.0

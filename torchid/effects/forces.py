@@ -1,7 +1,6 @@
 """Forces at a point of the body that no plate measures: the ground supplies so much less.
 
-Sources: Winter, Biomechanics and Motor Control of Human Movement (2009), chapter 5; Hof, Gazendam & Sinke, J Biomech 38
-(2005), on whole-body balance of forces.
+Source: Winter, Biomechanics and Motor Control of Human Movement (2009), on forces by inverse dynamics.
 """
 
 from abc import abstractmethod
@@ -81,8 +80,8 @@ class BodyWeightSupport(PointForce):
 
     name = "body_weight_support"
     parameters = (
-        Parameter("force_N", 100.0, positive=True, source="a choice: 15 % of the weight of 70 kg, the least that "
-                  "harnesses are set to"),
+        Parameter("force_N", 100.0, positive=True, source="a choice: 15 % of the weight of 70 kg, a harness that "
+                  "carries little"),
     )  # fmt: skip
     segments = ("pelvis", "thorax")
     noun = "a harness"

@@ -1,6 +1,6 @@
 """Joint centres that glide as their joint turns.
 
-Source: Iwaki, Pinskerova & Freeman, J Bone Joint Surg 82-B (2000), on the knee's moving axis.
+Source: Iwaki, Pinskerova & Freeman, J Bone Joint Surg 82-B (2000), on how femur and tibia move on each other.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ OWN_M = 3e-4
 """Difference by which the glide along one axis may go another way than along the others [m]."""
 OWN_WAYS = 9.2
 """Chi-square of two degrees of freedom that one in a hundred exceeds: then each axis goes a way of its own."""
-GLIDE = "in a step, a knee's centre travels 7 mm forward and back, 3 mm sideways and along (39 knees, PMC7477710)"
+GLIDE = "a choice: in a step, a knee travels 7 mm forward and back, 3 mm sideways and along (39 knees, PMC7477710)"
 
 
 @final

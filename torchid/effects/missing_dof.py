@@ -51,8 +51,9 @@ class MissingDof(DisplacedBodies):
     occurrence = Occurrence.ANEW_PER_TRIAL
     site = Site.JOINT
     parameters = (
-        Parameter("course", 0.02, 3 * MODES, source="unused, see ``scale``, whose 5 mm and 3 degrees are what a knee "
-                  "does beside flexion: 3 to 7 mm, and 4 and 12 degrees (biplane radiography, PMC7477710 (2020))"),
+        Parameter("course", 0.02, 3 * MODES, source="unused, see ``scale``, whose 5 mm and 3 degrees are a choice, of "
+                  "the order of what a knee does beside flexion in a step: ranges of 3 to 7 mm, and of 4 and 12 "
+                  "degrees (biplane radiography of 39 knees, PMC7477710)"),
     )  # fmt: skip
     noun = "an unmodelled motion"
     link = "of"

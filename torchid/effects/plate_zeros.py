@@ -19,8 +19,8 @@ class PlateOffset(ZeroError):
     usual = 0.1
     """0.5 N: a plate that was zeroed a while ago."""
     parameters = (
-        Parameter("force_plate_N", 5.0, 3, source="Cappello et al., Gait & Posture 33 (2011): mean error of a plate's "
-                  "vertical force of 5.0 ± 2.5 N after linear calibration"),
+        Parameter("force_plate_N", 5.0, 3, source="a choice: the vertical force of a plate erred by 5.0 ± 2.5 N after "
+                  "it was calibrated again by a linear map (Cappello et al., Gait & Posture 33 (2011))"),
         Parameter("moment_plate_Nm", 1.0, 3, source="a choice: a fifth of a metre times the prior of the force"),
     )  # fmt: skip
     noun = "a wrong zero"

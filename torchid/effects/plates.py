@@ -1,7 +1,7 @@
 """Maps of plate channels: what a plate makes of the wrench that it bears.
 
-Sources: Cappozzo, Della Croce, Leardini & Chiari, Gait & Posture 21 (2005), on errors of plates and their spot checks;
-Collins, Adamczyk, Ferris & Kuo, Gait & Posture 29 (2009), on calibration by linear maps.
+Sources: Cappello, Bagala, Cedraro & Chiari, Gait & Posture 33 (2011), on errors of plates before and after they are
+calibrated again; Collins, Adamczyk, Ferris & Kuo, Gait & Posture 29 (2009), on calibration by linear maps.
 """
 
 from collections.abc import Sequence
@@ -58,6 +58,12 @@ class PlateGain(ReadingEffect):
         each = tuple(Place((name,)) for name in names)
         return (*each, Place(tuple(names))) if len(names) > 1 else each
 
+    def untested(self, views: Sequence[View], plates: Sequence[str]) -> str:
+        readings = [view.reading for view in views]
+        borne = {f.name for one in readings for k, f in enumerate(one.frames) if bool(one.wrench[:, k].any())}
+        silent = [name for name in plates if name not in borne]
+        return f"not of {', '.join(silent)}: nobody steps there in a fit trial" if silent else ""
+
     def weighs(self, place: Place) -> bool:
         return len(place.where) > 1
 
@@ -92,8 +98,9 @@ class PlatePose(PlateMap):
 
     name = "plate_pose"
     parameters = (
-        Parameter("shift_m", 0.02, 3, source="Cappello et al., Gait & Posture 33 (2011): four plates had centres of "
-                  "pressure 2 to 14 mm off before they were calibrated; more for corners that are measured by hand"),
+        Parameter("shift_m", 0.02, 3, source="a choice: four plates had centres of pressure 2 to 14 mm off before they "
+                  "were calibrated again (Cappello et al., Gait & Posture 33 (2011)); more for corners that are "
+                  "measured by hand"),
         Parameter("rotation_rad", 0.02, 3, source="a choice: 10 mm between the ends of a plate of half a metre"),
     )  # fmt: skip
     noun = "a wrong place"

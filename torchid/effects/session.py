@@ -61,7 +61,7 @@ class MarkerScale(SlidingMarkers):
     name = "marker_scale"
     parameters = (
         Parameter("excess", 0.02, source="a choice: a wand of another make, or its length typed wrong by a digit; a "
-                  "sound calibration errs by a thousandth and less (Chiari et al., Gait & Posture 21 (2005))"),
+                  "sound calibration errs by far less (on such errors: Chiari et al., Gait & Posture 21 (2005))"),
     )  # fmt: skip
     noun = "a wrong scale of the cameras"
     advice = "the calibration wand measured with a ruler and recorded once more"

@@ -36,9 +36,9 @@ class SkinLag(SlidingMarkers):
     column_noise = ColumnNoise.CORRECTED
     site = Site.SEGMENT
     parameters = (
-        Parameter("shift_1g_m", 0.0025, positive=True, source="Wakeling & Nigg, J Appl Physiol 90 (2001): soft tissue "
-                  "rings at the frequencies of impacts in running, from 10 Hz on, where 1 g takes it by g / w^2 = "
-                  "2.5 mm"),
+        Parameter("shift_1g_m", 0.0025, positive=True, source="a choice: 1 g shifts what rings at 10 Hz by "
+                  "g / w^2 = 2.5 mm; soft tissue of the leg rings at the frequencies of impacts in running (Wakeling & "
+                  "Nigg, J Appl Physiol 90 (2001))"),
     )  # fmt: skip
     noun = "lagging skin"
     link = "of"

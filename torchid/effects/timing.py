@@ -31,7 +31,7 @@ class TimeOffset(ReadingEffect):
     site = Site.TRIAL
     parameters = (
         Parameter("lag_s", 0.01, source="Lemaire & Kuo, bioRxiv 2024.06.24.600392 (2024): latencies within standard "
-                  "equipment put forces and motion some ten milliseconds apart"),
+                  "equipment put forces and motion of the order of ten milliseconds apart"),
     )  # fmt: skip
     noun = "a clock that is off"
     advice = "a jump or a stamp, which marks one instant in markers and forces alike"
@@ -86,7 +86,7 @@ class FilterLag(SlidingMarkers):
     site = Site.TRIAL
     parameters = (
         Parameter("slowness", 5e-4, positive=True, source="a choice: one standard deviation is a cut-off of 6.7 Hz, "
-                  "about what is usual for gait (Winter, Sidhu & Hobson, J Biomech 7 (1974))"),
+                  "about what is usual for gait (Winter, Sidwall & Hobson, J Biomech 7 (1974))"),
     )  # fmt: skip
     noun = "markers that were low-passed"
     advice = "a quick motion (a stamp, a shaken arm) with the cameras' own filter switched off"

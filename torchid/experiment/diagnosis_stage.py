@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from torchid.allocator import keeping_large
-from torchid.config import Config
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
 from torchid.diagnosis.evidence.model import Identification
@@ -24,14 +23,18 @@ MOST = 12
 
 
 @keeping_large()
-def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
+def diagnose_outcome(outcome: Outcome) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
+
+    Args:
+        outcome: up to the inertia; its config says what to try and by which thresholds.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
     """
-    effects, identified = select_effects(config.diagnosis.include, config.diagnosis.exclude), outcome.identified
-    options = config.diagnosis.thresholds
+    wanted = outcome.config.diagnosis
+    effects, identified = select_effects(wanted.include, wanted.exclude), outcome.identified
+    options = wanted.thresholds
     plates, _ = recognise(_forces(outcome))
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
     parts = {role: searched(some) for role, some in trials.items()}
@@ -43,7 +46,7 @@ def diagnose_outcome(config: Config, outcome: Outcome) -> Diagnosis | None:
     left = [w for w in (set_aside(w, aside) for w in observed) if any(True for _ in w.rows.blocks())]
     observed = left or observed
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
-    found = diagnose(observed, heldout, plates, effects, known, config.diagnosis.max_effects, options)
+    found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options)
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
     return with_missing_weight(found, missing, options)
 

@@ -16,8 +16,8 @@ from torchid.geometry.uncertainty import independent_share
 LOOSE = {"thigh": 2.0, "shank": 2.0, "foot": 2.0, "upper": 2.0, "forearm": 2.0, "hand": 2.0}
 """Skin over the limbs slides this many times as far as over the bony points of pelvis and thorax.
 
-The factor is cited (Leardini et al., Gait & Posture 21, 2005; Peters et al., Gait & Posture 31, 2010); for the foot it
-is chosen, because a foot also bends where the model is rigid.
+The factor is a choice. Of the lower limb, skin slides most on the thigh (Leardini et al., Gait & Posture 21, 2005); a
+foot also bends where the model is rigid.
 """
 CHI2_MEDIAN = 2.366
 """Median of chi-squared with three degrees of freedom, the squared length of three standard normals; derived."""

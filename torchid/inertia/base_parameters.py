@@ -1,7 +1,7 @@
 """Base parameters: the combinations of inertial parameters that the data determine, and no others.
 
 Columns of the regressor that depend on earlier ones are regrouped: with unit columns and a pivoted QR factorisation
-Y Pi = Q [R1 R2], the base parameters are phi_1 + R1^-1 R2 phi_2 (Gautier, J. Robotic Systems 8(4), 1991, section 4).
+Y Pi = Q [R1 R2], the base parameters are phi_1 + R1^-1 R2 phi_2 (Gautier, J. Robotic Systems 8(4), 1991).
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Coordinates in which the program of an error bound is well scaled.
 
 Its variables are scaled by the Hessian of mu ||Y phi - F||^2 + d(phi) at the mu that the problem without cones has,
-the root of the secular equation of a trust region (Conn, Gould & Toint, Trust-Region Methods, 2000, section 7.3).
+the root of the secular equation of a trust region (Conn, Gould & Toint, Trust-Region Methods, 2000).
 """
 
 from dataclasses import dataclass

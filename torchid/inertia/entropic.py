@@ -5,7 +5,7 @@ the boundary of what is physical. In relative parameters it is tr W - log det W 
 ||x - x0||^2 to second order; each body's term is weighed so that this curvature has the mean precision of the prior
 covariance over its ten parameters. Correlations between bodies are not part of it.
 
-Reference: Lee, Wensing, Park, IEEE T-RO 36(2), 2020, eqs. 18-22.
+Reference: Lee, Wensing, Park, IEEE T-RO 36(2), 2020, eq. 19.
 """
 
 import warnings

@@ -2,7 +2,7 @@
 
 Interior-point steps over exponential cones leave a stationarity residual of 1e-6. Once they have told which
 constraints hold with equality, the optimum is a smooth problem: each step solves the linearised
-Karush-Kuhn-Tucker system (Nocedal & Wright, Numerical Optimization, 2006, eq. 18.6).
+Karush-Kuhn-Tucker system (Nocedal & Wright, Numerical Optimization, 2006, chapter 18).
 """
 
 from collections.abc import Callable

@@ -4,7 +4,7 @@ The pseudo-inertia of a body is the 4 x 4 matrix P = [[Sigma, h], [h', m]] with 
 of mass, h = m c and I the inertia about the body's origin. It is positive definite exactly when a positive mass
 distribution has these ten parameters.
 
-Reference: Wensing, Kim, Slotine, IEEE RA-L 3(1), 2018, eqs. 8-13.
+Reference: Wensing, Kim, Slotine, IEEE RA-L 3(1), 2018.
 """
 
 import torch

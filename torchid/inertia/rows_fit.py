@@ -79,8 +79,8 @@ def fit_inertia_rows(
 
     References:
         Lee, Wensing & Park, IEEE T-RO 36(2), 2020 (the three distances, weighed and under an error bound); Wensing,
-        Kim & Slotine, IEEE RA-L 3(1), 2018, eqs. 8-13 (LMI; density realisability in ellipsoids); MacKay, Neural
-        Computation 4(3), 1992, sections 4-5 (evidence).
+        Kim & Slotine, IEEE RA-L 3(1), 2018 (LMI; density realisability in ellipsoids); MacKay, Neural Computation 4(3),
+        1992 (evidence).
     """
     _check_choice(weight, rms_bound, noise_sd)
     bodies = len(array(prior.mean, "prior.mean", (None, 10), "Give ten parameters of each body"))

@@ -1,7 +1,7 @@
 """How much to trust the data (omega_1) and the prior (omega_2).
 
 Evidence: the rows are N(Y phi, 1/omega_1), phi is N(mean, Sigma/omega_2); phi is integrated out in closed form and
-both factors maximise what is left (type II maximum likelihood; MacKay, Neural Computation 4(3), 1992, sections 4-5).
+both factors maximise what is left (type II maximum likelihood; MacKay, Neural Computation 4(3), 1992).
 The LMI is left out of the integral. Cross-validation: each trial is predicted from the others.
 """
 

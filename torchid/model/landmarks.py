@@ -4,8 +4,8 @@ Places are centres of markers: ``COVER`` from the bone (7 mm radius of the marke
 al. 2007 and Bell et al. 1990, J Biomech 23:617, find the same order). Pelvis: the anterior iliac spines stand before
 and above the hip centres as in Harrington's regression for the mean pelvis tilted by 10 degrees. Breadths of knee,
 ankle, elbow, wrist, head and foot: Gordon et al. 2014 (ANSUR II). Spinal and sternal levels: van Sint Jan 2007 (Color
-Atlas of Skeletal Landmark Definitions). Scatter: precision of palpation 5-15 mm (Della Croce et al. 1999, Med Biol Eng
-Comput 37:155) and anatomy of similar size; more where a point is badly defined or a segment bends.
+Atlas of Skeletal Landmark Definitions). Scatter, a choice: 5-15 mm for palpation (on its precision: Della Croce et al.
+1999, Med Biol Eng Comput 37:155) and anatomy of similar size; more where a point is badly defined or a segment bends.
 Acromion, toe, xiphoid, posterior spines and the breadths of elbow and wrist were moved towards eleven trials of public
 recordings; with pose and lengths free under their priors the mean square of those trials' standardised residuals is
 then 0.3 to 0.7 per coordinate, which is a fit, not a test.

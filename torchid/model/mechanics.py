@@ -1,7 +1,7 @@
 """Joints and inertia as model files state them: axes in the child's own frame, mass about a centre.
 
 A body's joint, however it is made, is X_PB(q) = T(offset) R_PB T(sum_i u_i s_i) prod_i exp(u_i q_i) with unit axes u_i
-in the body's axes at zero coordinates (product of exponentials; Lynch & Park 2017, Modern Robotics, section 4.1.2).
+in the body's axes at zero coordinates (product of exponentials; Lynch & Park 2017, Modern Robotics, section 4.1).
 URDF, MJCF and OpenSim all say this; the tree says it with turns about coordinate axes, leans and constant rotations.
 """
 
@@ -92,7 +92,7 @@ def pose(R: Array | None = None, p: Sequence[float] | Array | None = None) -> Ar
 def pseudo_inertia(mass: float, I_C: Array, X_BC: Array) -> Array:
     """Pseudo-inertia (4, 4) about B of a mass with inertia ``I_C`` about its centre, in the centre's axes.
 
-    Moves by congruence, P_A = X_AB P_B X_AB', and adds (Wensing, Kim, Slotine, IEEE RA-L 3(1), 2018, eqs. 8-13).
+    Moves by congruence, P_A = X_AB P_B X_AB', and adds (Wensing, Kim, Slotine, IEEE RA-L 3(1), 2018).
     """
     P = np.zeros((4, 4))
     P[:3, :3] = 0.5 * np.trace(I_C) * np.eye(3) - I_C

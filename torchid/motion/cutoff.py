@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 LOWEST, HIGHEST = 4.0, 20.0
-"""Bounds [Hz]: below, steps of walking are lost; above, skin and soft tissue ring (Winter 2009, section 3.4)."""
+"""Bounds [Hz], a choice: below, steps of walking are lost; above, skin and soft tissue ring."""
 UNKNOWN = 6.0
 """For a recording too short or too full of gaps to tell [Hz]."""
 SHARE = 0.99

@@ -1,4 +1,4 @@
-"""RowResponse of the fitted motion to displaced markers, and what they leave in the residuals of the fit.
+"""Response of the fitted motion to displaced markers, and what they leave in the residuals of the fit.
 
 Postures are free in every frame. A displacement D of the markers therefore moves the fitted coordinates by K D, with K
 the weighted pseudo-inverse of the markers' Jacobian J, and shows among the residuals as (1 - J K) D. The bodies that
@@ -6,7 +6,7 @@ the dynamics sees move along; the wrench that they then need follows from nine n
 of ``effects.displacement``.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,77 +18,13 @@ from torchid.effects.displacement import carriage, levers, wrench_of
 from torchid.effects.marker_scene import Sight
 from torchid.effects.scene import Scene
 from torchid.observation.marker_bands import MarkerBands
-from torchid.regressor.rows import runs
-from torchid.regressor.whitening import QUIET, cosine_matrix
+from torchid.observation.marker_noise import marker_scatter
+from torchid.observation.row_response import RowResponse
 
 COARSE_HZ = 10.0
 """Resolution. Rate to which residuals are averaged [Hz]: postures and effects change slowly against it."""
-NEAR_HZ = (6.0, 10.0)
-"""Estimator. Band beside the quiet one in which noise is looked at [Hz]: cameras' own filters cut above it, and the
-noise of markers that were low-passed shows here."""
-WINDOW = 64
-"""Resolution. Number of frames whose energy is one piece of evidence on the noise."""
-SEEN_LONG = 25
-"""Resolution. Number of frames in a row that tell a marker's noise; the edges of gaps do not."""
-ALIKE = 1.5
-"""Estimator. Ratio up to which two estimates of a variance are taken for one: both rest on some ten coefficients of
-each window, and scatter by as much."""
-LEFT = 0.05
-"""Resolution. Least share of a marker's noise that postures are assumed to leave."""
 CHUNK = 256
 """Resolution. Number of frames whose Jacobians are made together."""
-
-
-@dataclass(frozen=True)
-class RowResponse:
-    """Change of a trial's rows by displacements of one unit parameter each, worked out as far as it is asked for."""
-
-    momenta: Callable[[], Float[Tensor, "columns 9 frames"]]
-    """Makes ``nine``."""
-    shown: Callable[[], Float[Tensor, "columns bins rows"]]
-    """Makes ``shift``."""
-    spectral: Callable[[], Float[Tensor, "columns kept rows"]] | None = None
-    """Makes the coefficients of what postures leave, where there is a shorter way to them than ``shift``."""
-
-    @property
-    def nine(self) -> Float[Tensor, "columns 9 frames"]:
-        """Vectors A, B and C of ``effects.displacement`` in every frame, from which ``wrench_of`` makes the wrench."""
-        return self.momenta()
-
-    @property
-    def shift(self) -> Float[Tensor, "columns bins rows"]:
-        """Displacement of the markers [m], averaged as ``MarkerBands`` averages, one row for each coordinate of a
-        marker in W."""
-        return self.shown()
-
-    def spectrum(self, bands: MarkerBands) -> Float[Tensor, "columns kept rows"]:
-        """Return the coefficients of what postures leave of the shift, as ``MarkerBands.spectrum`` does.
-
-        Args:
-            bands: averaged rows of the trial.
-        """
-        return bands.spectrum(bands.left(self.shift)) if self.spectral is None else self.spectral()
-
-    def per(self, step: Float[Tensor, " columns"]) -> "RowResponse":
-        """Return the response to unit parameters of which this one's parameters were parts.
-
-        Args:
-            step: those parts, one a column.
-        """
-        return RowResponse(lambda: self.nine / step[:, None, None], lambda: self.shift / step[:, None, None])
-
-    def __add__(self, other: "RowResponse") -> "RowResponse":
-        """Return the response to both displacements at once, parameter by parameter."""
-        return RowResponse(lambda: self.nine + other.nine, lambda: self.shift + other.shift)
-
-
-def concatenate(answers: Sequence[RowResponse]) -> RowResponse:
-    """Return the response to the parameters of all the given ones, one after the other.
-
-    Args:
-        answers: responses of one trial.
-    """
-    return RowResponse(lambda: torch.cat([a.nine for a in answers]), lambda: torch.cat([a.shift for a in answers]))
 
 
 @dataclass(frozen=True)
@@ -209,26 +145,9 @@ class MarkerResponse:
 
     @cached_property
     def scatter(self) -> Float[Tensor, "2 markers"]:
-        """Noise of each marker's coordinates below ``NEAR_HZ`` (first row) and above (second row) [m].
-
-        Both are standard deviations of the white noise that has as much energy in a band as is found there. Skin that
-        trembles, or a filter of the cameras' own, leaves less above. A marker is looked at where it is seen longest,
-        and takes the median of the others where it is hardly seen.
-        """
-        rate, seen = self.sight.scene.rate, self.weight > 0.0
-        bands = QUIET, (min(NEAR_HZ[0] / rate, QUIET[0]), min(NEAR_HZ[1] / rate, QUIET[1]))
-        found = self.error.new_full((len(seen), 2), float("nan"))
-        for k, own in enumerate(seen):
-            start, stop = max(runs(own), key=lambda run: run[1] - run[0], default=(0, 0))
-            if stop - start >= SEEN_LONG:
-                error = self.error[k, :, start:stop].T
-                found[k] = found.new_tensor([_usual(error, band) for band in bands])
-        quiet, near = torch.where(found.isnan(), found.nanmedian(0).values, found).nan_to_num().unbind(1)
-        # Means of both where they agree: the larger of two is 8 % too large.
-        alike = ~(near > ALIKE * quiet)
-        both = torch.where(alike, 0.5 * (quiet + near), torch.stack([near, quiet])).sqrt()
-        # Postures have taken their share of the noise, which is larger where few markers hold a limb.
-        return both / self.bands.kept.view(-1, 3).mean(1).clamp(min=LEFT).sqrt()
+        """Noise of each marker's coordinates, low (first row) and high (second row), see ``marker_scatter`` [m]."""
+        kept = self.bands.kept.view(-1, 3).mean(1)
+        return marker_scatter(self.error, self.weight > 0.0, kept, self.sight.scene.rate)
 
     @cached_property
     def least(self) -> float:
@@ -324,23 +243,3 @@ class MarkerResponse:
             answers: responses to them; their columns follow one another.
         """
         return wrench_of(torch.cat([a.nine for a in answers]), self.sight.scene.rate).transpose(0, 1)
-
-
-def _usual(x: Float[Tensor, "frames 3"], band: tuple[float, float]) -> float:
-    """Return the variance of white noise that has in a band what is there most of the time [m^2].
-
-    The median over windows holds where a limb is lost for some frames, which fills every band of the whole. It is
-    divided by the median of a chi-square variable over its mean (Wilson & Hilferty, PNAS 17:684 (1931)).
-
-    Args:
-        x: error of one marker [m].
-        band: edges as parts of the frame rate.
-    """
-    length = min(WINDOW, len(x))
-    first = round(2.0 * band[0] * length)
-    # At a high frame rate, or in a short run, a narrow band may hold less than one coefficient.
-    last = max(first + 1, round(2.0 * band[1] * length))
-    C = cosine_matrix(length, last).to(x)[first:]
-    energy = (C @ x.unfold(0, length, length).mT).square().flatten(1).mean(1)
-    # Median of chi-square over its mean (Wilson & Hilferty, PNAS 17:684 (1931)).
-    return float(energy.quantile(0.5)) / (1.0 - 2.0 / (9.0 * 3.0 * (last - first))) ** 3

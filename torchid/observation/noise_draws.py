@@ -11,7 +11,8 @@ from torch import Tensor
 from torchid.filters import Smoother, differentiate
 from torchid.geometry.problem import retract
 from torchid.motion import Motion
-from torchid.observation.marker_response import NEAR_HZ, MarkerResponse
+from torchid.observation.marker_noise import NEAR_HZ
+from torchid.observation.marker_response import MarkerResponse
 
 DRAWS = 8
 """Resolution. Number of draws of the noise of each trial at least, and of those that are made at once."""

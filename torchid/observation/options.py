@@ -10,21 +10,23 @@ class ObservationOptions:
     """Thresholds by which the diagnosis believes frames of a trial and readings of plates."""
 
     ends_periods: NonNegative = 0.6
-    """Derived. Periods of the cut-off from an end of the clock within which no column is trusted: columns of
-    displacements are second derivatives of what a filter knows from one side only, and its response lasts so long."""
+    """Calibrated. Periods of the cut-off from an end of the clock within which no column is trusted: columns of
+    displacements are second derivatives of what a filter knows from one side only. Set on a landing at the end of a
+    trial."""
     noise_frames: Count = 50
     """Derived. Frames that tell the noise of a plate that bears nothing: its standard deviation is known to
     (2 * 50)^-0.5, a tenth."""
     zero_most_N: Positive = 100.0
-    """Derived. No plate's zero is that far off: one that never reads less was stood on all the time, since feet of the
-    lightest adult bear more, and clinical plates saturate their zeroing below."""
+    """Derived. Reading beyond which no plate's zero lies: half of the weight of a child of 20 kg, so that a plate that
+    never reads less was stood on all the time."""
     unloaded_least_s: Positive = 0.2
-    """Derived. Shortest unloaded run that counts: less than the swing of a runner, 0.3 s and more."""
+    """Calibrated. Shortest unloaded run that counts. Set on a runner, whose swings are shorter than half a second."""
     unloaded_edge_s: Positive = 0.04
     """Derived. Time cut off at the ends of such a run: a quarter of a period of a 6 Hz filter, which carries a stance
     into the swing."""
     unloaded_short_s: Positive = 0.5
-    """Derived. Length below which a run must begin and end in a moment: it does not show whether a load changes."""
+    """Calibrated. Length below which a run must begin and end in a moment: a short one does not show whether a load
+    changes."""
     still_N: Positive = 2.0
     """Calibrated. Largest bend of a plate's load within a run, beside its noise: more is a foot that bears little."""
     still_N_s: Positive = 2.0

@@ -1,8 +1,8 @@
 """Reliability of a noisy column: at each frequency, the part of its energy that is not noise.
 
 A column with noise of its own predicts too much, the more the faster, and is found too small (regression calibration;
-Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 4). The part is smooth in frequency: band by band,
-too little would be left in the lower half of a band and too much in the upper one.
+Carroll et al. 2006, Measurement Error in Nonlinear Models). The part is smooth in frequency: band by band, too little
+would be left in the lower half of a band and too much in the upper one.
 """
 
 from dataclasses import dataclass

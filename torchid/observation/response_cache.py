@@ -14,7 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.marker_scene import Along, Carried, Sway
-from torchid.observation.marker_response import MarkerResponse, RowResponse
+from torchid.observation.marker_response import MarkerResponse
+from torchid.observation.row_response import RowResponse
 
 
 class ResponseCache:

@@ -4,23 +4,21 @@ import math
 from dataclasses import replace
 
 import torch
-from markupsafe import Markup
-from matplotlib.figure import Figure as Canvas
 from torch import Tensor
 
 from torchid.diagnosis.diagnose import select_effects
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.options import DiagnosisOptions
-from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
+from torchid.diagnosis.verdict.records import Diagnosis, Refuted
 from torchid.outcome import Outcome
 from torchid.outcome.tables import heldout_errors
 from torchid.report.before_after import Sides, draw_curves, draw_spectrum, sides, telling_trial, trial_rows
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
-from torchid.report.cause_sentences import WORTH, name, rivals, surely, told
+from torchid.report.cause_sentences import name, surely, told
 from torchid.report.decisions import why
 from torchid.report.effect_words import called, noun, of_markers, place
-from torchid.report.figure import IDENTIFIED, MUTED, draw, tidy
 from torchid.report.marker_distances import draw_markers, marker_error
+from torchid.report.rival_bars import rival_bars
 from torchid.wording import clean, listing, number, percent, scientific
 
 SAME = 0.005
@@ -38,7 +36,7 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
     if found.causes:
         blocks.append(Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in found.causes)))
         blocks += _changes(outcome, found)
-        blocks += _rivals(found)
+        blocks += rival_bars(found)
         blocks.append(Details("All parameters of the named causes", (_parameters(found),)))
     blocks.append(Paragraph(_unexplained(found.unexplained, outcome.config.diagnosis.thresholds)))
     blocks += why(found.trace)
@@ -193,53 +191,6 @@ def _trial_table(outcome: Outcome, found: Diagnosis, trials: dict[str, Sides]) -
         head += [f"{kind}, base", "extended"]
     caption = "Residuals of each trial before and after, RMS; moments about the pelvis' origin"
     return Table(caption, tuple(head), trial_rows(outcome, trials, markers, named), text=2)
-
-
-def _rivals(found: Diagnosis) -> list[Block]:
-    """Bars for causes that have rivals; certainty needs none."""
-    contested = [cause for cause in found.causes if any(a.confidence >= WORTH for a in rivals(cause))]
-    if not contested:
-        return []
-    caption = "How probable each explanation is, given catalogue and recordings."
-    if any(cause.indistinguishable for cause in contested):
-        caption += " Hatched: what these recordings cannot tell from the cause that is named."
-    if any(cause.doubted for cause in contested):
-        caption += " Confidence in what forces tell is lowered by what contradicts the model or cannot be checked."
-    return [Figure(_draw_rivals(contested), caption)]
-
-
-def _bars(cause: Cause) -> list[tuple[str, float, str]]:
-    """Label, probability and kind (cause, twin, rival) of a cause and everything it competes with."""
-    twins = {(t.effect, t.where) for t in cause.indistinguishable}
-    own = max(0.0, cause.confidence - sum(t.confidence for t in cause.indistinguishable))
-    return [(name(cause), own, "cause")] + [
-        (name(a), a.confidence, "twin" if (a.effect, a.where) in twins else "rival") for a in rivals(cause)
-    ]
-
-
-def _draw_rivals(causes: list[Cause]) -> Markup:
-    groups = [_bars(cause) for cause in causes]
-    looks: dict[str, dict] = {
-        "cause": {"color": IDENTIFIED},
-        "twin": {"facecolor": "#ffffff", "edgecolor": IDENTIFIED, "hatch": "////", "linewidth": 0.8},
-        "rival": {"color": MUTED},
-    }
-
-    def paint(canvas: Canvas) -> None:
-        panels = canvas.subplots(len(groups), 1, sharex=True, squeeze=False, height_ratios=[len(g) for g in groups])
-        for axes, group in zip(panels[:, 0], groups, strict=True):
-            for row, (_, share, kind) in enumerate(group):
-                axes.barh(row, 100.0 * share, 0.66, **looks[kind])
-                axes.text(100.0 * share + 1.0, row, percent(share) if share >= 0.005 else "< 1 %", va="center")
-            axes.set_yticks(range(len(group)), [clean(label, 48) for label, *_ in group])
-            axes.set_ylim(len(group) - 0.4, -0.6)
-            axes.set_xlim(0.0, 112.0)
-            axes.set_xticks(range(0, 101, 25))
-            tidy(axes, "x")
-        panels[-1, 0].set_xlabel("probability [%]")
-
-    height = 0.75 + 0.28 * sum(len(group) for group in groups)
-    return draw("rivals", (7.5, height), "Probability of each named cause and of its rivals", paint)
 
 
 def _unexplained(left: Adequacy, options: DiagnosisOptions) -> str:

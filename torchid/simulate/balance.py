@@ -2,8 +2,8 @@
 
 The centre of pressure of a motion is where the total wrench has no horizontal moment. It must lie where the feet bear.
 Near any motion, shifting the pelvis by s moves it by about 0.9 (s - h/g s''), as for a pendulum on a cart (Kajita et
-al. 2003, ICRA, eq. 4); the bounded solution of that equation, repeated, brings the centre of pressure where the script
-wants it.
+al. 2003, ICRA); the bounded solution of that equation, repeated, brings the centre of pressure where the script wants
+it.
 """
 
 from dataclasses import dataclass

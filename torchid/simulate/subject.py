@@ -45,7 +45,8 @@ SKIN_FACTOR = {
     "thigh": 1.0, "upper_arm": 0.8, "shank": 0.5, "forearm": 0.5, "pelvis": 0.5, "abdomen": 0.8, "thorax": 0.5,
     "hand": 0.2, "foot": 0.2, "head": 0.1,
 }  # fmt: skip
-"""Skin motion against the thigh's (Cappozzo et al. 1996, Clin Biomech 11:90: largest there, least at the feet)."""
+"""Skin motion against the thigh's, a choice: of the lower limb, it is largest there (Leardini et al., Gait & Posture
+21, 2005)."""
 
 
 @dataclass(frozen=True)

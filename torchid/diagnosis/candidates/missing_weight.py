@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.contact.contact import Contact
+from torchid.diagnosis.candidates.touched_segment import BLOCK_S, centre_of, raised, touched
 from torchid.diagnosis.options import MissingWeightOptions
 from torchid.dynamics import wrench_about
 from torchid.effects.catalogue import CATALOGUE
@@ -26,15 +27,8 @@ from torchid.regressor.rows import predict, runs
 
 EFFECT = next(one for one in CATALOGUE.values() if isinstance(one, CoursedForce))
 """The effect as which such weight is named."""
-REST_M = 0.1
-"""Estimator. Prior standard deviation of where a segment is touched, from its centre of mass [m]: half of a thigh's
-depth, a choice."""
-BLOCK_S = 0.1
-"""Resolution. Time after which a filter leaves frames about independent [s]."""
 SPREAD_S = 0.1
 """Resolution. Time either side of an interval into which filters carry it [s]."""
-SCALE_NM = 2.0
-"""Estimator. Least error of a moment [N m]: what plates of 2 N leave at the height of a hip."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +91,7 @@ def find_missing_weight(
     if not when:
         return None
     inside = inside_any(when, rows.name, scene.time)
-    odds, points = _touched(observed, contact, missing, inside, options)
+    odds, points = touched(observed, contact, missing, inside, options)
     best = max(odds, key=lambda name: odds[name])
     longest = max(own.t1 - own.t0 for own in when)
     knots = min(MOST_KNOTS, max(3, 1 + round(longest / BLOCK_S)))
@@ -152,8 +146,8 @@ def _underfoot(
     Beside the plates the floor bears it; on a plate, the plate reads too little.
     """
     centre = torch.stack([-missing[:, 4], missing[:, 3]], 1) / missing[:, 2:3]
-    at = torch.stack([_centre(observed, foot) for foot in contact.feet])
-    stands = contact.touching.T & ~torch.stack([_raised(one, options) for one in at])
+    at = torch.stack([centre_of(observed, foot) for foot in contact.feet])
+    stands = contact.touching.T & ~torch.stack([raised(one, options) for one in at])
     found = torch.zeros_like(stands[0])
     for a, b in combinations_with_replacement(range(len(at)), 2):
         start, along = at[a, :2].T, (at[b, :2] - at[a, :2]).T
@@ -161,74 +155,6 @@ def _underfoot(
         away = (centre - start - share.clamp(0.0, 1.0)[:, None] * along).norm(dim=1)
         found |= stands[a] & stands[b] & (away < options.reach_m)
     return found
-
-
-def _centre(observed: TrialObservation, segment: str) -> Float[Tensor, "3 frames"]:
-    """Return the centre of mass of a segment in W [m]."""
-    scene = observed.view.scene
-    return scene.point(segment, scene.centre(segment)).p
-
-
-def _raised(at: Float[Tensor, "3 frames"], options: MissingWeightOptions) -> Bool[Tensor, " frames"]:
-    """Return whether a point is above the lowest floor that it reaches."""
-    return at[2] - at[2].quantile(0.02) > options.raised_m
-
-
-def _touched(
-    observed: TrialObservation,
-    contact: Contact,
-    missing: Float[Tensor, "frames 6"],
-    inside: Bool[Tensor, " frames"],
-    options: MissingWeightOptions,
-) -> tuple[dict[str, float], dict[str, tuple[float, float, float]]]:
-    """Return posterior probabilities of the segments, and the point at which each is touched, in its axes [m].
-
-    For a wrench F, M at a point p + R d of a segment, M - p x F is linear in d, whatever the force is. A foot that
-    rests on something above the floor needs no search.
-    """
-    scene, step = observed.view.scene, max(1, round(BLOCK_S * observed.rows.rate))
-    some = inside.nonzero()[::step, 0]
-    raised = [f for k, f in enumerate(contact.feet) if bool(_on_something(observed, contact, k, options)[some].any())]
-    names = raised or [n for n in scene.tree.names if n not in contact.feet]
-    pairs = [_levers(observed, name, missing[some], some) for name in names]
-    scale = max(SCALE_NM, min(_spread(*pair) for pair in pairs))
-    fits = [_rest(left / scale, A / scale) for left, A in pairs]
-    odds = torch.softmax(torch.tensor([log for _, log in fits], dtype=torch.float64), 0).tolist()
-    points = [tuple((scene.centre(n) + d).tolist()) for n, (d, _) in zip(names, fits, strict=True)]
-    return dict(zip(names, odds, strict=True)), dict(zip(names, points, strict=True))
-
-
-def _on_something(
-    observed: TrialObservation, contact: Contact, foot: int, options: MissingWeightOptions
-) -> Bool[Tensor, " frames"]:
-    """Return frames in which a foot touches something that is no floor."""
-    return contact.touching[:, foot] & _raised(_centre(observed, contact.feet[foot]), options)
-
-
-def _levers(
-    observed: TrialObservation, segment: str, wrench: Float[Tensor, "some 6"], some: Tensor
-) -> tuple[Float[Tensor, " rows"], Float[Tensor, "rows 3"]]:
-    """Return the moment about a segment's centre [N m], and its change per place in the segment's axes [N]."""
-    scene, force = observed.view.scene, wrench[:, :3]
-    left = wrench[:, 3:] - torch.linalg.cross(_centre(observed, segment)[:, some].T, force)
-    axes = scene.state.at.R[scene.at(segment)][..., some].permute(2, 0, 1)
-    A = torch.linalg.cross(axes, force[:, None].expand_as(axes), dim=2).mT
-    return left.flatten(), A.flatten(0, 1)
-
-
-def _spread(left: Float[Tensor, " rows"], A: Float[Tensor, "rows 3"]) -> float:
-    """Return the RMS of what the best place leaves [N m]."""
-    d = torch.linalg.lstsq(A, left[:, None]).solution
-    return float((left[:, None] - A @ d).square().mean().sqrt())
-
-
-def _rest(left: Float[Tensor, " rows"], A: Float[Tensor, "rows 3"]) -> tuple[Float[Tensor, " 3"], float]:
-    """Return the place from the centre of mass [m], and the log evidence of rows of unit variance up to what segments
-    share."""
-    L = torch.linalg.cholesky(A.T @ A + torch.eye(3).to(A) / REST_M**2)
-    u = torch.linalg.solve_triangular(L, (A.T @ left)[:, None], upper=False)
-    d = torch.linalg.solve_triangular(L.T, u, upper=True)[:, 0]
-    return d, float(0.5 * (u.square().sum() - left.square().sum()) - L.diagonal().log().sum())
 
 
 def _coursed(

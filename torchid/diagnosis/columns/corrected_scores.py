@@ -2,8 +2,8 @@
 
 Columns that come from the found motion hold its noise, and so does the residual: their noises agree where no truth
 does. Each column's moment gains what the two are expected to share (corrected scores; Carroll et al. 2006, Measurement
-Error in Nonlinear Models, chapter 7). Shrinking the columns by what is believed of the total is not enough: the thorax
-has markers that make most of the noise, while legs make most of the motion.
+Error in Nonlinear Models). Shrinking the columns by what is believed of the total is not enough: the thorax has markers
+that make most of the noise, while legs make most of the motion.
 
 Most columns are fixed combinations of those of the inertia, or of what plates bore, and so is what they share.
 """

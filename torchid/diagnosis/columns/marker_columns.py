@@ -7,8 +7,9 @@ import torch
 from torchid.diagnosis.candidates.candidate import Source
 from torchid.effects.columns import STEP
 from torchid.effects.marker_scene import Sight
-from torchid.observation.marker_response import MarkerResponse, RowResponse, concatenate
+from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.response_cache import ResponseCache
+from torchid.observation.row_response import RowResponse, concatenate
 
 
 def response_of(

@@ -14,8 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 FREEDOM = 3.0
-"""Estimator. Degrees of freedom of Student's t: the least whose variance is finite (Lange, Little & Taylor, JASA 84:881
-(1989))."""
+"""Estimator. Degrees of freedom of Student's t: the least whole number whose variance is finite, a choice."""
 OUTLIERS = 0.2
 """Estimator. Part of the places that may be anything, a choice: whatever is wrong at one shows at its neighbours, which
 share their bodies' postures."""

@@ -1,7 +1,7 @@
 """Log evidence that candidates add to a model, all of them by one factorisation of the model.
 
-The gain follows from the Schur complement of the base in the Gram matrix of both (MacKay, Neural Computation 4:415
-(1992)).
+The evidence is that of linear models (MacKay, Neural Computation 4:415 (1992)); the gain follows from the Schur
+complement of the base in the Gram matrix of both.
 """
 
 import math

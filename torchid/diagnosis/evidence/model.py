@@ -134,6 +134,12 @@ class LinearModel:
         """
         return replace(self, noise=noise)
 
+    def with_statistics(self, statistics: Statistics) -> "LinearModel":
+        """Return the same model with its statistics at hand, as if it had made them."""
+        found = replace(self)
+        found.__dict__["statistics"] = statistics
+        return found
+
     def restrict(self, some: Sequence[Candidate]) -> tuple["LinearModel", tuple[Candidate, ...]]:
         """Return the model without the columns of all other candidates, and the candidates as it has them.
 
@@ -149,8 +155,7 @@ class LinearModel:
         design = replace(small, trials=columns)
         found = LinearModel(rows, self.prior.widened(design), design, self.noise)
         if "statistics" in self.__dict__:
-            # As ``cached_property`` would keep it.
-            found.__dict__["statistics"] = self.statistics.only(self.design, some)
+            found = found.with_statistics(self.statistics.only(self.design, some))
         return found, own
 
     def append(

@@ -4,8 +4,7 @@ In coordinates in which every prior is a unit normal, a model with columns I has
 share) b' L^-1 b / 2 - log det L / 2 with L = G_II + 1. A candidate's gain over a base follows from the Schur complement
 of the base: one factorisation serves the whole catalogue.
 
-Reference: MacKay, Neural Computation 4:415 (1992), on evidence; Chib, JASA 90:1313 (1995), on its chain rule over
-trials.
+Reference: MacKay, Neural Computation 4:415 (1992), on evidence.
 """
 
 from collections.abc import Sequence

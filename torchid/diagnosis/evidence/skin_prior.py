@@ -17,8 +17,8 @@ SLIDES_M = (0.0001, 0.0002, 0.0004, 0.0008, 0.0016, 0.0032)
 """Resolution. Slides of one marker against its neighbours on a segment that are tried, at 90 degrees of a joint near
 [m]."""
 TOGETHER = 2.0
-"""Estimator. Times that all markers of a segment may slide as one: on a thigh as much as against each other (Grimpampi
-et al., IEEE Trans Biomed Eng 61:362 (2014)), or more (Barre et al., J Biomech 62:21 (2017))."""
+"""Estimator. Times that all markers of a segment may slide as one, a choice: on a thigh as much as against each other
+(Grimpampi et al., IEEE Trans Biomed Eng 61:362 (2014)), or more (Barre et al., J Biomech 62:21 (2017))."""
 
 
 def with_slides(model: LinearModel) -> LinearModel:

@@ -68,8 +68,7 @@ def reduced(
     own = {id(old): new for old, new in zip(some, cut, strict=True)}
     kept = tuple(own[id(c)] for c in chosen)
     columns = tuple(one.alone for one in small.design.trials)
-    less = replace(small, design=replace(small.design, trials=columns))
-    less.__dict__["statistics"] = small.statistics
+    less = replace(small, design=replace(small.design, trials=columns)).with_statistics(small.statistics)
     return SearchResult(
         less, kept, tuple(rounds), less.fit(kept), options,
         tuple((own[id(first)], own[id(other)]) for first, other in pairs),

@@ -17,7 +17,7 @@ from torchid.diagnosis.search.rivals import Round, Share, named_in, same, shares
 from torchid.diagnosis.testing.heldout import HeldOut, HeldOutFit
 from torchid.diagnosis.trace import Step, StepKind
 from torchid.diagnosis.verdict.records import Alternative, Cause, Diagnosis, Near, Twin
-from torchid.effects.catalogue import effect
+from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
 
@@ -148,18 +148,12 @@ def _upheld(found: SearchResult, one: Candidate) -> Round:
     return replace(scan, compared=tuple(left))
 
 
-def untested_plates(observed: Sequence[TrialObservation], plates: Sequence[SessionPlate]) -> dict[str, str]:
-    """Return by effect why it cannot be tested: the gain of plates on which nobody steps in a fit trial.
+def untested(observed: Sequence[TrialObservation], plates: Sequence[SessionPlate]) -> dict[str, str]:
+    """Return by effect why it cannot be tested at some places of the session.
 
     Args:
         observed: fit trials.
         plates: plates of the session.
     """
-    borne = {
-        f.name for w in observed for k, f in enumerate(w.view.reading.frames) if bool(w.view.reading.wrench[:, k].any())
-    }
-    silent = [plate.frame.name for plate in plates if plate.frame.name not in borne]
-    out = {}
-    if silent:
-        out["plate_gain"] = f"not of {', '.join(silent)}: nobody steps there in a fit trial"
-    return out
+    views, names = [one.view for one in observed], [plate.frame.name for plate in plates]
+    return {name: why for name, one in CATALOGUE.items() if (why := one.untested(views, names))}

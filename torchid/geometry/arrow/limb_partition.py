@@ -1,7 +1,7 @@
 """This module divides the coordinates of a frame into branches that touch each other only through a core.
 
 Limbs share no marker: their blocks of the normal matrix are coupled by the root and the trunk alone. Eliminating each
-branch by itself leaves out the zeros between them (sparsity of a tree's mass matrix; Featherstone 2008, section 6.5).
+branch by itself leaves out the zeros between them (sparsity of a tree's mass matrix; Featherstone 2008, section 6.4).
 """
 
 from dataclasses import dataclass
