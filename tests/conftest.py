@@ -25,6 +25,12 @@ def data_dir() -> Path:
 
 
 @pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs leave out the report, a quarter of a small one, where nothing is read there."""
+    monkeypatch.setattr("torchid.experiment.run.write_report", lambda *_: None)
+
+
+@pytest.fixture
 def seed() -> int:
     """A fresh seed from the clock, or ``$TORCHID_SEED``; pytest shows the printed line when the test fails."""
     value = int(os.environ.get("TORCHID_SEED", time.time_ns() % 2**32))

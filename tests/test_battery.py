@@ -39,6 +39,7 @@ HIDDEN = ("time_offset", "plate_pose", "gravity_tilt", "body_weight_support", "f
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_report")
 def test_what_another_simulator_hides_is_found(tmp_path):
     """One effect of a drawn kind, large: named first and in its place; held-out errors grow by 2 % at most."""
     print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201

@@ -41,7 +41,7 @@ STORY = re.compile(
 )
 
 
-KIND = re.compile(r"^(Derived|Cited|Calibrated|Resolution|Estimator)\. ")
+KIND = re.compile(r"^(Derived|Cited|Calibrated|Resolution|Estimator|Proposal|Wording)\. ")
 """The kind of a threshold or a constant, which stands before its sentence."""
 
 

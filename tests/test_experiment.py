@@ -197,6 +197,7 @@ def test_the_wrong_marker_set_is_said(tmp_path):
     assert not (tmp_path / "out" / "geometry.json").exists()
 
 
+@pytest.mark.usefixtures("no_report")
 def test_hidden_effects_are_hidden_from_the_fits(tmp_path):
     """A run's config tells nothing of how its recordings were made; it runs again, and other effects compute anew."""
     effect, reused = {"effect": "drag", "where": ["thorax"], "parameters": {"coefficient_Ns_m": 40.0}}, []

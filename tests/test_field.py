@@ -36,6 +36,7 @@ class Magnet(PointForce):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_report")
 @pytest.mark.parametrize("name", ["magnet", "external_force", "tether"])
 def test_a_force_that_goes_another_way_with_its_place_is_told(name, tmp_path, monkeypatch):
     """Whatever a magnet is taken for is in doubt; a cable and a spring are what they are."""

@@ -18,6 +18,8 @@ from torchid.experiment.diagnosis_stage import observe_outcome
 from torchid.observation.trial import TrialObservation
 from torchid.recording import Forces
 
+pytestmark = pytest.mark.slow
+
 SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
 
 

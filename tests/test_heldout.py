@@ -28,16 +28,12 @@ REFUTED = OPTIONS.heldout.refuted_nats
 class Told(HeldOut):
     """Two held-out trials of which everything is known already."""
 
-    def __init__(self, names: str, gains: dict[str, float], others: str = "", worse: str = "") -> None:
-        chosen, spare = (
-            tuple(Candidate(effect("drag"), Place((name,)), ONE, frozenset({0})) for name in some)
-            for some in (names, others)
-        )
+    def __init__(self, names: str, gains: dict[str, float], worse: str = "") -> None:
+        chosen = tuple(Candidate(effect("drag"), Place((name,)), ONE, frozenset({0})) for name in names)
         prior = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double())
         raw = prior.standard(torch.eye(1).double(), torch.ones(1).double(), torch.arange(1))
         model = model_of(Design(1, 1, (), (), ()), prior, Statistics(1, 1, (raw,)))
-        pairs = tuple((chosen[0], other) for other in spare)
-        self.found = SearchResult(model, chosen, (), model.fit(), OPTIONS, pairs)
+        self.found = SearchResult(model, chosen, (), model.fit(), OPTIONS)
         self.trials, self.first, self.share = (None, None), 1, 0.5  # type: ignore[assignment]
         self.gains, self.worse = gains, worse
 
@@ -90,34 +86,9 @@ def test_forces_that_err_more_refute_what_is_no_less_likely(monkeypatch, name, s
     told = Told("ab", {"a": 6.6, "b": 5.0}, worse="a")
     monkeypatch.setattr(refutation, "support", lambda statistics, some, one: 30.0)
     first, second = told.found.chosen
-    upheld = uphold(told, (replace(first, effect=effect(name)), second), OPTIONS)
+    upheld = uphold(told, (replace(first, effect=effect(name)), second), OPTIONS.heldout)
     assert names_of(upheld.chosen) == (["a", "b"] if spared else ["b"])
     assert [(step.kind, step.rule) for step in upheld.trace] == ([] if spared else [("refuse", "heldout_errors")])
-
-
-@pytest.mark.parametrize(
-    ("others", "worse", "found"),
-    [
-        ("xyz", "", "z"),
-        ("yx", "", "y"),
-        ("xy", "", ""),
-        ("zx", "z", ""),
-        ("wz", "", "w"),
-        ("bz", "", "z"),
-        ("vz", "", "z"),
-    ],
-)
-def test_what_is_refuted_at_a_place_may_sit_elsewhere(monkeypatch, others, worse, found):
-    """At the likeliest other place for which held-out motion speaks as it would have to against it, and more for every
-    place that it was asked about before; unless forces err more, fit trials do not support it, or the effect sits there
-    already."""
-    gains = {"a": -20.0, "b": 5.0, "v": 9.0, "w": 8.0, "x": -1.0, "y": 1.05 * REFUTED, "z": 30.0}
-    told = Told("ab", gains, others, worse)
-    monkeypatch.setattr(refutation, "support", lambda statistics, some, one: -1.0 if one.place.where == ("v",) else 9.0)
-    upheld = uphold(told, told.found.chosen, OPTIONS)
-    assert names_of(upheld.chosen) == ["b", *found] and len(upheld.refuted) == 1
-    assert [step.rule for step in upheld.trace] == ["heldout_density", *(["alternative_place"] if found else [])]
-    assert [other.place.where[0] for _, other in upheld.instead] == [*found]
 
 
 @pytest.mark.parametrize("name, leeway", [("marker_swap", 10.0), ("drag", 0.0)])

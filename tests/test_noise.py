@@ -121,6 +121,7 @@ def test_what_a_filter_leaves_of_white_noise_is_known(rows):
     assert_close(passed(rows), exact, rtol=0.3, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scatter", [(2e3, 2e3, 2e3, 3e3, 3e3, 1e2), (2e3, 1e2, 1e2, 3e3, 1e2, 1e2)])
 def test_noise_alone_is_as_unlikely_as_it_says(scatter):
     """Of plates so loud that markers do not matter, residuals of noise are flagged as seldom as they should."""

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from models import with_candidates
 from test_doubtful import found as searched
 from torch.testing import assert_close
 
@@ -13,12 +12,10 @@ from torchid.diagnosis.candidates.candidate import Candidate, Source
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import NamingOptions
-from torchid.diagnosis.search.elimination import restore_record
 from torchid.diagnosis.search.estimates import estimate
 from torchid.diagnosis.search.result import reduced
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
-from torchid.diagnosis.trace import StepKind, step
 from torchid.diagnosis.verdict.causes import cause_of
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
@@ -149,68 +146,3 @@ def test_causes_of_the_session_are_not_taken_for_each_other():
     said = cause_of(replace(search, rounds=tuple(rounds)), 2, {}, ("a", "b"))
     assert said.effect == "marker_scale" and said.confidence == pytest.approx(1.0, abs=1e-3)
     assert not said.indistinguishable
-
-
-@pytest.mark.parametrize(
-    ("name", "first", "kept"),
-    [("drag", 9.0, ["b"]), ("drag", 13.0, []), ("payload", 9.0, []), ("marker_shift", 9.0, [])],
-)
-def test_places_that_fit_trials_support_nearly_as_well_are_kept(name, first, kept):
-    """Beside what was chosen, with the columns they had, unless these depend on where an effect was found or show in
-    markers."""
-    search = searched(torch.eye(3).double(), torch.tensor([1.0, 2.0, 3.0]).double())
-    own = [replace(c, effect=effect(name)) for c in search.chosen]
-    model = with_candidates(search.model, tuple(own))
-    least = NAMING.named_nats
-    rounds = [round_of((own[0], first, first), (own[1], least + 0.1, 0.0), (own[2], least - 0.1, 0.0))]
-    found = reduced(model, own[:1], rounds, search.options, ())
-    assert not found.scales
-    assert [other.place.where[0] for first, other in found.alternative_places if first is found.chosen[0]] == kept
-    for one, whole in zip((*found.chosen, *(other for _, other in found.alternative_places)), own, strict=False):
-        assert_close(
-            found.model.statistics.moment(one.columns, found.model.statistics.all),
-            search.model.statistics.moment(whole.columns, search.model.statistics.all),
-        )
-
-
-def test_what_weighs_is_kept_to_the_end():
-    """Chosen or not, once."""
-    search = searched(torch.eye(3).double(), torch.ones(3).double())
-    drag, *others = search.chosen
-    both = [replace(one, effect=effect(name)) for one, name in zip(others, ("body_mass", "plate_gain"), strict=True)]
-    both[1] = replace(both[1], place=Place(("plate_1", "plate_2")))
-    model = with_candidates(search.model, (drag, *both))
-    rounds = [round_of((one, 9.0, 9.0)) for one in (drag, *both)]
-    found = reduced(model, [drag, both[0]], rounds, search.options, ())
-    assert found.scales[0] is found.chosen[1] and [c.effect.name for c in found.scales] == ["body_mass", "plate_gain"]
-
-
-@pytest.mark.parametrize(("dropped", "size", "named"), [(True, 9.0, True), (True, 0.05, False), (False, 9.0, False)])
-def test_weight_is_asked_about_again_when_forces_are_dropped(dropped, size, named):
-    """They may have stood for a wrong record; what the last scan came near to is still told of that."""
-    before = searched(torch.eye(3).double(), torch.tensor([size, 9.0, 9.0]).double())
-    place = Place(("session",), grid={"recorded_kg": 70.0})
-    weight = replace(before.chosen[0], effect=effect("body_mass"), place=place)
-    left = before.chosen[2:] if dropped else before.chosen[1:]
-    last = round_of((before.chosen[1], 1.0, 1.0))
-    before = replace(before, chosen=before.chosen[1:], scales=(weight,), rounds=(last,))
-    gone = [c for c in before.chosen if c not in left]
-    steps = [step(StepKind.LEAVE, one, "no_residual_gain", residual_part=0.0) for one in gone]
-    after = restore_record(before.having(left, *steps), ())
-    assert after.chosen == ((*left, weight) if named else left) == after.posterior.chosen
-    assert after.rounds[-1] is last and len(after.rounds) == 1 + named
-    if named:
-        assert cause_of(after, len(left), {}, ("a", "b")).effect == "body_mass"
-
-
-def test_what_stands_for_a_refuted_place_is_as_sure_as_without_that():
-    """That and what was asked before it take nothing of its probability, other rivals do."""
-    search = searched(torch.eye(3).double(), torch.ones(3).double())
-    gone, other, third = search.chosen
-    asked = replace(gone, place=Place(("asked",)))
-    pairs = ((gone, asked), (gone, other), (gone, third))
-    search = replace(search.having((other,)), alternative_places=pairs)
-    scores = (gone, 15.0, 15.0), (asked, 14.0, 14.0), (other, 12.0, 12.0), (third, 7.0, 7.0)
-    said = cause_of(replace(search, rounds=(round_of(*scores),)), 0, {}, ("a", "b"))
-    assert said.where == other.place.where and said.confidence == pytest.approx(1.0 / (1.0 + math.exp(-5.0)), abs=1e-3)
-    assert [one.where for one in said.alternatives] == [third.place.where]

@@ -13,12 +13,11 @@ from documentation.thresholds import PAGE, rows, table
 from torchid.diagnosis.options import Kind, threshold_kinds
 
 PACKAGE = Path(__file__).resolve().parents[1] / "torchid"
-ROOMS = sorted([*(PACKAGE / "diagnosis").rglob("*.py"), *(PACKAGE / "observation").glob("*.py")])
+ROOMS = sorted(path for room in ("diagnosis", "observation", "effects") for path in (PACKAGE / room).rglob("*.py"))
 PLAIN = (0, 1, 2, 3)
 """Numbers that count or tell signs; more than a millionth, they are no guards against division by zero."""
-FINELY = ("Resolution. ", "Estimator. ")
-"""How the docstring of a module's constant begins: how finely something is computed, or a constant of the statistical
-model with its source. Neither decides by itself."""
+FINELY = ("Resolution. ", "Estimator. ", "Proposal. ", "Wording. ")
+"""How the docstring of a module's constant begins, none of which decides by itself (``torchid.diagnosis.options``)."""
 
 
 @pytest.mark.parametrize("name", sorted(threshold_kinds()))

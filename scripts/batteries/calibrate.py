@@ -40,18 +40,17 @@ NEVER = 1e9
 """Nats and standard deviations that nothing has."""
 OFF: dict[str, tuple[float, tuple[str, ...]]] = {
     "NamingOptions.look_closer_part": (1.0, ()),
-    "EliminationOptions.residual_part": (0.0, ("no_residual_gain",)),
+    "EliminationOptions.residual_part": (0.0, ("no_residual_gain", "residual_structure")),
     "EliminationOptions.opposed_part": (0.0, ("opposed",)),
     "EliminationOptions.negative_sd": (NEVER, ("negative",)),
     "HeldOutOptions.refuted_nats": (NEVER, ("heldout_density",)),
     "HeldOutOptions.error_part": (1.0, ("heldout_errors",)),
-    "HeldOutOptions.alternatives": (0, ("heldout_density", "heldout_errors")),
     "AdequacyOptions.position_part": (1.0, ("position_dependence",)),
     "ConfidenceOptions.doubt": (1.0, ("nothing_can_check", "residual_structure", "position_dependence")),
     "MissingWeightOptions.missing_part": (1.0, ("missing_weight",)),
 }  # fmt: skip
-"""Values at which a threshold's rule does nothing, and the rules one of which has taken a step if that matters; none
-where steps do not tell."""
+"""Values at which a threshold's rule does nothing, or as little as its bounds allow, and the rules one of which has
+taken a step if that matters; none where steps do not tell."""
 SURE = 0.5
 """Confidence above which a false cause counts."""
 

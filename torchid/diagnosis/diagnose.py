@@ -6,7 +6,7 @@ from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.options import DiagnosisOptions
-from torchid.diagnosis.search.elimination import AT_LAST, SUPPORTED, VISIBLE, eliminate, restore_record, settle
+from torchid.diagnosis.search.elimination import AT_LAST, SUPPORTED, VISIBLE, eliminate, settle
 from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.search.stepwise import search
 from torchid.diagnosis.testing.heldout import HeldOut
@@ -49,7 +49,7 @@ def diagnose(
 
     Args:
         observed: fit trials.
-        heldout: trials that nothing was fitted on; they may refute a cause, or the place of one.
+        heldout: trials that nothing was fitted on; they may refute a cause.
         plates: plates of the session.
         effects: effects to try.
         known: what the inertial fit knew and found.
@@ -59,9 +59,8 @@ def diagnose(
     found = search(observed, effects, known, limit, options)
     if _remains(found, observed, len(heldout)).significant:
         found = settle(eliminate(found, observed, VISIBLE), observed, SUPPORTED)
-        found = restore_record(found, observed)
     unseen = HeldOut(found, observed, heldout)
-    upheld = uphold(unseen, unseen.acting(), options)
+    upheld = uphold(unseen, unseen.acting(), options.heldout)
     found = settle(found.having(upheld.chosen, *upheld.trace), observed, AT_LAST)
     return _verdict(found, unseen, upheld, observed, plates)
 
@@ -84,7 +83,7 @@ def _verdict(
     return Diagnosis(
         plates, unseen.fit(()).errors, extended.errors, _ordered(found, causes), rest,
         untested(observed, plates), nearest(found.rounds[-1], limits.confidence.rivals),
-        _refuted(found, upheld), (*found.trace, *contradicted, *positions),
+        _refuted(upheld), (*found.trace, *contradicted, *positions),
     )  # fmt: skip
 
 
@@ -96,12 +95,10 @@ def _ordered(found: SearchResult, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     return tuple(causes[k] for k in order)
 
 
-def _refuted(found: SearchResult, upheld: Upheld) -> tuple[Refuted, ...]:
-    """Return the refuted causes, each with the place that held-out motion has it at, if there is one."""
-    instead = {id(gone): other.place.where for gone, other in upheld.instead if any(other is c for c in found.chosen)}
+def _refuted(upheld: Upheld) -> tuple[Refuted, ...]:
+    """Return the refuted causes."""
     return tuple(
-        Refuted(one.effect.name, one.place.where, decision.numbers["heldout_nats"], decision.rule, decision.numbers,
-                instead.get(id(one)))
+        Refuted(one.effect.name, one.place.where, decision.numbers["heldout_nats"], decision.rule, decision.numbers)
         for one, decision in upheld.refuted
     )  # fmt: skip
 

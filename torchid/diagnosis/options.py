@@ -3,8 +3,9 @@
 The docstring of each field begins with its kind: *Derived* follows from the model of the noise or from what a number
 means, *Cited* stands in the source that is named, *Calibrated* was set on sessions or recordings that were seen before:
 ``scripts/battery --calibrate`` shows on seeds that no quoted figure uses what hangs on it. ``threshold_kinds`` reads
-them. Steps of grids, sizes of pieces and the like, which only say how finely something is computed, stay beside the
-code that uses them.
+them. Constants that decide nothing by themselves stay beside the code that uses them, each with a kind:
+*Resolution* says how finely something is computed, *Estimator* is a constant of the statistical model, *Proposal* says
+what is asked about at all, so that evidence decides, and *Wording* how a result is told.
 """
 
 import ast
@@ -12,7 +13,7 @@ import inspect
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from torchid.bounds import Count, CountOrNone, NonNegative, Positive, Share
+from torchid.bounds import Count, NonNegative, Positive, Share
 from torchid.observation.options import ObservationOptions
 
 
@@ -54,7 +55,7 @@ class EliminationOptions:
 
     residual_part: Share = 0.05
     """Calibrated. Part of the residual force or moment that a cause must take away where noise does not explain the
-    residual."""
+    residual; what takes away more by itself is not doubted for a residual that is barely more than noise."""
     opposed_part: Share = 0.5
     """Calibrated. Part of the energy of the larger of two causes below which both together undo each other. Set on a
     runner, whose trunk moves less than its markers."""
@@ -74,8 +75,6 @@ class HeldOutOptions:
     """Calibrated. Part by which held-out force and moment errors must both grow because of a cause to refute it."""
     cameras_part: Share = 0.1
     """Calibrated. Part of what cameras said for a cause in some trials by which other trials may speak against it."""
-    alternatives: CountOrNone = 3
-    """Calibrated. Number of other places of a refuted effect that held-out motion is asked about, at most."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +94,8 @@ class AdequacyOptions:
     of a force that is 15 % off. Set after two magnets had shown 0.13 and 0.21, and true forces at most 0.005."""
     vibration_ratio: Positive = 3.0
     """Calibrated. Times the power beside it that a line above the cut-off must have in every trial."""
+    vibration_line_part: Share = 0.5
+    """Calibrated. Part of that height from which on a line counts as one of several."""
     vibration_trials: Count = 3
     """Calibrated. Number of trials that must show the line. Set on walks, two of which shared a line by chance."""
     vibration_lines: Count = 2

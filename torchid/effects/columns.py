@@ -10,10 +10,11 @@ from torchid.effects.place import Place
 from torchid.effects.scene import Reading, Scene
 
 STEP = 1e-3
-"""Step of the central differences, in prior standard deviations: exact for parameters that act linearly."""
+"""Resolution. Step of the central differences, in prior standard deviations: exact for parameters that act linearly."""
 
 MANY = 8
-"""Number of parameters from which on plates are read with all of them at once, which takes longer for a few."""
+"""Resolution. Number of parameters from which on plates are read with all of them at once, which takes longer for
+a few."""
 
 
 def columns(

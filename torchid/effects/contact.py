@@ -19,11 +19,11 @@ from torchid.effects.scene import Scene, anchor, at_origin, passing
 from torchid.effects.traits import Occurrence, Site
 
 SPACING_S = (0.1, 0.2, 0.4)
-"""Distances of the knots of a finer course [s]."""
+"""Resolution. Distances of the knots of a finer course [s]."""
 END_S = 0.1
-"""Error of each end of an interval [s]: what rises smoothly begins nowhere in particular."""
+"""Estimator. Error of each end of an interval [s]: what rises smoothly begins nowhere in particular."""
 MOST_KNOTS = 16
-"""Knots of an interval at most."""
+"""Resolution. Knots of an interval at most."""
 
 
 class CoursedForce(LoadEffect):

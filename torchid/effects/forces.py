@@ -122,7 +122,7 @@ class Drag(PointForce):
 
 
 CERTAIN = 2.0
-"""Standard deviations from which a rest length is worth a word."""
+"""Wording. Standard deviations from which a rest length is worth a word."""
 PULL = "a choice: the stiffness at a metre from the anchor"
 
 

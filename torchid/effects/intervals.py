@@ -15,12 +15,11 @@ from torchid.effects.evidence import TrialEvidence
 from torchid.effects.place import Interval, Place
 
 WINDOWS = 2
-"""Intervals proposed for each trial."""
+"""Proposal. Intervals proposed for each trial."""
 CLOCK_HZ = 20.0
-"""Rate of the averages among which ends of intervals are looked for [Hz]."""
-SHORTEST_S = 0.2
-LONGEST = 0.7
-"""Length of an interval [s], and part of a trial: what lasts longer is not an interval."""
+"""Resolution. Rate of the averages among which ends of intervals are looked for [Hz]."""
+SHORTEST_S, LONGEST = 0.2, 0.7
+"""Proposal. Length of an interval [s], and part of a trial: what lasts longer is not an interval."""
 
 
 def in_intervals(places: Sequence[Place], observed: Sequence[TrialEvidence]) -> tuple[Place, ...]:

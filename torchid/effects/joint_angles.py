@@ -18,10 +18,10 @@ from torchid.model.tree import Tree, Turn
 from torchid.motion.rotations import rotation_to_turns, turns_to_rotation
 
 APART = 0.1
-"""Root mean square of a trial by which another order's angle must differ from the model's to be worth a place of its
-own [rad]."""
+"""Proposal. Root mean square of a trial by which another order's angle must differ from the model's to be worth a
+place of its own [rad]."""
 POLE = 0.3
-"""Cosine of the second turn below which the first and the third are hardly told apart."""
+"""Proposal. Cosine of the second turn below which the first and the third are hardly told apart."""
 
 
 def bend(scene: Scene, place: Place) -> Float[Tensor, "2 frames"]:

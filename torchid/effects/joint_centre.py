@@ -24,11 +24,12 @@ from torchid.effects.scene import Scene
 from torchid.effects.traits import Origin, Site
 
 COURSES = 101
-"""Courses of a gliding centre that are weighed."""
+"""Resolution. Courses of a gliding centre that are weighed."""
 OWN_M = 3e-4
-"""Difference by which the glide along one axis may go another way than along the others [m]."""
+"""Estimator. Difference by which the glide along one axis may go another way than along the others [m]."""
 OWN_WAYS = 9.2
-"""Chi-square of two degrees of freedom that one in a hundred exceeds: then each axis goes a way of its own."""
+"""Estimator. Chi-square of two degrees of freedom that one in a hundred exceeds: then each axis goes a way of its
+own."""
 GLIDE = "a choice: in a step, a knee travels 7 mm forward and back, 3 mm sideways and along (39 knees, PMC7477710)"
 
 

@@ -18,11 +18,12 @@ from torchid.effects.traits import Correction, Occurrence, Site
 from torchid.regressor.rows import runs
 
 SWAPPED = 5
-"""Frames that a swap lasts at least."""
+"""Proposal. Frames that a swap lasts at least."""
 EVERY, AT_ONCE = 5, 1024
-"""Every how many frames pairs of markers that come near each other are looked for, and in how many frames together."""
+"""Resolution. Every how many frames pairs of markers that come near each other are looked for, and in how many frames
+together."""
 CLOSER = 0.5
-"""Part of the squared distances that may be left after a swap is undone."""
+"""Proposal. Part of the squared distances that may be left after a swap is undone."""
 
 
 @final

@@ -24,6 +24,7 @@ LOAD = (
     Parameter("mass_kg", 2.0, positive=True, source="a choice: a bag, a brace, a part of an exoskeleton"),
     Parameter("moment_seg_kgm", 0.3, 3, source="a choice: 2 kg, 15 cm from the segment's centre of mass"),
 )
+"""Estimator. Mass and first moment of what a segment carries, with their priors."""
 
 
 class PointMass(AttachedLoad):

@@ -25,15 +25,15 @@ from torchid.effects.traits import Occurrence, Origin, Site
 from torchid.model.tree import Body
 
 MODES = 12
-"""Courses of a planted motion, and the least number of any."""
+"""Resolution. Courses of a planted motion, and the least number of any."""
 FASTEST_HZ = 1.5
-"""Frequency up to which a joint's free motion is followed [Hz]."""
+"""Estimator. Frequency up to which a joint's free motion is followed [Hz]."""
 MOST_MODES = 48
-"""Courses of the longest trials."""
+"""Resolution. Courses of the longest trials."""
 JOINTS = 2
-"""Joints proposed for sliding, and for turning."""
+"""Proposal. Joints proposed for sliding, and for turning."""
 SLIDES_M, TURNS_RAD = 0.005, 0.05
-"""Prior standard deviation of a whole motion."""
+"""Estimator. Prior standard deviation of a whole motion."""
 
 
 @final

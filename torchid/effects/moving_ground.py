@@ -20,11 +20,11 @@ from torchid.effects.traits import Occurrence
 from torchid.wording import number
 
 SHAKES = tuple(0.3 + 0.02 * k for k in range(286))
-"""Frequencies at which ground that moves is looked for [Hz]."""
+"""Resolution. Frequencies at which ground that moves is looked for [Hz]."""
 PEAKS = 3
-"""Frequencies that are proposed."""
+"""Proposal. Frequencies that are proposed."""
 AROUND, NEAR = 40, 5
-"""Steps of ``SHAKES`` to either side that a frequency is compared with, and that count as the same peak."""
+"""Proposal. Steps of ``SHAKES`` to either side that a frequency is compared with, and that count as the same peak."""
 SHAKEN = "a choice: a platform or a ship in moderate sea; the floor of a building moves a hundred times less"
 
 

@@ -72,7 +72,7 @@ def covers(place: Place, trial: str) -> bool:
 
 
 EDGE_S = 0.1
-"""Time in which an effect comes, or goes, unless its place says otherwise [s]."""
+"""Estimator. Time in which an effect comes, or goes, unless its place says otherwise [s]."""
 
 
 def edge(place: Place) -> float:

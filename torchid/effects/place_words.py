@@ -5,7 +5,7 @@ from torchid.effects.traits import Site
 from torchid.wording import clean, listing, segment
 
 FEW = 4
-"""Segments that are listed by name at most."""
+"""Wording. Segments that are listed by name at most."""
 
 
 def place_words(site: Site, where: tuple[str, ...]) -> str:

@@ -25,7 +25,7 @@ from torchid.wording import stated
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 CROSSTALK = [[i, j] for i in range(6) for j in range(6) if i != j]
-"""Rows and columns of the off-diagonals of a plate's 6 x 6 map."""
+"""Resolution. Rows and columns of the off-diagonals of a plate's 6 x 6 map."""
 
 
 @final
@@ -63,9 +63,6 @@ class PlateGain(ReadingEffect):
         borne = {f.name for one in readings for k, f in enumerate(one.frames) if bool(one.wrench[:, k].any())}
         silent = [name for name in plates if name not in borne]
         return f"not of {', '.join(silent)}: nobody steps there in a fit trial" if silent else ""
-
-    def weighs(self, place: Place) -> bool:
-        return len(place.where) > 1
 
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         """The plates' wrenches times the gain.

@@ -15,6 +15,7 @@ BODY = (("forward", "back"), ("left", "right"), ("up", "down"))
 ROOM = tuple((f"along {axis}", f"against {axis}") for axis in "xyz")
 """Directions along the axes of a segment and of the laboratory, and against them."""
 DEGREES = 180.0 / math.pi
+"""Wording. Degrees of a radian."""
 
 
 @runtime_checkable

@@ -67,8 +67,8 @@ class TimeOffset(ReadingEffect):
 
 
 TRUSTED = 0.6
-"""Part of the cut-off up to which motion is restored: there, 0.9 of an amplitude came through. Faster, what markers
-show that slide on the skin would be restored as well, which no force has."""
+"""Estimator. Part of the cut-off up to which motion is restored: there, 0.9 of an amplitude came through. Faster, what
+markers show that slide on the skin would be restored as well, which no force has."""
 
 
 @final

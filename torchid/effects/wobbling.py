@@ -27,12 +27,13 @@ from torchid.kinematics.recursion import cross
 from torchid.wording import number, percent
 
 FREQUENCIES = (2.5, 2.9, 3.3, 3.9, 4.5, 5.2, 6.0, 7.0)
-"""Frequencies of wobbling masses [Hz], a choice for viscera and large soft tissue: below those of impacts in running,
-at which Wakeling & Nigg (2001) found that soft tissue of the leg rings."""
+"""Estimator. Frequencies of wobbling masses [Hz], a choice for viscera and large soft tissue: below those of impacts in
+running, at which Wakeling & Nigg (2001) found that soft tissue of the leg rings."""
 DAMPING = (0.1, 0.17, 0.3)
-"""Damping ratios of wobbling masses, a choice."""
+"""Estimator. Damping ratios of wobbling masses, a choice."""
 SOFT = 0.25
-"""Prior standard deviation of a wobbling mass, as a part of its segment's: 2 kg of a pelvis, 0.5 of an upper arm."""
+"""Estimator. Prior standard deviation of a wobbling mass, as a part of its segment's: 2 kg of a pelvis, 0.5 of an upper
+arm."""
 
 
 @final

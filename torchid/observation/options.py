@@ -31,3 +31,7 @@ class ObservationOptions:
     """Calibrated. Largest bend of a plate's load within a run, beside its noise: more is a foot that bears little."""
     still_N_s: Positive = 2.0
     """Calibrated. Largest lean of the load per second: more than any charge amplifier drifts."""
+    still_sd: Positive = 1.5
+    """Calibrated. Standard deviations of noise that lean and bend may have beside these."""
+    sudden_N: Positive = 60.0
+    """Calibrated. Load just outside a short run that shows a foot on the plate: three times that of a loaded plate."""

@@ -84,13 +84,13 @@ class TrialObservation:
         """Draws of the markers' noise, the more of them the louder the noise is; none where no camera shows it."""
         if self.response is None:
             return ()
-        draws = (self._shaken(motion) for motion in draw_noise(self.rows.motion, self.response))
+        draws = (self._drawn(motion) for motion in draw_noise(self.rows.motion, self.response))
         first = tuple(islice(draws, DRAWS))
         loud = loudness(self.rows, self._needed_about_root, [one.total.T for one in first])
         wanted = round(min(LOUD_DRAWS * loud, MOST_DRAWS))
         return (*first, *islice(draws, max(0, wanted - DRAWS)))
 
-    def _shaken(self, motion: Motion) -> NoiseDraw:
+    def _drawn(self, motion: Motion) -> NoiseDraw:
         """Return a motion as a draw, with the change of the needed wrench."""
         (needed,) = self.under(motion).needed_by(self.phi)
         return NoiseDraw(motion, (wrench_about(needed.T, self.rows.motion.q[:, :3]) - self.identified).T)

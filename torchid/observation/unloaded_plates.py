@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchid.conventions import LOADED_N
@@ -17,6 +17,8 @@ from torchid.observation.options import ObservationOptions
 from torchid.regressor.rows import runs
 from torchid.regressor.whitening import white_scatter
 
+LOWEST = 0.02
+"""Estimator. Part of the frames that lie below the lowest value that counts."""
 SCATTER = (0.2, 0.2, 0.2, 0.05, 0.05, 0.05)
 """Estimator. Standard deviation of a run's mean [N, N m], a choice: zeros wander within a trial, whatever the noise;
 strain-gauge and charge amplifiers are specified to some tenths of a newton a minute."""
@@ -57,12 +59,12 @@ def find_unloaded(raw: Reading, rate: float, options: ObservationOptions = Obser
     found = []
     for k, frame in enumerate(raw.frames):
         load = raw.wrench[:, k, 2]
-        low = float(load.quantile(0.02))
+        low = float(load.quantile(LOWEST))
         quiet = ((load - low).abs() < LOADED_N) & (raw.wrench[:, k] != 0.0).any(1) & (abs(low) < options.zero_most_N)
         edge, noise = round(options.unloaded_edge_s * rate), float(white_scatter(load[:, None]))
         some = [(a, b) for a, b in runs(quiet) if b - a >= options.unloaded_least_s * rate]
-        short = options.unloaded_short_s * rate
-        some = [(a, b) for a, b in some if b - a >= short or _sudden(load - low, a - edge, b - 1 + edge)]
+        foot, short = load - low > options.sudden_N, options.unloaded_short_s * rate
+        some = [(a, b) for a, b in some if b - a >= short or _sudden(foot, a - edge, b - 1 + edge)]
         parts = [slice(a + edge, b - edge) for a, b in some]
         still = [part for part in parts if _still(load[part], rate, noise, options)]
         if still:
@@ -80,12 +82,13 @@ def _still(load: Float[Tensor, " frames"], rate: float, noise: float, options: O
     _, lean, bend = torch.linalg.lstsq(A, load[:, None]).solution[:, 0].abs().tolist()
     _, leans, bends = (noise * torch.linalg.inv(A.T @ A).diagonal().sqrt()).tolist()
     drift = 0.5 * options.still_N_s * len(load) / rate
-    return lean < options.still_N + drift + 1.5 * leans and bend < options.still_N + 1.5 * bends
+    sd = options.still_sd
+    return lean < options.still_N + drift + sd * leans and bend < options.still_N + sd * bends
 
 
-def _sudden(load: Float[Tensor, " frames"], *ends: int) -> bool:
+def _sudden(foot: Bool[Tensor, " frames"], *ends: int) -> bool:
     """Return whether a foot stands on the plate at frames just outside a run."""
-    return all(0 <= k < len(load) and float(load[k]) > 3.0 * LOADED_N for k in ends)
+    return all(0 <= k < len(foot) and bool(foot[k]) for k in ends)
 
 
 def zero_statistics(unloaded: UnloadedPlates, sources: Sequence[tuple[Effect, Place, slice]]) -> ZeroStatistics | None:

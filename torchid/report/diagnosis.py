@@ -1,7 +1,6 @@
 """What the model gets wrong: causes in plain words, what naming them changes, and their rivals."""
 
 import math
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -67,8 +66,8 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
 
 def _refuted(found: Diagnosis) -> list[str]:
     """What was not believed."""
-    said = "Fit trials suggest {}, but {}: the model was not extended by it.{}"
-    return [said.format(called(one), _against(one), _instead(one)) for one in found.refuted]
+    said = "Fit trials suggest {}, but {}: the model was not extended by it."
+    return [said.format(called(one), _against(one)) for one in found.refuted]
 
 
 def _against(one: Refuted) -> str:
@@ -76,14 +75,6 @@ def _against(one: Refuted) -> str:
     if one.rule == "heldout_errors":
         return "held-out forces err more with it"
     return f"held-out motion is {_times(-one.heldout_log_likelihood)} likelier without it"
-
-
-def _instead(one: Refuted) -> str:
-    """Where held-out motion has it, which then is no test of that place."""
-    if one.instead is None:
-        return ""
-    where = place(replace(one, where=one.instead))
-    return f" Of other places that fit trials support nearly as well, held-out motion chose {where}."
 
 
 def _times(nats: float) -> str:

@@ -7,6 +7,7 @@ from torch import Tensor
 from torchid.contact.contact import Contact
 from torchid.diagnosis.options import MissingWeightOptions
 from torchid.observation.trial import TrialObservation
+from torchid.observation.unloaded_plates import LOWEST
 
 REST_M = 0.1
 """Estimator. Prior standard deviation of where a segment is touched, from its centre of mass [m]: half of a thigh's
@@ -25,7 +26,7 @@ def centre_of(observed: TrialObservation, segment: str) -> Float[Tensor, "3 fram
 
 def raised(at: Float[Tensor, "3 frames"], options: MissingWeightOptions) -> Bool[Tensor, " frames"]:
     """Return whether a point is above the lowest floor that it reaches."""
-    return at[2] - at[2].quantile(0.02) > options.raised_m
+    return at[2] - at[2].quantile(LOWEST) > options.raised_m
 
 
 def touched(

@@ -135,7 +135,11 @@ class LinearModel:
         return replace(self, noise=noise)
 
     def with_statistics(self, statistics: Statistics) -> "LinearModel":
-        """Return the same model with its statistics at hand, as if it had made them."""
+        """Return the same model with its statistics at hand, as if it had made them.
+
+        Args:
+            statistics: statistics of its rows under its noise.
+        """
         found = replace(self)
         found.__dict__["statistics"] = statistics
         return found
@@ -153,9 +157,9 @@ class LinearModel:
         terms = [one.terms for one in columns] or [one.terms.only(which) for one in self.rows]
         rows = tuple(_cut(one, which, more) for one, more in zip(self.rows, terms, strict=True))
         design = replace(small, trials=columns)
-        found = LinearModel(rows, self.prior.widened(design), design, self.noise)
+        found = LinearModel(rows, self.prior.for_design(design), design, self.noise)
         if "statistics" in self.__dict__:
-            found = found.with_statistics(self.statistics.only(self.design, some))
+            found = found.with_statistics(self.statistics.only(which.all, small.shared))
         return found, own
 
     def append(
@@ -178,7 +182,7 @@ class LinearModel:
                 rows[k] = with_columns(rows[k], terms, own, extra, one.effect.noisy)
                 trials[k] = _more_columns(trials[k], extra, terms)
         design = replace(design, trials=tuple(trials))
-        return LinearModel(tuple(rows), self.prior.widened(design), design, self.noise), fresh
+        return LinearModel(tuple(rows), self.prior.for_design(design), design, self.noise), fresh
 
 
 def make_model(observed: Sequence[TrialObservation], design: Design, known: Identification) -> LinearModel:

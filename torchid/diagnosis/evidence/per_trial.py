@@ -87,11 +87,11 @@ def marginalise_per_trial(statistics: Statistics, chosen: Sequence[Candidate]) -
         statistics: statistics of all trials.
         chosen: effects of the model.
     """
-    anew, trials, constant = [c for c in chosen if c.effect.per_trial], [], statistics.constant
-    if not anew:
+    apart, trials, constant = [c for c in chosen if c.effect.per_trial], [], statistics.constant
+    if not apart:
         return statistics, list(chosen)
     for k, raw in enumerate(statistics.trials):
-        if acting := [c for c in anew if k in c.trials]:
+        if acting := [c for c in apart if k in c.trials]:
             own = _own(raw, acting)
             shared = torch.linalg.solve_triangular(own.factor, own.cross(raw), upper=False)
             u = torch.linalg.solve_triangular(own.factor, own.moment(raw), upper=False)

@@ -41,7 +41,7 @@ class Prior:
         both[n:L, :n] = both[:n, n:L].T
         return TrialStatistics(live, both, torch.cat([self.inertia.T @ left[:n], scale * left[n:], left.new_zeros(1)]))
 
-    def widened(self, design: Design) -> "Prior":
+    def for_design(self, design: Design) -> "Prior":
         """Return the prior with the same inertia, for another design.
 
         Args:

@@ -7,10 +7,8 @@ from dataclasses import replace
 import torch
 
 from torchid.diagnosis.candidates.candidate import Candidate, Source
-from torchid.diagnosis.candidates.nuisances import SkinSlide
 from torchid.diagnosis.evidence.model import LinearModel
 from torchid.diagnosis.evidence.posterior import fit
-from torchid.effects.markers import SoftTissue
 
 log = logging.getLogger(__name__)
 SLIDES_M = (0.0001, 0.0002, 0.0004, 0.0008, 0.0016, 0.0032)
@@ -30,18 +28,23 @@ def with_slides(model: LinearModel) -> LinearModel:
     Args:
         model: model without any effect.
     """
-    skin = [s for s in model.design.sources if isinstance(s.effect, SkinSlide)]
-    places = [(s.place.where, s.place.follows) for s in skin]
-    each = [c for c in model.design.candidates if isinstance(c.effect, SoftTissue)]
-    each = [c for c in each if (c.place.where, c.place.follows) in places]
-    if not each:
+    named = {id(c.source) for c in model.design.candidates}
+    whole = [s for s in model.design.sources if id(s) not in named]
+    pairs = [(s, c) for c in model.design.candidates if c.effect.moves_markers for s in whole if _part(s, c)]
+    if not pairs:
         return model
-    size = _size(model, each)
+    slide = pairs[0][0].effect
+    size = _size(model, list({id(c): c for _, c in pairs}.values()))
     log.info("skin slides by %.1f mm", 1e3 * size)
-    part = min(1.0, TOGETHER * size / SkinSlide.parameters[0].scale)
-    sources = tuple(_narrower(s, part) if s in skin else s for s in model.design.sources)
+    part = min(1.0, TOGETHER * size / slide.parameters[0].scale)
+    sources = tuple(_narrower(s, part) if s.effect.name == slide.name else s for s in model.design.sources)
     design = replace(model.design, sources=sources)
-    return replace(model, design=design, prior=model.prior.widened(design))
+    return replace(model, design=design, prior=model.prior.for_design(design))
+
+
+def _part(whole: Source, one: Candidate) -> bool:
+    """Return whether what a nuisance does is part of what an effect does at a place."""
+    return whole.effect.part_of(whole.place, one.effect, one.place) is not None
 
 
 def _size(model: LinearModel, each: Sequence[Candidate]) -> float:
@@ -49,7 +52,7 @@ def _size(model: LinearModel, each: Sequence[Candidate]) -> float:
     segments."""
     small, own = model.restrict(each)
     statistics = small.marker_statistics
-    widths = [size / SoftTissue.parameters[0].scale for size in SLIDES_M]
+    widths = [size / each[0].effect.parameters[0].scale for size in SLIDES_M]
     evidence = [fit(statistics, [replace(c, widened=width) for c in own]).log_evidence for width in widths]
     weight = torch.softmax(torch.tensor(evidence, dtype=torch.float64), 0)
     return float(weight @ torch.tensor(SLIDES_M, dtype=torch.float64))

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.columns.design import Design, narrower, positions
+from torchid.diagnosis.columns.design import positions
 
 
 @dataclass(frozen=True)
@@ -63,15 +63,14 @@ class Statistics:
         """Indices of all trials."""
         return frozenset(range(len(self.trials)))
 
-    def only(self, design: Design, some: Sequence[Candidate]) -> "Statistics":
-        """Return the statistics of a design of some candidates alone.
+    def only(self, which: Int[Tensor, " kept"], shared: int) -> "Statistics":
+        """Return the statistics of some columns alone.
 
         Args:
-            design: design of these statistics.
-            some: candidates to keep.
+            which: indices of the columns to keep, ascending.
+            shared: number of those that every trial has.
         """
-        small, _, which = narrower(design, some)
-        return replace(self, shared=small.shared, trials=tuple(raw.only(which.all) for raw in self.trials))
+        return replace(self, shared=shared, trials=tuple(raw.only(which) for raw in self.trials))
 
     def block(
         self, rows: slice | Tensor, columns: slice | Tensor, seen: frozenset[int]

@@ -6,7 +6,6 @@ explain the residual, evidence is cheap: then a cause must also be seen to gain.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import combinations
 
 import torch
@@ -17,7 +16,6 @@ from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.search.estimates import parameter_map
 from torchid.diagnosis.search.result import SearchResult, support, without
-from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import StepKind, step
 from torchid.observation.trial import TrialObservation
 
@@ -76,8 +74,8 @@ def _without_negative(found: SearchResult, sd: float) -> SearchResult:
     for k, one in reversed(list(enumerate(found.chosen))):
         theta, spread = _positive_parameters(found, k)
         if len(theta) and bool((theta < 0.0).all() or (theta < -sd * spread).any()):
-            lowest = float((theta / spread).min())
-            left = step(StepKind.LEAVE, one, "negative", lowest_sd=lowest, least_sd=-min(sd, 1e3))
+            numbers = {"lowest_sd": float((theta / spread).min())} | ({"least_sd": -sd} if math.isfinite(sd) else {})
+            left = step(StepKind.LEAVE, one, "negative", **numbers)
             return _without_negative(found.having(without(found.chosen, one), left), sd)
     return found
 
@@ -155,26 +153,6 @@ def _takes_away(
         sizes(observed, residuals(observed, found.model, found.model.fit(some))) for some in ([*others, one], others)
     )
     return 1.0 - float((with_ - less).exp().min())
-
-
-def restore_record(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
-    """Return the result with a wrong record or a common gain, if forces that have left had stood for it.
-
-    Args:
-        found: result so far.
-        observed: fit trials; not asked.
-    """
-    del observed
-    left = [c for c in found.scales if c not in found.chosen]
-    if not left or not any(one.rule in ("opposed", "no_residual_gain") for one in found.trace):
-        return found
-    scan = scan_all(found.model.statistics, left, found.chosen, found.options.naming).round
-    if scan.named is None:
-        return found
-    one = scan.named.candidate
-    enter = step(StepKind.ENTER, one, "restored_record", score_nats=scan.named.score)
-    rounds = (*found.rounds[:-1], scan, found.rounds[-1])
-    return replace(found.having((*found.chosen, one), enter), rounds=rounds)
 
 
 SUPPORTED: tuple[Rule, ...] = (drop_unsupported, drop_negative)

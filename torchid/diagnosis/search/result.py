@@ -20,7 +20,7 @@ class SearchResult:
     """Effects that a model has, the scans that named them, and what may stand for them."""
 
     model: LinearModel
-    """Model with the columns of all candidates that may still be asked about."""
+    """Model with the columns of chosen effects and of what cannot be told from them."""
     chosen: tuple[Candidate, ...]
     """Effects in the model."""
     rounds: tuple[Round, ...]
@@ -29,10 +29,6 @@ class SearchResult:
     """Posterior of the model with the chosen effects."""
     options: DiagnosisOptions = DiagnosisOptions()
     """Thresholds of the diagnosis."""
-    alternative_places: tuple[tuple[Candidate, Candidate], ...] = ()
-    """Pairs of a chosen effect and another place of it, likelier ones first."""
-    scales: tuple[Candidate, ...] = ()
-    """Candidates that make all weight wrong by a factor, chosen or not."""
     twins: tuple[Candidate, ...] = ()
     """Candidates that cannot be told from chosen effects."""
     trace: Trace = ()
@@ -51,7 +47,7 @@ class SearchResult:
 def reduced(
     model: LinearModel, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions, trace: Trace
 ) -> SearchResult:
-    """Return the result of a search without columns of what nobody chose, stands for nothing chosen and weighs nothing.
+    """Return the result of a search with the columns of chosen effects and of what cannot be told from them alone.
 
     Args:
         model: model of all candidates.
@@ -61,70 +57,19 @@ def reduced(
         trace: decisions so far.
     """
     design = model.design
-    pairs = list(_alternative_places(design, chosen, rounds, options))
-    weigh, alike = scales(design), list(_twins(design, chosen, rounds, options))
-    some = list({id(c): c for c in (*chosen, *asked_later(design, chosen, rounds, options))}.values())
+    alike = list(twins_of(design, chosen, rounds, options))
+    some = list({id(c): c for c in (*chosen, *alike)}.values())
     small, cut = model.restrict(some)
     own = {id(old): new for old, new in zip(some, cut, strict=True)}
     kept = tuple(own[id(c)] for c in chosen)
     columns = tuple(one.alone for one in small.design.trials)
     less = replace(small, design=replace(small.design, trials=columns)).with_statistics(small.statistics)
     return SearchResult(
-        less, kept, tuple(rounds), less.fit(kept), options,
-        tuple((own[id(first)], own[id(other)]) for first, other in pairs),
-        tuple(own[id(c)] for c in weigh), tuple(own[id(c)] for c in alike), trace,
+        less, kept, tuple(rounds), less.fit(kept), options, tuple(own[id(c)] for c in alike), trace,
     )  # fmt: skip
 
 
-def asked_later(
-    design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
-) -> list[Candidate]:
-    """Return the candidates that are asked about when the search has ended, beside the chosen ones.
-
-    Args:
-        design: design of all candidates.
-        chosen: effects in the model.
-        rounds: scans, in order.
-        options: thresholds.
-    """
-    pairs = _alternative_places(design, chosen, rounds, options)
-    return [*(other for _, other in pairs), *scales(design), *_twins(design, chosen, rounds, options)]
-
-
-def scales(design: Design) -> list[Candidate]:
-    """Return the candidates that make all weight wrong by a factor.
-
-    Args:
-        design: design of all candidates.
-    """
-    return [c for c in design.candidates if c.effect.weighs(c.place)]
-
-
-def _alternative_places(
-    design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
-) -> Iterator[tuple[Candidate, Candidate]]:
-    """Yield chosen effects with other places that fit trials support nearly as well.
-
-    They are of effects on forces alone whose columns do not depend on where they were found: whole-body motions hardly
-    tell a mass that wobbles in the pelvis from one in the thorax.
-    """
-    naming = options.naming
-    open_ = {(c.effect.name, id(c.place)): c for c in design.candidates}
-    for one in chosen:
-        if one.effect.moves_markers or one.effect.intermittent or one.effect.shifts_time or one.effect.nonlinear:
-            continue
-        rivals = [r for r in named_in(rounds, one).rivals if r.candidate.effect.name == one.effect.name]
-        least = rivals[0].weighed - naming.out_of_sight_nats
-        near = [r for r in rivals if r.score >= naming.named_nats and r.weighed > least]
-        best = {r.candidate.place.where: r for r in reversed(near)}
-        best.pop(one.place.where, None)
-        for rival in sorted(best.values(), key=lambda rival: -rival.weighed)[: options.heldout.alternatives]:
-            key = one.effect.name, id(rival.candidate.place)
-            if key in open_:
-                yield one, open_[key]
-
-
-def _twins(
+def twins_of(
     design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
 ) -> Iterator[Candidate]:
     """Yield candidates that cannot be told from chosen effects by the scan; intervals are not searched again."""

@@ -25,7 +25,7 @@ from torchid.diagnosis.evidence.skin_prior import with_slides
 from torchid.diagnosis.options import DiagnosisOptions, NamingOptions
 from torchid.diagnosis.search.elimination import SUPPORTED, settle
 from torchid.diagnosis.search.interval_refinement import refine_interval
-from torchid.diagnosis.search.result import SearchResult, asked_later, reduced
+from torchid.diagnosis.search.result import SearchResult, reduced, twins_of
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import Step, StepKind, Trace, step
@@ -195,8 +195,8 @@ def _add(observed: Sequence[TrialObservation], state: _State, looked: Candidate 
     if effect.shifts_time or effect.nonlinear:
         model = _relinearise(observed, model, chosen)
     elif effect.intermittent and not effect.moves_markers:
-        model, last = refine_interval(observed, _under_own_noise(model, chosen), chosen)
-        chosen = (*chosen[:-1], last)
+        refined, last = refine_interval(observed, _under_own_noise(model, chosen), chosen)
+        model, chosen = refined.with_noise(model.noise), (*chosen[:-1], last)
     elif chosen[-1] is looked:
         return state
     return replace(state, model=_under_own_noise(model, chosen), chosen=chosen)
@@ -211,7 +211,7 @@ def _relinearise(observed: Sequence[TrialObservation], model: LinearModel, chose
             # All columns at once: those of the chosen effects alone would have to be taken again behind this.
             design = relinearised(observed, design, [x[n:] for x in theta])
         small, own, which = only(design, chosen)
-        less = LinearModel(spectra_of(observed, small), model.prior.widened(small), small, noise)
+        less = LinearModel(spectra_of(observed, small), model.prior.for_design(small), small, noise)
         noise = estimate_noise(less, own)
         posterior = less.with_noise(noise).fit(own)
         for k, x in enumerate(theta):
@@ -221,11 +221,11 @@ def _relinearise(observed: Sequence[TrialObservation], model: LinearModel, chose
 
 
 def _narrow(state: _State) -> _State:
-    """Return the state without columns of kinds of which as many are named as may be, but for those asked about
-    later."""
+    """Return the state without columns of kinds of which as many are named as may be, but for what cannot be
+    told from a chosen effect."""
     design, chosen = state.model.design, state.chosen
     some = [*chosen, *open_candidates(design, chosen, state.limit)]
-    some += [c for c in asked_later(design, chosen, state.rounds, state.options) if c not in some]
+    some += [c for c in twins_of(design, chosen, state.rounds, state.options) if c not in some]
     if narrower(design, some)[0].width == design.width:
         return state
     model, own = state.model.restrict(some)

@@ -1,4 +1,4 @@
-"""Causes that held-out motion speaks against leave the model, or move to a place for which it speaks.
+"""Causes that held-out motion speaks against leave the model.
 
 What held-out motion says is gathered as ``HeldOutScores``; ``refute`` decides by these numbers alone.
 """
@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.options import DiagnosisOptions, HeldOutOptions
+from torchid.diagnosis.options import HeldOutOptions
 from torchid.diagnosis.search.result import support, without
 from torchid.diagnosis.testing.heldout import HeldOut
-from torchid.diagnosis.trace import Step, StepKind, Trace, step
+from torchid.diagnosis.trace import StepKind, Trace, step
 
 
 @dataclass(frozen=True)
@@ -68,35 +68,27 @@ class Upheld:
     """Causes that are left."""
     refuted: tuple[tuple[Candidate, Refutation], ...]
     """Refuted causes with the decision on each."""
-    instead: tuple[tuple[Candidate, Candidate], ...]
-    """Pairs of a refuted cause and the place where held-out motion has it."""
     trace: Trace
     """Decisions, in order."""
 
 
-def uphold(unseen: HeldOut, chosen: Sequence[Candidate], options: DiagnosisOptions) -> Upheld:
-    """Return the causes that held-out motion does not refute; one that it refutes may sit at another place.
+def uphold(unseen: HeldOut, chosen: Sequence[Candidate], options: HeldOutOptions) -> Upheld:
+    """Return the causes that held-out motion does not refute.
 
     Args:
         unseen: the held-out trials.
         chosen: the causes.
         options: thresholds.
     """
-    kept, refuted, instead, trace = list(chosen), [], [], []
+    kept, refuted, trace = list(chosen), [], []
     while kept and unseen.trials:
-        decision = refute(score(unseen, kept, options.heldout), options.heldout)
+        decision = refute(score(unseen, kept, options), options)
         if decision is None:
             break
         gone = kept.pop(decision.index)
         refuted.append((gone, decision))
         trace.append(step(StepKind.REFUSE, gone, decision.rule, **decision.numbers))
-        moved = _elsewhere(unseen, kept, [one for one, _ in refuted], options)
-        if moved is not None:
-            other, entered = moved
-            kept.append(other)
-            instead.append((gone, other))
-            trace.append(entered)
-    return Upheld(tuple(kept), tuple(refuted), tuple(instead), tuple(trace))
+    return Upheld(tuple(kept), tuple(refuted), tuple(trace))
 
 
 def score(unseen: HeldOut, chosen: Sequence[Candidate], options: HeldOutOptions) -> HeldOutScores:
@@ -139,27 +131,3 @@ def _leeway(unseen: HeldOut, chosen: Sequence[Candidate], one: Candidate, option
     promised = math.sqrt(2.0 * unseen.share * nats) if unseen.acts_here(one) else 0.0
     in_some = one.effect.moves_markers and not unseen.everywhere(one)
     return max(promised, options.cameras_part * nats) if in_some else promised
-
-
-def _elsewhere(
-    unseen: HeldOut, kept: Sequence[Candidate], refuted: Sequence[Candidate], options: DiagnosisOptions
-) -> tuple[Candidate, Step] | None:
-    """Return the place at which the cause that was refuted last may sit, and its entry; None if there is none.
-
-    Held-out motion must speak for it as it would have to against it, and pay for each place it is asked about.
-    """
-    gone, least = refuted[-1], options.heldout.refuted_nats
-    taken = [one.place.where for one in (*kept, *refuted) if one.effect.name == gone.effect.name]
-    places = unseen.found.alternative_places
-    others = [other for one, other in places if one is gone and other.place.where not in taken]
-    for asked, other in enumerate(others, 1):
-        some = [*kept, other]
-        if support(unseen.found.model.statistics, some, other) < options.naming.named_nats:
-            continue
-        if _error_growth(unseen, some)[-1] > math.log1p(options.heldout.error_part):
-            continue
-        nats = unseen.density_of_forces(some) - unseen.density_of_forces(kept)
-        if nats > least + math.log(asked):
-            numbers = {"heldout_nats": nats, "least_nats": least + math.log(asked)}
-            return other, step(StepKind.ENTER, other, "alternative_place", **numbers)
-    return None

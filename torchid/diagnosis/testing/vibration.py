@@ -57,7 +57,7 @@ def with_vibration(
     peak = torch.stack([_peaks(one, at) for one in spectra]).min(0).values
     height, hz = float(peak.max()), float(at[peak.argmax()])
     p = min(1.0, len(at) * math.prod(_chance(height, one.free) for one in spectra))
-    lines = len(runs(peak > 0.5 * options.vibration_ratio))
+    lines = len(runs(peak > options.vibration_line_part * options.vibration_ratio))
     if height < options.vibration_ratio or p > options.p_value or lines > options.vibration_lines:
         return rest
     said = (

@@ -3,12 +3,10 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import takewhile
 
 import torch
 from torch import Tensor
 
-from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.candidates.missing_weight import MissingWeight
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search.estimates import estimate, instead, internal
@@ -105,7 +103,7 @@ def cause_of(found: SearchResult, k: int, gain: dict[str, float], names: Sequenc
         names: names of the fit trials and, behind them, of the held-out ones.
     """
     one, limits = found.chosen[k], found.options.confidence
-    own, others = shares(_upheld(found, one), one)
+    own, others = shares(named_in(found.rounds, one), one)
     alike = tuple(_twin(found, k, share) for share in twins(others, limits.twins))
     listed = tuple(Alternative(*_named(share), share.weight) for share in others if share.weight > LISTED)
     confidence = min(1.0, own.weight + sum(twin.confidence for twin in alike))
@@ -133,19 +131,6 @@ def _named(share: Share) -> tuple[str, tuple[str, ...]]:
 def _table(values: dict[str, tuple[Tensor, Tensor]]) -> dict[str, dict[str, Tensor]]:
     """Return values and standard deviations by key, as ``Cause.parameters`` has them."""
     return {key: {"value": value, "sd": sd} for key, (value, sd) in values.items()}
-
-
-def _upheld(found: SearchResult, one: Candidate) -> Round:
-    """Return the round that named a cause; if it stands for another place, without those that were refused before
-    it."""
-    first = next((first for first, other in found.alternative_places if other is one), None)
-    if first is None:
-        return named_in(found.rounds, one)
-    tried = [first, *(other for own, other in found.alternative_places if own is first)]
-    refused = [(c.effect.name, c.place.where) for c in takewhile(lambda c: c is not one, tried)]
-    scan = named_in(found.rounds, first)
-    left = (r for r in scan.compared if (r.candidate.effect.name, r.candidate.place.where) not in refused)
-    return replace(scan, compared=tuple(left))
 
 
 def untested(observed: Sequence[TrialObservation], plates: Sequence[SessionPlate]) -> dict[str, str]:

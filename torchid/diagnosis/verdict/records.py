@@ -126,9 +126,6 @@ class Refuted:
     """``heldout_density`` or ``heldout_errors``."""
     numbers: dict[str, float]
     """Numbers that the rule compared, by names that end in their unit."""
-    instead: tuple[str, ...] | None = None
-    """Names of the place that held-out motion has it at, among those that fit trials support nearly as well; None:
-    none."""
 
 
 @dataclass(frozen=True)
