@@ -1,5 +1,7 @@
 """Linear models whose statistics are given, without rows."""
 
+from dataclasses import replace
+
 import torch
 
 from torchid.diagnosis.columns.design import Design
@@ -14,3 +16,8 @@ def model_of(design: Design, prior: Prior, statistics: Statistics) -> LinearMode
     """A model that has these statistics under any noise."""
     noise = initial_noise(initial_whitening(torch.ones(2).to(prior.mean)), len(statistics.trials))
     return LinearModel((), prior, design, noise).with_statistics(statistics)
+
+
+def with_candidates(model: LinearModel, candidates: tuple) -> LinearModel:
+    """The same with other candidates in its design."""
+    return model_of(replace(model.design, candidates=candidates), model.prior, model.statistics)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from models import with_candidates
 from test_doubtful import found as searched
 from torch.testing import assert_close
 
@@ -12,10 +13,12 @@ from torchid.diagnosis.candidates.candidate import Candidate, Source
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import NamingOptions
+from torchid.diagnosis.search.elimination import restore_record
 from torchid.diagnosis.search.estimates import estimate
 from torchid.diagnosis.search.result import reduced
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
+from torchid.diagnosis.trace import StepKind, step
 from torchid.diagnosis.verdict.causes import cause_of
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
@@ -146,3 +149,33 @@ def test_causes_of_the_session_are_not_taken_for_each_other():
     said = cause_of(replace(search, rounds=tuple(rounds)), 2, {}, ("a", "b"))
     assert said.effect == "marker_scale" and said.confidence == pytest.approx(1.0, abs=1e-3)
     assert not said.indistinguishable
+
+
+def test_what_weighs_is_kept_to_the_end():
+    """Chosen or not, once."""
+    search = searched(torch.eye(3).double(), torch.ones(3).double())
+    drag, *others = search.chosen
+    both = [replace(one, effect=effect(name)) for one, name in zip(others, ("body_mass", "plate_gain"), strict=True)]
+    both[1] = replace(both[1], place=Place(("plate_1", "plate_2")))
+    model = with_candidates(search.model, (drag, *both))
+    rounds = [round_of((one, 9.0, 9.0)) for one in (drag, *both)]
+    found = reduced(model, [drag, both[0]], rounds, search.options, ())
+    assert found.scales[0] is found.chosen[1] and [c.effect.name for c in found.scales] == ["body_mass", "plate_gain"]
+
+
+@pytest.mark.parametrize(("dropped", "size", "named"), [(True, 9.0, True), (True, 0.05, False), (False, 9.0, False)])
+def test_weight_is_asked_about_again_when_forces_are_dropped(dropped, size, named):
+    """They may have stood for a wrong record; what the last scan came near to is still told of that."""
+    before = searched(torch.eye(3).double(), torch.tensor([size, 9.0, 9.0]).double())
+    place = Place(("session",), grid={"recorded_kg": 70.0})
+    weight = replace(before.chosen[0], effect=effect("body_mass"), place=place)
+    left = before.chosen[2:] if dropped else before.chosen[1:]
+    last = round_of((before.chosen[1], 1.0, 1.0))
+    before = replace(before, chosen=before.chosen[1:], scales=(weight,), rounds=(last,))
+    gone = [c for c in before.chosen if c not in left]
+    steps = [step(StepKind.LEAVE, one, "no_residual_gain", residual_part=0.0) for one in gone]
+    after = restore_record(before.having(left, *steps), ())
+    assert after.chosen == ((*left, weight) if named else left) == after.posterior.chosen
+    assert after.rounds[-1] is last and len(after.rounds) == 1 + named
+    if named:
+        assert cause_of(after, len(left), {}, ("a", "b")).effect == "body_mass"

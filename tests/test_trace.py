@@ -34,7 +34,7 @@ def test_every_rule_has_its_words():
 def test_a_decision_is_a_sentence(rule):
     """It names the cause, has a number, and no underscore, whatever the numbers are."""
     rng = np.random.default_rng(small.SEED)
-    names = ("evidence_nats", "crossed_nats", "effect_nats", "least_nats", "heldout_nats", "leeway_nats",
+    names = ("evidence_nats", "crossed_nats", "effect_nats", "least_nats", "score_nats", "heldout_nats", "leeway_nats",
              "background_nats", "missing_part", "lowest_sd", "remaining_part", "residual_part", "least_part", "factor",
              "error_growth_part", "field_part", "p_value")  # fmt: skip
     numbers = {name: float(rng.normal(scale=30.0 if name.endswith("nats") else 0.4)) for name in names}

@@ -6,7 +6,7 @@ from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.options import DiagnosisOptions
-from torchid.diagnosis.search.elimination import AT_LAST, SUPPORTED, VISIBLE, eliminate, settle
+from torchid.diagnosis.search.elimination import AT_LAST, SUPPORTED, VISIBLE, eliminate, restore_record, settle
 from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.search.stepwise import search
 from torchid.diagnosis.testing.heldout import HeldOut
@@ -59,6 +59,7 @@ def diagnose(
     found = search(observed, effects, known, limit, options)
     if _remains(found, observed, len(heldout)).significant:
         found = settle(eliminate(found, observed, VISIBLE), observed, SUPPORTED)
+        found = restore_record(found, observed)
     unseen = HeldOut(found, observed, heldout)
     upheld = uphold(unseen, unseen.acting(), options.heldout)
     found = settle(found.having(upheld.chosen, *upheld.trace), observed, AT_LAST)

@@ -64,6 +64,9 @@ class PlateGain(ReadingEffect):
         silent = [name for name in plates if name not in borne]
         return f"not of {', '.join(silent)}: nobody steps there in a fit trial" if silent else ""
 
+    def weighs(self, place: Place) -> bool:
+        return len(place.where) > 1
+
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         """The plates' wrenches times the gain.
 

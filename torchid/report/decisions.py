@@ -67,6 +67,7 @@ def _field(n: Numbers) -> str:
 RULES: dict[str, Callable[[Numbers], str]] = {
     "evidence": _entered(""),
     "evidence_under_its_own_noise": _entered(", judged beside the noise that it would leave itself"),
+    "restored_record": lambda n: f"enters since forces that stood for it have left: {odds(n['score_nats'])}",
     "missing_weight": lambda n: (
         f"enters before any search: up to {percent(n['missing_part'])} of the weight are borne where no plate is"
     ),

@@ -6,6 +6,7 @@ explain the residual, evidence is cheap: then a cause must also be seen to gain.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import torch
@@ -16,6 +17,7 @@ from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.search.estimates import parameter_map
 from torchid.diagnosis.search.result import SearchResult, support, without
+from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import StepKind, step
 from torchid.observation.trial import TrialObservation
 
@@ -153,6 +155,26 @@ def _takes_away(
         sizes(observed, residuals(observed, found.model, found.model.fit(some))) for some in ([*others, one], others)
     )
     return 1.0 - float((with_ - less).exp().min())
+
+
+def restore_record(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
+    """Return the result with a wrong record or a common gain, if forces that have left had stood for it.
+
+    Args:
+        found: result so far.
+        observed: fit trials; not asked.
+    """
+    del observed
+    left = [c for c in found.scales if c not in found.chosen]
+    if not left or not any(one.rule in ("opposed", "no_residual_gain") for one in found.trace):
+        return found
+    scan = scan_all(found.model.statistics, left, found.chosen, found.options.naming).round
+    if scan.named is None:
+        return found
+    one = scan.named.candidate
+    enter = step(StepKind.ENTER, one, "restored_record", score_nats=scan.named.score)
+    rounds = (*found.rounds[:-1], scan, found.rounds[-1])
+    return replace(found.having((*found.chosen, one), enter), rounds=rounds)
 
 
 SUPPORTED: tuple[Rule, ...] = (drop_unsupported, drop_negative)

@@ -20,7 +20,7 @@ class SearchResult:
     """Effects that a model has, the scans that named them, and what may stand for them."""
 
     model: LinearModel
-    """Model with the columns of chosen effects and of what cannot be told from them."""
+    """Model with the columns of chosen effects, of what cannot be told from them, and of what weighs."""
     chosen: tuple[Candidate, ...]
     """Effects in the model."""
     rounds: tuple[Round, ...]
@@ -29,6 +29,8 @@ class SearchResult:
     """Posterior of the model with the chosen effects."""
     options: DiagnosisOptions = DiagnosisOptions()
     """Thresholds of the diagnosis."""
+    scales: tuple[Candidate, ...] = ()
+    """Candidates that make all weight wrong by a factor, chosen or not."""
     twins: tuple[Candidate, ...] = ()
     """Candidates that cannot be told from chosen effects."""
     trace: Trace = ()
@@ -47,7 +49,7 @@ class SearchResult:
 def reduced(
     model: LinearModel, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions, trace: Trace
 ) -> SearchResult:
-    """Return the result of a search with the columns of chosen effects and of what cannot be told from them alone.
+    """Return the result of a search without columns of what nobody chose and nobody asks about later.
 
     Args:
         model: model of all candidates.
@@ -57,19 +59,43 @@ def reduced(
         trace: decisions so far.
     """
     design = model.design
-    alike = list(twins_of(design, chosen, rounds, options))
-    some = list({id(c): c for c in (*chosen, *alike)}.values())
+    weigh, alike = scales(design), list(_twins(design, chosen, rounds, options))
+    some = list({id(c): c for c in (*chosen, *weigh, *alike)}.values())
     small, cut = model.restrict(some)
     own = {id(old): new for old, new in zip(some, cut, strict=True)}
     kept = tuple(own[id(c)] for c in chosen)
     columns = tuple(one.alone for one in small.design.trials)
     less = replace(small, design=replace(small.design, trials=columns)).with_statistics(small.statistics)
     return SearchResult(
-        less, kept, tuple(rounds), less.fit(kept), options, tuple(own[id(c)] for c in alike), trace,
+        less, kept, tuple(rounds), less.fit(kept), options,
+        tuple(own[id(c)] for c in weigh), tuple(own[id(c)] for c in alike), trace,
     )  # fmt: skip
 
 
-def twins_of(
+def asked_later(
+    design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
+) -> list[Candidate]:
+    """Return the candidates that are asked about when the search has ended, beside the chosen ones.
+
+    Args:
+        design: design of all candidates.
+        chosen: effects in the model.
+        rounds: scans, in order.
+        options: thresholds.
+    """
+    return [*scales(design), *_twins(design, chosen, rounds, options)]
+
+
+def scales(design: Design) -> list[Candidate]:
+    """Return the candidates that make all weight wrong by a factor.
+
+    Args:
+        design: design of all candidates.
+    """
+    return [c for c in design.candidates if c.effect.weighs(c.place)]
+
+
+def _twins(
     design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
 ) -> Iterator[Candidate]:
     """Yield candidates that cannot be told from chosen effects by the scan; intervals are not searched again."""

@@ -25,7 +25,7 @@ from torchid.diagnosis.evidence.skin_prior import with_slides
 from torchid.diagnosis.options import DiagnosisOptions, NamingOptions
 from torchid.diagnosis.search.elimination import SUPPORTED, settle
 from torchid.diagnosis.search.interval_refinement import refine_interval
-from torchid.diagnosis.search.result import SearchResult, reduced, twins_of
+from torchid.diagnosis.search.result import SearchResult, asked_later, reduced
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import Step, StepKind, Trace, step
@@ -221,11 +221,11 @@ def _relinearise(observed: Sequence[TrialObservation], model: LinearModel, chose
 
 
 def _narrow(state: _State) -> _State:
-    """Return the state without columns of kinds of which as many are named as may be, but for what cannot be
-    told from a chosen effect."""
+    """Return the state without columns of kinds of which as many are named as may be, but for those asked about
+    later."""
     design, chosen = state.model.design, state.chosen
     some = [*chosen, *open_candidates(design, chosen, state.limit)]
-    some += [c for c in twins_of(design, chosen, state.rounds, state.options) if c not in some]
+    some += [c for c in asked_later(design, chosen, state.rounds, state.options) if c not in some]
     if narrower(design, some)[0].width == design.width:
         return state
     model, own = state.model.restrict(some)
