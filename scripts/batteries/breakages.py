@@ -1,10 +1,11 @@
 """Ten faults planted in a copy of the project, each of which a test must catch.
 
     PYTHONPATH=scripts python -m batteries.breakages
-    PYTHONPATH=scripts python -m batteries.breakages --tests ../before/tests
+    PYTHONPATH=scripts python -m batteries.breakages --project ../before
 
 A fault is one changed line where a whole run ends otherwise. Tests are run fault by fault until the first fails;
-``--tests`` takes them from elsewhere, such as the suite before it was shortened. Exits with 1 if a fault stays unseen.
+``--project`` takes another checkout, such as the one before its tests were shortened. Exits with 1 if a fault stays
+unseen.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
-COPIED = ("torchid", "scripts", "configs", "docs", "pyproject.toml", "README.md", "CONTRIBUTING.md")
+COPIED = ("torchid", "tests", "scripts", "configs", "docs", "pyproject.toml", "README.md", "CONTRIBUTING.md")
 
 
 @dataclass(frozen=True)
@@ -59,12 +60,12 @@ FAULTS = (
 )  # fmt: skip
 
 
-def caught(fault: Fault, tests: Path) -> str:
+def caught(fault: Fault, project: Path) -> str:
     """Return the test that fails because of a fault, empty if none does.
 
     Args:
         fault: the fault.
-        tests: folder of the tests.
+        project: checkout that is copied.
 
     Raises:
         ValueError: the line is not there, once.
@@ -72,8 +73,7 @@ def caught(fault: Fault, tests: Path) -> str:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for item in COPIED:
-            (shutil.copytree if (PROJECT / item).is_dir() else shutil.copy)(PROJECT / item, folder / item)
-        shutil.copytree(tests, folder / "tests", ignore=shutil.ignore_patterns("__pycache__"))
+            (shutil.copytree if (project / item).is_dir() else shutil.copy)(project / item, folder / item)
         path = folder / "torchid" / fault.file
         text = path.read_text(encoding="utf-8")
         if text.count(fault.line) != 1:
@@ -96,12 +96,12 @@ def _environment() -> dict[str, str]:
 def main() -> None:
     """Print what catches each fault."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tests", type=Path, default=PROJECT / "tests", help="folder with the tests")
+    parser.add_argument("--project", type=Path, default=PROJECT, help="checkout with its tests")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
     unseen = 0
     with ThreadPoolExecutor(arguments.workers) as pool:
-        for fault, said in zip(FAULTS, pool.map(lambda one: caught(one, arguments.tests), FAULTS), strict=True):
+        for fault, said in zip(FAULTS, pool.map(lambda one: caught(one, arguments.project), FAULTS), strict=True):
             unseen += not said
             print(f"{fault.what}: {said or 'NOT SEEN'}", flush=True)
     print(f"{len(FAULTS) - unseen} of {len(FAULTS)} faults caught")
