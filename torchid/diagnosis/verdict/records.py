@@ -105,7 +105,8 @@ class Near:
     where: tuple[str, ...]
     """Names of the place."""
     evidence_nats: float
-    """Score of the effect, averaged over its places [nat]; ``NamingOptions.named_nats`` would name it."""
+    """Score of the effect, averaged over its places [nat]; ``NamingOptions.named_nats`` would name it if its place were
+    the best of all."""
 
 
 @dataclass(frozen=True)
