@@ -202,7 +202,7 @@ def test_a_trial_that_starts_anywhere_is_followed(seed: int, blank: float) -> No
     shown = torch.arange(right.shape[1]) >= blank * right.shape[1]
     problem = replace(problem, weight=problem.weight * shown)
     draw, shares = torch.Generator().manual_seed(seed), []
-    for _ in range(3):
+    for _ in range(6):
         turned = torch.zeros_like(right[:, :1])
         turned[6:] = 0.7 * torch.randn(len(right) - 6, 1, generator=draw, dtype=right.dtype)
         astray = (settle(problem, right + turned, fit.xi) - right).abs().amax(0) > 1e-2
