@@ -105,8 +105,7 @@ def _recordings(what: list[str]) -> Iterator[tuple[tuple, float | None]]:
 
         config = load_config(what[0], what[1:])
         for trial in config.trials:
-            options = ReadOptions(trial.subject, trial.up, trial.units, trial.allow_truncated)
-            yield (trial.name, trial.file, trial.forces, trial.role, options), config.subject.mass_kg
+            yield (trial.name, trial.file, trial.forces, trial.role, config.reading(trial)), config.subject.mass_kg
     else:
         for file, forces in pair_files([Path(text) for text in what]):
             yield (file.stem, file, forces, "fit", ReadOptions()), None

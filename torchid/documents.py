@@ -52,6 +52,8 @@ class _Loader(yaml.SafeLoader):
         mapping: dict[Hashable, Any] = {}
         for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
+            if type(key) is int:  # plates: {2: ...}; in JSON every key is text
+                key = str(key)
             if not isinstance(key, str):
                 raise _marked("config.key", "a key must be text", key_node.start_mark, str(key), "Put it in quotes.")
             if key in mapping:

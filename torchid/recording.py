@@ -46,6 +46,8 @@ class Plate:
     """Channel or column name in the file, such as ``plate 2`` or ``ground_force_1``."""
     corners: Float[Tensor, "4 3"] | None = None
     """Corners in W [m], None when the file has none (MOT)."""
+    origin: Float[Tensor, " 3"] | None = None
+    """From the transducer to the centre of the surface, in the plate's axes [m]; None where the file tells none."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from torchid.contact.options import ContactOptions
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.geometry.options import GeometryOptions
 from torchid.inertia.options import InertiaOptions
+from torchid.io.mend import ForcesAs, PlateAs
+from torchid.io.options import ReadOptions
 from torchid.simulate.options import SimulateOptions
 
 PROJECT_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -107,6 +109,10 @@ class TrialFile(Section):
     up: Literal["y", "z"] | None = None
     units: Literal["mm", "cm", "dm", "m", "in"] | None = None
     allow_truncated: bool = False
+    forces_as: ForcesAs | None = None
+    """What is wrong with its forces; absent: what the config says for all trials."""
+    plates: dict[int, PlateAs] | None = None
+    """What is wrong with single force plates, by number; absent: what the config says for all trials."""
     geometry: bool = True
     """Takes part in the fit of the geometry."""
     inertia: bool = True
@@ -153,6 +159,10 @@ class Config(Section):
     model: ModelSource = "whole_body"
     markers: MarkerSource
     trials: tuple[TrialFile, ...] = ()
+    forces_as: ForcesAs = ForcesAs()
+    """How the forces of every trial are to be read, where they are not as they should be."""
+    plates: dict[int, PlateAs] = Field(default_factory=dict)
+    """How single force plates of every trial are to be read, by number."""
     geometry: GeometryOptions = GeometryOptions()
     motion: Motion = Motion()
     contact: ContactOptions = ContactOptions()
@@ -165,6 +175,12 @@ class Config(Section):
     out: UserPath = Field(default=Path("out"), validate_default=True)
     """Folder of the results."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+    def reading(self, file: TrialFile) -> ReadOptions:
+        """How a trial of this config is to be read."""
+        forces_as = self.forces_as if file.forces_as is None else file.forces_as
+        plates = self.plates if file.plates is None else file.plates
+        return ReadOptions(file.subject, file.up, file.units, file.allow_truncated, forces_as, plates)
 
     @field_validator("trials")
     @classmethod

@@ -6,7 +6,7 @@ from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.errors import DataError, Note
 from torchid.geometry.assign import assign_markers
-from torchid.io import ReadOptions, read_trial
+from torchid.io import read_trial
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
 from torchid.model.marker_set import load_marker_set
@@ -31,7 +31,7 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     """
     files = {file.name: file for file in config.trials}
     # Kept twice: beside an hour's samples of the plates the markers would have no room.
-    trials = {name: keep(synchronise(keep(_read(file)))) for name, file in files.items()}
+    trials = {name: keep(synchronise(keep(_read(file, config)))) for name, file in files.items()}
     _refuse_short(trials)
     model, said = _model(config)
     markers = load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
@@ -40,9 +40,8 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     return Session(trials, files, assignment, (*notes, *said, *assignment.notes))
 
 
-def _read(file: TrialFile) -> Trial:
-    options = ReadOptions(file.subject, file.up, file.units, file.allow_truncated)
-    return read_trial(file.name, file.file, file.forces, file.role, options)
+def _read(file: TrialFile, config: Config) -> Trial:
+    return read_trial(file.name, file.file, file.forces, file.role, config.reading(file))
 
 
 def _refuse_short(trials: dict[str, Trial]) -> None:

@@ -10,11 +10,12 @@ from torchid.io.c3d_data import analog_pieces, read_analogs, read_points
 from torchid.io.c3d_header import C3dHeader, read_header
 from torchid.io.c3d_layout import Layout, resolve_layout
 from torchid.io.files import FileBytes
-from torchid.io.frame import METRES, length_unit
+from torchid.io.frame import length_unit
 from torchid.io.labels import OUTPUT_LISTS, select_markers
 from torchid.io.options import ReadOptions
 from torchid.io.plates import read_plates
 from torchid.io.raw import RawTrial, assemble
+from torchid.io.units import METRES
 from torchid.recording import Event, Forces, Trial
 
 
@@ -59,7 +60,7 @@ def _raw(data: FileBytes, header: C3dHeader, layout: Layout, options: ReadOption
     position = read_points(data, layout, header, chosen.columns)
     unit, said = length_unit(" ".join(header.strings("POINT", "UNITS")[:1]), position, options, header.source)
     begin = (layout.first_frame - 1) / layout.rate
-    forces, force_notes, plate_facts = _forces(data, header, layout, METRES[unit], begin)
+    forces, force_notes, plate_facts = _forces(data, header, layout, METRES[unit], begin, options)
     time = begin + np.arange(layout.frames) / layout.rate
     position *= METRES[unit]
     events, event_notes = _events(header, layout, begin)
@@ -90,14 +91,14 @@ def _screen_axis(header: C3dHeader) -> str:
 
 
 def _forces(
-    data: FileBytes, header: C3dHeader, layout: Layout, metres: float, begin: float
+    data: FileBytes, header: C3dHeader, layout: Layout, metres: float, begin: float, options: ReadOptions
 ) -> tuple[Forces | None, list[Note], dict[str, str]]:
     if not layout.channels or not layout.frames:
         return None, [Note("plates.none", "the file has no analog data", header.source)], {}
     _, said = read_analogs(data, layout, header, ())
     read = lambda columns: analog_pieces(data, layout, header, columns)  # noqa: E731
     samples = layout.frames * layout.ratio
-    wrench, plates, notes, facts = read_plates(header, read, (samples, layout.channels), metres)
+    wrench, plates, notes, facts = read_plates(header, read, (samples, layout.channels), metres, options.plates)
     if not plates:
         return None, [*said, *notes, Note("plates.none", "the file has no usable force plate", header.source)], facts
     notes += _invalid(wrench, header.source)

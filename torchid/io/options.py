@@ -1,7 +1,10 @@
 """What a user may say about a file that the file itself leaves open or gets wrong."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
+
+from torchid.io.mend import ForcesAs, PlateAs
 
 
 @dataclass(frozen=True)
@@ -16,3 +19,7 @@ class ReadOptions:
     """Unit of the marker positions, where the file states none or a wrong one."""
     allow_truncated: bool = False
     """Read what is there of a C3D whose data section ends early, and say so."""
+    forces_as: ForcesAs = ForcesAs()
+    """What is wrong with all forces of the file."""
+    plates: Mapping[int, PlateAs] = field(default_factory=dict)
+    """What is wrong with single force plates, by number."""

@@ -19,6 +19,8 @@ from torch import Tensor
 from torchid.conventions import LOADED_N
 from torchid.errors import Note
 from torchid.io.c3d_header import C3dHeader
+from torchid.io.mend import PlateAs, PlatesAs, ordered_corners
+from torchid.io.units import METRES
 from torchid.recording import Plate
 
 CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
@@ -49,7 +51,7 @@ class PlateProblem(Exception):
 
 
 def read_plates(
-    header: C3dHeader, read: ReadChannels, shape: tuple[int, int], metres: float
+    header: C3dHeader, read: ReadChannels, shape: tuple[int, int], metres: float, changes: PlatesAs
 ) -> tuple[Float[Tensor, "samples plates 6"], tuple[Plate, ...], list[Note], dict[str, str]]:
     """Wrenches of all usable plates.
 
@@ -58,6 +60,7 @@ def read_plates(
         read: gives the scaled samples of the analog channels asked for.
         shape: samples and channels of the file.
         metres: length of the file's unit of position [m].
+        changes: what the user says about single plates; here their corners matter.
 
     Returns:
         Wrench (samples, plates, 6) on the subject about the origin of the file's axes [N, N m], the plates with corners
@@ -73,18 +76,19 @@ def read_plates(
     found = np.empty((shape[0], min(count, 255), 6))
     for k in range(min(count, 255)):
         try:
-            setup = _setup(header, k, metres)
+            setup = _setup(header, k, metres, changes.get(k + 1, PlateAs()))
             said = _read_wrench(setup, read, shape[1], header, metres, found[:, len(plates)])
         except PlateProblem as problem:
             notes.append(Note("plates.refused", f"plate {k + 1} cannot be used: {problem}", header.source))
+            facts["plates refused"] = f"{facts.get('plates refused', '')} {k + 1}".strip()
             continue
         notes += [Note("plates.assumed", f"plate {k + 1}: {text}", header.source) for text in said]
         facts[f"plate {k + 1} type"] = str(setup.kind)
-        plates.append(Plate(f"plate {k + 1}", torch.from_numpy(setup.corners)))
+        plates.append(Plate(f"plate {k + 1}", torch.from_numpy(setup.corners), torch.from_numpy(_upright(setup))))
     return torch.from_numpy(np.ascontiguousarray(found[:, : len(plates)])), tuple(plates), notes, facts
 
 
-def _setup(header: C3dHeader, k: int, metres: float) -> PlateSetup:
+def _setup(header: C3dHeader, k: int, metres: float, change: PlateAs) -> PlateSetup:
     kind = int(_finite(header.numbers("FORCE_PLATFORM", "TYPE")[k : k + 1], 1, "TYPE")[0])
     if kind not in CHANNELS:
         raise PlateProblem(f"type {kind} is not supported (types 1 to 4 are)")
@@ -98,7 +102,18 @@ def _setup(header: C3dHeader, k: int, metres: float) -> PlateSetup:
     if kind == 4:
         entries = _finite(header.numbers("FORCE_PLATFORM", "CAL_MATRIX")[36 * k : 36 * k + 36], 36, "CAL_MATRIX")
         calibration = entries.reshape(6, 6).T
-    return PlateSetup(k + 1, kind, channels, corners * metres, origin * metres, calibration)
+    corners = corners * (METRES[change.corner_unit] if change.corner_unit else metres)
+    corners = ordered_corners(torch.from_numpy(corners), change).numpy()
+    return PlateSetup(k + 1, kind, channels, corners, origin * metres, calibration)
+
+
+def _upright(setup: PlateSetup) -> Float[np.ndarray, " 3"]:
+    """The right ORIGIN: from the transducer to the surface above it."""
+    if setup.kind == 1:
+        return np.zeros(3)
+    if setup.kind == 3:
+        return np.array([0.0, 0.0, -abs(setup.origin[2])])
+    return -setup.origin if setup.origin[2] > 0 else setup.origin
 
 
 def _finite(values: np.ndarray, count: int, name: str) -> np.ndarray:
@@ -191,15 +206,13 @@ def _factor(kind: str, unit: str) -> float | None:
 
 def _in_plate(setup: PlateSetup, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force and moment (samples, 3) at the transducer in plate axes, and the right ORIGIN."""
-    flipped = bool(setup.origin[2] > 0)
     if setup.kind == 3:
-        a, b, depth = setup.origin[0], setup.origin[1], -abs(setup.origin[2])
-        return *_kistler(raw, a, b), np.array([0.0, 0.0, depth])
+        return *_kistler(raw, setup.origin[0], setup.origin[1]), _upright(setup)
     force, zero = raw[:, :3], np.zeros(len(raw))
     if setup.kind == 1:
         point = np.stack([raw[:, 3], raw[:, 4], zero], axis=1)
-        return force, np.cross(point, force) + np.stack([zero, zero, raw[:, 5]], axis=1), np.zeros(3)
-    return force, raw[:, 3:], -setup.origin if flipped else setup.origin
+        return force, np.cross(point, force) + np.stack([zero, zero, raw[:, 5]], axis=1), _upright(setup)
+    return force, raw[:, 3:], _upright(setup)
 
 
 def _kistler(raw: np.ndarray, a: float, b: float) -> tuple[np.ndarray, np.ndarray]:

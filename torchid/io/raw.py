@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
 from torchid.io.frame import SAMPLES, to_world, turn_to_world, vertical_axis
+from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
 from torchid.io.plates import baseline
@@ -44,7 +45,8 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     position = np.require(raw.position, float, ["C", "W"])
     mask, missing = missing_samples(position, raw.source)
     position[mask] = np.nan
-    axis, said = vertical_axis(position, raw.forces, raw.up, raw.customary, options, raw.source)
+    same_axes = options.forces_as.up is None  # else the forces say nothing about the markers' vertical
+    axis, said = vertical_axis(position, raw.forces if same_axes else None, raw.up, raw.customary, options, raw.source)
     held: list[Note] = []
     if role != "static" and len(raw.time) > 1:
         rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
@@ -52,15 +54,28 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
         position[mask] = np.nan
     world = turn_to_world(torch.from_numpy(position), axis)
     markers = Markers(raw.labels, torch.from_numpy(np.ascontiguousarray(raw.time, dtype=float)), world)
-    forces = None if raw.forces is None else _forces_in_world(raw.forces, axis)
-    notes = (*raw.notes, *missing, *said, *held, *_force_notes(forces, raw))
+    forces = None if raw.forces is None else _forces_in_world(raw.forces, axis, options, raw.source)
+    notes = (*raw.notes, *missing, *said, *held, *_mended(options, raw.source), *_force_notes(forces, raw))
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
     return Trial(name, markers, forces, role, raw.events, notes, parameters)
 
 
-def _forces_in_world(forces: Forces, axis: str) -> Forces:
+def _forces_in_world(forces: Forces, axis: str, options: ReadOptions, source: str) -> Forces | None:
+    forces = turned_up(forces, options.forces_as, axis)
     plates = tuple(replace(p, corners=None if p.corners is None else to_world(p.corners, axis)) for p in forces.plates)
-    return Forces(forces.time, turn_to_world(forces.wrench, axis), plates)
+    forces = Forces(forces.time, turn_to_world(forces.wrench, axis), plates)
+    return mend(forces, options.forces_as, options.plates, source)
+
+
+def _mended(options: ReadOptions, source: str) -> list[Note]:
+    """What the user's word changed in the forces."""
+    said = []
+    if options.forces_as != ForcesAs():
+        said.append(Note("forces.as_asked", f"forces read as asked: {in_words(options.forces_as)}", source))
+    for number, change in sorted(options.plates.items()):
+        if change != PlateAs():
+            said.append(Note("plates.as_asked", f"plate {number} read as asked: {in_words(change)}", source))
+    return said
 
 
 def _force_notes(forces: Forces | None, raw: RawTrial) -> list[Note]:

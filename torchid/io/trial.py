@@ -4,13 +4,14 @@ from pathlib import Path
 
 from torchid.errors import InputError, Note
 from torchid.io.c3d import read_c3d
-from torchid.io.frame import METRES, length_unit
+from torchid.io.frame import length_unit
 from torchid.io.grf import forces_from_storage
 from torchid.io.labels import select_markers
 from torchid.io.options import ReadOptions
 from torchid.io.raw import RawTrial, assemble
 from torchid.io.storage import read_storage
 from torchid.io.trc import read_trc
+from torchid.io.units import METRES
 from torchid.recording import Forces, Trial
 
 ROLES = ("static", "fit", "heldout")

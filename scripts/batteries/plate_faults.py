@@ -1,0 +1,248 @@
+"""Plants faults of force plates into the shared recordings and counts what is named.
+
+    scripts/plate_faults                   # every fault once in every recording, at places drawn by lot
+    scripts/plate_faults --only HC03 --faults turned   # some of them
+
+A fault is named right if the one line advised, added to the trial and read again, gives the forces of the right file.
+"""
+
+import argparse
+import glob
+import json
+import os
+import secrets
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import yaml
+
+from batteries.planted_plates import Fault, c3d_faults, mot_faults
+from torchid.agreement.changes import Change
+from torchid.agreement.judge import judge
+from torchid.config.sections import PROJECT_DATA, Config
+from torchid.errors import TorchidError
+from torchid.io import ReadOptions, read_trial
+from torchid.io.resample import synchronise
+from torchid.recording import Forces, Trial
+
+MASSES = {
+    "opencap": 62.6, "hamner": 80.47, "gait2354": 72.6, "rajagopal": 85.07, "arnold": 72.84, "welk": 57.2,
+}  # fmt: skip
+"""On record [kg], for recordings whose files do not say."""
+CLOSE = 0.03
+"""Forces are right if they differ from the right ones by less than this share (root mean square)."""
+CLOSE_LAG_S = 0.02
+"""Or if they are right but for a lag of this size: feet are no better clock."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Files of one trial."""
+
+    name: str
+    file: Path
+    forces: Path | None
+    mass_kg: float | None
+
+    def read(self, faulty: Path | None = None, options: ReadOptions | None = None) -> Trial:
+        """The trial, with a faulty file in place of the one that holds the forces."""
+        file, forces = (faulty or self.file, None) if self.forces is None else (self.file, faulty or self.forces)
+        return synchronise(read_trial(self.name, file, forces, "fit", options))
+
+
+def recordings(root: Path) -> Iterator[Recording]:
+    """Every recording with force plates."""
+    for file in sorted(glob.glob(str(root / "**/*.c3d"), recursive=True)):
+        yield Recording(Path(file).stem, Path(file), None, _mass(file))
+    for file in sorted(glob.glob(str(root / "**/*.trc"), recursive=True)):
+        path = Path(file)
+        found = [
+            p
+            for p in (path.with_name("grf.mot"), path.with_name("grf_walk.mot"), path.with_name(f"{path.stem}_grf.mot"),
+                      path.parent.parent / "ID" / f"{path.stem}_grf.mot")
+            if p.is_file()
+        ]  # fmt: skip
+        if found:
+            yield Recording(f"{path.parent.name}/{path.stem}", path, found[0], _mass(file))
+
+
+def _mass(file: str) -> float | None:
+    return next((mass for key, mass in MASSES.items() if key in file), None)
+
+
+def options_of(line: str) -> ReadOptions:
+    """The options of a trial to which an advised line was added, by way of a config."""
+    entry = {"name": "t", "file": "t.c3d", **yaml.safe_load(f"{{{line}}}")}
+    document = json.dumps({"subject": {"name": "s"}, "markers": "opencap", "trials": [entry]})
+    config = Config.model_validate_json(document)
+    return config.reading(config.trials[0])
+
+
+def outcome(recording: Recording, fault: Fault, seed: int) -> dict[str, object]:
+    """What becomes of one planted fault."""
+    draw = np.random.default_rng(seed)
+    right = recording.read()
+    with tempfile.TemporaryDirectory() as folder:
+        faulty = Path(folder) / f"faulty{(recording.forces or recording.file).suffix}"
+        fault.plant(recording.forces or recording.file, faulty, draw)
+        row: dict[str, object] = {"recording": recording.name, "fault": fault.name, "seed": seed}
+        try:
+            trial = recording.read(faulty)
+        except TorchidError as error:
+            return row | {"result": "refused", "said": str(error)[:300]}
+        mass = recording.mass_kg or _stated(right)
+        found = judge(trial, mass, lambda change: _again(recording, faulty, change))
+        said = "; ".join(f"{f.what}. {f.remedy}" for f in found)
+        row |= {"changed": _difference(trial.forces, right.forces), "said": said[:600]}
+        if not found:
+            return row | {"result": "silent"}
+        if any(not f.changes for f in found):
+            return row | {"result": "other trial" if "another trial" in fault.name else "unnamed"}
+        lines = [f.changes[0].line for f in found]
+        try:
+            mended = recording.read(faulty, options_of(_merged(lines)))
+        except TorchidError as error:
+            return row | {"result": "unreadable", "said": f"{said[:300]} -> {error}"}
+        helps = not judge(mended, mass)
+        same = _same(mended, right)
+        alone = all(len(f.changes) == 1 for f in found)
+        among = same or any(_same(recording.read(faulty, options_of(c.line)), right) for c in found[0].changes[1:])
+        result = "named" if same and alone else "among" if among else "wrong"
+        return row | {"result": result, "helps": helps, "lines": lines}
+
+
+def _merged(lines: list[str]) -> str:
+    parts = [yaml.safe_load(f"{{{line}}}") for line in lines]
+    merged: dict[str, object] = {}
+    for part in parts:
+        for key, value in part.items():
+            merged[key] = {**merged[key], **value} if isinstance(merged.get(key), dict) else value  # type: ignore
+    return json.dumps(merged)[1:-1]
+
+
+def _again(recording: Recording, faulty: Path, change: Change) -> Trial | None:
+    try:
+        return recording.read(faulty, options_of(change.line))
+    except TorchidError:
+        return None
+
+
+def _stated(trial: Trial) -> float | None:
+    text = trial.parameters.get("mass_kg", "")
+    return float(text) if text else None
+
+
+def _difference(a: Forces | None, b: Forces | None) -> float:
+    """Root mean square difference of wrenches as a share of the right ones, forces and moments apart, the larger."""
+    if a is None or b is None or a.wrench.shape != b.wrench.shape:
+        return float("inf")
+    x, y = (f.wrench.nan_to_num().reshape(-1, 2, 3) for f in (a, b))
+    return float(((x - y).square().mean(dim=(0, 2)) / y.square().mean(dim=(0, 2))).sqrt().max())
+
+
+def _same(mended: Trial, right: Trial) -> bool:
+    if mended.forces is None or right.forces is None:
+        return False
+    if _difference(mended.forces, right.forces) < CLOSE:
+        return True
+    reach = max(1, round(CLOSE_LAG_S * right.markers.rate))
+    for shift in range(-reach, reach + 1):
+        moved = Forces(right.forces.time, torch.roll(right.forces.wrench, shift, 0), right.forces.plates)
+        inner = slice(60, -60)
+        if _difference(mended.forces.samples(inner), moved.samples(inner)) < 4 * CLOSE:
+            return True
+    return False
+
+
+def cases(root: Path, only: str, faults: str, seed: int) -> Iterator[tuple[Recording, str, int]]:
+    """Every fault in every recording that can have it."""
+    draw = np.random.default_rng(seed)
+    for recording in recordings(root):
+        for name in _faults(recording, root):
+            number = int(draw.integers(2**31))
+            if only in recording.name and faults in name:
+                yield recording, name, number
+
+
+def _faults(recording: Recording, root: Path) -> dict[str, Fault]:
+    every = list(recordings(root))
+    if recording.forces is not None:
+        others = [
+            r.forces for r in every if r.forces and r.forces != recording.forces and _near(r.file, recording.file)
+        ]
+        return {f.name: f for f in mot_faults(recording.mass_kg, others)}
+    try:
+        trial = recording.read()
+    except TorchidError:
+        return {}
+    if trial.forces is None or len(trial.markers.time) < 6:
+        return {}
+    loaded = [k for k in range(len(trial.forces.plates)) if float(trial.forces.wrench[:, k, 2].nan_to_num().max()) > 50]
+    others = [
+        r.file for r in every
+        if r.forces is None and r.file != recording.file and r.file.parent == recording.file.parent
+        and r.name[:5] == recording.name[:5] and r.name[5:] != recording.name[5:]
+    ]  # fmt: skip
+    found = c3d_faults(loaded, recording.mass_kg or _stated(trial), others) if loaded else []
+    return {f.name: f for f in found if not (f.name == "plates exchanged" and len(trial.forces.plates) < 2)}
+
+
+def _near(a: Path, b: Path) -> bool:
+    return a.parent == b.parent or a.parent.parent == b.parent.parent
+
+
+def _run(arguments: tuple[Path, Recording, str, int]) -> dict[str, object]:
+    root, recording, name, seed = arguments
+    torch.set_num_threads(1)
+    return outcome(recording, _faults(recording, root)[name], seed)
+
+
+def accused(recording: Recording) -> str:
+    """What is said about a recording as it is."""
+    try:
+        trial = recording.read()
+    except TorchidError:
+        return ""
+    return "; ".join(f.what for f in judge(trial, recording.mass_kg or _stated(trial)))
+
+
+def main() -> None:
+    """Plant, judge, count."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="recordings whose name contains this")
+    parser.add_argument("--faults", default="", help="faults whose name contains this")
+    parser.add_argument("--seed", type=int, default=None)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--rows", type=Path, help="write every case here, one JSON a line")
+    arguments = parser.parse_args()
+    root = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))
+    seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
+    print(f"seed {seed}")
+    everything = [(root, *case) for case in cases(root, arguments.only, arguments.faults, seed)]
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        rows = list(pool.map(_run, everything))
+        right = [r for r in recordings(root) if arguments.only in r.name]
+        wrongly = [(r.name, said) for r, said in zip(right, pool.map(accused, right), strict=True) if said]
+    if arguments.rows:
+        arguments.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    _print(rows, right, wrongly)
+
+
+def _print(rows: list[dict[str, object]], right: list[Recording], wrongly: list[tuple[str, str]]) -> None:
+    results = ("named", "among", "other trial", "wrong", "unnamed", "refused", "unreadable", "silent")
+    print(f"{'fault':22}" + "".join(f"{r:>12}" for r in results))
+    for fault in dict.fromkeys(str(row["fault"]) for row in rows):
+        counts = [sum(row["fault"] == fault and row["result"] == r for row in rows) for r in results]
+        print(f"{fault:22}" + "".join(f"{n or '':>12}" for n in counts))
+    total = [sum(row["result"] == r for row in rows) for r in results]
+    print(f"{'all':22}" + "".join(f"{n or '':>12}" for n in total))
+    print(f"unplanted: {len(right)} recordings, accused: {wrongly or 'none'}")
+
+
+if __name__ == "__main__":
+    main()

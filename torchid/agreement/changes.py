@@ -1,0 +1,89 @@
+"""The finite list of what may be wrong with the forces of a recording, each as the config line that mends it."""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, in_words, number_of
+from torchid.recording import Plate
+
+QUARTERS = (90, 180, 270)
+FLIPPED = ((2, 1, 4, 3), (4, 3, 2, 1), (1, 4, 3, 2), (3, 2, 1, 4))
+"""Orders of the corners whose outline runs the other way round; those that run the same way are turns."""
+
+CROSSED = tuple(itertools.permutations((1, 2, 3, 4)))[1:]
+"""Every other order of four corners."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One thing that may be wrong, and how to read the recording if it is."""
+
+    what: str
+    """What is wrong then, as the end of a sentence."""
+    forces_as: ForcesAs = ForcesAs()
+    plates: Mapping[int, PlateAs] = field(default_factory=dict)
+    up: str | None = None
+    """Vertical axis of the markers, where it is not as read."""
+
+    @property
+    def line(self) -> str:
+        """What to add to the trial in a config."""
+        parts = [f"up: {self.up}"] if self.up else []
+        if self.forces_as != ForcesAs():
+            parts.append(f"forces_as: {in_words(self.forces_as)}")
+        if self.plates:
+            parts.append(f"plates: {{{', '.join(f'{n}: {in_words(p)}' for n, p in sorted(self.plates.items()))}}}")
+        return ", ".join(parts)
+
+
+def plate_changes(plates: tuple[Plate, ...], k: int) -> list[Change]:
+    """What may be wrong with plate k alone."""
+    n = number_of(plates[k], k)
+    one = [
+        ("has its forces reversed (they push the subject down)", PlateAs(gain=-1.0)),
+        ("has its moments in N mm", PlateAs(moment_gain=1e-3)),
+        ("has its moments too small by 1000", PlateAs(moment_gain=1e3)),
+    ]
+    if plates[k].corners is not None:
+        one += [(f"is turned by {angle} degrees", PlateAs(turn_deg=angle)) for angle in QUARTERS]
+        one += [("has its corners in another order", PlateAs(corners=order)) for order in FLIPPED]
+        one += [(f"is left-handed (its {axis} axis reversed)", PlateAs(mirror=axis)) for axis in ("x", "y")]
+        one += [
+            (f"has its channels {a} and {b} exchanged", PlateAs(exchange=(a, b)))
+            for a, b in itertools.combinations(CHANNELS, 2)
+        ]
+    return [Change(f"{plates[k].name} {what}", plates={n: change}) for what, change in one]
+
+
+def corner_changes(number: int) -> list[Change]:
+    """What may be wrong with the corners of a plate that reading refuses for them."""
+    units = [(f"its corners are in {unit}", PlateAs(corner_unit=unit)) for unit in ("m", "mm", "cm", "in")]
+    orders = [("its corners are in another order", PlateAs(corners=order)) for order in CROSSED]
+    return [Change(what, plates={number: change}) for what, change in (*units, *orders)]
+
+
+def pair_changes(plates: tuple[Plate, ...]) -> list[Change]:
+    """Which two plates may be exchanged."""
+    numbers = [number_of(p, k) for k, p in enumerate(plates) if p.corners is not None]
+    return [
+        Change(f"plates {a} and {b} are exchanged", plates={a: PlateAs(reads=b), b: PlateAs(reads=a)})
+        for a, b in itertools.combinations(numbers, 2)
+    ]
+
+
+def file_changes() -> list[Change]:
+    """What may be wrong with all forces of a file."""
+    found = [
+        Change("all forces are reversed (they push the subject down)", ForcesAs(gain=-1.0)),
+        Change("all moments are in N mm", ForcesAs(moment_gain=1e-3)),
+        Change("all moments are too small by 1000", ForcesAs(moment_gain=1e3)),
+    ]
+    found += [
+        Change(f"the forces' axes are turned by {angle} degrees about the vertical", ForcesAs(turn_deg=angle))
+        for angle in QUARTERS
+    ]
+    found += [
+        Change("the forces' axes are left-handed", ForcesAs(mirror="x", turn_deg=angle)) for angle in (0, *QUARTERS)
+    ]
+    return found

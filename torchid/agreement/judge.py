@@ -1,0 +1,231 @@
+"""Whether the forces of a trial agree with its feet; if not, which one change of reading puts them right.
+
+Every change on a finite list is tried on the recording itself and judged by the same witnesses, so that what is advised
+helps; reading then applies it by the same functions (``torchid.io.mend``).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.agreement.changes import Change, corner_changes, file_changes, pair_changes, plate_changes
+from torchid.agreement.clock import clock_findings
+from torchid.agreement.evidence import Evidence, agrees, gather
+from torchid.agreement.feet import FRAMES, Feet, find_feet
+from torchid.agreement.finding import Finding, in_figures
+from torchid.agreement.units import unit_findings
+from torchid.io.mend import ForcesAs, mend, number_of, reframed
+from torchid.recording import Forces, Trial
+
+BETTER = 1.0
+"""Another reading is taken for the right one from this gain on, in logarithms a frame: a witness at 1.3 times its usual
+value instead of none. Of 52 recordings none gains more than 0.6 by any change."""
+ALIKE = 0.3
+"""Readings whose gains differ by less are not told apart."""
+SAME_N = 1e-6
+"""Two readings with wrenches this close are one."""
+
+Reread = Callable[[Change], Trial | None]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A trial as its plates are judged: feet and forces at frames that bear load."""
+
+    feet: Feet
+    forces: Forces
+
+    @property
+    def heights(self) -> list[float]:
+        """Height of each plate's surface in W [m]."""
+        return [0.0 if p.corners is None else float(p.corners[:, 2].mean()) for p in self.forces.plates]
+
+
+def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = None) -> tuple[Finding, ...]:
+    """What is wrong with the forces of a trial; empty where they agree with the feet or nothing can tell.
+
+    Args:
+        trial: its forces on the clock of its markers (``torchid.io.resample.synchronise``).
+        mass_kg: of the subject, on record.
+        reread: reads the trial again with a change, None where it refuses; for what cannot be tried without.
+    """
+    scene = scene_of(trial)
+    if scene is None:
+        return ()
+    units = unit_findings(scene.feet, scene.forces, scene.heights, mass_kg)
+    refused = () if reread is None else _refused(trial, reread)
+    return units or (*_axes(scene, trial, reread), *refused) or clock_findings(trial)
+
+
+def scene_of(trial: Trial) -> Scene | None:
+    """The frames of a trial that bear load, None without forces or feet."""
+    if trial.forces is None:
+        return None
+    force = trial.forces.wrench[..., :3].nan_to_num().norm(dim=-1).amax(dim=1)
+    active = (force > 0.1 * force.max()).nonzero()[:, 0] if bool(force.any()) else torch.zeros(0, dtype=torch.long)
+    frames = active[torch.linspace(0, len(active) - 1, min(FRAMES, len(active))).round().long()]
+    feet = find_feet(trial.markers, frames)
+    if feet is None:
+        return None
+    forces = trial.forces
+    return Scene(feet, Forces(forces.time[feet.frames], forces.wrench[feet.frames].nan_to_num(), forces.plates))
+
+
+def _axes(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, ...]:
+    """Plates turned, mirrored, miswired, in other units of moment, or exchanged; files with other axes."""
+    plates = scene.forces.plates
+    single = {k: _tried(scene, k, plate_changes(plates, k)) for k in range(len(plates))}
+    bad = [k for k, tried in single.items() if tried.disagrees]
+    together = [*file_changes(), *pair_changes(plates)]
+    whole = {k: _tried(scene, k, together) for k in range(len(plates))}
+    bad += [k for k, tried in whole.items() if k not in bad and tried.disagrees and _all_gain(whole)]
+    if not bad:
+        return ()
+    shared = _shared(whole, bad)
+    if shared and (len(bad) > 1 or not single[bad[0]].right):
+        return (Finding(_said(scene, whole, bad), tuple(shared)),)
+    if reread is not None and "forces" in trial.parameters and not all(single[k].right for k in bad):
+        turned = _other_up(trial, reread)
+        if turned is not None:
+            return (Finding(_said(scene, whole, bad), (turned,)),)
+    return tuple(_of_plate(scene, k, single[k], shared) for k in bad)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One plate under a list of changes; the first reading is the one as it is."""
+
+    changes: tuple[Change, ...]
+    evidence: Evidence
+    wrench: Float[Tensor, "readings n 6"]
+
+    @property
+    def right(self) -> list[Change]:
+        """Changes under which the plate agrees, the best first, those that are told apart from it left out."""
+        order = [i for i in self.evidence.gain.argsort(descending=True).tolist() if i and self._agrees(i)]
+        if not order or not self._much_better(order[0]):
+            return []
+        best = order[0]
+        kept: list[int] = []
+        for i in order:
+            near = float(self.evidence.gain[best] - self.evidence.gain[i]) < ALIKE
+            if near and all(float((self.wrench[i] - self.wrench[j]).abs().max()) > SAME_N for j in kept):
+                kept.append(i)
+        return [self.changes[i - 1] for i in kept]
+
+    @property
+    def disagrees(self) -> bool:
+        """The plate as read is beyond what a foot can do, or a change makes it agree much better."""
+        read = self.evidence.loaded[0] > 0
+        return bool(read and not self._agrees(0)) or bool(self.right)
+
+    def gain(self, change: Change) -> float:
+        """How much the plate gains by a change."""
+        return float(self.evidence.gain[1 + self.changes.index(change)])
+
+    def agrees(self, change: Change) -> bool:
+        """Whether the plate is within what a foot can do under the change, or as idle as it was read."""
+        i = 1 + self.changes.index(change)
+        return self._agrees(i) or not bool((self.evidence.loaded[[0, i]] > 0).any())
+
+    def _much_better(self, i: int) -> bool:
+        smaller = self.changes[i - 1].forces_as.moment_gain < 1 or any(
+            p.moment_gain < 1 for p in self.changes[i - 1].plates.values()
+        )
+        # Moments of next to nothing agree with every foot: only what is impossible speaks for N mm.
+        return float(self.evidence.gain[i]) > BETTER and not (smaller and self._agrees(0))
+
+    def _agrees(self, i: int) -> bool:
+        return bool(agrees(self.evidence)[i])
+
+
+def _tried(scene: Scene, k: int, changes: list[Change]) -> Tried:
+    forces = scene.forces
+    wrench = torch.stack([forces.wrench[:, k], *(changed(forces, change)[:, k] for change in changes)])
+    height = wrench.new_full((len(wrench),), scene.heights[k])
+    return Tried(tuple(changes), gather(scene.feet, wrench, height), wrench)
+
+
+def changed(forces: Forces, change: Change) -> Float[Tensor, "n plates 6"]:
+    """Wrenches under a change."""
+    other = mend(reframed(forces, change.plates), change.forces_as, change.plates)
+    assert other is not None
+    return other.wrench
+
+
+def _all_gain(whole: dict[int, Tried]) -> bool:
+    return bool(_shared(whole, [k for k, tried in whole.items() if bool((tried.evidence.loaded > 0).any())]))
+
+
+def _shared(whole: dict[int, Tried], bad: list[int]) -> list[Change]:
+    """Changes of the whole file under which every plate agrees, the best first."""
+    if not bad:
+        return []
+    total = {}
+    for change in whole[bad[0]].changes:
+        if all(tried.agrees(change) for tried in whole.values()):
+            total[change.line] = (sum(whole[k].gain(change) for k in whole) / len(bad), change)
+    ranked = sorted(total.values(), key=lambda item: -item[0])
+    small = all(tried._agrees(0) for tried in whole.values())
+    ranked = [(g, c) for g, c in ranked if g > BETTER and not (small and c.forces_as.moment_gain < 1)]
+    return [change for gain, change in ranked if gain > ranked[0][0] - ALIKE]
+
+
+def _of_plate(scene: Scene, k: int, tried: Tried, shared: list[Change]) -> Finding:
+    plate = scene.forces.plates[k]
+    n = number_of(plate, k)
+    said = f"{plate.name} does not agree with the feet: {in_figures(tried.evidence, 0)}"
+    changes = tried.right or [change for change in shared if n in change.plates]
+    if not changes:
+        said += "; forces of another trial would look so"
+    return Finding(said, tuple(changes), f"plates: {{{n}: {{use: false}}}}")
+
+
+def _said(scene: Scene, tried: dict[int, Tried], bad: list[int]) -> str:
+    each = [f"{scene.forces.plates[k].name}: {in_figures(tried[k].evidence, 0)}" for k in bad]
+    return f"forces do not agree with the feet ({'; '.join(each)})"
+
+
+def _refused(trial: Trial, reread: Reread) -> tuple[Finding, ...]:
+    """Plates that reading refused and that carry a foot once their corners are put right."""
+    found = []
+    for number in map(int, trial.parameters.get("plates refused", "").split()):
+        changes = [change for change in corner_changes(number) if _carries(reread(change), number)]
+        if changes:
+            said = f"plate {number} is refused for its corners, yet somebody stands on it"
+            found.append(Finding(said, tuple(changes), f"plates: {{{number}: {{use: false}}}}"))
+    return tuple(found)
+
+
+def _carries(trial: Trial | None, number: int) -> bool:
+    scene = None if trial is None else scene_of(trial)
+    if scene is None:
+        return False
+    for k, plate in enumerate(scene.forces.plates):
+        if number_of(plate, k) == number:
+            wrench = scene.forces.wrench[None, :, k]
+            return bool(agrees(gather(scene.feet, wrench, wrench.new_tensor([scene.heights[k]])))[0])
+    return False
+
+
+def _other_up(trial: Trial, reread: Reread) -> Change | None:
+    """The change of the vertical of markers or forces alone under which they agree."""
+    for markers, forces in (("y", "z"), ("z", "y")):
+        change = Change(f"the markers have {markers.upper()} up and the forces {forces.upper()}",
+                        ForcesAs(up=forces), up=markers)  # fmt: skip
+        other = reread(change)
+        scene = None if other is None else scene_of(other)
+        if scene is None or other is None:
+            continue
+        tried = {k: _tried(scene, k, file_changes()) for k in range(len(scene.forces.plates))}
+        loaded = [t for t in tried.values() if bool(t.evidence.loaded[0] > 0)]
+        if loaded and all(t._agrees(0) for t in loaded):
+            return change
+        shared = _shared(tried, list(tried))
+        if shared:
+            return replace(shared[0], up=markers, forces_as=replace(shared[0].forces_as, up=forces),
+                           what=f"{change.what}, and {shared[0].what}")  # fmt: skip
+    return None
