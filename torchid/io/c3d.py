@@ -37,7 +37,7 @@ def read_c3d(path: str | Path, name: str | None = None, role: str = "fit", optio
     data = FileBytes(path)
     header = read_header(data, path)
     _refuse_rotations(header)
-    layout = resolve_layout(header, len(data), options.allow_truncated)
+    layout = resolve_layout(header, data, options.allow_truncated)
     return assemble(_raw(data, header, layout, options), name or path.stem, role, options)
 
 
