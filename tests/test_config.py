@@ -148,6 +148,12 @@ def test_overrides_set_single_keys(write):
     assert config.subject.name == "no"
 
 
+@pytest.mark.parametrize(("text", "subject"), [("BodyL", "BodyL"), ("[BodyL, ArmL]", ("BodyL", "ArmL"))])
+def test_a_trial_names_one_subject_or_several_bodies(write, text, subject):
+    """``subject`` of a trial is a prefix or a list of them."""
+    assert load_config(write(MINIMAL), [f"trials.0.subject={text}"]).trials[0].subject == subject
+
+
 @pytest.mark.parametrize("override", ["seed", "=1", "a..b=1", "trials.1.role=fit", "trials.x=1", "subject.name.x=1"])
 def test_malformed_overrides_are_refused(write, override):
     """An override without a key, a value or a place says so."""

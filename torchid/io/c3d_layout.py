@@ -166,7 +166,7 @@ def _first_frame(header: C3dHeader, frames: int, notes: list[Note]) -> int:
 
 
 def _frames(header: C3dHeader, layout: Layout, available: int, allow_truncated: bool, notes: list[Note]) -> int:
-    """Frames to read: of the declared numbers that fill the file the one declared most often, else one that it holds."""
+    """Frames to read: of the declared numbers that fill the file the most frequent, else one that it holds."""
     size = layout.bytes_per_frame
     if size == 0:
         return 0
