@@ -100,7 +100,7 @@ class TrialFile(Section):
     file: UserPath
     """C3D, or TRC."""
     forces: UserPath | None = None
-    """MOT or STO beside a TRC."""
+    """MOT or STO beside a TRC, or instead of the plates of a C3D."""
     role: Literal["static", "fit", "heldout"] = "fit"
     subject: Name | tuple[Name, ...] | None = None
     """Prefix of the labels, where a file holds several subjects; a list, where one is stored as several bodies."""

@@ -1,5 +1,6 @@
 """C3D files: header, parameters, points, analog channels, plates and events to one `Trial`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,13 @@ from torchid.io.raw import RawTrial, assemble
 from torchid.recording import Event, Forces, Trial
 
 
-def read_c3d(path: str | Path, name: str | None = None, role: str = "fit", options: ReadOptions | None = None) -> Trial:
+def read_c3d(
+    path: str | Path,
+    name: str | None = None,
+    role: str = "fit",
+    options: ReadOptions | None = None,
+    beside: Forces | None = None,
+) -> Trial:
     """A trial from a C3D file.
 
     Args:
@@ -26,6 +33,7 @@ def read_c3d(path: str | Path, name: str | None = None, role: str = "fit", optio
         name: of the trial; the file's stem by default.
         role: static, fit or heldout; markers that stand still are not suspect in a static trial.
         options: what the file leaves open.
+        beside: forces of another file, in its axes and on its clock; the plates of this one are then left out.
 
     Raises:
         InputError: the file cannot be read or contradicts itself; codes ``c3d.*``, ``markers.*``,
@@ -38,7 +46,18 @@ def read_c3d(path: str | Path, name: str | None = None, role: str = "fit", optio
     header = read_header(data, path)
     _refuse_rotations(header)
     layout = resolve_layout(header, data, options.allow_truncated)
-    return assemble(_raw(data, header, layout, options), name or path.stem, role, options)
+    raw = _raw(data, header, layout, options)
+    return assemble(raw if beside is None else _with_forces(raw, beside), name or path.stem, role, options)
+
+
+def _with_forces(raw: RawTrial, beside: Forces) -> RawTrial:
+    """The file's own plates only tell its vertical axis."""
+    notes = tuple(note for note in raw.notes if not note.code.startswith("plates."))
+    if raw.forces is not None:
+        text = f"{len(raw.forces.plates)} plates of the C3D left out for the forces given beside it"
+        notes = (*notes, Note("plates.replaced", text, raw.source))
+    parameters = tuple((key, value) for key, value in raw.parameters if not key.startswith("plate "))
+    return replace(raw, beside=beside, notes=notes, parameters=parameters)
 
 
 def _refuse_rotations(header: C3dHeader) -> None:

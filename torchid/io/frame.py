@@ -91,6 +91,7 @@ def vertical_axis(
     customary: str,
     options: ReadOptions,
     source: str,
+    beside: Forces | None = None,
 ) -> tuple[str, list[Note]]:
     """``y`` or ``z``: the vertical axis of a file.
 
@@ -104,12 +105,13 @@ def vertical_axis(
         customary: the axis that the format usually has, taken where there is nothing to turn.
         options: of the reading.
         source: the file.
+        beside: forces of another file, whose axes may be others; asked last.
 
     Raises:
         InputError: ``axes.contradiction``, ``axes.unsupported`` and ``axes.unknown``.
     """
     pushed = force_axis(forces)
-    _refuse_axis(pushed, options.up or stated, "config" if options.up else "file", source)
+    refuse_axis(pushed, options.up or stated, "config" if options.up else "file", source)
     seen = _marker_axis(position)
     signs = (
         (options.up, "as asked"),
@@ -118,6 +120,7 @@ def vertical_axis(
         (_plate_axis(forces), "by the surfaces of the plates"),
         (seen, "by the markers"),
         (_floor_axis(position), "by the floor: along the other axis markers would lie below it"),
+        (force_axis(beside).strip("x"), "by the ground reaction of the other file"),
         ("" if np.isfinite(position).any() else customary, "by custom of the format; there is nothing to turn"),
     )
     axis, reason = next(((up, why) for up, why in signs if up), ("", ""))
@@ -143,8 +146,12 @@ def _unknown_axis(position: np.ndarray, source: str) -> InputError:
     )
 
 
-def _refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
-    """The axis of the ground reaction is one that can be turned up, and the one that config or file name."""
+def refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
+    """Refuse an axis of the ground reaction that cannot be turned up, or that config or file (``by``) deny.
+
+    Raises:
+        InputError: ``axes.unsupported`` and ``axes.contradiction``.
+    """
     if pushed == "x":
         raise InputError(
             "axes.unsupported",

@@ -24,7 +24,7 @@ UNREAD = {
 EDGE = (0.1, 5.0)
 """Lengths of a plate's edges [m] that raise no doubt."""
 SMALL_MISFIT = 0.005
-"""Corners that lie less far [m] from a rectangle are worth no word; measured ones of public recordings lie within 2 mm."""
+"""Corners less far [m] from a rectangle are worth no word; measured ones of public recordings lie within 2 mm."""
 MAX_MISFIT = 0.02
 """A corner further [m] from the nearest rectangle is a mistake, not a measurement."""
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
-from torchid.io.frame import SAMPLES, to_world, turn_to_world, vertical_axis
+from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
 from torchid.io.plates import baseline
@@ -34,6 +34,8 @@ class RawTrial:
     notes: tuple[Note, ...] = ()
     parameters: tuple[tuple[str, str], ...] = ()
     events: tuple[Event, ...] = ()
+    beside: Forces | None = None
+    """Forces of another file, in its axes and on its clock, which stand for those of this one."""
 
 
 def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial:
@@ -44,7 +46,7 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     position = np.require(raw.position, float, ["C", "W"])
     mask, missing = missing_samples(position, raw.source)
     position[mask] = np.nan
-    axis, said = vertical_axis(position, raw.forces, raw.up, raw.customary, options, raw.source)
+    axis, said = vertical_axis(position, raw.forces, raw.up, raw.customary, options, raw.source, raw.beside)
     held: list[Note] = []
     if role != "static" and len(raw.time) > 1:
         rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
@@ -53,9 +55,35 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     world = turn_to_world(torch.from_numpy(position), axis)
     markers = Markers(raw.labels, torch.from_numpy(np.ascontiguousarray(raw.time, dtype=float)), world)
     forces = None if raw.forces is None else _forces_in_world(raw.forces, axis)
+    if raw.beside is not None:
+        forces, turned = _other_forces(raw.beside, raw, axis)
+        said = [*said, *turned]
     notes = (*raw.notes, *missing, *said, *held, *_force_notes(forces, raw))
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
     return Trial(name, markers, forces, role, raw.events, notes, parameters)
+
+
+def _other_forces(forces: Forces, raw: RawTrial, axis: str) -> tuple[Forces, list[Note]]:
+    """Forces of another file in W and on the clock of the markers, which count their frames from 1.
+
+    Files of forces often count from the first frame stored; that is taken where more of the markers' time is covered.
+    """
+    notes, own = [], force_axis(forces) or axis
+    refuse_axis(own, "", "", raw.source)
+    if own != axis:
+        text = f"the forces are {own.upper()} up, the markers {axis.upper()} up; each is rotated to Z up by itself"
+        notes.append(Note("axes.forces", text, raw.source))
+    begin, end = (float(raw.time[0]), float(raw.time[-1])) if len(raw.time) else (0.0, 0.0)
+    if begin > 0.0 and len(forces.time):
+        first, last = float(forces.time[0]), float(forces.time[-1])
+        same, later = (min(end, last + by) - max(begin, first + by) for by in (0.0, begin))
+        frame = (end - begin) / max(1, len(raw.time) - 1)
+        shifted = later > max(same, 0.0) + frame
+        words = "counted from the first stored frame and shifted" if shifted else "taken as the clock of the markers"
+        text = f"markers begin at {begin:g} s; the clock of the forces, {first:g} to {last:g} s, is {words}"
+        notes.append(Note("trial.clock", text, raw.source))
+        forces = replace(forces, time=forces.time + begin) if shifted else forces
+    return _forces_in_world(forces, own), notes
 
 
 def _forces_in_world(forces: Forces, axis: str) -> Forces:
