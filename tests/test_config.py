@@ -92,7 +92,7 @@ def test_all_errors_are_reported_at_once_with_the_nearest_key_and_value(write):
         ("a: [1", "config.yaml"),
         ("a: 1\n---\na: 2", "config.yaml"),
         ("a: " + "9" * 5000, "config.yaml"),
-        ("1: 2", "config.key"),
+        ("1.5: 2", "config.key"),
         ("a: \x07", "config.yaml"),
         ("x" * (MAX_BYTES + 1), "config.too_large"),
         ("", "config.not_a_mapping"),
@@ -146,6 +146,12 @@ def test_overrides_set_single_keys(write):
     config = load_config(path, ["geometry.solver=adam", "trials.0.role=heldout", "seed=7", "subject.name=no"])
     assert (config.geometry.solver, config.trials[0].role, config.seed) == ("adam", "heldout", 7)
     assert config.subject.name == "no"
+
+
+@pytest.mark.parametrize(("text", "subject"), [("BodyL", "BodyL"), ("[BodyL, ArmL]", ("BodyL", "ArmL"))])
+def test_a_trial_names_one_subject_or_several_bodies(write, text, subject):
+    """``subject`` of a trial is a prefix or a list of them."""
+    assert load_config(write(MINIMAL), [f"trials.0.subject={text}"]).trials[0].subject == subject
 
 
 @pytest.mark.parametrize("override", ["seed", "=1", "a..b=1", "trials.1.role=fit", "trials.x=1", "subject.name.x=1"])

@@ -1,5 +1,7 @@
 """Tests of torchid.io.labels, missing and frame: what counts as a marker, as missing, as up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -43,12 +45,24 @@ def test_one_prefix_is_stripped_and_several_ask() -> None:
     """One subject's prefix goes; of several, one must be chosen and the others are counted out."""
     assert select_markers(["Sub:LASI", "Sub:RASI"], "x").labels == ("LASI", "RASI")
     several = ["A:LASI", "A:RASI", "B:LASI", "wand"]
-    with pytest.raises(InputError, match=r"A, B.*markers\.subjects"):
+    with pytest.raises(InputError, match=r"A \(2: LASI, RASI\), B \(1: LASI\).*subject: A \[markers\.subjects"):
         select_markers(several, "x")
-    chosen = select_markers(several, "x", prefix="A")
+    chosen = select_markers(several, "x", subject="A")
     assert chosen.labels == ("LASI", "RASI", "wand") and chosen.columns == (0, 1, 3)
-    with pytest.raises(InputError, match=r"markers\.subjects"):
-        select_markers(several, "x", prefix="C")
+    with pytest.raises(InputError, match=r"C.*markers\.subjects"):
+        select_markers(several, "x", subject="C")
+
+
+def test_several_bodies_of_one_person_are_taken_together() -> None:
+    """A list of prefixes takes all of them, unless a label occurs under two; the question says whether one does."""
+    bodies = ["Body:C7", "Arm:Elbow", "Box:B1", "wand"]
+    with pytest.raises(InputError, match=r"subject: \[Arm, Body\]"):
+        select_markers(bodies, "x")
+    chosen = select_markers(bodies, "x", subject=("Body", "Arm"))
+    assert chosen.labels == ("C7", "Elbow", "wand") and chosen.columns == (0, 1, 3)
+    with pytest.raises(InputError, match=r"C7 of Arm and Body.*markers\.subjects"):
+        select_markers([*bodies, "Arm:C7"], "x", subject=("Body", "Arm"))
+    assert [note.code for note in select_markers(["C7"], "x", subject="Body").notes] == ["markers.subjects"]
 
 
 def test_duplicates_are_numbered_and_said() -> None:
@@ -112,13 +126,35 @@ def cloud(axis: int) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("force", "stated", "markers", "expected"),
-    [(1, "", 2, "y"), (2, "", 1, "z"), (None, "y", 2, "y"), (None, "", 1, "y"), (None, "", 2, "z"), (None, "", 0, "z")],
+    [(1, "", 2, "y"), (2, "", 1, "z"), (None, "y", 2, "y"), (None, "", 1, "y"), (None, "", 2, "z")],
 )
 def test_evidence_for_the_vertical_axis(force: int | None, stated: str, markers: int, expected: str) -> None:
-    """The ground reaction decides, then the file, then the markers, then custom."""
+    """The ground reaction decides, then the file, then the markers."""
     measured = None if force is None else forces(force)
     axis, notes = vertical_axis(cloud(markers), measured, stated, "z", ReadOptions(), "x")
     assert axis == expected and notes[0].code == "axes.up"
+
+
+def test_a_vertical_axis_that_nothing_shows_is_asked_for() -> None:
+    """Without force, statement and a tall cloud the user is asked, in words that are keys; the answer is obeyed."""
+    with pytest.raises(InputError, match=r"up: z or up: y \[axes\.unknown") as caught:
+        vertical_axis(cloud(0), None, "", "z", ReadOptions(), "x")
+    assert "1.6" in caught.value.found
+    assert vertical_axis(cloud(0), None, "", "z", ReadOptions(up="y"), "x")[0] == "y"
+    nothing = np.full((5, 20, 3), np.nan)
+    assert vertical_axis(nothing, None, "", "z", ReadOptions(), "x")[0] == "z"
+
+
+@pytest.mark.parametrize(("other", "axis"), [(1, "z"), (2, "y")])
+def test_floor_and_plates_show_the_vertical_axis(other: int, axis: str) -> None:
+    """Nobody stands below the floor, and plates that carry nobody still face up."""
+    lying = cloud(0)
+    lying[..., other] -= 0.5
+    assert vertical_axis(lying, None, "", "", ReadOptions(), "x")[0] == axis
+    corners = torch.tensor([[0.6, 0, 0], [0, 0, 0], [0, 0.4, 0.4], [0.6, 0.4, 0.4]], dtype=torch.float64)
+    corners[:, "xyz".index(axis)] = 0.0
+    unloaded = replace(forces(2, 0.0), plates=(Plate("p", corners),))
+    assert vertical_axis(cloud(0), unloaded, "", "", ReadOptions(), "x")[0] == axis
 
 
 def test_contradictions_about_the_vertical_axis_are_refused() -> None:

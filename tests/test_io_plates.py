@@ -12,7 +12,13 @@ from torchid.io.plates import baseline, plate_frame
 
 FRAMES, RATIO = 10, 4
 SAMPLES = FRAMES * RATIO
-ORIGIN = {1: [0.0, 0.0, 0.0], 2: [3.0, -2.0, -40.0], 3: [120.0, 200.0, -45.0], 4: [-1.0, 2.0, -37.0]}
+ORIGIN = {
+    1: [0.0, 0.0, 0.0],
+    2: [3.0, -2.0, -40.0],
+    3: [120.0, 200.0, -45.0],
+    4: [-1.0, 2.0, -37.0],
+    7: [110.0, 190.0, -45.0],
+}
 
 
 def corners(seed: int) -> np.ndarray:
@@ -39,8 +45,9 @@ def channels(kind: int, place: np.ndarray, wrench: np.ndarray, calibration: np.n
         px, py = -moment[:, 1] / force[:, 2], moment[:, 0] / force[:, 2]
         free = moment[:, 2] - (px * force[:, 1] - py * force[:, 0])
         return np.column_stack([force, px, py, free])
-    if kind == 3:
-        return _eight(force, moment + np.cross([0, 0, origin[2]], force), origin[0], origin[1])
+    if kind in (3, 7):
+        eight = _eight(force, moment + np.cross([0, 0, origin[2]], force), origin[0], origin[1])
+        return eight if kind == 3 else eight @ np.linalg.inv(calibration).T
     six = np.column_stack([force, moment + np.cross(origin, force)])
     return six if kind == 2 else six @ np.linalg.inv(calibration).T
 
@@ -60,11 +67,13 @@ def setup(kinds: list[int], seed: int = 0, **changes) -> tuple[C3dBuilder, np.nd
     calibration = np.diag([2.0, 2.0, 5.0, 700.0, 700.0, 400.0]) + np.random.default_rng(9).normal(size=(6, 6)) * 0.05
     places = [corners(seed + k) for k in range(len(kinds))]
     truth = np.stack([wrenches(seed + 50 + k) for k in range(len(kinds))], axis=1)
-    parts = [channels(kind, places[k], truth[:, k], calibration) for k, kind in enumerate(kinds)]
+    parts = [
+        channels(kind, places[k], truth[:, k], np.eye(8) if kind == 7 else calibration) for k, kind in enumerate(kinds)
+    ]
     numbers = np.zeros((8, len(kinds)), int)
     for k, part in enumerate(parts):
         numbers[: part.shape[1], k] = 1 + sum(p.shape[1] for p in parts[:k]) + np.arange(part.shape[1])
-    units = {1: ["N"] * 3 + ["mm"] * 2 + ["Nmm"], 2: ["N"] * 3 + ["Nmm"] * 3, 3: ["N"] * 8, 4: ["V"] * 6}
+    units = {1: ["N"] * 3 + ["mm"] * 2 + ["Nmm"], 2: ["N"] * 3 + ["Nmm"] * 3, 3: ["N"] * 8, 4: ["V"] * 6, 7: ["V"] * 8}
     group = {
         "USED": np.array([len(kinds)]),
         "TYPE": np.array(kinds),
@@ -81,8 +90,99 @@ def setup(kinds: list[int], seed: int = 0, **changes) -> tuple[C3dBuilder, np.nd
     return built, truth
 
 
+def refusals(trial) -> dict[int, str]:
+    """The refused plates with the beginning of the reason."""
+    said = [note.message.split(" cannot be used: ") for note in trial.notes if note.code == "plates.refused"]
+    return {int(plate.removeprefix("plate ")): reason.split(":")[0] for plate, reason in said}
+
+
 def codes(trial) -> set[str]:
     return {note.code for note in trial.notes}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_type_7_is_type_3_behind_a_calibration(tmp_path: Path, seed: int) -> None:
+    """Eight channels that a matrix of 8 by 8 turns into the sensors' forces hold the wrench of type 3."""
+    calibration = np.diag(np.full(8, 150.0)) + np.random.default_rng(seed).normal(size=(8, 8))
+    truth = wrenches(seed)
+    built, _ = setup([7], seed, CAL_MATRIX=calibration[:, :, None])
+    built.analogs = channels(7, corners(seed), truth, calibration)
+    forces = read_c3d(built.save(tmp_path / "a.c3d")).forces
+    assert forces is not None
+    assert_allclose(forces.wrench[:, 0], truth, atol=2e-3, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "reason"), [(5, "inches"), (6, "sensors"), (11, "types 1, 2, 3, 4, 7 are")])
+def test_types_that_are_not_read_say_why(tmp_path: Path, kind: int, reason: str) -> None:
+    """A plate of another type falls alone, and its note gives the reason."""
+    built, truth = setup([2, 2], TYPE=np.array([2, kind]))
+    trial = read_c3d(built.save(tmp_path / "a.c3d"))
+    assert trial.forces is not None
+    assert_allclose(trial.forces.wrench, truth[:, :1], atol=2e-3, rtol=1e-5)
+    assert refusals(trial) == {2: f"type {kind} is not read"}
+    assert [note for note in trial.notes if note.code == "plates.refused" and reason in note.message]
+
+
+def test_plates_that_share_a_channel_are_refused(tmp_path: Path) -> None:
+    """Of two plates with a channel in common nothing tells which is right; the third stays."""
+    built, truth = setup([2, 2, 2])
+    built.parameters["FORCE_PLATFORM"]["CHANNEL"][2, 1] = 3
+    trial = read_c3d(built.save(tmp_path / "a.c3d"))
+    assert trial.forces is not None
+    assert [plate.name for plate in trial.forces.plates] == ["plate 3"]
+    assert_allclose(trial.forces.wrench, truth[:, 2:], atol=2e-3, rtol=1e-5)
+    assert refusals(trial) == {
+        1: "its channels 3 are also those of plate 2",
+        2: "its channels 3 are also those of plate 1",
+    }
+
+
+@pytest.mark.parametrize("fault", ["bent", "skewed", "crosswise", "trapezium"])
+def test_corners_that_are_no_rectangle_are_refused(tmp_path: Path, fault: str) -> None:
+    """A corner out of the plane, slanted or unequal sides, another order: the plate falls, and its misfit is said."""
+    built, _ = setup([2, 2])
+    place = built.parameters["FORCE_PLATFORM"]["CORNERS"][:, :, 1].T.copy()
+    along = (place[0] - place[1]) / 600.0
+    if fault == "bent":
+        place[2, 2] += 120.0
+    elif fault == "skewed":
+        place[:2] += 100.0 * along
+    elif fault == "trapezium":
+        place[0] += 100.0 * along
+    else:
+        place = place[[0, 2, 1, 3]]
+    built.parameters["FORCE_PLATFORM"]["CORNERS"][:, :, 1] = place.T
+    trial = read_c3d(built.save(tmp_path / "a.c3d"))
+    assert trial.forces is not None and [plate.name for plate in trial.forces.plates] == ["plate 1"]
+    assert set(refusals(trial)) == {2} and "mm from the nearest rectangle" in str(trial.notes)
+    assert ("in another order" in str(trial.notes)) == (fault == "crosswise")
+
+
+def test_measured_corners_stay_and_are_said(tmp_path: Path) -> None:
+    """Corners that were measured some millimetres off are kept; beyond what is usual, that is said."""
+    for shift, said in ((4.0, False), (30.0, True)):
+        built, _ = setup([2])
+        built.parameters["FORCE_PLATFORM"]["CORNERS"][2, 1, 0] += shift
+        trial = read_c3d(built.save(tmp_path / "a.c3d"))
+        assert trial.forces is not None and len(trial.forces.plates) == 1
+        assert ("mm from a rectangle" in str(trial.notes)) == said
+
+
+def test_a_type_list_longer_than_used(tmp_path: Path) -> None:
+    """A plate beyond USED that the file describes in full is read; an empty one or a copy is not; both are said."""
+    built, truth = setup([2, 4], USED=np.array([1]))
+    trial = read_c3d(built.save(tmp_path / "a.c3d"))
+    assert trial.forces is not None
+    assert_allclose(trial.forces.wrench, truth, atol=2e-3, rtol=1e-5)
+    assert [note for note in trial.notes if note.code == "plates.used" and "read as well" in note.message]
+    for name, index in (("CORNERS", np.s_[:, :, 1]), ("CHANNEL", np.s_[:, 1])):
+        built, truth = setup([2, 4], USED=np.array([1]))
+        stored = built.parameters["FORCE_PLATFORM"][name]
+        stored[index] = 0 if name == "CORNERS" else stored[:, 0]
+        trial = read_c3d(built.save(tmp_path / "a.c3d"))
+        assert trial.forces is not None
+        assert_allclose(trial.forces.wrench, truth[:, :1], atol=2e-3, rtol=1e-5)
+        assert [note for note in trial.notes if note.code == "plates.used" and "plate 2 is left out" in note.message]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -34,7 +34,7 @@ def test_two_readers_agree(path: Path) -> None:
     """Points to 0.01 mm with equal gaps, analogs to 1e-3, and plate forces equal what ezc3d reads."""
     data = path.read_bytes()
     header = read_header(data, path)
-    layout = resolve_layout(header, len(data))
+    layout = resolve_layout(header, data)
     other = ezc3d.c3d(str(path), extract_forceplat_data=True)
     points = other["data"]["points"][:3].transpose(2, 1, 0)
     points = np.where((other["data"]["meta_points"]["residuals"][0].T < 0)[..., None], np.nan, points)

@@ -288,9 +288,9 @@ def test_clocks_without_overlap_are_refused_and_partial_overlap_said(tmp_path: P
         read_trial("a", trc, save(tmp_path / "b.mot", moved))
 
 
-@pytest.mark.parametrize(("name", "forces"), [("a.csv", None), ("a.c3d", "b.mot")])
+@pytest.mark.parametrize(("name", "forces"), [("a.csv", None), ("a.c3d", "b.txt")])
 def test_unknown_combinations_are_refused(tmp_path: Path, name: str, forces: str | None) -> None:
-    """Formats that carry no markers, and forces beside a C3D, are refused with a remedy."""
+    """Formats that carry no markers, or no forces, are refused with a remedy."""
     with pytest.raises(InputError) as caught:
         read_trial("a", tmp_path / name, forces)
     assert caught.value.remedy

@@ -73,7 +73,7 @@ def lengthen(short: Path, long: Path, minutes: float) -> int:
     """Write ``short`` as often as needed, every second time backwards; returns the number of frames."""
     data = short.read_bytes()
     header = read_header(data, short)
-    layout = resolve_layout(header, len(data))
+    layout = resolve_layout(header, data)
     frames = np.frombuffer(data, "<f4", layout.frames * layout.values, layout.offset).reshape(-1, layout.values)
     first, last = turning_points(frames, layout)
     piece = frames[first:last]

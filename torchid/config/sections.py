@@ -102,10 +102,10 @@ class TrialFile(Section):
     file: UserPath
     """C3D, or TRC."""
     forces: UserPath | None = None
-    """MOT or STO beside a TRC."""
+    """MOT or STO beside a TRC, or instead of the plates of a C3D."""
     role: Literal["static", "fit", "heldout"] = "fit"
-    subject: str | None = None
-    """Prefix of the labels, where a file holds several subjects."""
+    subject: Name | tuple[Name, ...] | None = None
+    """Prefix of the labels, where a file holds several subjects; a list, where one is stored as several bodies."""
     up: Literal["y", "z"] | None = None
     units: Literal["mm", "cm", "dm", "m", "in"] | None = None
     allow_truncated: bool = False

@@ -1,5 +1,6 @@
 """C3D files: header, parameters, points, analog channels, plates and events to one `Trial`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,13 @@ from torchid.io.units import METRES
 from torchid.recording import Event, Forces, Trial
 
 
-def read_c3d(path: str | Path, name: str | None = None, role: str = "fit", options: ReadOptions | None = None) -> Trial:
+def read_c3d(
+    path: str | Path,
+    name: str | None = None,
+    role: str = "fit",
+    options: ReadOptions | None = None,
+    beside: Forces | None = None,
+) -> Trial:
     """A trial from a C3D file.
 
     Args:
@@ -27,6 +34,7 @@ def read_c3d(path: str | Path, name: str | None = None, role: str = "fit", optio
         name: of the trial; the file's stem by default.
         role: static, fit or heldout; markers that stand still are not suspect in a static trial.
         options: what the file leaves open.
+        beside: forces of another file, in its axes and on its clock; the plates of this one are then left out.
 
     Raises:
         InputError: the file cannot be read or contradicts itself; codes ``c3d.*``, ``markers.*``,
@@ -38,8 +46,19 @@ def read_c3d(path: str | Path, name: str | None = None, role: str = "fit", optio
     data = FileBytes(path)
     header = read_header(data, path)
     _refuse_rotations(header)
-    layout = resolve_layout(header, len(data), options.allow_truncated)
-    return assemble(_raw(data, header, layout, options), name or path.stem, role, options)
+    layout = resolve_layout(header, data, options.allow_truncated)
+    raw = _raw(data, header, layout, options)
+    return assemble(raw if beside is None else _with_forces(raw, beside), name or path.stem, role, options)
+
+
+def _with_forces(raw: RawTrial, beside: Forces) -> RawTrial:
+    """The file's own plates only tell its vertical axis."""
+    notes = tuple(note for note in raw.notes if not note.code.startswith("plates."))
+    if raw.forces is not None:
+        text = f"{len(raw.forces.plates)} plates of the C3D left out for the forces given beside it"
+        notes = (*notes, Note("plates.replaced", text, raw.source))
+    parameters = tuple((key, value) for key, value in raw.parameters if not key.startswith("plate "))
+    return replace(raw, beside=beside, notes=notes, parameters=parameters)
 
 
 def _refuse_rotations(header: C3dHeader) -> None:
@@ -56,7 +75,7 @@ def _refuse_rotations(header: C3dHeader) -> None:
 
 def _raw(data: FileBytes, header: C3dHeader, layout: Layout, options: ReadOptions) -> RawTrial:
     labels = (header.strings("POINT", "LABELS") + [""] * layout.points)[: layout.points]
-    chosen = select_markers(labels, header.source, _outputs(header), options.prefix)
+    chosen = select_markers(labels, header.source, _outputs(header), options.subject)
     position = read_points(data, layout, header, chosen.columns)
     unit, said = length_unit(" ".join(header.strings("POINT", "UNITS")[:1]), position, options, header.source)
     begin = (layout.first_frame - 1) / layout.rate

@@ -142,8 +142,9 @@ def read_header(data: bytes | FileBytes, source: str | Path) -> C3dHeader:
     processor = Processor(data[parameters + 3])
     words = struct.unpack(processor.order + "10H", data[start : start + 20])
     scale, rate = processor.floats(data[start + 12 : start + 16])[0], processor.floats(data[start + 20 : start + 24])[0]
-    end = max(parameters + data[parameters + 2] * BLOCK, start + (words[8] - 1) * BLOCK)
-    groups = _walk(data[parameters : min(end, len(data))], processor, end > len(data), source, notes)
+    stated = data[parameters + 2] * BLOCK
+    end = max(parameters + stated, start + (words[8] - 1) * BLOCK)
+    groups = _walk(data[parameters : min(end, len(data))], processor, end > len(data), stated, source, notes)
     return C3dHeader(
         source=str(source),
         processor=processor,
@@ -191,12 +192,15 @@ def _truncated(source: str | Path, where: str, size: int) -> InputError:
 
 
 def _walk(
-    section: bytes, processor: Processor, cut: bool, source: str | Path, notes: list[Note]
+    section: bytes, processor: Processor, cut: bool, stated: int, source: str | Path, notes: list[Note]
 ) -> dict[str, dict[str, Parameter]]:
-    """All usable records of the parameter section by group and name, both in capitals."""
+    """All usable records of the parameter section by group and name, both in capitals.
+
+    Records may go on beyond the ``stated`` bytes, up to where the data begin.
+    """
     names: dict[int, str] = {}
     records: list[tuple[int, str, bytes]] = []
-    position, closed = 4, False
+    position, closed, beyond = 4, False, 0
     while position + 4 <= len(section):
         length, group = struct.unpack("bb", section[position : position + 2])
         at = position + 2 + abs(length)
@@ -210,12 +214,16 @@ def _walk(
             names[-group] = name
         else:
             records.append((group, name, section[at + 2 : end]))
+        beyond += position >= stated
         closed = step == 0
         if closed:
             break
         position = end
     if cut and not closed:
         raise _truncated(source, "parameter section", len(section))
+    if beyond:
+        text = f"the parameter section is said to end after {stated} bytes; {beyond} records beyond it read as well"
+        notes.append(Note("c3d.parameters", text, str(source)))
     return _collect(names, records, processor, source, notes)
 
 

@@ -4,17 +4,21 @@ What the header, the parameters and the file's size say about it is reconciled; 
 is refused. Format: the C3D file format user guide (c3d.org), "The 3D/analog data section".
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from torchid.errors import InputError, Note
 from torchid.io.c3d_header import BLOCK, C3dHeader
+from torchid.io.c3d_witnesses import MAX_RATE_MISMATCH, SATURATED, actual_field, choose_shape, declared_frames
+from torchid.io.files import FileBytes
 
-SATURATED = 65535
-MAX_RATE_MISMATCH = 0.02
-"""Allowed relative difference of ANALOG:RATE from the video rate times the header's whole ratio."""
 MAX_RATE = 1e6
+"""A camera rate [Hz] beyond this is no rate."""
+MAX_SCALE = 1e3
+"""A quantum of integers [file units] beyond this is no scale."""
+SAME = 1e-3
+"""Relative difference of two statements of one number that rounding explains."""
 
 
 @dataclass(frozen=True)
@@ -48,160 +52,129 @@ class Layout:
         return self.values * (4 if self.is_float else 2)
 
 
-def resolve_layout(header: C3dHeader, size: int, allow_truncated: bool = False) -> Layout:
-    """The layout of the data section of a file of ``size`` bytes.
+def resolve_layout(header: C3dHeader, data: bytes | FileBytes, allow_truncated: bool = False) -> Layout:
+    """The layout of the data section of a file with this content.
 
     Raises:
-        InputError: ``c3d.rate``, ``c3d.scale``, ``c3d.data_start``, ``c3d.analog_rate`` where the layout cannot be
-            known; ``c3d.truncated`` where frames are missing and ``allow_truncated`` is false.
+        InputError: ``c3d.rate``, ``c3d.scale``, ``c3d.data_start``, ``c3d.analog_rate``, ``c3d.contradiction`` where
+            the layout cannot be known; ``c3d.truncated`` where frames are missing and ``allow_truncated`` is false.
     """
     notes: list[Note] = []
-    points = int(_agree(header, "POINT", "USED", float(header.points), notes))
     rate = _rate(header, notes)
-    channels, ratio = _analog_layout(header, rate, notes)
-    scale = _scale(header, notes)
-    offset = _data_offset(header, size, notes)
-    layout = Layout(points, channels, ratio, 0, _first_frame(header, notes), rate, scale, offset, ())
-    frames = _frames(header, layout, size - offset, allow_truncated, notes)
-    return Layout(points, channels, ratio, frames, layout.first_frame, rate, scale, offset, tuple(notes))
+    shape, said = choose_shape(header, data, rate)
+    _say_missing(header, rate, shape.ratio, notes)
+    _refuse_analog_rate(header, rate, shape.ratio)
+    scale = _scale(header, shape.real) * (-1.0 if shape.real else 1.0)
+    offset = header.start + (shape.block - 1) * BLOCK
+    layout = Layout(shape.points, shape.channels, shape.ratio, 0, 1, rate, scale, offset, ())
+    frames = _frames(header, layout, len(data) - offset, allow_truncated, notes)
+    first = _first_frame(header, frames, notes)
+    return replace(layout, frames=frames, first_frame=first, notes=(*said, *notes))
 
 
-def _agree(header: C3dHeader, group: str, name: str, stated: float, notes: list[Note]) -> float:
-    """A parameter that the header repeats: the parameter wins, absence and disagreement are said."""
-    value = header.number(group, name)
-    if value is None or value < 0:
-        notes.append(
-            Note("c3d.parameter_missing", f"{group}:{name} is missing; {stated:g} of the header used", header.source)
-        )
-        return stated
-    if abs(value - stated) > 1e-3 * abs(stated) + 1e-6:
-        notes.append(
-            Note("c3d.header_disagrees", f"{group}:{name} is {value:g}, the header says {stated:g}", header.source)
-        )
-    return value
+def _say_missing(header: C3dHeader, rate: float, ratio: int, notes: list[Note]) -> None:
+    missing = [f"POINT:{name}" for name in ("USED", "RATE", "SCALE") if not len(header.numbers("POINT", name))]
+    for name in missing:
+        notes.append(Note("c3d.parameter_missing", f"{name} is missing; that of the header used", header.source))
+    if ratio and not header.number("ANALOG", "RATE"):
+        text = f"ANALOG:RATE is missing; {rate * ratio:g} Hz from the samples per frame used"
+        notes.append(Note("c3d.parameter_missing", text, header.source))
 
 
 def _rate(header: C3dHeader, notes: list[Note]) -> float:
-    stated = header.rate if np.isfinite(header.rate) else 0.0
-    rate = _agree(header, "POINT", "RATE", stated, notes) or stated
-    if not 0.0 < rate < MAX_RATE:
+    """The camera rate [Hz]: of two that the file states, the one that ANALOG:RATE divided by word 10 repeats."""
+    parameter = header.number("POINT", "RATE") or 0.0
+    stated = [rate for rate in (parameter, header.rate) if 0.0 < rate < MAX_RATE]
+    if not stated:
         raise InputError(
             "c3d.rate",
             "the camera rate is missing",
             source=header.source,
             place="POINT:RATE",
-            found=f"{rate:g}",
+            found=f"{parameter:g}",
             remedy="Export the file again with its frame rate",
         )
-    return rate
-
-
-def _scale(header: C3dHeader, notes: list[Note]) -> float:
-    stored = header.numbers("POINT", "SCALE")
-    scale = float(stored[0]) if len(stored) else header.scale
-    if not len(stored):
-        notes.append(Note("c3d.parameter_missing", "POINT:SCALE is missing; that of the header used", header.source))
-    if not np.isfinite(scale) or scale == 0.0 or scale > 1e3:
-        raise InputError(
-            "c3d.scale",
-            "the scale of the points cannot be",
-            source=header.source,
-            place="POINT:SCALE",
-            found=f"{scale:g}",
-            remedy="Export the file again as reals",
-        )
-    return scale
-
-
-def _analog_layout(header: C3dHeader, rate: float, notes: list[Note]) -> tuple[int, int]:
-    """Channels and samples per video frame; the header's words are what the data were written with."""
-    total, used = header.analog_per_frame, header.number("ANALOG", "USED")
-    ratio = header.ratio
-    if total and not ratio and used:
-        ratio = int(total // used)
-    if not total or not ratio:
-        return 0, 0
-    if total % ratio:
-        raise InputError(
-            "c3d.analog_rate",
-            "the analog samples do not divide into frames",
-            source=header.source,
-            place="header words 3 and 10",
-            found=f"{total} values, {ratio} samples per frame",
-            remedy="Export the file again",
-        )
-    channels = total // ratio
-    if used is not None and int(used) != channels:
-        notes.append(Note("c3d.header_disagrees", f"ANALOG:USED is {used:g}, the data hold {channels}", header.source))
-    analog_rate = header.number("ANALOG", "RATE")
-    if not analog_rate:
-        text = f"ANALOG:RATE is missing; {rate * ratio:g} Hz from the header's ratio used"
-        notes.append(Note("c3d.parameter_missing", text, header.source))
-    elif abs(analog_rate / ratio - rate) > MAX_RATE_MISMATCH * rate:
-        raise InputError(
-            "c3d.analog_rate",
-            "analog and camera rates contradict each other",
-            source=header.source,
-            place="ANALOG:RATE",
-            found=f"{analog_rate:g} Hz against {ratio} samples per frame at {rate:g} Hz",
-            remedy="Export the file again; the ratio of the rates must be whole",
-        )
-    return channels, ratio
-
-
-def _data_offset(header: C3dHeader, size: int, notes: list[Note]) -> int:
-    block = header.data_block or int(header.number("POINT", "DATA_START") or 0)
-    stated = header.number("POINT", "DATA_START")
-    if stated is not None and int(stated) != block:
-        notes.append(
-            Note("c3d.header_disagrees", f"POINT:DATA_START is {stated:g}, the header says {block}", header.source)
-        )
-    if block < 2:
-        raise InputError(
-            "c3d.data_start",
-            "the file does not say where its data begin",
-            source=header.source,
-            place="header word 9",
-            found=str(block),
-            remedy="Export the file again",
-        )
-    return header.start + (block - 1) * BLOCK
-
-
-def _first_frame(header: C3dHeader, notes: list[Note]) -> int:
-    start = header.numbers("TRIAL", "ACTUAL_START_FIELD", unsigned=True)
-    first = int(start[0]) + 65536 * int(start[1]) if len(start) >= 2 else header.first_frame
-    if len(start) >= 2 and first != header.first_frame and header.first_frame != SATURATED:
-        text = f"TRIAL:ACTUAL_START_FIELD is {first}, the header's first frame {header.first_frame}"
+    third = (header.number("ANALOG", "RATE") or 0.0) / header.ratio if header.ratio else 0.0
+    repeated = [rate for rate in stated if abs(rate - third) <= MAX_RATE_MISMATCH * rate]
+    chosen = (repeated or stated)[0]
+    if abs(stated[0] - stated[-1]) > SAME * stated[0]:
+        by = "ANALOG:RATE and header word 10" if repeated else "custom; nothing else in the file shows it"
+        text = f"POINT:RATE is {stated[0]:g} Hz, the header says {stated[-1]:g} Hz; {chosen:g} Hz used, by {by}"
         notes.append(Note("c3d.header_disagrees", text, header.source))
+    return chosen
+
+
+def _scale(header: C3dHeader, real: bool) -> float:
+    """Size of the scale; of integers it is their quantum, which parameter and header must state alike."""
+    stated = [float(scale) for scale in (*header.numbers("POINT", "SCALE")[:1], header.scale)]
+    if not np.isfinite(stated[0]) or stated[0] == 0.0 or stated[0] > MAX_SCALE:
+        raise _bad_scale(header, "the scale of the points cannot be", f"{stated[0]:g}")
+    size, other = abs(stated[0]), abs(stated[-1])
+    if not real and 0.0 < other <= MAX_SCALE and abs(other - size) > SAME * size:
+        text = "parameter and header state two scales of the points, and nothing else in the file shows which is right"
+        raise _bad_scale(header, text, f"{size:g}, in the header {other:g}")
+    return size
+
+
+def _bad_scale(header: C3dHeader, message: str, found: str) -> InputError:
+    return InputError(
+        "c3d.scale",
+        message,
+        source=header.source,
+        place="POINT:SCALE",
+        found=found,
+        remedy="Export the file again as reals",
+    )
+
+
+def _refuse_analog_rate(header: C3dHeader, rate: float, ratio: int) -> None:
+    """An ANALOG:RATE that is no multiple of the camera rate, or that a camera rate stated once contradicts.
+
+    A whole multiple is one of the witnesses of the samples per frame and may be outvoted; another puts the camera rate
+    in doubt, and with it every velocity.
+    """
+    analog_rate, parameter = header.number("ANALOG", "RATE"), header.number("POINT", "RATE") or 0.0
+    if not ratio or not analog_rate or abs(analog_rate / ratio - rate) <= MAX_RATE_MISMATCH * rate:
+        return
+    multiple = max(1, round(analog_rate / rate))
+    whole = abs(analog_rate / multiple - rate) <= MAX_RATE_MISMATCH * rate
+    if whole and abs(parameter - header.rate) <= SAME * rate:
+        return
+    raise InputError(
+        "c3d.analog_rate",
+        "analog and camera rates contradict each other",
+        source=header.source,
+        place="ANALOG:RATE",
+        found=f"{analog_rate:g} Hz against {ratio} samples per frame at {rate:g} Hz",
+        remedy="Export the file again; the ratio of the rates must be whole",
+    )
+
+
+def _first_frame(header: C3dHeader, frames: int, notes: list[Note]) -> int:
+    """Number of the first frame: of two that the file states, the one whose last frame gives the number read."""
+    start, end = actual_field(header, "START"), actual_field(header, "END")
+    stated = [] if start is None else [("TRIAL:ACTUAL_START_FIELD", start, end)]
+    stated.append(("header word 4", header.first_frame, header.last_frame))
+    consistent = [one for one in stated if one[2] is not None and one[2] - one[1] + 1 == frames]
+    name, first, _ = (consistent or stated)[0]
+    if len({one[1] for one in stated}) > 1 and header.first_frame != SATURATED:
+        text = " and ".join(f"{one[0]} is {one[1]}" for one in stated)
+        notes.append(Note("c3d.header_disagrees", f"{text}; {name} gives the first frame", header.source))
     if first < 1:
         notes.append(Note("c3d.first_frame", "the first frame is numbered 0; time starts at 0 s", header.source))
     return max(first, 1)
 
 
-def _declared_frames(header: C3dHeader) -> list[int]:
-    """Numbers of frames that the file states, the most trustworthy first; saturated words are left out."""
-    found: list[float] = []
-    start = header.numbers("TRIAL", "ACTUAL_START_FIELD", unsigned=True)
-    end = header.numbers("TRIAL", "ACTUAL_END_FIELD", unsigned=True)
-    if len(start) >= 2 and len(end) >= 2:
-        found.append(end[0] + 65536 * end[1] - start[0] - 65536 * start[1] + 1)
-    frames = header.number("POINT", "FRAMES")
-    found.append(SATURATED if frames is None else frames)
-    found.append(SATURATED if header.last_frame == SATURATED else header.last_frame - header.first_frame + 1)
-    return [int(n) for n in found if np.isfinite(n) and n >= 0 and n != SATURATED]
-
-
 def _frames(header: C3dHeader, layout: Layout, available: int, allow_truncated: bool, notes: list[Note]) -> int:
-    """Frames to read: a declared number that fills the file, else the first declared that it holds."""
+    """Frames to read: of the declared numbers that fill the file the most frequent, else one that it holds."""
     size = layout.bytes_per_frame
     if size == 0:
         return 0
     present = max(available, 0) // size
-    declared = _declared_frames(header) or [present]
+    declared = [count for _, count in declared_frames(header)] or [present]
     fitting = [n for n in declared if n <= present]
     filling = [n for n in fitting if available - n * size < max(size, BLOCK)]
-    frames = (filling or fitting or [present])[0]
+    frames = max(filling, key=declared.count) if filling else (fitting or [present])[0]
     if len(set(declared)) > 1:
         text = f"the file states {' / '.join(str(n) for n in declared)} frames and holds {present}; {frames} read"
         notes.append(Note("c3d.frames", text, header.source))

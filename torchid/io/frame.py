@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
 from torchid.io.options import ReadOptions
 from torchid.io.units import METRES
@@ -23,8 +24,13 @@ LIKELY = (0.3, 3.0)
 """Extent [m] that another unit must give before the stated one is called wrong."""
 CLEAR_EXTENT = 1.3
 """A cloud this much taller than wide shows which axis is vertical."""
+BELOW_FLOOR = (-0.05, -0.2)
+"""Along the vertical axis no marker lies lower [m] than the first; where they lie lower than the second along another
+axis, that one is not vertical. Between the two a floor that was levelled badly, or a plate of markers, may lie."""
 SAMPLES = 100_000
 """Of a long recording's forces so many tell axis, signs and offsets."""
+LOADED_SHARE = 0.3
+"""Of the largest force; plates that bear less say nothing about the vertical."""
 CLEAR_FORCE = 0.8
 """Share of the mean ground reaction along one axis that shows it to be vertical."""
 
@@ -88,34 +94,40 @@ def vertical_axis(
     customary: str,
     options: ReadOptions,
     source: str,
+    beside: Forces | None = None,
 ) -> tuple[str, list[Note]]:
     """``y`` or ``z``: the vertical axis of a file.
 
-    The ground reaction decides, then what the file states, then the markers, then the custom of the format; an override
-    stands above the file but not above the ground reaction.
+    The plates' surfaces decide, then the ground reaction, then what the file states, then the markers; an override
+    stands above the file but not above the plates. Where nothing shows it, it is asked for.
 
     Args:
         position: (frames, markers, 3) in m.
         forces: in the file's axes, or None.
         stated: ``y``, ``z`` or empty.
-        customary: the axis that the format usually has, used last and said.
+        customary: the axis that the format usually has, taken where there is nothing to turn.
         options: of the reading.
         source: the file.
+        beside: forces of another file, whose axes may be others; asked last.
 
     Raises:
-        InputError: ``axes.contradiction`` and ``axes.unsupported``.
+        InputError: ``axes.contradiction``, ``axes.unsupported`` and ``axes.unknown``.
     """
-    pushed = _force_axis(forces)
-    _refuse_axis(pushed, options.up or stated, "config" if options.up else "file", source)
+    pushed = _plate_axis(forces) or force_axis(forces)
+    refuse_axis(pushed, options.up or stated, "config" if options.up else "file", source)
     seen = _marker_axis(position)
     signs = (
         (options.up, "as asked"),
-        (pushed, "by the ground reaction"),
+        (pushed, "by the surfaces of the plates" if _plate_axis(forces) else "by the ground reaction"),
         (stated, "stated by the file"),
         (seen, "by the markers"),
-        (customary, "by custom of the format; nothing in the file shows it"),
+        (_floor_axis(position), "by the floor: along the other axis markers would lie below it"),
+        (force_axis(beside).strip("x"), "by the ground reaction of the other file"),
+        ("" if np.isfinite(position).any() else customary, "by custom of the format; there is nothing to turn"),
     )
-    axis, reason = next((up, why) for up, why in signs if up)
+    axis, reason = next(((up, why) for up, why in signs if up), ("", ""))
+    if not axis:
+        raise _unknown_axis(position, source)
     turned = "; rotated to Z up" if axis == "y" else ""
     notes = [Note("axes.up", f"vertical axis {axis.upper()} {reason}{turned}", source)]
     if seen and seen != axis:
@@ -124,8 +136,24 @@ def vertical_axis(
     return axis, notes
 
 
-def _refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
-    """The axis of the ground reaction is one that can be turned up, and the one that config or file name."""
+def _unknown_axis(position: np.ndarray, source: str) -> InputError:
+    sides = ", ".join(f"{side:.2f} m along {name}" for name, side in zip("XYZ", _extents(position), strict=True))
+    return InputError(
+        "axes.unknown",
+        "nothing in the file shows which axis is vertical",
+        source=source,
+        place="axes",
+        found=f"no loaded plate, no stated axis, and a marker cloud of {sides}",
+        remedy="Name it in the config, beside file:, with up: z or up: y",
+    )
+
+
+def refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
+    """Refuse an axis of the ground reaction that cannot be turned up, or that config or file (``by``) deny.
+
+    Raises:
+        InputError: ``axes.unsupported`` and ``axes.contradiction``.
+    """
     if pushed == "x":
         raise InputError(
             "axes.unsupported",
@@ -142,21 +170,21 @@ def _refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
             source=source,
             place="axes",
             found=f"{pushed.upper()} vertical by force",
-            remedy=f"Give up: {pushed} if the plates are right",
+            remedy=f"Give up: {pushed} if markers and forces have {pushed.upper()} up, or, if the forces alone do, "
+            f"up: {chosen}, forces_as: {{up: {pushed}}}",
         )
 
 
-def _force_axis(forces: Forces | None) -> str:
-    """Axis of the mean total force while loaded, empty where no axis stands out."""
+def force_axis(forces: Forces | None) -> str:
+    """Axis (x, y or z) of the mean force of each plate while loaded, whatever its sign, empty where none stands out."""
     if forces is None or not len(forces.time) or not forces.plates:
         return ""
-    some = forces.wrench[:: max(1, len(forces.wrench) // SAMPLES), :, :3]
-    force = some.sum(dim=1).nan_to_num()
-    size = force.norm(dim=1)
-    loaded = force[size > 0.3 * size.max()]
-    if float(size.max()) < 50.0:
+    force = forces.wrench[:: max(1, len(forces.wrench) // SAMPLES), :, :3].nan_to_num()
+    size = force.norm(dim=-1)
+    if float(size.max()) < SAMPLE_LOADED_N:
         return ""
-    mean = loaded.mean(dim=0).abs()
+    loaded = (size > LOADED_SHARE * size.max())[..., None]
+    mean = (force * loaded).sum(dim=0).abs().sum(dim=0)
     share, axis = (mean / mean.norm().clamp_min(1e-9)).max(dim=0)
     return "xyz"[int(axis)] if float(share) > CLEAR_FORCE else ""
 
@@ -169,6 +197,28 @@ def _marker_axis(position: np.ndarray) -> str:
     order = np.argsort(extents)
     clear = np.isfinite(extents).all() and extents[order[2]] > CLEAR_EXTENT * extents[order[1]]
     return "xyz"[order[2]] if clear and order[2] > 0 else ""
+
+
+def _plate_axis(forces: Forces | None) -> str:
+    """Y or Z along which the surfaces of all plates face, empty where they have none or face elsewhere."""
+    corners = [plate.corners for plate in forces.plates if plate.corners is not None] if forces else []
+    if not corners:
+        return ""
+    stacked = np.stack([np.asarray(four) for four in corners])
+    normal = np.abs(np.cross(stacked[:, 2] - stacked[:, 0], stacked[:, 3] - stacked[:, 1])).sum(axis=0)
+    axis = int(normal.argmax())
+    return "xyz"[axis] if axis and normal[axis] > CLEAR_FORCE * np.linalg.norm(normal) else ""
+
+
+def _floor_axis(position: np.ndarray) -> str:
+    """Y or Z along which nothing lies below the floor, where much does along the other; else empty."""
+    some = position[:: max(1, len(position) // 500), :, 1:]
+    some = some[np.isfinite(some).all(axis=-1)]
+    if not len(some):
+        return ""
+    low = np.quantile(some, 0.01, axis=0)
+    above, below = low > BELOW_FLOOR[0], low < BELOW_FLOOR[1]
+    return "y" if above[0] and below[1] else "z" if above[1] and below[0] else ""
 
 
 def to_world(vectors: Float[Tensor, "*batch n"], axis: str) -> Float[Tensor, "*batch n"]:

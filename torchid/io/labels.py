@@ -33,7 +33,7 @@ class Selection:
 
 
 def select_markers(
-    labels: list[str], source: str, outputs: frozenset[str] = frozenset(), prefix: str | None = None
+    labels: list[str], source: str, outputs: frozenset[str] = frozenset(), subject: str | tuple[str, ...] | None = None
 ) -> Selection:
     """The markers among ``labels``; what is left out is counted and named in the notes.
 
@@ -41,10 +41,11 @@ def select_markers(
         labels: one per point, as in the file.
         source: the file, for notes and errors.
         outputs: labels that the file itself lists as angles, forces, moments, powers or scalars.
-        prefix: the subject to read, None where the file holds one.
+        subject: the prefix to read, or several of one person stored as several bodies; None where the file holds one.
 
     Raises:
-        InputError: ``markers.subjects`` where several subjects are present and none is chosen, or the chosen is absent.
+        InputError: ``markers.subjects`` where several prefixes are present and none is chosen, a chosen one is absent,
+            or chosen ones share a label.
     """
     notes: list[Note] = []
     plain = [label.split(":")[-1].strip() for label in labels]
@@ -52,7 +53,7 @@ def select_markers(
     computed = _computed(labels, plain, outputs)
     left = set(unlabelled) | computed
     subjects = sorted({label.split(":")[0] for k, label in enumerate(labels) if ":" in label and k not in left})
-    columns = _of_subject([k for k in range(len(labels)) if k not in left], labels, subjects, prefix, source, notes)
+    columns = _of_subject([k for k in range(len(labels)) if k not in left], labels, subjects, subject, source, notes)
     if unlabelled:
         notes.append(Note("markers.unlabelled", f"{len(unlabelled)} unlabelled points left out", source))
     if computed:
@@ -104,30 +105,76 @@ def _computed(labels: list[str], plain: list[str], outputs: frozenset[str]) -> s
 
 
 def _of_subject(
-    columns: list[int], labels: list[str], subjects: list[str], prefix: str | None, source: str, notes: list[Note]
+    columns: list[int],
+    labels: list[str],
+    subjects: list[str],
+    subject: str | tuple[str, ...] | None,
+    source: str,
+    notes: list[Note],
 ) -> list[int]:
-    if prefix is not None:
-        kept = [k for k in columns if ":" not in labels[k] or labels[k].split(":")[0] == prefix]
-        if subjects and prefix not in subjects:
-            raise _which_subject("the subject asked for is not in the file", subjects, source)
-        if len(kept) < len(columns):
-            notes.append(Note("markers.subjects", f"{len(columns) - len(kept)} markers of others left out", source))
-        return kept
-    if len(subjects) > 1:
-        raise _which_subject("the file holds several subjects", subjects, source)
-    if subjects:
-        notes.append(Note("markers.prefix", f"prefix {subjects[0]}: removed from the labels", source))
-    return columns
+    """Columns of the chosen prefixes and of labels without one."""
+    chosen = (subject,) if isinstance(subject, str) else subject or ()
+    if not subjects:
+        if chosen:
+            notes.append(Note("markers.subjects", "the labels have no prefixes, all are read", source))
+        return columns
+    absent = [name for name in chosen if name not in subjects]
+    if absent:
+        text = f"the subject asked for is not in the file: {_listed(absent)}"
+        raise _which_subject(text, columns, labels, subjects, source)
+    if not chosen and len(subjects) > 1:
+        raise _which_subject(
+            "the file holds several subjects, or one as several bodies", columns, labels, subjects, source
+        )
+    chosen = chosen or tuple(subjects)
+    kept = [k for k in columns if ":" not in labels[k] or labels[k].split(":")[0] in chosen]
+    shared = _shared(kept, labels)
+    if shared and len(chosen) > 1:
+        raise _colliding(shared, source)
+    if len(kept) < len(columns):
+        notes.append(Note("markers.subjects", f"{len(columns) - len(kept)} markers of others left out", source))
+    notes.append(Note("markers.prefix", f"prefix {', '.join(chosen)}: removed from the labels", source))
+    return kept
 
 
-def _which_subject(message: str, subjects: list[str], source: str) -> InputError:
+def _shared(columns: list[int], labels: list[str]) -> dict[str, list[str]]:
+    """Labels that occur under several prefixes, each with these."""
+    found: dict[str, list[str]] = {}
+    for prefix, name in sorted(
+        {(labels[k].split(":")[0], labels[k].split(":")[-1].strip()) for k in columns if ":" in labels[k]}
+    ):
+        found.setdefault(name, []).append(prefix)
+    return {name: prefixes for name, prefixes in found.items() if len(prefixes) > 1}
+
+
+def _which_subject(message: str, columns: list[int], labels: list[str], subjects: list[str], source: str) -> InputError:
+    """The question, with the markers of each prefix, so that bodies of one person can be told from persons."""
+    members = {
+        name: [labels[k].split(":")[-1] for k in columns if labels[k].split(":")[0] == name] for name in subjects
+    }
+    listed = [f"{name} ({len(found)}: {_listed(found, 3)})" for name, found in members.items()]
+    shared = _shared(columns, labels)
+    together = f"{_listed(list(shared), 3)} under several of them" if shared else "no label under two of them"
+    several = "" if shared else f", or several bodies of one person with subject: [{', '.join(subjects[:2])}]"
     return InputError(
         "markers.subjects",
         message,
         source=source,
         place="labels",
-        found=_listed(subjects),
-        remedy="Choose one of them with prefix:",
+        found=f"{_listed(listed)}; {together}",
+        remedy=f"Name it in the config, beside file:, with subject: {subjects[0]}{several}",
+    )
+
+
+def _colliding(shared: dict[str, list[str]], source: str) -> InputError:
+    named = [f"{name} of {' and '.join(prefixes)}" for name, prefixes in shared.items()]
+    return InputError(
+        "markers.subjects",
+        "the subjects asked for share labels, so they are not bodies of one person",
+        source=source,
+        place="labels",
+        found=_listed(named),
+        remedy=f"Name one of them with subject: {next(iter(shared.values()))[0]}, or rename the labels",
     )
 
 

@@ -11,8 +11,8 @@ from torchid.io.mend import ForcesAs, PlateAs
 class ReadOptions:
     """Choices for reading one trial; the defaults trust the file and refuse where it contradicts itself."""
 
-    prefix: str | None = None
-    """Subject whose markers are read, where a file holds several (``Subj:LASI``)."""
+    subject: str | tuple[str, ...] | None = None
+    """Subject whose markers are read, where a file holds several (``Subj:LASI``), or all bodies of one."""
     up: Literal["y", "z"] | None = None
     """Vertical axis of the file, where it cannot be told or the file is wrong."""
     units: Literal["mm", "cm", "dm", "m", "in"] | None = None

@@ -1,15 +1,15 @@
 """Force plates of a C3D file: analog channels to the wrench on the subject about the origin of the file's axes.
 
-Types 1 to 4 of the C3D file format user guide (c3d.org), chapter "The FORCE_PLATFORM group". The channels of a plate
-hold the reaction on the subject in the plate's axes: X and Y along its edges, Z down, so that a standing person makes
-Fz negative. ORIGIN leads from the transducer's origin to the centre of the working surface; its z is negative (the
-surface is above), and where a file has it positive, the opposite vector was stored. Nothing is zeroed: offsets stay.
+Types 1 to 4 of the C3D file format user guide (c3d.org), chapter "The FORCE_PLATFORM group", and type 7, which is type
+3 behind a calibration (Visual3D's documentation, "FP_Type"). The channels of a plate hold the reaction on the subject
+in the plate's axes: X and Y along its edges, Z down, so that a standing person makes Fz negative. ORIGIN leads from the
+transducer's origin to the centre of the working surface; its z is negative (the surface is above), and where a file has
+it positive, the opposite vector was stored. Nothing is zeroed: offsets stay.
 """
 
 import math
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -19,35 +19,12 @@ from torch import Tensor
 from torchid.conventions import LOADED_N
 from torchid.errors import Note
 from torchid.io.c3d_header import C3dHeader
-from torchid.io.mend import PlateAs, PlatesAs, ordered_corners
-from torchid.io.units import METRES
+from torchid.io.mend import PlatesAs
+from torchid.io.plate_setup import SMALL_MISFIT, PlateProblem, PlateSetup, plate_frame, plate_setups, rectangle_misfit
 from torchid.recording import Plate
-
-CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6}
-EDGE = (0.1, 5.0)
-"""Lengths of a plate's edges [m] that raise no doubt."""
-MAX_WARP = 0.02
-"""A corner further [m] from the plane of the others is a mistake."""
-
 
 ReadChannels = Callable[[list[int]], Iterable[tuple[slice, np.ndarray]]]
 """From column numbers to samples (samples, columns), a few after the other, each time with where they lie among all."""
-
-
-@dataclass(frozen=True)
-class PlateSetup:
-    """One plate as the file describes it, lengths in m."""
-
-    number: int
-    kind: int
-    channels: tuple[int, ...]
-    corners: Float[np.ndarray, "4 3"]
-    origin: Float[np.ndarray, " 3"]
-    calibration: Float[np.ndarray, "6 6"] | None
-
-
-class PlateProblem(Exception):
-    """A plate that cannot be used; becomes a note, never leaves this module."""
 
 
 def read_plates(
@@ -66,78 +43,34 @@ def read_plates(
         Wrench (samples, plates, 6) on the subject about the origin of the file's axes [N, N m], the plates with corners
         in the file's axes [m], notes (one per refused plate), and facts about each plate.
     """
-    used, types = header.number("FORCE_PLATFORM", "USED"), header.numbers("FORCE_PLATFORM", "TYPE")
-    notes: list[Note] = []
-    count = len(types) if used is None else min(int(used), len(types))
-    if used is not None and used > len(types):
-        text = f"FORCE_PLATFORM:USED is {used:g}, but only {len(types)} types are given"
-        notes.append(Note("plates.used", text, header.source))
+    setups, notes = plate_setups(header, shape[1], metres, changes)
     plates, facts = [], {}
-    found = np.empty((shape[0], min(count, 255), 6))
-    for k in range(min(count, 255)):
+    refused = [match[1] for note in notes if (match := re.match(r"plate (\d+) cannot", note.message))]
+    if refused:
+        facts["plates refused"] = " ".join(refused)
+    found = np.empty((shape[0], len(setups), 6))
+    for setup in setups:
         try:
-            setup = _setup(header, k, metres, changes.get(k + 1, PlateAs()))
-            said = _read_wrench(setup, read, shape[1], header, metres, found[:, len(plates)])
+            said = _read_wrench(setup, read, header, metres, found[:, len(plates)])
         except PlateProblem as problem:
-            notes.append(Note("plates.refused", f"plate {k + 1} cannot be used: {problem}", header.source))
-            facts["plates refused"] = f"{facts.get('plates refused', '')} {k + 1}".strip()
+            notes.append(Note("plates.refused", f"plate {setup.number} cannot be used: {problem}", header.source))
             continue
-        notes += [Note("plates.assumed", f"plate {k + 1}: {text}", header.source) for text in said]
-        facts[f"plate {k + 1} type"] = str(setup.kind)
-        plates.append(Plate(f"plate {k + 1}", torch.from_numpy(setup.corners), torch.from_numpy(_upright(setup))))
+        notes += [Note("plates.assumed", f"plate {setup.number}: {text}", header.source) for text in said]
+        facts[f"plate {setup.number} type"] = str(setup.kind)
+        corners, origin = torch.from_numpy(setup.corners), torch.from_numpy(_upright(setup))
+        plates.append(Plate(f"plate {setup.number}", corners, origin))
     return torch.from_numpy(np.ascontiguousarray(found[:, : len(plates)])), tuple(plates), notes, facts
-
-
-def _setup(header: C3dHeader, k: int, metres: float, change: PlateAs) -> PlateSetup:
-    kind = int(_finite(header.numbers("FORCE_PLATFORM", "TYPE")[k : k + 1], 1, "TYPE")[0])
-    if kind not in CHANNELS:
-        raise PlateProblem(f"type {kind} is not supported (types 1 to 4 are)")
-    channel = header.find("FORCE_PLATFORM", "CHANNEL")
-    rows = channel.dims[0] if channel is not None and channel.dims else 0
-    numbers = header.numbers("FORCE_PLATFORM", "CHANNEL", unsigned=True)[k * rows : (k + 1) * rows]
-    channels = tuple(int(c) for c in _finite(numbers[: CHANNELS[kind]], CHANNELS[kind], "CHANNEL"))
-    corners = _finite(header.numbers("FORCE_PLATFORM", "CORNERS")[12 * k : 12 * k + 12], 12, "CORNERS").reshape(4, 3)
-    origin = _finite(header.numbers("FORCE_PLATFORM", "ORIGIN")[3 * k : 3 * k + 3], 3, "ORIGIN")
-    calibration = None
-    if kind == 4:
-        entries = _finite(header.numbers("FORCE_PLATFORM", "CAL_MATRIX")[36 * k : 36 * k + 36], 36, "CAL_MATRIX")
-        calibration = entries.reshape(6, 6).T
-    corners = corners * (METRES[change.corner_unit] if change.corner_unit else metres)
-    corners = ordered_corners(torch.from_numpy(corners), change).numpy()
-    return PlateSetup(k + 1, kind, channels, corners, origin * metres, calibration)
-
-
-def _upright(setup: PlateSetup) -> Float[np.ndarray, " 3"]:
-    """The right ORIGIN: from the transducer to the surface above it."""
-    if setup.kind == 1:
-        return np.zeros(3)
-    if setup.kind == 3:
-        return np.array([0.0, 0.0, -abs(setup.origin[2])])
-    return -setup.origin if setup.origin[2] > 0 else setup.origin
-
-
-def _finite(values: np.ndarray, count: int, name: str) -> np.ndarray:
-    if len(values) < count:
-        raise PlateProblem(f"FORCE_PLATFORM:{name} is missing or too short")
-    if not np.isfinite(values).all() or np.abs(values).max() > 1e9:
-        raise PlateProblem(f"FORCE_PLATFORM:{name} is not a number")
-    return values
 
 
 def _read_wrench(
     setup: PlateSetup,
     read: ReadChannels,
-    channels: int,
     header: C3dHeader,
     metres: float,
     out: Float[np.ndarray, "samples 6"],
 ) -> list[str]:
     """Fill ``out`` with the wrench on the subject about the origin of the file's axes; returns what was assumed."""
     columns = [c - 1 for c in setup.channels]
-    if min(columns) < 0 or max(columns) >= channels:
-        raise PlateProblem(f"its channels {setup.channels} are not among the {channels} of the file")
-    if len(set(columns)) < len(columns):
-        raise PlateProblem(f"its channels {setup.channels} repeat")
     R_WF, p_WF = plate_frame(setup.corners)
     units = header.strings("ANALOG", "UNITS")
     factors, said = _factors(setup, [units[c] if c < len(units) else "" for c in columns], metres)
@@ -154,30 +87,18 @@ def _read_wrench(
         raise PlateProblem("one of its channels has no scale or offset")
     if setup.origin[2] > 0 and setup.kind != 1:
         said.append("ORIGIN has its z above zero, the opposite vector is used")
+    misfit = rectangle_misfit(setup.corners)
+    if misfit > SMALL_MISFIT:
+        text = "its corners lie {:.0f} mm from a rectangle; kept, with the axes of its first edges"
+        said.append(text.format(1e3 * misfit))
     return said
-
-
-def plate_frame(corners: Float[np.ndarray, "4 3"]) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
-    """Axes R_WF (3, 3) and centre p_WF of a plate from its corners (4, 3) [m] in the quadrants ++, -+, --, +-."""
-    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)
-    if edges.min() < EDGE[0] or edges.max() > EDGE[1]:
-        raise PlateProblem(f"its edges are {edges.min():.4g} to {edges.max():.4g} m long")
-    x = corners[0] - corners[1]
-    z = np.cross(x, corners[0] - corners[3])
-    if np.linalg.norm(z) < 0.5 * np.linalg.norm(x) * np.linalg.norm(corners[0] - corners[3]):
-        raise PlateProblem("its corners are not a rectangle")
-    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-    centre = corners.mean(axis=0)
-    if np.abs((corners - centre) @ z).max() > MAX_WARP:
-        raise PlateProblem("its corners do not lie in a plane")
-    return np.stack([x, np.cross(z, x), z], axis=1), centre
 
 
 def _factors(setup: PlateSetup, units: list[str], metres: float) -> tuple[np.ndarray, list[str]]:
     """Factor of each channel, or a matrix, to N, N m and m; where a unit says nothing, the file's unit of length."""
-    if setup.kind == 4:
-        assert setup.calibration is not None
-        return np.diag([1.0, 1.0, 1.0, metres, metres, metres]) @ setup.calibration, []
+    if setup.calibration is not None:
+        units_of = [1.0] * 8 if setup.kind == 7 else [1.0] * 3 + [metres] * 3
+        return np.diag(units_of) @ setup.calibration, []
     kinds = {1: "FFFLLM", 2: "FFFMMM", 3: "F" * 8}[setup.kind]
     factors, unclear = [], []
     for kind, unit in zip(kinds, units, strict=True):
@@ -206,7 +127,7 @@ def _factor(kind: str, unit: str) -> float | None:
 
 def _in_plate(setup: PlateSetup, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force and moment (samples, 3) at the transducer in plate axes, and the right ORIGIN."""
-    if setup.kind == 3:
+    if setup.kind in (3, 7):
         return *_kistler(raw, setup.origin[0], setup.origin[1]), _upright(setup)
     force, zero = raw[:, :3], np.zeros(len(raw))
     if setup.kind == 1:
@@ -215,8 +136,17 @@ def _in_plate(setup: PlateSetup, raw: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return force, raw[:, 3:], _upright(setup)
 
 
+def _upright(setup: PlateSetup) -> Float[np.ndarray, " 3"]:
+    """The right ORIGIN: from the transducer to the surface above it."""
+    if setup.kind == 1:
+        return np.zeros(3)
+    if setup.kind in (3, 7):
+        return np.array([0.0, 0.0, -abs(setup.origin[2])])
+    return -setup.origin if setup.origin[2] > 0 else setup.origin
+
+
 def _kistler(raw: np.ndarray, a: float, b: float) -> tuple[np.ndarray, np.ndarray]:
-    """Type 3: channels Fx12, Fx34, Fy14, Fy23, Fz1 to Fz4 of four sensors at (+-a, +-b)."""
+    """Types 3 and 7: channels Fx12, Fx34, Fy14, Fy23, Fz1 to Fz4 of four sensors at (+-a, +-b)."""
     x12, x34, y14, y23, z1, z2, z3, z4 = raw.T
     force = np.stack([x12 + x34, y14 + y23, z1 + z2 + z3 + z4], axis=1)
     moment = [b * (z1 + z2 - z3 - z4), a * (z2 + z3 - z1 - z4), b * (x34 - x12) + a * (y14 - y23)]

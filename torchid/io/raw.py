@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
-from torchid.io.frame import SAMPLES, to_world, turn_to_world, vertical_axis
+from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
 from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
@@ -35,6 +35,8 @@ class RawTrial:
     notes: tuple[Note, ...] = ()
     parameters: tuple[tuple[str, str], ...] = ()
     events: tuple[Event, ...] = ()
+    beside: Forces | None = None
+    """Forces of another file, in its axes and on its clock, which stand for those of this one."""
 
 
 def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial:
@@ -46,7 +48,10 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     mask, missing = missing_samples(position, raw.source)
     position[mask] = np.nan
     same_axes = options.forces_as.up is None  # else the forces say nothing about the markers' vertical
-    axis, said = vertical_axis(position, raw.forces if same_axes else None, raw.up, raw.customary, options, raw.source)
+    axis, said = vertical_axis(
+        position, raw.forces if same_axes else None, raw.up, raw.customary, options, raw.source,
+        raw.beside if same_axes else None,
+    )  # fmt: skip
     held: list[Note] = []
     if role != "static" and len(raw.time) > 1:
         rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
@@ -54,20 +59,20 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
         position[mask] = np.nan
     world = turn_to_world(torch.from_numpy(position), axis)
     markers = Markers(raw.labels, torch.from_numpy(np.ascontiguousarray(raw.time, dtype=float)), world)
-    forces = None if raw.forces is None else _forces_in_world(raw.forces, axis, options, raw.source)
-    notes = (*raw.notes, *missing, *said, *held, *_mended(options, raw.source), *_force_notes(forces, raw))
+    forces, turned = raw.forces, []
+    if raw.beside is not None:
+        forces, turned = _other_forces(raw.beside, raw, axis, options)
+    elif forces is not None:
+        forces = _forces_in_world(turned_up(forces, options.forces_as, axis), axis)
+    if forces is not None:
+        forces = mend(forces, options.forces_as, options.plates, raw.source)
+    said = [*said, *turned, *_as_asked(options, raw.source)]
+    notes = (*raw.notes, *missing, *said, *held, *_force_notes(forces, raw))
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
     return Trial(name, markers, forces, role, raw.events, notes, parameters)
 
 
-def _forces_in_world(forces: Forces, axis: str, options: ReadOptions, source: str) -> Forces | None:
-    forces = turned_up(forces, options.forces_as, axis)
-    plates = tuple(replace(p, corners=None if p.corners is None else to_world(p.corners, axis)) for p in forces.plates)
-    forces = Forces(forces.time, turn_to_world(forces.wrench, axis), plates)
-    return mend(forces, options.forces_as, options.plates, source)
-
-
-def _mended(options: ReadOptions, source: str) -> list[Note]:
+def _as_asked(options: ReadOptions, source: str) -> list[Note]:
     """What the user's word changed in the forces."""
     said = []
     if options.forces_as != ForcesAs():
@@ -76,6 +81,34 @@ def _mended(options: ReadOptions, source: str) -> list[Note]:
         if change != PlateAs():
             said.append(Note("plates.as_asked", f"plate {number} read as asked: {in_words(change)}", source))
     return said
+
+
+def _other_forces(forces: Forces, raw: RawTrial, axis: str, options: ReadOptions) -> tuple[Forces, list[Note]]:
+    """Forces of another file in W and on the clock of the markers, which count their frames from 1.
+
+    Files of forces often count from the first frame stored; that is taken where more of the markers' time is covered.
+    """
+    notes, own = [], options.forces_as.up or force_axis(forces) or axis
+    refuse_axis(own, "", "", raw.source)
+    if own != axis:
+        text = f"the forces are {own.upper()} up, the markers {axis.upper()} up; each is rotated to Z up by itself"
+        notes.append(Note("axes.forces", text, raw.source))
+    begin, end = (float(raw.time[0]), float(raw.time[-1])) if len(raw.time) else (0.0, 0.0)
+    if begin > 0.0 and len(forces.time):
+        first, last = float(forces.time[0]), float(forces.time[-1])
+        same, later = (min(end, last + by) - max(begin, first + by) for by in (0.0, begin))
+        frame = (end - begin) / max(1, len(raw.time) - 1)
+        shifted = later > max(same, 0.0) + frame
+        words = "counted from the first stored frame and shifted" if shifted else "taken as the clock of the markers"
+        text = f"markers begin at {begin:g} s; the clock of the forces, {first:g} to {last:g} s, is {words}"
+        notes.append(Note("trial.clock", text, raw.source))
+        forces = replace(forces, time=forces.time + begin) if shifted else forces
+    return _forces_in_world(forces, own), notes
+
+
+def _forces_in_world(forces: Forces, axis: str) -> Forces:
+    plates = tuple(replace(p, corners=None if p.corners is None else to_world(p.corners, axis)) for p in forces.plates)
+    return Forces(forces.time, turn_to_world(forces.wrench, axis), plates)
 
 
 def _force_notes(forces: Forces | None, raw: RawTrial) -> list[Note]:

@@ -1,5 +1,6 @@
 """One trial from whatever the laboratory exported."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from torchid.errors import InputError, Note
@@ -20,12 +21,12 @@ ROLES = ("static", "fit", "heldout")
 def read_trial(
     name: str, file: str | Path, forces: str | Path | None = None, role: str = "fit", options: ReadOptions | None = None
 ) -> Trial:
-    """A trial in W, SI units and float64, from a C3D, or from a TRC with or without a MOT/STO of ground reactions.
+    """A trial in W, SI units and float64, from a C3D or a TRC, with or without a MOT/STO of ground reactions.
 
     Args:
         name: of the trial.
         file: .c3d or .trc.
-        forces: .mot or .sto beside a .trc.
+        forces: .mot or .sto; beside a .c3d, its own plates are left out.
         role: static, fit or heldout.
         options: what the file leaves open.
 
@@ -44,27 +45,25 @@ def read_trial(
             found=file.suffix or "no suffix",
             remedy="Give forces (.mot, .sto) under forces:",
         )
+    measured = _read_forces(None if forces is None else Path(forces))
     if suffix == ".trc":
-        return _read_text(name, file, None if forces is None else Path(forces), role, options)
-    if forces is not None:
-        raise InputError(
-            "trial.forces",
-            "a C3D brings its own force plates",
-            source=file,
-            place="forces",
-            found=str(forces),
-            remedy="Leave forces: out, or give the markers as .trc",
-        )
-    return read_c3d(file, name, role, options)
+        return _read_text(name, file, measured, role, options)
+    beside, notes, facts = measured
+    trial = read_c3d(file, name, role, options, beside)
+    return replace(trial, notes=(*trial.notes, *notes), parameters={**trial.parameters, **dict(facts)})
 
 
-def _read_text(name: str, file: Path, forces: Path | None, role: str, options: ReadOptions) -> Trial:
+Measured = tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]
+"""Forces of a file of their own, its notes and facts."""
+
+
+def _read_text(name: str, file: Path, forces: Measured, role: str, options: ReadOptions) -> Trial:
     trc = read_trc(file)
     source = str(file)
-    chosen = select_markers(list(trc.labels), source, prefix=options.prefix)
+    chosen = select_markers(list(trc.labels), source, subject=options.subject)
     position = trc.position[:, list(chosen.columns)]
     unit, said = length_unit(trc.units, position, options, source)
-    measured, force_notes, facts = _read_forces(forces)
+    measured, force_notes, facts = forces
     rate = (len(trc.time) - 1) / (trc.time[-1] - trc.time[0]) if len(trc.time) > 1 else 0.0
     raw = RawTrial(
         source=source,
@@ -80,7 +79,7 @@ def _read_text(name: str, file: Path, forces: Path | None, role: str, options: R
     return assemble(raw, name, role, options)
 
 
-def _read_forces(path: Path | None) -> tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]:
+def _read_forces(path: Path | None) -> Measured:
     if path is None:
         return None, (), ()
     if path.suffix.lower() not in (".mot", ".sto"):
