@@ -35,7 +35,7 @@ class C3dCopy:
     def __init__(self, source: Path) -> None:
         self.bytes = bytearray(source.read_bytes())
         self.header: C3dHeader = read_header(FileBytes(source), source)
-        self.layout = resolve_layout(self.header, len(self.bytes), False)
+        self.layout = resolve_layout(self.header, FileBytes(source), False)
 
     def numbers(self, group: str, name: str) -> np.ndarray:
         """Values of a parameter."""

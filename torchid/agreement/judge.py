@@ -52,11 +52,10 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
         mass_kg: of the subject, on record.
         reread: reads the trial again with a change, None where it refuses; for what cannot be tried without.
     """
-    scene = scene_of(trial)
+    scene, refused = scene_of(trial), () if reread is None else _refused(trial, reread)
     if scene is None:
-        return ()
+        return refused
     units = unit_findings(scene.feet, scene.forces, scene.heights, mass_kg)
-    refused = () if reread is None else _refused(trial, reread)
     return units or (*_axes(scene, trial, reread), *refused) or clock_findings(trial)
 
 
@@ -79,7 +78,7 @@ def _axes(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, .
     plates = scene.forces.plates
     single = {k: _tried(scene, k, plate_changes(plates, k)) for k in range(len(plates))}
     bad = [k for k, tried in single.items() if tried.disagrees]
-    together = [*file_changes(), *pair_changes(plates)]
+    together = [*pair_changes(plates), *file_changes()]
     whole = {k: _tried(scene, k, together) for k in range(len(plates))}
     bad += [k for k, tried in whole.items() if k not in bad and tried.disagrees and _all_gain(whole)]
     if not bad:
@@ -104,15 +103,15 @@ class Tried:
 
     @property
     def right(self) -> list[Change]:
-        """Changes under which the plate agrees, the best first, those that are told apart from it left out."""
+        """Changes under which the plate agrees best, and those that are not told apart from it."""
         order = [i for i in self.evidence.gain.argsort(descending=True).tolist() if i and self._agrees(i)]
         if not order or not self._much_better(order[0]):
             return []
-        best = order[0]
+        # Of what is told apart by less than its scatter, the list's own order says what happens more often.
+        alike = [i for i in order if float(self.evidence.gain[order[0]] - self.evidence.gain[i]) < ALIKE]
         kept: list[int] = []
-        for i in order:
-            near = float(self.evidence.gain[best] - self.evidence.gain[i]) < ALIKE
-            if near and all(float((self.wrench[i] - self.wrench[j]).abs().max()) > SAME_N for j in kept):
+        for i in sorted(alike):
+            if all(float((self.wrench[i] - self.wrench[j]).abs().max()) > SAME_N for j in kept):
                 kept.append(i)
         return [self.changes[i - 1] for i in kept]
 
@@ -161,17 +160,16 @@ def _all_gain(whole: dict[int, Tried]) -> bool:
 
 
 def _shared(whole: dict[int, Tried], bad: list[int]) -> list[Change]:
-    """Changes of the whole file under which every plate agrees, the best first."""
+    """Changes of the whole file under which every plate agrees best, and those that are not told apart from it."""
     if not bad:
         return []
     total = {}
     for change in whole[bad[0]].changes:
         if all(tried.agrees(change) for tried in whole.values()):
             total[change.line] = (sum(whole[k].gain(change) for k in whole) / len(bad), change)
-    ranked = sorted(total.values(), key=lambda item: -item[0])
     small = all(tried._agrees(0) for tried in whole.values())
-    ranked = [(g, c) for g, c in ranked if g > BETTER and not (small and c.forces_as.moment_gain < 1)]
-    return [change for gain, change in ranked if gain > ranked[0][0] - ALIKE]
+    helpful = [(g, c) for g, c in total.values() if g > BETTER and not (small and c.forces_as.moment_gain < 1)]
+    return [change for gain, change in helpful if gain > max(g for g, _ in helpful) - ALIKE]
 
 
 def _of_plate(scene: Scene, k: int, tried: Tried, shared: list[Change]) -> Finding:
