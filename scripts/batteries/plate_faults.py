@@ -101,7 +101,7 @@ def outcome(recording: Recording, fault: Fault, seed: int) -> dict[str, object]:
             return row | {"result": "refused", "said": str(error)[:300]}
         mass = recording.mass_kg or _stated(right)
         found = judge(trial, mass, lambda change: _again(recording, faulty, change))
-        said = "; ".join(f"{f.what}. {f.remedy}" for f in found)
+        said = "; ".join(f"{f.what}. {f.remedy()}" for f in found)
         row |= {"changed": _difference(trial.forces, right.forces), "said": said[:600]}
         if not found:
             return row | {"result": "small" if float(str(row["changed"])) < SMALL else "silent"}

@@ -13,19 +13,23 @@ class Finding:
     what: str
     """What was seen, as a sentence without its end."""
     changes: tuple[Change, ...] = ()
-    """Readings under which they agree, the best first; empty where nothing on the list does."""
+    """Readings under which they agree, the likeliest first; empty where nothing on the list does."""
     instead: str = "forces_as: {use: false}"
     """The line that leaves the forces in question out."""
+    removed: bool = False
+    """The config says something about these forces already, which the line replaces."""
 
-    @property
-    def remedy(self) -> str:
-        """What to do, with the config lines."""
+    def remedy(self, where: str = "to the trial") -> str:
+        """What to do, with the config lines; ``where`` they belong."""
+        add = f"replace its forces_as and plates, or add {where}:" if self.removed else f"add {where}"
         if not self.changes:
-            return f"Nothing on the list of known faults puts it right; to go on without them: `{self.instead}`"
+            return f"Nothing on the list of known faults puts it right; to go on without them {add} `{self.instead}`"
+        if self.changes == (Change(""),):
+            return "They agree as the file has them: remove forces_as and plates"
         if len(self.changes) == 1:
-            return f"They agree if {self.changes[0].what}; if so, add to the trial: `{self.changes[0].line}`"
-        several = "; or ".join(f"{c.what}: `{c.line}`" for c in self.changes)
-        return f"They agree in several ways ({several}). Add the one that is true to the trial, or `{self.instead}`"
+            return f"They agree if {self.changes[0].what}; then {add} `{self.changes[0].line}`"
+        several = "; or ".join(f"{change.what}: `{change.line}`" for change in self.changes)
+        return f"They agree in several ways ({several}): {add} the one that is true, or `{self.instead}`"
 
 
 def in_figures(evidence: Evidence, k: int) -> str:

@@ -25,3 +25,6 @@ class ContactOptions:
     """A centre of pressure belongs to a foot within this distance of its sole's axis."""
     shortest_s: NonNegative = 0.06
     """Shorter absences of a plate's reading are the plate's threshold, not a missing plate."""
+    missing_share: Positive = 0.1
+    """Frames that miss this share of the weight for about ``shortest_s`` have a contact that no plate measures, where
+    standing has told the weight: the balance of 959 measured frames of six children scatters by 0.05."""

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 
+from torchid.agreement.session import Recording, refuse_disagreement
 from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.errors import DataError, Note
 from torchid.geometry.assign import assign_markers
-from torchid.io import read_trial
+from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
 from torchid.model.marker_set import load_marker_set
@@ -33,6 +34,7 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     # Kept twice: beside an hour's samples of the plates the markers would have no room.
     trials = {name: keep(synchronise(keep(_read(file, config)))) for name, file in files.items()}
     _refuse_short(trials)
+    refuse_disagreement({name: (trial, _recording(files[name], config)) for name, trial in trials.items()})
     model, said = _model(config)
     markers = load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
     assignment = assign_markers(model, markers, tuple(trials.values()))
@@ -42,6 +44,13 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
 
 def _read(file: TrialFile, config: Config) -> Trial:
     return read_trial(file.name, file.file, file.forces, file.role, config.reading(file))
+
+
+def _recording(file: TrialFile, config: Config) -> Recording:
+    def read(options: ReadOptions) -> Trial:
+        return read_trial(file.name, file.file, file.forces, file.role, options)
+
+    return Recording(read, config.reading(file), config.subject.mass_kg)
 
 
 def _refuse_short(trials: dict[str, Trial]) -> None:

@@ -1,0 +1,75 @@
+"""Which plate lies under which foot: soles against plates' corners and centres of pressure."""
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchid.contact.options import ContactOptions
+from torchid.recording import Forces
+
+OVER_FLOOR_M = 0.05
+"""Points of a touching foot this near the lowest that they get may bear, even if they do not touch by themselves."""
+
+
+def near_plates(
+    soles: list[Float[Tensor, "frames points 3"]], forces: Forces, options: ContactOptions
+) -> Bool[Tensor, "frames plates feet"]:
+    """The plate's centre of pressure lies under the foot."""
+    centre = forces.centre_of_pressure(options.loaded_n)
+    distance = torch.stack([_to_axis(centre, points) for points in soles], dim=2)
+    return torch.nan_to_num(distance, torch.inf) < options.reach_m
+
+
+def _to_axis(centre: Tensor, points: Tensor) -> Tensor:
+    """Horizontal distance of (frames, plates, 3) to the segment from heel to toes."""
+    heel, toe = points[:, None, 0, :2], points[:, None, -1, :2]
+    along = toe - heel
+    share = (((centre[..., :2] - heel) * along).sum(-1) / along.square().sum(-1)).clamp(0.0, 1.0)
+    return (centre[..., :2] - heel - share[..., None] * along).norm(dim=-1)
+
+
+def supported_feet(
+    touching: Bool[Tensor, "frames feet"],
+    near: Bool[Tensor, "frames plates feet"],
+    soles: list[Float[Tensor, "frames points 3"]],
+    down: list[Bool[Tensor, "frames points"]],
+    forces: Forces,
+    options: ContactOptions,
+) -> Bool[Tensor, "frames feet"]:
+    """Every touching foot stands inside a plate with known corners, or has a centre of pressure, its own or shared."""
+    corners = [plate.corners for plate in forces.plates]
+    if all(c is not None for c in corners) and corners:
+        known = [c for c in corners if c is not None]
+        inside = [_inside(p, d, known, options.margin_m) for p, d in zip(soles, down, strict=True)]
+        return ~touching | torch.stack(inside, dim=1)
+    loaded = torch.isfinite(forces.centre_of_pressure(options.loaded_n)[..., 0])
+    # A centre of pressure under no foot's sole alone lies between two feet that share the plate.
+    shared = (loaded & ~near.any(dim=2)).any(dim=1)
+    return ~touching | near.any(dim=1) | shared[:, None]
+
+
+def _inside(points: Tensor, down: Tensor, plates: list[Tensor], margin: float) -> Tensor:
+    """All points of the sole that are near the ground, or down, lie over some plate (union of widened rectangles)."""
+    inside = torch.zeros(points.shape[:2], dtype=torch.bool, device=points.device)
+    for corners in plates:
+        origin = corners[0]
+        for_all = torch.ones_like(inside)
+        for side in (corners[1] - origin, corners[3] - origin):
+            length = side.norm()
+            along = (points - origin) @ (side / length)
+            for_all &= (along > -margin) & (along < length + margin)
+        inside |= for_all
+    low = points[..., 2] - points[..., 2].quantile(0.02, dim=0) < OVER_FLOOR_M
+    return (inside | ~(low | down)).all(dim=1)
+
+
+def assign_plates(
+    near: Bool[Tensor, "frames plates feet"],
+    touching: Bool[Tensor, "frames feet"],
+    loaded: Bool[Tensor, "frames plates"],
+) -> Int[Tensor, "frames plates"]:
+    """Of the feet over a loaded plate's centre of pressure the one that touches, or the only one (strike, push-off)."""
+    standing = near & touching[:, None]
+    under = torch.where(standing.any(dim=2, keepdim=True), standing, near)
+    foot = torch.where(under.sum(dim=2) == 1, under.to(torch.long).argmax(dim=2), -2)
+    return torch.where(loaded, foot, -1)
