@@ -20,6 +20,7 @@ from torchid.motion import Motion, choose_cutoff, smooth_motion
 from torchid.outcome import Followed, Session
 from torchid.recording import Trial
 from torchid.regressor.rows import WrenchTrial
+from torchid.results import OutputFolder
 
 SOLE = ("heel", "mt5", "mt1", "toe")
 """Landmarks of a sole, heel first, toes last."""
@@ -57,6 +58,13 @@ def follow(fit: GeometryFit, trial: Trial, tracked: Tracked, cutoff_hz: float, c
     total = smoother(torch.nan_to_num(trial.forces.total), contact.measured.to(torch.float64))
     wrench = WrenchTrial(trial.name, tree, fit.geometry, motion, total, contact.used)
     return Followed(trial.name, tracked, motion, contact, wrench)
+
+
+def put_aside(followed: Followed, folder: OutputFolder) -> Followed:
+    """The same, its motion and wrench in a file; the tracked coordinates are in their stage's."""
+    return Followed(
+        followed.name, followed.tracked, *folder.aside((followed.motion, followed.contact, followed.wrench))
+    )
 
 
 def _still(trial: Trial, tracked: Tracked, cutoff_hz: float, config: Config) -> Followed:

@@ -170,6 +170,7 @@ def observe_trial(
     known: BodyEstimate,
     seen: tuple[GeometryFit, Markers, Tracked] | None = None,
     options: ObservationOptions = ObservationOptions(),
+    ends: Motion | None = None,
 ) -> TrialObservation:
     """Return a tracked trial as the diagnosis sees it.
 
@@ -181,10 +182,14 @@ def observe_trial(
         known: inertia before and after the fit.
         seen: geometry, markers and the coordinates that follow them; None: nothing is asked of the markers.
         options: thresholds of what is believed.
+        ends: first and last frame of what was searched, where this is another part of the trial (``Scene.span``).
     """
     rows = _inner(rows, options.ends_periods)
     scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, known.prior)
     raw = reading(rows.name, forces, frames)
+    if ends is not None:
+        scene = replace(scene, ends=make_scene(rows.name, rows.tree, rows.geometry, ends, known.prior))
+        raw = replace(raw, begin=float(ends.time[0]))
     smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
     scene = replace(scene, recorded_kg=known.recorded_kg)
     read = replace(raw, time=rows.motion.time, wrench=smooth)
