@@ -17,6 +17,7 @@ from torchid.effects.traits import Correction
 from torchid.experiment import correction, diagnosis_stage, pieces
 from torchid.experiment.correction import effect_wrenches, extend_session
 from torchid.experiment.diagnosis_stage import searched, spans
+from torchid.observation import trial
 from torchid.outcome import Outcome
 from torchid.regressor.whitening import QUIET, cosine_matrix, white_scatter
 from torchid.results import OutputFolder
@@ -82,7 +83,8 @@ def test_what_a_cause_does_is_the_same_in_pieces(tmp_path, monkeypatch, name):
     monkeypatch.setattr(diagnosis_stage, "LONGEST_S", 2.4)
     assert any(part.stop - part.start == 240 for part in spans(outcome).values())
     found, scenes, make = [], [], correction.make_scene
-    monkeypatch.setattr(correction, "make_scene", lambda *given: scenes.append(len(given[3].time)) or make(*given))
+    for module in (correction, trial):
+        monkeypatch.setattr(module, "make_scene", lambda *given: scenes.append(len(given[3].time)) or make(*given))
     with OutputFolder(tmp_path) as folder:
         for length, beside in ((100.0, 1.0), (1.3, 1.2)):
             monkeypatch.setattr(pieces, "PIECE_S", length)
@@ -92,19 +94,27 @@ def test_what_a_cause_does_is_the_same_in_pieces(tmp_path, monkeypatch, name):
                 found.append(effect_wrenches(outcome))
             else:
                 session = extend_session(outcome, folder)
-                found.append({n: trial.markers.position for n, trial in session.trials.items()})
+                found.append({n: one.markers.position for n, one in session.trials.items()})
     whole, parts = found
-    assert all(frames <= 371 for frames in scenes)
-    before = {n: trial.markers.position for n, trial in outcome.session.trials.items()}
-    changed = False
-    for trial, own in whole.items():
-        own, other = own.nan_to_num(), parts[trial].nan_to_num()
-        size = float(
-            (own if CATALOGUE[name].correction is Correction.WRENCH else own - before[trial].nan_to_num()).norm()
-        )
-        assert float((own - other).norm()) <= 1e-5 * size + 1e-12
-        changed |= size > 0.0
-    assert changed
+    assert scenes and max(scenes) <= 371, "no scene is longer than a piece and what is beside it"
+    forceful = CATALOGUE[name].correction is Correction.WRENCH
+    sizes = {}
+    for n, own in whole.items():
+        before = torch.zeros(()) if forceful else outcome.session.trials[n].markers.position
+        sizes[n] = float((own - before).nan_to_num().norm())
+        assert float((own - parts[n]).nan_to_num().norm()) <= 1e-5 * sizes[n] + 1e-12
+    assert max(sizes.values()) > 0.0
+
+
+def test_a_drift_counts_from_where_it_was_found(monkeypatch):
+    """The part that was searched had no more of it at its first frame than a recording that begins there."""
+    outcome = replace(small_session.outcome(), diagnosis=verdict("plate_drift", small_session.outcome()))
+    monkeypatch.setattr(diagnosis_stage, "LONGEST_S", 2.4)
+    monkeypatch.setattr(pieces, "PIECE_S", 1.3)
+    known, found = spans(outcome), effect_wrenches(outcome)
+    for name, added in found.items():
+        assert float(added[known[name].start].norm()) < 1e-9
+        assert float(added[known[name].stop - 1].norm()) > 0.1
 
 
 def test_the_stretch_with_most_used_frames_is_searched(monkeypatch):

@@ -1,9 +1,10 @@
 """What the diagnosis sees of an experiment."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
 from torchid.allocator import keeping_large
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
@@ -15,7 +16,7 @@ from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
 from torchid.motion import Motion
 from torchid.observation.plate_registry import recognise
-from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
+from torchid.observation.trial import BodyEstimate, TrialObservation, in_memory, observe_trial
 from torchid.outcome import Outcome
 from torchid.regressor.rows import WrenchTrial
 
@@ -26,11 +27,12 @@ MOST = 12
 
 
 @keeping_large()
-def diagnose_outcome(outcome: Outcome) -> Diagnosis | None:
+def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_memory) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
 
     Args:
         outcome: up to the inertia; its config says what to try and by which thresholds.
+        aside: puts columns away until they are looked at (``OutputFolder.aside``); without it they stay in memory.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
@@ -41,7 +43,10 @@ def diagnose_outcome(outcome: Outcome) -> Diagnosis | None:
     plates, _ = recognise(_forces(outcome))
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
     parts = {role: searched(some) for role, some in trials.items()}
-    observed, heldout = (list(observe_outcome(outcome, role, parts[role]).values()) for role in ("fit", "heldout"))
+    observed, heldout = (
+        [replace(one, aside=aside) for one in observe_outcome(outcome, role, parts[role]).values()]
+        for role in ("fit", "heldout")
+    )
     if identified is None or not observed:
         return None
     missing = _missing_weight(outcome, observed, parts["fit"], options.missing_weight) if EFFECT in effects else []

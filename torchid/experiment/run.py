@@ -99,7 +99,9 @@ def _compute(
         outcome = replace(outcome, residuals=contributions(outcome))
     if config.diagnosis.enabled:
         progress("diagnosis", 0.0)
-        outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(outcome)))
+        outcome = replace(
+            outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(outcome, folder.aside))
+        )
         progress("diagnosis", 1.0)
         if outcome.diagnosis is not None and outcome.diagnosis.causes:
             outcome, relabelled = put_right(outcome, folder, key, progress)

@@ -1,5 +1,6 @@
 """One trial as the diagnosis sees it: its rows, what effects can change in it, its markers, and their noise."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -31,6 +32,15 @@ OVER_CUTOFF = 6.0
 motion's frequencies, with noise that has no more than 1.2 of the cut-off."""
 
 
+def in_memory(value: Tensor) -> Tensor:
+    """Return the value itself.
+
+    Args:
+        value: what else could be put away.
+    """
+    return value
+
+
 @dataclass(frozen=True)
 class NoiseDraw:
     """The motion under another draw of the markers' noise, and the wrench that this changes."""
@@ -60,6 +70,8 @@ class TrialObservation:
     """Total force of the plates before the filter [N]."""
     response: MarkerResponse | None = None
     """Markers of the trial; None where no camera is at hand."""
+    aside: Callable[[Tensor], Tensor] = in_memory
+    """Puts away what takes most memory, until it is looked at; by default it stays where it is."""
 
     @cached_property
     def inertial(self) -> Float[Tensor, "6 params frames"]:

@@ -44,6 +44,9 @@ def make_design(
         options: thresholds; ``periods`` decides which trials can show what repeats itself.
     """
     found = enumerate_candidates(observed, effects, fit, options)
+    for one in observed:
+        if one.response is not None:
+            one.response.forget()
     trials = tuple(trial_columns(one, found.sources) for one in observed)
     return Design(observed[0].phi.numel(), found.base, found.sources, found.candidates, trials)
 
@@ -71,7 +74,7 @@ def trial_columns(observed: TrialObservation, sources: Sequence[Source]) -> Colu
     late = torch.tensor([s.effect.shifts_time for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], observed.rows, observed.scatter)
     unloaded = zero_statistics(observed.unloaded, [(s.effect, s.place, s.columns) for s in sources])
-    found = Columns(extra, Terms(live, statistics, unloaded, _covariation(observed, sources, live)))
+    found = Columns(observed.aside(extra), Terms(live, statistics, unloaded, _covariation(observed, sources, live)))
     if observed.response is not None:
         observed.response.forget()
     return found
@@ -90,9 +93,8 @@ def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source],
     assert response is not None, "effects on markers have been found"
     at, terms = torch.cat([torch.arange(s.columns.start, s.columns.stop) for s in others]), own.terms
     n, noise = observed.phi.numel(), terms.noise_scores
-    extra = own.copied
     fresh = [response_of(response, s) for s in others]
-    extra[:, at - n] = about_root(observed, response.wrench(fresh))
+    own = own.replaced(at - n, about_root(observed, response.wrench(fresh)))
     assert terms.markers is not None, "they show among the markers"
     every, first = _together([s for s in sources if s.effect.moves_markers]), marker_columns(sources).start
     fixed = ResponseCache(response)
@@ -102,7 +104,7 @@ def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source],
     if noise is not None and observed.noise_budget is not None:
         noise = noise.clone()
         noise[..., at] = noise_scores(observed, observed.noise_budget, others, inertia=False)
-    return replace(own, wide=extra, kept=None, terms=replace(terms, markers=statistics, noise_scores=noise))
+    return replace(own, terms=replace(terms, markers=statistics, noise_scores=noise))
 
 
 def _of_cameras(
