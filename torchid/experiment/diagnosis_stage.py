@@ -32,7 +32,7 @@ def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_me
 
     Args:
         outcome: up to the inertia; its config says what to try and by which thresholds.
-        aside: puts columns away until they are looked at (``OutputFolder.aside``); without it they stay in memory.
+        aside: puts columns away until they are looked at (``OutputFolder.swap``); without it they stay in memory.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.

@@ -100,7 +100,7 @@ def _compute(
     if config.diagnosis.enabled:
         progress("diagnosis", 0.0)
         outcome = replace(
-            outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(outcome, folder.aside))
+            outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(outcome, folder.swap))
         )
         progress("diagnosis", 1.0)
         if outcome.diagnosis is not None and outcome.diagnosis.causes:

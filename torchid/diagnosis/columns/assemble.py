@@ -44,9 +44,6 @@ def make_design(
         options: thresholds; ``periods`` decides which trials can show what repeats itself.
     """
     found = enumerate_candidates(observed, effects, fit, options)
-    for one in observed:
-        if one.response is not None:
-            one.response.forget()
     trials = tuple(trial_columns(one, found.sources) for one in observed)
     return Design(observed[0].phi.numel(), found.base, found.sources, found.candidates, trials)
 
@@ -69,8 +66,7 @@ def trial_columns(observed: TrialObservation, sources: Sequence[Source]) -> Colu
             extra[:, part] = about_root(observed, plate_columns(observed.view, alike))
         at = part.stop
     if observed.response is not None and own.stop > own.start:
-        statistics, wrench = _of_cameras(observed.response, sources)
-        extra[:, own.start - first : own.stop - first] = about_root(observed, wrench)
+        statistics = _of_cameras(observed, observed.response, sources, extra[:, own.start - first : own.stop - first])
     late = torch.tensor([s.effect.shifts_time for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], observed.rows, observed.scatter)
     unloaded = zero_statistics(observed.unloaded, [(s.effect, s.place, s.columns) for s in sources])
@@ -108,22 +104,18 @@ def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source],
 
 
 def _of_cameras(
-    response: MarkerResponse, sources: Sequence[Source]
-) -> tuple[MarkerStatistics, Float[Tensor, "6 columns frames"]]:
-    """Return statistics of what markers show of the columns, and the wrench about the origin of W that the motion needs
-    by them [N, N m]."""
-    bands, fixed, wrenches, at = response.bands, ResponseCache(response), [], 0
-    own = [s for s in sources if s.effect.moves_markers]
-    n = sum(len(s.scale) for s in own)
-    spectra = bands.error.new_empty(n + 1, len(bands.band), bands.error.shape[1])
-    for some in _together(own):
-        answers = [response_of(response, s, fixed=fixed) for s in some]
-        for answer, source in zip(answers, some, strict=True):
-            spectra[at : at + len(source.scale)] = answer.spectrum(bands)
-            at += len(source.scale)
-        wrenches.append(response.wrench(answers))
-    spectra[n:] = bands.spectrum(bands.left(bands.error[None]))
-    return marker_statistics(bands, spectra, response.least), torch.cat(wrenches, 1)
+    observed: TrialObservation, response: MarkerResponse, sources: Sequence[Source], out: Float[Tensor, "6 own frames"]
+) -> MarkerStatistics:
+    """Return statistics of what markers show of the columns; ``out`` takes the wrench about the root's origin that the
+    motion needs by them [N, N m]."""
+    bands, fixed, spectra, at = response.bands, ResponseCache(response), [], 0
+    for some in _together([s for s in sources if s.effect.moves_markers]):
+        answers, first = [response_of(response, s, fixed=fixed) for s in some], at
+        at += sum(len(s.scale) for s in some)
+        spectra.append(observed.aside(torch.cat([answer.spectrum(bands) for answer in answers])))
+        out[:, first:at] = about_root(observed, response.wrench(answers))
+    spectra.append(bands.spectrum(bands.left(bands.error[None])))
+    return marker_statistics(bands, spectra, response.least)
 
 
 def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:
