@@ -18,6 +18,7 @@ import torchid
 from torchid.diagnosis.candidates.candidate import Source
 from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.dynamics import base_rows, body_rows
+from torchid.effects import columns as columns_module
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.columns import columns
 from torchid.effects.displacement import rate_of
@@ -38,6 +39,7 @@ from torchid.geometry.options import GeometryOptions
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import modelled, track
 from torchid.geometry.trial_problem import posture_prior, trial_problem
+from torchid.kinematics import recursion
 from torchid.motion import smooth_motion
 from torchid.observation import marker_bands
 from torchid.observation.marker_response import MarkerResponse
@@ -236,6 +238,17 @@ def test_columns_of_curved_effects_are_exact_where_they_were_found(subject, plai
     ]
     assert miss[0] > 1e-3 * float(exact.norm())
     assert miss[1] < 1e-5 * float(exact.norm())
+
+
+@pytest.mark.parametrize("name", [*CURVED, "plate_crosstalk"])
+def test_many_columns_of_a_long_trial_are_those_of_a_short_one(subject, plain, monkeypatch, name):
+    """From some length on, parameters are read one after the other, and cross products made in place."""
+    one, (_, scene, measured) = planted(CURVED.get(name) or options(name)), simulated(subject, plain, name)
+    short = columns(one.effect, scene, measured, one.place, one.theta)
+    for module in (columns_module, recursion):
+        monkeypatch.setattr(module, "SMALL", 100)
+    scene = make_scene("squats", subject.model.tree, subject.geometry, plain.truth.motion, subject.phi)
+    assert_close(columns(one.effect, scene, measured, one.place, one.theta), short, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(

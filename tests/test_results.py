@@ -17,7 +17,7 @@ import xarray
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchid import files
+from torchid import files, results
 from torchid.errors import DataError, InputError, Note
 from torchid.files import atomic_write, file_sha256, safe_name, write_json, write_netcdf
 from torchid.provenance import provenance, stage_key
@@ -184,6 +184,22 @@ def test_snapshots_hold_and_rebuild_nothing_foreign():
         content = len(document).to_bytes(8, "little") + document
         with pytest.raises(SnapshotError, match="another version"):
             from_bytes(hashlib.sha256(content).digest() + content)
+
+
+def test_what_finds_no_room_on_disk_stays_in_memory(tmp_path, monkeypatch):
+    """Columns are worth a file, not a run; what is as long as a recording says that the disk is full."""
+    value = torch.arange(5.0)
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with OutputFolder(tmp_path / "out") as folder:
+        stored = folder.swap(value)
+        assert stored.equal(value) and stored is not value
+        monkeypatch.setattr(results, "swap_out", full)
+        assert folder.swap(value) is value
+        with pytest.raises(InputError, match="cannot be written"):
+            folder.aside(value)
 
 
 def test_mapped_snapshots_hold_what_was_written(tmp_path, seed):

@@ -120,6 +120,17 @@ class OutputFolder:
         finally:
             release()
 
+    def swap(self, value: Result) -> Result:
+        """The same value, its tensors in a file of this run where the disk has room, else in memory.
+
+        It is for what comes and goes many times: freed memory stays with the process.
+        """
+        try:
+            return swap_out(value, self.state)
+        except OSError as error:
+            log.warning("columns stay in memory: %s", error)
+            return value
+
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
         """Puts the cost of the block into ``times``, as that of a stage whose result is not stored."""

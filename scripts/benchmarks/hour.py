@@ -1,7 +1,8 @@
 """Peak memory and time of ``torchid run`` on a session with one long trial: `scripts/hour --minutes 60 --against 10`.
 
-A simulated minute is played forwards and backwards until the trial is long enough. Reversed in time, a motion needs
-the same forces, so the recording stays one that a person could have made; it turns where the subject is slowest.
+With ``--diagnosis`` each length is run with the diagnosis as well. A simulated minute is played forwards and backwards
+until the trial is long enough. Reversed in time, a motion needs the same forces, so the recording stays one that a
+person could have made; it turns where the subject is slowest.
 """
 
 import argparse
@@ -15,15 +16,21 @@ from pathlib import Path
 
 import numpy as np
 
+from torchid.effects.place import Interval
 from torchid.io.c3d_header import C3dHeader, read_header
 from torchid.io.c3d_layout import Layout, resolve_layout
-from torchid.simulate.options import SimulateOptions
+from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import simulate_session
 
 TURN_S = 5.0
 """Within this time of its ends the piece is cut where the markers are slowest."""
 SATURATED = b"\xff\xff"
 """A count of frames that 16 bits cannot hold: readers take it from the size of the file."""
+HIDDEN = (
+    PlantedOptions("payload", ("forearm_r",), None, {"mass_kg": 1.5, "point_seg_m": [0.0, 0.0, -0.1]}),
+    PlantedOptions("marker_shift", ("LTHI",), (Interval("squats", 0.0, 1e5),), {"shift_seg_m": [0.02, -0.02, 0.02]}),
+)
+"""A load and a knocked marker, which act backwards as they do forwards: the model is extended in both ways."""
 
 
 def main() -> None:
@@ -34,36 +41,39 @@ def main() -> None:
     parser.add_argument("--trial", default="squats", help="the trial that is made long: squats, arms, sway_steps, ...")
     parser.add_argument("--folder", help="keep recordings and results here")
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--diagnosis", action="store_true", help="with the diagnosis and the extended model too")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(args.folder or temporary)
         config = make_session(folder)
         lengths = [x for x in (args.against, args.minutes) if x]
-        rows = [measure(config, args.trial, minutes, args.threads) for minutes in lengths]
-    if len(rows) > 1:
-        slope = (rows[1]["peak_MiB"] - rows[0]["peak_MiB"]) * 1024.0 / (rows[1]["frames"] - rows[0]["frames"])
-        print(f"slope {slope:.2f} KiB/frame")
+        for diagnosis in (False, True) if args.diagnosis else (False,):
+            rows = [measure(config, args.trial, minutes, args.threads, diagnosis) for minutes in lengths]
+            if len(rows) > 1:
+                slope = (rows[1]["peak_MiB"] - rows[0]["peak_MiB"]) * 1024.0 / (rows[1]["frames"] - rows[0]["frames"])
+                print(f"slope {slope:.2f} KiB/frame")
 
 
 def make_session(folder: Path) -> Path:
-    """A static trial, four fit trials and a held-out one, with skin motion and gaps; path of its config."""
-    options = SimulateOptions(duration_s=30.0, skin_motion_mm=3.0, gap_fraction=0.01)
+    """A static, four fit and two held-out trials, with skin motion, gaps and ``HIDDEN``; path of their config."""
+    options = SimulateOptions(duration_s=30.0, skin_motion_mm=3.0, gap_fraction=0.01, effects=HIDDEN)
     config = simulate_session(options, 1, folder).config
     assert config is not None
     return config
 
 
-def measure(config: Path, trial: str, minutes: float, threads: int) -> dict:
+def measure(config: Path, trial: str, minutes: float, threads: int, diagnosis: bool) -> dict:
     """Run the config with ``trial`` made ``minutes`` long."""
     long = config.with_name(f"{trial}_{minutes:g}min.c3d")
     frames = lengthen(config.with_name(f"{trial}.c3d"), long, minutes)
     listed = config.read_text().replace(f"file: {trial}.c3d", f"file: {long.name}")
     own = config.with_name(f"config_{minutes:g}min.yaml")
     own.write_text(listed)
-    out = config.with_name(f"out_{minutes:g}min").resolve()
-    found = run_child(own, out, threads) | {"minutes": minutes, "frames": frames}
+    out = config.with_name(f"out_{minutes:g}min_{'with' if diagnosis else 'without'}").resolve()
+    found = run_child(own, out, threads, diagnosis) | {"minutes": minutes, "frames": frames}
     stages = json.loads((out / "provenance.json").read_text())["stages"]
-    print(f"{minutes:g} min, {frames} frames, a file of {long.stat().st_size / 2**20:.0f} MiB")
+    said = "with" if diagnosis else "without"
+    print(f"{minutes:g} min, {frames} frames, a file of {long.stat().st_size / 2**20:.0f} MiB, {said} diagnosis")
     print(f"  peak {found['peak_MiB']:.0f} MiB, wall {found['wall_s']:.0f} s, CPU {found['cpu_s']:.0f} s")
     print("  " + ", ".join(f"{name} {stage['seconds']:.1f} s" for name, stage in stages.items()))
     return found
@@ -114,7 +124,7 @@ def without_count(head: bytes, header: C3dHeader) -> bytes:
     return bytes(kept)
 
 
-def run_child(config: Path, out: Path, threads: int) -> dict[str, float]:
+def run_child(config: Path, out: Path, threads: int, diagnosis: bool) -> dict[str, float]:
     """``torchid run`` as a process of its own: peak resident memory [MiB], wall and CPU time [s]."""
     line = [
         sys.executable,
@@ -124,7 +134,7 @@ def run_child(config: Path, out: Path, threads: int) -> dict[str, float]:
         str(config),
         f"out={out}",
         f"threads={threads}",
-        "diagnosis.enabled=false",
+        f"diagnosis.enabled={str(diagnosis).lower()}",
     ]
     environment = os.environ | {"OMP_NUM_THREADS": str(threads)}
     start, peak = time.perf_counter(), 0.0

@@ -8,6 +8,7 @@ from torchid.effects.effect import Effect
 from torchid.effects.kinds import LoadEffect, ReadingEffect
 from torchid.effects.place import Place
 from torchid.effects.scene import Reading, Scene
+from torchid.kinematics.recursion import SMALL
 
 STEP = 1e-3
 """Resolution. Step of the central differences, in prior standard deviations: exact for parameters that act linearly."""
@@ -46,8 +47,11 @@ def columns(
 def _totals(
     effect: Effect, scene: Scene, reading: Reading, place: Place, thetas: Float[Tensor, "ways params"]
 ) -> Float[Tensor, "ways 6 frames"]:
-    """The plates' total for each row of parameters, all at once where there are many."""
-    if len(thetas) < MANY:
+    """The plates' total for each row of parameters, all at once where there are many and the trial is short.
+
+    Of a long one each alone is as quick, and its cross products are made in place, which ``vmap`` cannot.
+    """
+    if len(thetas) < MANY or 3 * len(reading.wrench) >= SMALL:
         return torch.stack([_total(effect, scene, reading, place, theta) for theta in thetas])
     return torch.vmap(lambda theta: _total(effect, scene, reading, place, theta))(thetas)
 

@@ -101,13 +101,13 @@ class MissingDof(DisplacedBodies):
 
     def move(self, scene: Scene, place: Place, theta: Float[Tensor, " params"]) -> Float[Tensor, "bodies 6 frames"]:
         course, free = theta.new_zeros(3, len(scene.time)), _axes(place)
-        course[free] = theta.view(len(free), -1) @ courses(scene.time, int(place.grid["modes"]))
+        course[free] = theta.view(len(free), -1) @ courses(scene.time, int(place.grid["modes"]), scene.span.time)
         return directed(scene, place.where[0], course, bool(place.grid["turning"]))
 
     def sway(self, sight: Sight, place: Place) -> Sway:
         scene, modes, free = sight.scene, int(place.grid["modes"]), _axes(place)
         ways = unit_ways(scene, place.where[0], free, bool(place.grid["turning"]))
-        return Sway(ways, courses(scene.time, modes), tuple(product(range(len(free)), range(modes))))
+        return Sway(ways, courses(scene.time, modes, scene.span.time), tuple(product(range(len(free)), range(modes))))
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:
         """Direction of the cosines, and the range along it, mean over the trials."""
@@ -155,13 +155,21 @@ def _axes(place: Place) -> list[int]:
     return [k for k, axis in enumerate("xyz") if place.grid[axis]]
 
 
-def courses(time: Float[Tensor, " frames"], modes: int) -> Float[Tensor, "modes frames"]:
-    """A constant and cosines of 1, 2, ... half periods in the whole time.
+def courses(
+    time: Float[Tensor, " frames"], modes: int, span: Float[Tensor, " others"] | None = None
+) -> Float[Tensor, "modes frames"]:
+    """A constant and cosines of 1, 2, ... half periods in a span of time; outside it they stay as they are.
 
     With the constant, which is another in every trial, axes and centres of other joints need not make up for where a
     loose joint stands.
+
+    Args:
+        time: of each frame [s].
+        modes: number of courses.
+        span: times of which the first and the last count [s]; None: ``time``.
     """
-    part = (time - time[0]) / (time[-1] - time[0])
+    own = time if span is None else span
+    part = ((time - own[0]) / (own[-1] - own[0])).clamp(0.0, 1.0)
     k = torch.arange(modes).to(time)
     return torch.cos(math.pi * k[:, None] * part)
 

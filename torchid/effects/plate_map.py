@@ -61,7 +61,7 @@ class PlateMap(ReadingEffect):
 
     @final
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
-        return mapped(reading, place, lambda frame, wrench: self.map(frame, reading.time, wrench, theta))
+        return mapped(reading, place, lambda frame, wrench: self.map(frame, reading.elapsed, wrench, theta))
 
     @abstractmethod
     def map(
@@ -71,7 +71,14 @@ class PlateMap(ReadingEffect):
         wrench: Float[Tensor, "samples 6"],
         theta: Float[Tensor, " params"],
     ) -> Float[Tensor, "samples 6"]:
-        """Return a plate's reading of the wrench that it bears, both about the origin of W [N, N m]."""
+        """Return a plate's reading of the wrench that it bears, both about the origin of W [N, N m].
+
+        Args:
+            frame: of the plate.
+            time: since the recording began [s].
+            wrench: that it bears.
+            theta: internal parameters.
+        """
 
 
 class ZeroError(PlateMap):

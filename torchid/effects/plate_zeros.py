@@ -56,7 +56,7 @@ class PlateDrift(ZeroError):
         return (0.5,) * 3 + (0.1,) * 3
 
     def zero(self, time: Float[Tensor, " samples"], theta: Float[Tensor, " params"]) -> Float[Tensor, "samples 6"]:
-        return (time - time[0])[:, None] * theta
+        return time[:, None] * theta
 
     def sentence(self, finding: Finding) -> str:
         value, sd = of(finding, "rate_plate")

@@ -41,6 +41,8 @@ class Scene:
     """The filter that its motion and what plates read have passed."""
     recorded_kg: float = float("nan")
     """Mass of the body before any force was seen."""
+    ends: "Scene | None" = None
+    """First and last frame between which parameters were found, of a scene that shows other frames; None: its own."""
     _points: dict[tuple[str, tuple[float, ...]], Point] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -52,6 +54,12 @@ class Scene:
     def rate(self) -> float:
         """Frames per second."""
         return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
+
+    @property
+    def span(self) -> "Scene":
+        """Whose first and last frame are those between which parameters were found: effects that begin with a
+        recording, or take a course in it, count from there."""
+        return self.ends or self
 
     def at(self, segment: str) -> int:
         """Plan position of a body."""
@@ -162,12 +170,19 @@ class Reading:
     frames: tuple[PlateFrame, ...]
     unborne: Float[Tensor, "samples 6"] | None = None
     """Wrench that a body of tables needs beyond what the plates bore; None: no model reads this."""
+    begin: float | None = None
+    """Time from which effects that grow count, of a reading of other samples [s]; None: its first sample."""
 
     @property
     def total(self) -> Float[Tensor, "6 samples"]:
         """Sum over the plates."""
         total = self.wrench.sum(1).T
         return total if self.unborne is None else total + self.unborne.T
+
+    @property
+    def elapsed(self) -> Float[Tensor, " samples"]:
+        """Time since effects that grow began [s]."""
+        return self.time - (self.time[0] if self.begin is None else self.begin)
 
     def index(self, plate: str) -> int | None:
         """Column of a plate, None where the trial lacks it."""

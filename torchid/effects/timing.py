@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import final
 
 import numpy as np
@@ -58,7 +59,7 @@ class TimeOffset(ReadingEffect):
         flat = reading.wrench.flatten(1).cpu().numpy()
         late = scipy.interpolate.make_interp_spline(time, flat, k=3)(np.clip(time - lag, time[0], time[-1]))
         wrench = torch.as_tensor(late, dtype=reading.wrench.dtype, device=reading.wrench.device)
-        return Reading(reading.trial, reading.time, wrench.reshape(reading.wrench.shape), reading.frames)
+        return replace(reading, wrench=wrench.reshape(reading.wrench.shape), unborne=None)
 
     def sentence(self, finding: Finding) -> str:
         lag, sd = of(finding, "lag_s")

@@ -80,7 +80,10 @@ class WobblingMass(AttachedLoad):
         springs, points = list(dict.fromkeys(own)), {(place.where, place.point): place for place in places}
         at = [scene.point(place.where[0], anchor(scene, place)) for place in points.values()]
         p, a = torch.stack([one.p for one in at]), torch.stack([one.a for one in at])
-        x, xdd = wobble(a, scene.rate, springs)
+        rest = torch.stack(
+            [scene.span.point(place.where[0], anchor(scene, place)).a[:, :1] for place in points.values()]
+        )
+        x, xdd = wobble(a, scene.rate, springs, rest)
         w = 2.0 * math.pi * x.new_tensor([frequency for frequency, _ in springs])
         sag = -lift(x) / w.square()[:, None, None]
         moment = cross(p[:, None], xdd) + cross(x + sag, (a + lift(x))[:, None])
@@ -118,7 +121,10 @@ def _grain(grid: Sequence[float]) -> float:
 
 
 def wobble(
-    a: Float[Tensor, "points 3 frames"], rate_hz: float, springs: Sequence[tuple[float, float]]
+    a: Float[Tensor, "points 3 frames"],
+    rate_hz: float,
+    springs: Sequence[tuple[float, float]],
+    rest: Float[Tensor, "points 3 1"] | None = None,
 ) -> tuple[Float[Tensor, "points springs 3 frames"], Float[Tensor, "points springs 3 frames"]]:
     """Masses on springs relative to their accelerated carriers, at rest before the start.
 
@@ -126,11 +132,12 @@ def wobble(
         a: acceleration of each carrier [m/s^2].
         rate_hz: samples per second.
         springs: frequency [Hz] and damping ratio of each.
+        rest: acceleration of each carrier at which masses count as at rest [m/s^2]; None: the first.
 
     Returns:
         Place [m] and acceleration [m/s^2] of each mass on each spring.
     """
-    force = a - a[..., :1]
+    force = a - (a[..., :1] if rest is None else rest)
     forced = _curved(force.detach().cpu().numpy())
     found = np.empty((2, len(a), len(springs), *a.shape[1:]))
     for k, own in enumerate(springs):

@@ -17,15 +17,17 @@ from torchid.effects.effect import Planted
 from torchid.effects.kinds import RecordEffect
 from torchid.effects.marker_scene import Sight
 from torchid.effects.place import inside_any
-from torchid.effects.scene import make_scene
+from torchid.effects.scene import Scene, make_scene
 from torchid.effects.traits import Correction
 from torchid.errors import Note
-from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.experiment.diagnosis_stage import Observer, forceful, spans
 from torchid.experiment.fits import OnStage, fit_session, identify
-from torchid.experiment.stages import follow, subject_prior
+from torchid.experiment.pieces import ends, pieces
+from torchid.experiment.stages import follow, put_aside, subject_prior
 from torchid.experiment.swapped_markers import relabel, swap_causes
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
+from torchid.motion import Motion
 from torchid.observation.trial import TrialObservation
 from torchid.outcome import Followed, Outcome, Residual, Session
 from torchid.recording import Trial
@@ -51,7 +53,7 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
     config, session = corrected_config(base.config, causes), relabelled.session
     tracked = {name: item.tracked for name, item in relabelled.followed.items()}
     if any(moves_markers(cause) for cause in causes):
-        session = extend_session(relabelled)
+        session = extend_session(relabelled, folder)
         fit = folder.stage("geometry_extended", key, lambda: fit_session(config, session, True, progress))
         # All others are followed from where the markers that were measured led.
         renamed = {own.trial for cause in swap_causes(causes) for own in cause.when or ()}
@@ -62,7 +64,7 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
             )
     with folder.timed("extend"):
         added = effect_wrenches(relabelled)
-        followed = follow_extended(config, relabelled, session, fit, tracked, added)
+        followed = follow_extended(config, relabelled, session, fit, tracked, added, folder)
     outcome = replace(
         base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
     )
@@ -94,13 +96,20 @@ def _residuals(outcome: Outcome, label: str) -> list[Residual]:
     return rows
 
 
-def extend_session(outcome: Outcome) -> Session:
-    """The same recordings with named effects on markers taken out, in all trials in which they are known to act."""
+def extend_session(outcome: Outcome, folder: OutputFolder) -> Session:
+    """The same recordings with named effects on markers taken out, in all trials in which they are known to act.
+
+    Args:
+        outcome: with the verdict on it.
+        folder: holds what is as long as a recording.
+    """
     assert outcome.diagnosis is not None
-    causes = [c for c in outcome.diagnosis.causes if moves_markers(c)]
+    causes, found = [c for c in outcome.diagnosis.causes if moves_markers(c)], spans(outcome)
     exchanged, others = swap_causes(causes), [c for c in causes if correction(c) is Correction.MARKERS]
-    named = {name: relabel(trial, exchanged) for name, trial in outcome.session.trials.items()}
-    trials = {name: _cleared(outcome, trial, others) for name, trial in named.items()}
+    trials = {}
+    for name, trial in outcome.session.trials.items():
+        corrected = _cleared(outcome, relabel(trial, exchanged), others, found[name])
+        trials[name] = trial if corrected is trial else folder.aside(corrected)
     return replace(outcome.session, trials=trials)
 
 
@@ -114,21 +123,33 @@ def correction(cause: Cause) -> Correction:
     return effect(cause.effect).correction
 
 
-def _cleared(outcome: Outcome, trial: Trial, causes: list[Cause]) -> Trial:
+def _cleared(outcome: Outcome, trial: Trial, causes: list[Cause], span: slice) -> Trial:
     acting = [planted for cause in causes if (planted := cause.on(trial.name)) is not None]
     if not acting:
         return trial
-    fit, motion = outcome.fit, outcome.followed[trial.name].motion
-    scene = make_scene(trial.name, fit.model.tree, fit.geometry, motion, outcome.prior.mean)
+    position, known = trial.markers.position.clone(), outcome.fit.attachment.labels
+    for piece in pieces(trial.markers.time):
+        off = _displaced(outcome, trial.name, acting, piece.around, span)[..., piece.inner].permute(2, 0, 1)
+        for k, label in enumerate(known):
+            if label in trial.markers.labels:
+                position[piece.own, trial.markers.labels.index(label)] -= off[:, k].to(position)
+    return replace(trial, markers=replace(trial.markers, position=position))
+
+
+def _displaced(
+    outcome: Outcome, name: str, acting: list[Planted], part: slice, span: slice
+) -> Float[Tensor, "markers 3 frames"]:
+    """Where cameras see the fit's markers, from where bodies carry them, in part of a trial [m]."""
+    fit, motion = outcome.fit, outcome.followed[name].motion
+
+    def scene_of(some: Motion) -> Scene:
+        return make_scene(name, fit.model.tree, fit.geometry, some, outcome.prior.mean)
+
+    known = ends(motion, span, part)
+    scene = replace(scene_of(motion.frames(part)), ends=None if known is None else scene_of(known))
     body = torch.tensor(scene.state.plan.position)[fit.attachment.body]
     sight = Sight(scene, fit.attachment.labels, body, fit.place)
-    seen = [one.seen(one.effect.beneath(sight, one.place, one.theta)) for one in acting]
-    off = torch.stack(seen).sum(0).permute(2, 0, 1)
-    position = trial.markers.position.clone()
-    for k, label in enumerate(fit.attachment.labels):
-        if label in trial.markers.labels:
-            position[:, trial.markers.labels.index(label)] -= off[:, k].to(position)
-    return replace(trial, markers=replace(trial.markers, position=position))
+    return torch.stack([one.seen(one.effect.beneath(sight, one.place, one.theta)) for one in acting]).sum(0)
 
 
 def corrected_config(config: Config, causes: tuple[Cause, ...]) -> Config:
@@ -143,7 +164,7 @@ def corrected_config(config: Config, causes: tuple[Cause, ...]) -> Config:
 
 def follow_extended(
     config: Config, base: Outcome, session: Session, fit: GeometryFit, tracked: dict[str, Tracked],
-    added: dict[str, Float[Tensor, "frames 6"]],
+    added: dict[str, Float[Tensor, "frames 6"]], folder: OutputFolder,
 ) -> dict[str, Followed]:  # fmt: skip
     """All trials followed by the extended model; wrenches are those that it has to explain by motion alone.
 
@@ -154,28 +175,32 @@ def follow_extended(
         fit: to the corrected markers.
         tracked: by that.
         added: what the named effects add to the plates' total, see ``effect_wrenches``.
+        folder: holds what is as long as a recording.
     """
     assert base.diagnosis is not None
-    found = {name: follow(fit, trial, tracked[name], base.cutoff_hz, config) for name, trial in session.trials.items()}
-    for name, wrong in added.items():
-        wrench = found[name].wrench
-        if wrench is not None:
-            aside = inside_any(base.diagnosis.aside, name, wrench.motion.time)
-            left = replace(wrench, wrench=wrench.wrench - wrong, used=wrench.used & ~aside)
-            found[name] = replace(found[name], wrench=left)
+    found = {}
+    for name, trial in session.trials.items():
+        one = follow(fit, trial, tracked[name], base.cutoff_hz, config)
+        if name in added and one.wrench is not None:
+            used = one.wrench.used & ~inside_any(base.diagnosis.aside, name, one.wrench.motion.time)
+            one = replace(one, wrench=replace(one.wrench, wrench=one.wrench.wrench - added[name], used=used))
+        found[name] = put_aside(one, folder)
     return found
 
 
 def effect_wrenches(base: Outcome) -> dict[str, Float[Tensor, "frames 6"]]:
     """What the named effects add to the plates' total about the origin of W, by trial; those on markers have none."""
     assert base.diagnosis is not None
-    forceful = [c for c in base.diagnosis.causes if correction(c) is Correction.WRENCH]
-    found = {}
-    for role in ("fit", "heldout"):
-        for name, observed in observe_outcome(base, role).items():
-            acting = [one for c in forceful if (one := c.on(name)) is not None]
-            if acting:
-                found[name] = torch.stack([_added(observed, one) for one in acting]).sum(0)
+    causes = [c for c in base.diagnosis.causes if correction(c) is Correction.WRENCH]
+    observer, known, found = Observer(base), spans(base), {}
+    for name, rows in (forceful(base, "fit") | forceful(base, "heldout")).items():
+        acting = [one for c in causes if (one := c.on(name)) is not None]
+        if acting:
+            found[name] = torch.empty_like(rows.wrench)
+            for piece in pieces(rows.motion.time):
+                observed = observer(name, piece.around, ends(rows.motion, known[name], piece.around))
+                added = torch.stack([_added(observed, one) for one in acting]).sum(0)
+                found[name][piece.own] = added[piece.inner]
     return found
 
 

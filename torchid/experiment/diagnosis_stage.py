@@ -1,7 +1,10 @@
 """What the diagnosis sees of an experiment."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+
+import torch
+from torch import Tensor
 
 from torchid.allocator import keeping_large
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
@@ -11,8 +14,9 @@ from torchid.diagnosis.options import MissingWeightOptions
 from torchid.diagnosis.verdict.causes import with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
+from torchid.motion import Motion
 from torchid.observation.plate_registry import recognise
-from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
+from torchid.observation.trial import BodyEstimate, TrialObservation, in_memory, observe_trial
 from torchid.outcome import Outcome
 from torchid.regressor.rows import WrenchTrial
 
@@ -23,11 +27,12 @@ MOST = 12
 
 
 @keeping_large()
-def diagnose_outcome(outcome: Outcome) -> Diagnosis | None:
+def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_memory) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
 
     Args:
         outcome: up to the inertia; its config says what to try and by which thresholds.
+        aside: puts columns away until they are looked at (``OutputFolder.swap``); without it they stay in memory.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
@@ -38,7 +43,10 @@ def diagnose_outcome(outcome: Outcome) -> Diagnosis | None:
     plates, _ = recognise(_forces(outcome))
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
     parts = {role: searched(some) for role, some in trials.items()}
-    observed, heldout = (list(observe_outcome(outcome, role, parts[role]).values()) for role in ("fit", "heldout"))
+    observed, heldout = (
+        [replace(one, aside=aside) for one in observe_outcome(outcome, role, parts[role]).values()]
+        for role in ("fit", "heldout")
+    )
     if identified is None or not observed:
         return None
     missing = _missing_weight(outcome, observed, parts["fit"], options.missing_weight) if EFFECT in effects else []
@@ -75,11 +83,19 @@ def searched(trials: Mapping[str, WrenchTrial]) -> dict[str, slice]:
     return {name: _stretch(rows) for name, rows in trials.items() if name in kept}
 
 
+def spans(outcome: Outcome) -> dict[str, slice]:
+    """The frames of each trial in which parameters of causes were found: what was searched, all where nothing was."""
+    parts = [searched(forceful(outcome, role)) for role in ("fit", "heldout")]
+    whole = {name: slice(0, len(item.motion.time)) for name, item in outcome.followed.items()}
+    return whole | parts[0] | parts[1]
+
+
 def _stretch(rows: WrenchTrial) -> slice:
     n = round(LONGEST_S * rows.rate)
     if len(rows.used) <= n:
         return slice(0, len(rows.used))
-    first = int(rows.used.long().unfold(0, n, 1).sum(1).argmax())
+    before = torch.nn.functional.pad(rows.used.long().cumsum(0), (1, 0))
+    first = int((before[n:] - before[:-n]).argmax())
     return slice(first, first + n)
 
 
@@ -97,19 +113,42 @@ def observe_outcome(
     outcome: Outcome, role: str, parts: Mapping[str, slice] | None = None
 ) -> dict[str, TrialObservation]:
     """Trials of a role with forces, as the diagnosis sees them; given parts, these alone."""
-    forces = _forces(outcome)
-    _, frames = recognise(forces)
-    believed = outcome.config.diagnosis.thresholds.observation
-    known = BodyEstimate(outcome.prior.mean, outcome.phi, float(outcome.prior.mean[:, 0].sum()))
-    found = {}
-    for name, rows in forceful(outcome, role).items():
-        item, part = outcome.followed[name], slice(None) if parts is None else parts.get(name)
-        if part is not None and item.contact is not None:
-            markers = outcome.session.trials[name].markers.frames(part)
-            seen = outcome.fit, markers, item.tracked.frames(part)
-            own, measured = forces[name].samples(part), item.contact.measured[part]
-            found[name] = observe_trial(rows.frames(part), own, measured, frames[name], known, seen, believed)
+    observer, found = Observer(outcome), {}
+    for name in forceful(outcome, role):
+        part = slice(None) if parts is None else parts.get(name)
+        if part is not None and outcome.followed[name].contact is not None:
+            found[name] = observer(name, part)
     return found
+
+
+class Observer:
+    """What the diagnosis sees of parts of an experiment's trials."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        """Recognise the plates of the session.
+
+        Args:
+            outcome: up to the inertia.
+        """
+        self.outcome, self._forces = outcome, _forces(outcome)
+        _, self._frames = recognise(self._forces)
+
+    def __call__(self, name: str, part: slice, ends: Motion | None = None) -> TrialObservation:
+        """One part of a trial whose forces and contacts are known.
+
+        Args:
+            name: of the trial.
+            part: frames to look at.
+            ends: as ``observe_trial``.
+        """
+        outcome, item = self.outcome, self.outcome.followed[name]
+        assert item.wrench is not None and item.contact is not None
+        known = BodyEstimate(outcome.prior.mean, outcome.phi, float(outcome.prior.mean[:, 0].sum()))
+        seen = outcome.fit, outcome.session.trials[name].markers.frames(part), item.tracked.frames(part)
+        return observe_trial(
+            item.wrench.frames(part), self._forces[name].samples(part), item.contact.measured[part],
+            self._frames[name], known, seen, outcome.config.diagnosis.thresholds.observation, ends,
+        )  # fmt: skip
 
 
 def _forces(outcome: Outcome) -> dict:

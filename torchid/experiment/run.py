@@ -12,7 +12,7 @@ from torchid.experiment.diagnosis_stage import diagnose_outcome
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
-from torchid.experiment.stages import cutoff, follow, subject_prior, torques
+from torchid.experiment.stages import cutoff, follow, put_aside, subject_prior, torques
 from torchid.experiment.swapped_markers import put_right
 from torchid.experiment.write import write_outcome
 from torchid.files import file_sha256, write_json, write_text
@@ -77,7 +77,7 @@ def _compute(
     with folder.timed("follow"):
         followed, followed_scaled = (
             {
-                name: _aside(follow(g, trial, tracked[kind][name], cutoff_hz, config), folder)
+                name: put_aside(follow(g, trial, tracked[kind][name], cutoff_hz, config), folder)
                 for name, trial in session.trials.items()
             }
             for kind, g in (("motion", fit), ("scaled", scaled))
@@ -99,7 +99,9 @@ def _compute(
         outcome = replace(outcome, residuals=contributions(outcome))
     if config.diagnosis.enabled:
         progress("diagnosis", 0.0)
-        outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(outcome)))
+        outcome = replace(
+            outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(outcome, folder.swap))
+        )
         progress("diagnosis", 1.0)
         if outcome.diagnosis is not None and outcome.diagnosis.causes:
             outcome, relabelled = put_right(outcome, folder, key, progress)
@@ -129,13 +131,6 @@ def _track_all(
             done += 1
             progress("motion", done / total)
     return found
-
-
-def _aside(followed: Followed, folder: OutputFolder) -> Followed:
-    """The same, its motion and wrench in a file; the tracked coordinates are in their stage's."""
-    return Followed(
-        followed.name, followed.tracked, *folder.aside((followed.motion, followed.contact, followed.wrench))
-    )
 
 
 def _contact_notes(followed: dict[str, Followed]) -> list[Note]:

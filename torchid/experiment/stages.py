@@ -24,6 +24,7 @@ from torchid.motion import Motion, choose_cutoff, smooth_motion
 from torchid.outcome import Followed, Session
 from torchid.recording import Trial
 from torchid.regressor.rows import WrenchTrial, predict
+from torchid.results import OutputFolder
 
 SOLE = ("heel", "mt5", "mt1", "toe")
 """Landmarks of a sole, heel first, toes last."""
@@ -103,6 +104,13 @@ def standing_weight(followed: Iterable[Followed], session: Session) -> Weight | 
         return None
     mass = sum(levels.values()) / len(levels)
     return Weight(mass, PLATE_GAIN * mass, tuple(levels))
+
+
+def put_aside(followed: Followed, folder: OutputFolder) -> Followed:
+    """The same, its motion and wrench in a file; the tracked coordinates are in their stage's."""
+    return Followed(
+        followed.name, followed.tracked, *folder.aside((followed.motion, followed.contact, followed.wrench))
+    )
 
 
 def _still(trial: Trial, tracked: Tracked, cutoff_hz: float, config: Config) -> Followed:

@@ -17,7 +17,7 @@ from torchid.effects.place import inside_any
 from torchid.effects.traits import Correction
 from torchid.experiment.diagnosis_stage import diagnose_outcome
 from torchid.experiment.fits import OnStage, fit_session, identify
-from torchid.experiment.stages import follow, subject_prior
+from torchid.experiment.stages import follow, put_aside, subject_prior
 from torchid.geometry.tracking import track
 from torchid.outcome import Outcome
 from torchid.recording import Trial
@@ -45,7 +45,7 @@ def put_right(base: Outcome, folder: OutputFolder, key: str, progress: OnStage) 
     if not exchanged:
         return base, base
     again = fitted_anew(base, exchanged, folder, key, progress)
-    after = folder.stage("diagnosis_relabelled", key, lambda: diagnose_outcome(again))
+    after = folder.stage("diagnosis_relabelled", key, lambda: diagnose_outcome(again, folder.swap))
     if after is None or any(_overlap(one, other) for one in exchanged for other in swap_causes(after.causes)):
         return base, base
     return replace(base, diagnosis=merged(base.diagnosis, after, exchanged, base.config.diagnosis.thresholds)), replace(
@@ -77,13 +77,16 @@ def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, ke
 
     Geometry included: a swap of 0.8 s had bent a foot's, and skin that slid by 35 mm made up for it.
     """
-    config, trials = base.config, {name: relabel(trial, causes) for name, trial in base.session.trials.items()}
+    config, trials = base.config, {}
+    for name, trial in base.session.trials.items():
+        named = relabel(trial, causes)
+        trials[name] = trial if named is trial else folder.aside(named)
     session = replace(base.session, trials=trials)
     fit = folder.stage("geometry_relabelled", key, lambda: fit_session(config, session, True, progress))
     followed = {}
     for name, trial in trials.items():
         tracked = folder.stage(f"relabelled_{name}", key, lambda t=trial: track(fit, t.markers))
-        followed[name] = follow(fit, trial, tracked, base.cutoff_hz, config)
+        followed[name] = put_aside(follow(fit, trial, tracked, base.cutoff_hz, config), folder)
     found = replace(base, session=session, fit=fit, followed=followed, prior=subject_prior(config, fit))
     return replace(found, identified=folder.stage("inertia_relabelled", key, lambda: identify(config, found, progress)))
 

@@ -6,7 +6,7 @@ each band.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchid.regressor.equations import half_product
 from torchid.regressor.whitening import cosine_matrix
+from torchid.snapshot import unload
 
 MARKER_EDGES_HZ = (0.15, 0.5, 1.5)
 """Resolution. Upper edges of the bands [Hz] behind the mean of a block, which is a band of its own."""
@@ -132,6 +133,9 @@ class MarkerBands:
 BANDS = len(MARKER_EDGES_HZ) + 2
 """Resolution. Number of bands: means of blocks, those between ``MARKER_EDGES_HZ``, and the rest."""
 
+TOGETHER = 8192
+"""Resolution. Number of rows whose products are taken at once: those of all coefficients are most of a gigabyte."""
+
 STRETCHES = 12
 """Resolution. Number of stretches of neighbouring columns up to which matrices are copied stretch by stretch."""
 
@@ -184,23 +188,26 @@ def _some(gram: Float[Tensor, "bands all all"], some: Int[Tensor, " fewer"]) -> 
 
 
 def marker_statistics(
-    bands: MarkerBands, spectra: Float[Tensor, "columns kept rows"], least: float
+    bands: MarkerBands, spectra: Sequence[Float[Tensor, "some kept rows"]], least: float
 ) -> MarkerStatistics:
     """Return Gram matrix and moment of the columns against the last one, which is the markers' error.
 
     Args:
         bands: averaged rows of the trial.
-        spectra: coefficients of what postures leave of the columns, the error last, from ``MarkerBands.spectrum``.
+        spectra: coefficients of what postures leave of the columns, some and then others, the error last, from
+            ``MarkerBands.spectrum``; they may lie in files.
         least: as in ``MarkerStatistics``.
     """
-    n, flat, start = len(spectra) - 1, spectra.flatten(1).T, 0
-    gram, count = flat.new_zeros(BANDS, n + 1, n + 1), flat.new_zeros(BANDS)
+    n, rows, start = sum(len(some) for some in spectra) - 1, spectra[-1].shape[2], 0
+    gram, count = spectra[-1].new_zeros(BANDS, n + 1, n + 1), spectra[-1].new_zeros(BANDS)
     # Coefficients rise in frequency: those of a band lie together.
     for b, rise in zip(*bands.band.unique_consecutive(return_counts=True), strict=True):
-        own = int(rise) * spectra.shape[2]
-        gram[b] += half_product(flat[start : start + own])
-        count[b] += own * bands.free
-        start += own
+        stop = start + int(rise)
+        for part in torch.arange(start, stop).split(max(1, TOGETHER // rows)):
+            gram[b] += half_product(torch.cat([some[:, part[0] : part[-1] + 1] for some in spectra]).flatten(1).T)
+            unload()
+        count[b] += int(rise) * rows * bands.free
+        start = stop
     return MarkerStatistics(gram[:, :n, :n].contiguous(), gram[:, :n, n].clone(), gram[:, n, n].clone(), count, least)
 
 

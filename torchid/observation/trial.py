@@ -1,5 +1,6 @@
 """One trial as the diagnosis sees it: its rows, what effects can change in it, its markers, and their noise."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -31,6 +32,15 @@ OVER_CUTOFF = 6.0
 motion's frequencies, with noise that has no more than 1.2 of the cut-off."""
 
 
+def in_memory(value: Tensor) -> Tensor:
+    """Return the value itself.
+
+    Args:
+        value: what else could be put away.
+    """
+    return value
+
+
 @dataclass(frozen=True)
 class NoiseDraw:
     """The motion under another draw of the markers' noise, and the wrench that this changes."""
@@ -60,6 +70,8 @@ class TrialObservation:
     """Total force of the plates before the filter [N]."""
     response: MarkerResponse | None = None
     """Markers of the trial; None where no camera is at hand."""
+    aside: Callable[[Tensor], Tensor] = in_memory
+    """Puts away what takes most memory, until it is looked at; by default it stays where it is."""
 
     @cached_property
     def inertial(self) -> Float[Tensor, "6 params frames"]:
@@ -170,6 +182,7 @@ def observe_trial(
     known: BodyEstimate,
     seen: tuple[GeometryFit, Markers, Tracked] | None = None,
     options: ObservationOptions = ObservationOptions(),
+    ends: Motion | None = None,
 ) -> TrialObservation:
     """Return a tracked trial as the diagnosis sees it.
 
@@ -181,10 +194,14 @@ def observe_trial(
         known: inertia before and after the fit.
         seen: geometry, markers and the coordinates that follow them; None: nothing is asked of the markers.
         options: thresholds of what is believed.
+        ends: first and last frame of what was searched, where this is another part of the trial (``Scene.span``).
     """
     rows = _inner(rows, options.ends_periods)
     scene = make_scene(rows.name, rows.tree, rows.geometry, rows.motion, known.prior)
     raw = reading(rows.name, forces, frames)
+    if ends is not None:
+        scene = replace(scene, ends=make_scene(rows.name, rows.tree, rows.geometry, ends, known.prior))
+        raw = replace(raw, begin=float(ends.time[0]))
     smooth = rows.motion.smoother(raw.wrench, measured.to(torch.float64))
     scene = replace(scene, recorded_kg=known.recorded_kg)
     read = replace(raw, time=rows.motion.time, wrench=smooth)

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
+import scipy.fft
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -53,10 +54,13 @@ QUIET = (0.2, 0.3)
 def white_scatter(
     x: Float[Tensor, "frames *channels"], band: tuple[float, float] = QUIET
 ) -> Float[Tensor, "*channels"]:
-    """Standard deviation of the white noise of each channel, from a band (parts of the frame rate) of nothing else."""
+    """Standard deviation of the white noise of each channel, from a band (parts of the frame rate) of nothing else.
+
+    The coefficients are those of ``cosine_matrix`` by a fast transform: here they are of a whole recording.
+    """
     first, last = (round(2.0 * f * len(x)) for f in band)
-    coefficients = cosine_matrix(len(x), last).to(x)[first:] @ x.flatten(1)
-    return (coefficients.square().median(0).values / 0.4549).sqrt().view(x.shape[1:])
+    coefficients = torch.as_tensor(scipy.fft.dct(x.detach().cpu().numpy(), norm="ortho", axis=0)[first:last]).to(x)
+    return (coefficients.square().median(0).values / 0.4549).sqrt()
 
 
 @dataclass(frozen=True)

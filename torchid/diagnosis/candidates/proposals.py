@@ -62,4 +62,6 @@ class ObservedEvidence:
             scales: prior standard deviation of the coefficients, one for each displacement.
         """
         assert self.observed.response is not None, "only markers tell"
-        return evidence_of_courses(self.observed.response, sways, scales)
+        found = evidence_of_courses(self.observed.response, sways, scales)
+        self.observed.response.forget()
+        return found

@@ -66,12 +66,11 @@ def trial_columns(observed: TrialObservation, sources: Sequence[Source]) -> Colu
             extra[:, part] = about_root(observed, plate_columns(observed.view, alike))
         at = part.stop
     if observed.response is not None and own.stop > own.start:
-        statistics, wrench = _of_cameras(observed.response, sources)
-        extra[:, own.start - first : own.stop - first] = about_root(observed, wrench)
+        statistics = _of_cameras(observed, observed.response, sources, extra[:, own.start - first : own.stop - first])
     late = torch.tensor([s.effect.shifts_time for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], observed.rows, observed.scatter)
     unloaded = zero_statistics(observed.unloaded, [(s.effect, s.place, s.columns) for s in sources])
-    found = Columns(extra, Terms(live, statistics, unloaded, _covariation(observed, sources, live)))
+    found = Columns(observed.aside(extra), Terms(live, statistics, unloaded, _covariation(observed, sources, live)))
     if observed.response is not None:
         observed.response.forget()
     return found
@@ -90,9 +89,8 @@ def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source],
     assert response is not None, "effects on markers have been found"
     at, terms = torch.cat([torch.arange(s.columns.start, s.columns.stop) for s in others]), own.terms
     n, noise = observed.phi.numel(), terms.noise_scores
-    extra = own.copied
     fresh = [response_of(response, s) for s in others]
-    extra[:, at - n] = about_root(observed, response.wrench(fresh))
+    own = own.replaced(at - n, about_root(observed, response.wrench(fresh)))
     assert terms.markers is not None, "they show among the markers"
     every, first = _together([s for s in sources if s.effect.moves_markers]), marker_columns(sources).start
     fixed = ResponseCache(response)
@@ -102,26 +100,22 @@ def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source],
     if noise is not None and observed.noise_budget is not None:
         noise = noise.clone()
         noise[..., at] = noise_scores(observed, observed.noise_budget, others, inertia=False)
-    return replace(own, wide=extra, kept=None, terms=replace(terms, markers=statistics, noise_scores=noise))
+    return replace(own, terms=replace(terms, markers=statistics, noise_scores=noise))
 
 
 def _of_cameras(
-    response: MarkerResponse, sources: Sequence[Source]
-) -> tuple[MarkerStatistics, Float[Tensor, "6 columns frames"]]:
-    """Return statistics of what markers show of the columns, and the wrench about the origin of W that the motion needs
-    by them [N, N m]."""
-    bands, fixed, wrenches, at = response.bands, ResponseCache(response), [], 0
-    own = [s for s in sources if s.effect.moves_markers]
-    n = sum(len(s.scale) for s in own)
-    spectra = bands.error.new_empty(n + 1, len(bands.band), bands.error.shape[1])
-    for some in _together(own):
-        answers = [response_of(response, s, fixed=fixed) for s in some]
-        for answer, source in zip(answers, some, strict=True):
-            spectra[at : at + len(source.scale)] = answer.spectrum(bands)
-            at += len(source.scale)
-        wrenches.append(response.wrench(answers))
-    spectra[n:] = bands.spectrum(bands.left(bands.error[None]))
-    return marker_statistics(bands, spectra, response.least), torch.cat(wrenches, 1)
+    observed: TrialObservation, response: MarkerResponse, sources: Sequence[Source], out: Float[Tensor, "6 own frames"]
+) -> MarkerStatistics:
+    """Return statistics of what markers show of the columns; ``out`` takes the wrench about the root's origin that the
+    motion needs by them [N, N m]."""
+    bands, fixed, spectra, at = response.bands, ResponseCache(response), [], 0
+    for some in _together([s for s in sources if s.effect.moves_markers]):
+        answers, first = [response_of(response, s, fixed=fixed) for s in some], at
+        at += sum(len(s.scale) for s in some)
+        spectra.append(observed.aside(torch.cat([answer.spectrum(bands) for answer in answers])))
+        out[:, first:at] = about_root(observed, response.wrench(answers))
+    spectra.append(bands.spectrum(bands.left(bands.error[None])))
+    return marker_statistics(bands, spectra, response.least)
 
 
 def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:

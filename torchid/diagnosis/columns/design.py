@@ -10,6 +10,7 @@ from torch import Tensor
 from torchid.diagnosis.candidates.candidate import Candidate, Source
 from torchid.observation.marker_bands import MarkerStatistics
 from torchid.observation.unloaded_plates import ZeroStatistics
+from torchid.snapshot import unload
 
 
 @dataclass(frozen=True)
@@ -54,29 +55,51 @@ class Columns:
     """Columns of the sources that could act in one trial."""
 
     wide: Float[Tensor, "6 wide frames"]
-    """Columns behind those of the inertia, about the root's origin [N, N m per unit parameter]; see ``kept``."""
+    """Columns behind those of the inertia, about the root's origin [N, N m per unit parameter]; see ``kept``. They may
+    lie in a file."""
     terms: Terms
     """Terms of the trial that do not come from its rows of forces."""
     beyond: Float[Tensor, "frames 6"] | None = None
     """Wrench about the origin of W [N, N m] of effects that shift time beyond their columns, where those are linearised
     away from zero; None where none are."""
     kept: Int[Tensor, " more"] | None = None
-    """Indices of those of the wider design's columns that these are, which saves copying them; None: all."""
+    """Indices of those of ``wide`` and, behind them, ``fresh`` that these are, which saves copying them; None: all of
+    ``wide``."""
+    fresh: Float[Tensor, "6 fresh frames"] | None = None
+    """Columns that stand for some of ``wide``, or behind them; None: none do."""
 
     @property
     def extra(self) -> Float[Tensor, "6 more frames"]:
         """Columns behind those of the inertia, about the root's origin; a copy where some of many are kept."""
-        return self.wide if self.kept is None else self.wide[:, self.kept]
-
-    @property
-    def copied(self) -> Float[Tensor, "6 more frames"]:
-        """A copy of ``extra`` that may be changed."""
-        return self.wide.clone() if self.kept is None else self.extra
+        return self.wide if self.kept is None else self._taken(self.kept)
 
     @property
     def alone(self) -> "Columns":
         """The columns without those of the wider design, whose memory is freed when nothing else holds it."""
-        return replace(self, wide=self.extra, kept=None)
+        return replace(self, wide=self.extra, kept=None, fresh=None)
+
+    def replaced(self, at: Int[Tensor, " some"], by: Float[Tensor, "6 some frames"]) -> "Columns":
+        """Return the columns with others in the place of some, or behind all; the rest is not copied.
+
+        Args:
+            at: their indices; that behind the last, and so on, append.
+            by: the others.
+        """
+        first = self.wide.shape[1] + (0 if self.fresh is None else self.fresh.shape[1])
+        own = torch.arange(self.wide.shape[1]) if self.kept is None else self.kept
+        kept = own.new_empty(max(len(own), int(at.max()) + 1 if len(at) else 0))
+        kept[: len(own)] = own
+        kept[at] = torch.arange(first, first + len(at))
+        return replace(self, kept=kept, fresh=by if self.fresh is None else torch.cat([self.fresh, by], 1))
+
+    def _taken(self, which: Int[Tensor, " some"]) -> Float[Tensor, "6 some frames"]:
+        """Return a copy of some of ``wide`` and ``fresh``."""
+        if self.fresh is None:
+            return self.wide[:, which]
+        found, first = self.wide.new_empty(6, len(which), self.wide.shape[2]), which >= self.wide.shape[1]
+        found[:, ~first] = self.wide[:, which[~first]]
+        found[:, first] = self.fresh[:, which[first] - self.wide.shape[1]]
+        return found
 
     def only(self, some: "Selection", inertia: int) -> "Columns":
         """Return the columns of a narrower design, in which nuisances stand where they did.
@@ -95,9 +118,10 @@ class Columns:
         Args:
             theta: parameters of the columns behind the inertia's.
         """
-        if self.kept is not None:
-            theta = theta.new_zeros(self.wide.shape[1]).index_copy(0, self.kept, theta)
-        return (theta @ self.wide).T
+        some = theta.nonzero()[:, 0]
+        added = (theta[some] @ self._taken(some if self.kept is None else self.kept[some])).T
+        unload()
+        return added
 
 
 @dataclass(frozen=True)

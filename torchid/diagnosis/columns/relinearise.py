@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Source
@@ -84,7 +84,7 @@ def linearised(
     first = observed.phi.numel()
     if own.beyond is None and not any(bool(theta[_part(s, first)].any()) for s in sources if _plates_bend(s.effect)):
         return own
-    extra, beyond = own.copied, torch.zeros_like(observed.rows.wrench)
+    beyond = torch.zeros_like(observed.rows.wrench)
     measured, root = observed.view.measured, observed.rows.motion.q[:, :3]
 
     def slope(
@@ -96,13 +96,17 @@ def linearised(
         # No trial lacks them: they stand where they do in the design.
         effect, part = source.effect, _part(source, first)
         if effect.nonlinear and not effect.moves_markers and bool(theta[part].any()):
-            extra[:, part] = slope(effect, measured, source.place, theta[part])
+            own = own.replaced(_indices(part), slope(effect, measured, source.place, theta[part]))
         if effect.shifts_time:
             back = effect.undone(measured, source.place, theta[part])
-            extra[:, part] = calibrated(slope(effect, back, source.place), observed.rows, observed.scatter)
-            line = (theta[part] @ extra[:, part]).T
+            taken = calibrated(slope(effect, back, source.place), observed.rows, observed.scatter)
+            own, line = own.replaced(_indices(part), taken), (theta[part] @ taken).T
             beyond += (measured.total - back.total).T - wrench_about(line, -root)
-    return replace(own, wide=extra, kept=None, beyond=beyond)
+    return replace(own, beyond=beyond)
+
+
+def _indices(part: slice) -> Int[Tensor, " own"]:
+    return torch.arange(part.start, part.stop)
 
 
 def _plates_bend(effect: Effect) -> bool:

@@ -242,4 +242,5 @@ def _more_terms(terms: Terms, fresh: Sequence[Candidate]) -> Terms:
 
 def _more_columns(columns: Columns, extra: Float[Tensor, "6 more frames"], terms: Terms) -> Columns:
     """Return columns with further ones behind."""
-    return replace(columns, wide=torch.cat([columns.extra, extra], 1), kept=None, terms=terms)
+    n = columns.wide.shape[1] if columns.kept is None else len(columns.kept)
+    return replace(columns.replaced(torch.arange(n, n + extra.shape[1]), extra), terms=terms)

@@ -13,6 +13,7 @@ from torchid.observation.noise_budget import NoiseBudget
 from torchid.observation.reliability import Reliability
 from torchid.observation.trial import TrialObservation
 from torchid.regressor.whitening import BlockSpectrum, column_spectra, spectra
+from torchid.snapshot import unload
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ def trial_spectra(observed: TrialObservation, columns: Columns, noisy: Sequence[
         noisy: for every column behind the inertia's, True if it holds noise of accelerations that were found.
     """
     found = tuple(spectra(without_beyond(observed.rows, columns), columns.extra))
+    unload()
     if observed.noise_budget is None:
         return TrialSpectra(found, columns.terms)
     reliability, phi = observed.noise_budget.reliability, observed.phi.reshape(-1)
