@@ -152,6 +152,9 @@ class Config(Section):
     subject: Subject
     model: ModelSource = "whole_body"
     markers: MarkerSource
+    unlisted: Literal["assign", "leave_out"] | None = None
+    """Labels that the marker set does not list: assigned by how they move, or left out; absent: left out by a set of
+    the user's own (a path), assigned by a built-in one."""
     trials: tuple[TrialFile, ...] = ()
     geometry: GeometryOptions = GeometryOptions()
     motion: Motion = Motion()
@@ -165,6 +168,11 @@ class Config(Section):
     out: UserPath = Field(default=Path("out"), validate_default=True)
     """Folder of the results."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+    @property
+    def unlisted_choice(self) -> Literal["assign", "leave_out"]:
+        """``unlisted``, or its default for these markers."""
+        return self.unlisted or ("leave_out" if isinstance(self.markers, Path) else "assign")
 
     @field_validator("trials")
     @classmethod

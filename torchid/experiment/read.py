@@ -9,7 +9,7 @@ from torchid.geometry.assign import assign_markers
 from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
-from torchid.model.marker_set import load_marker_set
+from torchid.model.marker_set import MarkerSet, load_marker_set
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
 from torchid.outcome import Session
@@ -29,19 +29,19 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     Raises:
         TorchidError: a file, the model or the marker set is at fault, or a trial that moves is too short.
     """
-    files = {file.name: file for file in config.trials}
-    # Kept twice: beside an hour's samples of the plates the markers would have no room.
-    trials = {name: keep(synchronise(keep(_read(file)))) for name, file in files.items()}
-    _refuse_short(trials)
     model, said = _model(config)
     markers = load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
-    assignment = assign_markers(model, markers, tuple(trials.values()))
+    files = {file.name: file for file in config.trials}
+    # Kept twice: beside an hour's samples of the plates the markers would have no room.
+    trials = {name: keep(synchronise(keep(_read(file, markers)))) for name, file in files.items()}
+    _refuse_short(trials)
+    assignment = assign_markers(model, markers, tuple(trials.values()), config.unlisted_choice)
     notes = tuple(note for trial in trials.values() for note in trial.notes)
     return Session(trials, files, assignment, (*notes, *said, *assignment.notes))
 
 
-def _read(file: TrialFile) -> Trial:
-    options = ReadOptions(file.subject, file.up, file.units, file.allow_truncated)
+def _read(file: TrialFile, markers: MarkerSet) -> Trial:
+    options = ReadOptions(file.subject, file.up, file.units, file.allow_truncated, wanted=markers.wanted)
     return read_trial(file.name, file.file, file.forces, file.role, options)
 
 

@@ -16,3 +16,6 @@ class ReadOptions:
     """Unit of the marker positions, where the file states none or a wrong one."""
     allow_truncated: bool = False
     """Read what is there of a C3D whose data section ends early, and say so."""
+    wanted: frozenset[str] = frozenset()
+    """Labels that the user's marker set lists: never left out as outputs of a program, whatever their names and how
+    they move; compared without case, blanks, dots, dashes and underscores."""

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
+from torchid.io.computed import left_out_as_computed
 from torchid.io.frame import SAMPLES, to_world, turn_to_world, vertical_axis
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
@@ -44,6 +45,10 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     position = np.require(raw.position, float, ["C", "W"])
     mask, missing = missing_samples(position, raw.source)
     position[mask] = np.nan
+    computed, left_out = left_out_as_computed(raw.labels, position, options.wanted, raw.source)
+    if computed:
+        position = np.ascontiguousarray(position[:, [label not in computed for label in raw.labels]])
+        raw = replace(raw, labels=tuple(label for label in raw.labels if label not in computed))
     axis, said = vertical_axis(position, raw.forces, raw.up, raw.customary, options, raw.source)
     held: list[Note] = []
     if role != "static" and len(raw.time) > 1:
@@ -53,9 +58,9 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     world = turn_to_world(torch.from_numpy(position), axis)
     markers = Markers(raw.labels, torch.from_numpy(np.ascontiguousarray(raw.time, dtype=float)), world)
     forces = None if raw.forces is None else _forces_in_world(raw.forces, axis)
-    notes = (*raw.notes, *missing, *said, *held, *_force_notes(forces, raw))
+    notes = (*raw.notes, *missing, *left_out, *said, *held, *_force_notes(forces, raw))
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
-    return Trial(name, markers, forces, role, raw.events, notes, parameters)
+    return Trial(name, markers, forces, role, raw.events, notes, parameters, computed)
 
 
 def _forces_in_world(forces: Forces, axis: str) -> Forces:

@@ -60,7 +60,7 @@ def read_trial(
 def _read_text(name: str, file: Path, forces: Path | None, role: str, options: ReadOptions) -> Trial:
     trc = read_trc(file)
     source = str(file)
-    chosen = select_markers(list(trc.labels), source, prefix=options.prefix)
+    chosen = select_markers(list(trc.labels), source, prefix=options.prefix, wanted=options.wanted)
     position = trc.position[:, list(chosen.columns)]
     unit, said = length_unit(trc.units, position, options, source)
     measured, force_notes, facts = _read_forces(forces)
