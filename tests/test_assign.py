@@ -51,6 +51,19 @@ def test_unlisted_label_joins_the_segment_it_moves_with(segment_name, letters):
     assert [note.code for note in found.notes] == ["markers.assigned"] and label in found.notes[0].message
 
 
+def test_unlisted_labels_can_be_left_out():
+    """With ``leave_out`` the set's labels alone are used; what is computed in one trial is no marker in another."""
+    subject, given = session().subject, trials()
+    label = next(x for x, s in zip(subject.labels, subject.segments, strict=True) if s == "thigh_l" and "THI" in x)
+    found = assign_markers(template(), marker_set(label), given, "leave_out")
+    assert set(found.attachment.labels) == set(subject.labels) - {label}
+    assert [note.code for note in found.notes] == ["markers.unlisted"] and label in found.notes[0].message
+    computed = (replace(given[0], computed=(label,)), *given[1:])
+    found = assign_markers(template(), marker_set(label), computed)
+    assert label not in found.attachment.labels and [note.code for note in found.notes] == ["markers.computed"]
+    assert label in assign_markers(template(), marker_set(), computed).attachment.labels
+
+
 def test_label_that_moves_with_nothing_is_left_out():
     """A marker on something else is left out by name."""
     given = []

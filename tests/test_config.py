@@ -190,6 +190,18 @@ def test_missing_recordings_are_listed_before_anything_runs(write):
     }
 
 
+def test_a_users_own_marker_set_is_kept_to(write, tmp_path):
+    """Labels that a set does not list are left out by a set of the user's own; the key says otherwise."""
+    for name in ("a.trc", "lab.yaml"):
+        (tmp_path / name).touch()
+    path = write(MINIMAL)
+    assert load_config(path, ["trials.0.file=a.trc"]).unlisted_choice == "assign"
+    own = ["trials.0.file=a.trc", "markers=lab.yaml"]
+    assert load_config(path, own).unlisted_choice == "leave_out"
+    assert load_config(path, [*own, "unlisted=assign"]).unlisted_choice == "assign"
+    assert problems(path, "unlisted=sometimes")["unlisted"].code == "config.unknown_value"
+
+
 def test_contradictions_are_refused(write):
     """Paths that cannot be, no trials, trials of one name, and a known mass that is not given are errors."""
     path = write(MINIMAL)

@@ -98,6 +98,13 @@ def test_labels_match_exactly_then_loosely_then_by_alias():
     assert match.unknown == ("*12", "knee2")
 
 
+def test_listed_labels_stand_above_patterns_and_names():
+    """What a set lists is wanted, in any of its spellings, but for markers that were only estimated."""
+    chosen = MarkerSet("own", {"LKJC": MarkerSpec("thigh_l")}, {"LKJC": ("knee", "knee_study")}, ("L*",))
+    assert list(chosen.match(["LKJC", "LHJC"]).assigned) == ["LKJC"]
+    assert chosen.wanted == {"LKJC", "knee"}
+
+
 def write(folder, text):
     path = folder / "own.yaml"
     path.write_text(text, encoding="utf-8")

@@ -110,3 +110,5 @@ class Trial:
     """What was repaired, chosen or suspicious."""
     parameters: dict[str, str] = field(default_factory=dict)
     """Facts that the file states (axes, units, subject), for ``torchid check`` and the report."""
+    computed: tuple[str, ...] = ()
+    """Labels that were left out because they move as if computed from others; no markers in other trials either."""

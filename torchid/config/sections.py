@@ -158,6 +158,9 @@ class Config(Section):
     subject: Subject
     model: ModelSource = "whole_body"
     markers: MarkerSource
+    unlisted: Literal["assign", "leave_out"] | None = None
+    """Labels that the marker set does not list: assigned by how they move, or left out; absent: left out by a set of
+    the user's own (a path), assigned by a built-in one."""
     trials: tuple[TrialFile, ...] = ()
     forces_as: ForcesAs = ForcesAs()
     """How the forces of every trial are to be read, where they are not as they should be."""
@@ -176,11 +179,16 @@ class Config(Section):
     """Folder of the results."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
-    def reading(self, file: TrialFile) -> ReadOptions:
-        """How a trial of this config is to be read."""
+    def reading(self, file: TrialFile, wanted: frozenset[str] = frozenset()) -> ReadOptions:
+        """How a trial of this config is to be read; ``wanted`` are the labels that its marker set lists."""
         forces_as = self.forces_as if file.forces_as is None else file.forces_as
         plates = self.plates if file.plates is None else file.plates
-        return ReadOptions(file.subject, file.up, file.units, file.allow_truncated, forces_as, plates)
+        return ReadOptions(file.subject, file.up, file.units, file.allow_truncated, forces_as, plates, wanted)
+
+    @property
+    def unlisted_choice(self) -> Literal["assign", "leave_out"]:
+        """``unlisted``, or its default for these markers."""
+        return self.unlisted or ("leave_out" if isinstance(self.markers, Path) else "assign")
 
     @field_validator("trials")
     @classmethod

@@ -10,7 +10,7 @@ from torchid.geometry.assign import assign_markers
 from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
-from torchid.model.marker_set import load_marker_set
+from torchid.model.marker_set import MarkerSet, load_marker_set
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
 from torchid.outcome import Session
@@ -30,27 +30,28 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     Raises:
         TorchidError: a file, the model or the marker set is at fault, or a trial that moves is too short.
     """
-    files = {file.name: file for file in config.trials}
-    # Kept twice: beside an hour's samples of the plates the markers would have no room.
-    trials = {name: keep(synchronise(keep(_read(file, config)))) for name, file in files.items()}
-    _refuse_short(trials)
-    refuse_disagreement({name: (trial, _recording(files[name], config)) for name, trial in trials.items()})
     model, said = _model(config)
     markers = load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
-    assignment = assign_markers(model, markers, tuple(trials.values()))
+    files = {file.name: file for file in config.trials}
+    # Kept twice: beside an hour's samples of the plates the markers would have no room.
+    trials = {name: keep(synchronise(keep(_read(file, config, markers)))) for name, file in files.items()}
+    _refuse_short(trials)
+    again = {name: (trial, _recording(files[name], config, markers)) for name, trial in trials.items()}
+    refuse_disagreement({name: both for name, both in again.items() if files[name].inertia})
+    assignment = assign_markers(model, markers, tuple(trials.values()), config.unlisted_choice)
     notes = tuple(note for trial in trials.values() for note in trial.notes)
     return Session(trials, files, assignment, (*notes, *said, *assignment.notes))
 
 
-def _read(file: TrialFile, config: Config) -> Trial:
-    return read_trial(file.name, file.file, file.forces, file.role, config.reading(file))
+def _read(file: TrialFile, config: Config, markers: MarkerSet) -> Trial:
+    return read_trial(file.name, file.file, file.forces, file.role, config.reading(file, markers.wanted))
 
 
-def _recording(file: TrialFile, config: Config) -> Recording:
+def _recording(file: TrialFile, config: Config, markers: MarkerSet) -> Recording:
     def read(options: ReadOptions) -> Trial:
         return read_trial(file.name, file.file, file.forces, file.role, options)
 
-    return Recording(read, config.reading(file), config.subject.mass_kg)
+    return Recording(read, config.reading(file, markers.wanted), config.subject.mass_kg)
 
 
 def _refuse_short(trials: dict[str, Trial]) -> None:

@@ -1,6 +1,7 @@
 """This module turns the labels of a session into markers of a model, labels that no marker set lists included."""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 
@@ -10,6 +11,7 @@ from torchid.model.marker_set import MarkerSet, MarkerSpec, marker_prior
 from torchid.model.model import Model
 from torchid.model.whole_body import lock_bodies
 from torchid.recording import Markers, Trial
+from torchid.wording import listing
 
 RIGID = 0.02
 """An unlisted label joins a segment when its distances to the segment's markers scatter less than this [m]; chosen."""
@@ -29,15 +31,19 @@ class Assignment:
     notes: tuple[Note, ...]
 
 
-def assign_markers(model: Model, marker_set: MarkerSet, trials: tuple[Trial, ...]) -> Assignment:
+def assign_markers(
+    model: Model, marker_set: MarkerSet, trials: tuple[Trial, ...], unlisted: Literal["assign", "leave_out"] = "assign"
+) -> Assignment:
     """Assign every label of the trials to a segment, and lock the bodies that no marker sees.
 
-    A label that no marker set lists joins the segment with which it moves most rigidly, or is left out with a note.
+    A label that no marker set lists joins the segment with which it moves most rigidly, or is left out with a note; so
+    is one that moves in some trial as if it was computed from others (``Trial.computed``).
 
     Args:
         model: template of the subject.
         marker_set: segments and landmarks of the labels that are known.
         trials: all trials of the session, the static one included.
+        unlisted: ``leave_out`` keeps to the labels that the set lists.
 
     Returns:
         The model, its markers, and notes on labels that were assigned or left out and on bodies without markers.
@@ -50,7 +56,9 @@ def assign_markers(model: Model, marker_set: MarkerSet, trials: tuple[Trial, ...
     if match.computed:
         notes.append(Note("markers.computed", f"left out as computed points: {', '.join(match.computed)}"))
     known = dict(specs)
-    for label in match.unknown:
+    unknown, said = _unlisted(match.unknown, trials, unlisted)
+    notes += said
+    for label in unknown:
         segment, scatter = _most_rigid_segment(label, known, model, trials)
         if segment is None or scatter > RIGID:
             notes.append(Note("markers.unknown", f"{label} is in no marker set and moves with no segment; left out"))
@@ -66,6 +74,21 @@ def assign_markers(model: Model, marker_set: MarkerSet, trials: tuple[Trial, ...
         )  # fmt: skip
     model, said = _settle_bare(model, {spec.segment for spec in specs.values()})
     return Assignment(model, _attach(model, specs), (*notes, *said))
+
+
+def _unlisted(
+    labels: tuple[str, ...], trials: tuple[Trial, ...], choice: Literal["assign", "leave_out"]
+) -> tuple[tuple[str, ...], list[Note]]:
+    """Return which of the labels that no set lists are to be assigned, and what is said of the others."""
+    if choice == "leave_out":
+        text = f"{len(labels)} labels that the marker set does not list are left out: {listing(labels)}"
+        return (), [
+            Note("markers.unlisted", f"{text}. unlisted: assign places them by how they move")
+        ] if labels else []
+    computed = {label for trial in trials for label in trial.computed}.intersection(labels)
+    text = f"left out, for they move in another trial as if computed from others: {listing(sorted(computed))}"
+    notes = [Note("markers.computed", text)] if computed else []
+    return tuple(label for label in labels if label not in computed), notes
 
 
 def _settle_bare(model: Model, marked: set[str]) -> tuple[Model, tuple[Note, ...]]:

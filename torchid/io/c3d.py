@@ -75,7 +75,7 @@ def _refuse_rotations(header: C3dHeader) -> None:
 
 def _raw(data: FileBytes, header: C3dHeader, layout: Layout, options: ReadOptions) -> RawTrial:
     labels = (header.strings("POINT", "LABELS") + [""] * layout.points)[: layout.points]
-    chosen = select_markers(labels, header.source, _outputs(header), options.subject)
+    chosen = select_markers(labels, header.source, _outputs(header), options.subject, options.wanted)
     position = read_points(data, layout, header, chosen.columns)
     unit, said = length_unit(" ".join(header.strings("POINT", "UNITS")[:1]), position, options, header.source)
     begin = (layout.first_frame - 1) / layout.rate

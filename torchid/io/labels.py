@@ -5,18 +5,9 @@ from collections import Counter
 from dataclasses import dataclass
 
 from torchid.errors import InputError, Note
+from torchid.io.output_names import loose, named_outputs
 
 UNLABELLED = re.compile(r"([*#]\d*|U_\d+|uname\d*\**\d*|unlabel\w*\W*\d*|unnamed\W*\d*)?", re.IGNORECASE)
-COMPUTED = re.compile(
-    r"[LR]?_?(HJC|KJC|AJC|SJC|EJC|WJC)(_\w+)?|(HJC|KJC|AJC|SJC|EJC|WJC)_?[LR]?|\w*HJC\w*|Cent(re|er)OfMass\w*"
-    r"|(Left|Right|[LR])?_?(Hip|Knee|Ankle|Shoulder|Elbow|Wrist)_?(Joint)?_?Cent(re|er)\w*|\w+LegLength|proj\w+"
-)
-"""Joint centres, centres of mass and lengths that modelling programs store among the points."""
-OXFORD_FOOT = re.compile(r"[LR](FOF|HDF|HLX|TIB|HE|ANK|D1M)\d|[LR](PROXFF|KAX|ArchHeight|HFplantar)")
-"""Outputs of the Oxford foot model; such names may be markers elsewhere, so they count only beside its axis points."""
-BONE = re.compile(r"(HED|PEL|TRX|[LR](?:CL|FE|FO|HN|HU|RA|TI|TO))[OALP]")
-BONE_SUFFIXES = "OALP"
-"""Plug-in Gait stores the origin and axis ends of its segments as NAME + O, A, L, P; only all four are taken."""
 OUTPUT_LISTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 FORCE_COLUMN = re.compile(r"ground_(force|torque|moment)|(^|_)[vpm][xyz]$", re.IGNORECASE)
 
@@ -33,7 +24,11 @@ class Selection:
 
 
 def select_markers(
-    labels: list[str], source: str, outputs: frozenset[str] = frozenset(), subject: str | tuple[str, ...] | None = None
+    labels: list[str],
+    source: str,
+    outputs: frozenset[str] = frozenset(),
+    subject: str | tuple[str, ...] | None = None,
+    wanted: frozenset[str] = frozenset(),
 ) -> Selection:
     """The markers among ``labels``; what is left out is counted and named in the notes.
 
@@ -42,6 +37,7 @@ def select_markers(
         source: the file, for notes and errors.
         outputs: labels that the file itself lists as angles, forces, moments, powers or scalars.
         subject: the prefix to read, or several of one person stored as several bodies; None where the file holds one.
+        wanted: labels that are markers whatever they are called (``ReadOptions.wanted``).
 
     Raises:
         InputError: ``markers.subjects`` where several prefixes are present and none is chosen, a chosen one is absent,
@@ -50,15 +46,13 @@ def select_markers(
     notes: list[Note] = []
     plain = [label.split(":")[-1].strip() for label in labels]
     unlabelled = [k for k, label in enumerate(plain) if UNLABELLED.fullmatch(label)]
-    computed = _computed(labels, plain, outputs)
-    left = set(unlabelled) | computed
+    computed = _outputs(labels, plain, outputs, wanted)
+    left = {*unlabelled, *computed}
     subjects = sorted({label.split(":")[0] for k, label in enumerate(labels) if ":" in label and k not in left})
     columns = _of_subject([k for k in range(len(labels)) if k not in left], labels, subjects, subject, source, notes)
     if unlabelled:
         notes.append(Note("markers.unlabelled", f"{len(unlabelled)} unlabelled points left out", source))
-    if computed:
-        names = _listed([plain[k] for k in sorted(computed)])
-        notes.append(Note("markers.outputs", f"{len(computed)} computed points and outputs left out: {names}", source))
+    notes += _said(computed, plain, source)
     final, duplicates = _unique([plain[k] for k in columns])
     if duplicates:
         text = f"labels occur more than once, later ones are numbered: {_listed(duplicates)}"
@@ -84,24 +78,21 @@ def refuse_forces(labels: list[str], source: str) -> None:
         )
 
 
-def _computed(labels: list[str], plain: list[str], outputs: frozenset[str]) -> set[int]:
-    present = set(plain)
-    stems = {match[1] for match in map(BONE.fullmatch, plain) if match}
-    quads = {stem for stem in stems if all(stem + s in present for s in BONE_SUFFIXES)}
-    frames = {name[:-1] for name in plain if name and all(f"{name[:-1]}{k}" in present for k in range(4))}
-    bones = {stem + s for stem in quads for s in BONE_SUFFIXES}
-    axes = {f"{stem}{k}" for stem in frames & {s + n for s in "LR" for n in ("FOF", "HDF", "HLX")} for k in range(4)}
-    listed = {name.split(":")[-1].strip() for name in outputs} - {""}
-    return {
-        k
-        for k, name in enumerate(plain)
-        if labels[k] in outputs
-        and labels[k]
-        or name in listed
-        or name in bones
-        or COMPUTED.fullmatch(name)
-        or (axes and OXFORD_FOOT.fullmatch(name))
-    }
+def _outputs(labels: list[str], plain: list[str], listed: frozenset[str], wanted: frozenset[str]) -> dict[int, str]:
+    """Points that are no markers, with what says so: the file's own lists, or their names."""
+    names = {name.split(":")[-1].strip() for name in listed} - {""}
+    told = {k: "by their names" for k in named_outputs(plain)}
+    told |= {k: "listed as outputs by the file" for k, name in enumerate(plain) if name in names}
+    asked = {loose(name) for name in wanted}
+    return {k: why for k, why in sorted(told.items()) if loose(plain[k]) not in asked}
+
+
+def _said(outputs: dict[int, str], plain: list[str], source: str) -> list[Note]:
+    if not outputs:
+        return []
+    counts = " and ".join(f"{n} {why}" for why, n in sorted(Counter(outputs.values()).items()))
+    text = f"{len(outputs)} computed points and outputs left out, {counts}: {_listed([plain[k] for k in outputs])}"
+    return [Note("markers.outputs", text, source)]
 
 
 def _of_subject(

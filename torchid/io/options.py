@@ -23,3 +23,6 @@ class ReadOptions:
     """What is wrong with all forces of the file."""
     plates: Mapping[int, PlateAs] = field(default_factory=dict)
     """What is wrong with single force plates, by number."""
+    wanted: frozenset[str] = frozenset()
+    """Labels that the user's marker set lists: never left out as outputs of a program, whatever their names and how
+    they move; compared without case, blanks, dots, dashes and underscores."""

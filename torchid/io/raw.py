@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
+from torchid.io.computed import left_out_as_computed
 from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
 from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
 from torchid.io.missing import held_samples, missing_samples
@@ -47,6 +48,10 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     position = np.require(raw.position, float, ["C", "W"])
     mask, missing = missing_samples(position, raw.source)
     position[mask] = np.nan
+    computed, left_out = left_out_as_computed(raw.labels, position, options.wanted, raw.source)
+    if computed:
+        position = np.ascontiguousarray(position[:, [label not in computed for label in raw.labels]])
+        raw = replace(raw, labels=tuple(label for label in raw.labels if label not in computed))
     same_axes = options.forces_as.up is None  # else the forces say nothing about the markers' vertical
     axis, said = vertical_axis(
         position, raw.forces if same_axes else None, raw.up, raw.customary, options, raw.source,
@@ -67,9 +72,9 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     if forces is not None:
         forces = mend(forces, options.forces_as, options.plates, raw.source)
     said = [*said, *turned, *_as_asked(options, raw.source)]
-    notes = (*raw.notes, *missing, *said, *held, *_force_notes(forces, raw))
+    notes = (*raw.notes, *missing, *left_out, *said, *held, *_force_notes(forces, raw))
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
-    return Trial(name, markers, forces, role, raw.events, notes, parameters)
+    return Trial(name, markers, forces, role, raw.events, notes, parameters, computed)
 
 
 def _as_asked(options: ReadOptions, source: str) -> list[Note]:

@@ -60,7 +60,7 @@ Measured = tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]
 def _read_text(name: str, file: Path, forces: Measured, role: str, options: ReadOptions) -> Trial:
     trc = read_trc(file)
     source = str(file)
-    chosen = select_markers(list(trc.labels), source, subject=options.subject)
+    chosen = select_markers(list(trc.labels), source, subject=options.subject, wanted=options.wanted)
     position = trc.position[:, list(chosen.columns)]
     unit, said = length_unit(trc.units, position, options, source)
     measured, force_notes, facts = forces

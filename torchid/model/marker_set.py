@@ -2,12 +2,11 @@
 
 A set is YAML (or JSON) with one entry per label, ``label: segment`` or ``label: {segment: ..., landmark: ...}``, and up
 to three keys beside them: ``aliases`` (label: other spellings), ``computed`` (patterns with ``*``, ``?``, ``[..]`` of
-points that another program wrote), ``extends`` (a set whose entries come first).
+points that another program wrote, left out unless the set lists them), ``extends`` (a set whose entries come first).
 """
 
 import difflib
 import fnmatch
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,7 @@ from torch import Tensor
 
 from torchid.conventions import Inertial
 from torchid.errors import ConfigError, InputError
+from torchid.io.output_names import AUGMENTED, loose
 from torchid.model.landmarks import LANDMARKS
 from torchid.model.model import Landmark, Model
 from torchid.model.skeleton import SEGMENTS
@@ -64,13 +64,13 @@ class MarkerSet:
 
         What remains is compared with the patterns of computed points. A prefix ``Subject:`` is ignored.
         """
-        loose = {_loose(label): spec for label, spec in self.specs.items()}
-        other = {_loose(alias): self.specs[label] for label, names in self.aliases.items() for alias in names}
+        plain = {loose(label): spec for label, spec in self.specs.items()}
+        other = {loose(alias): self.specs[label] for label, names in self.aliases.items() for alias in names}
         assigned: dict[str, MarkerSpec] = {}
         computed, unknown = [], []
         for label in labels:
             bare = label.rsplit(":", 1)[-1]
-            spec = self.specs.get(bare) or loose.get(_loose(bare)) or other.get(_loose(bare))
+            spec = self.specs.get(bare) or plain.get(loose(bare)) or other.get(loose(bare))
             if spec is not None:
                 assigned[label] = spec
             elif any(fnmatch.fnmatchcase(bare, pattern) for pattern in self.computed):
@@ -79,9 +79,14 @@ class MarkerSet:
                 unknown.append(label)
         return Match(assigned, tuple(computed), tuple(unknown))
 
+    @property
+    def wanted(self) -> frozenset[str]:
+        """Labels that are markers whatever they are called (``ReadOptions.wanted``).
 
-def _loose(label: str) -> str:
-    return re.sub(r"[\s._\-]+", "", label).casefold()
+        Not those of markers that OpenCap estimated: they are other spellings, which give way to the marker itself.
+        """
+        others = {name for names in self.aliases.values() for name in names if not name.endswith(AUGMENTED)}
+        return frozenset(self.specs) | others
 
 
 def marker_sets() -> tuple[str, ...]:
@@ -178,7 +183,7 @@ def _check_spelling(specs: Mapping[str, MarkerSpec], path: Path) -> None:
     """Labels that differ only in case or punctuation must mean the same place."""
     seen: dict[str, str] = {}
     for label, spec in specs.items():
-        twin = seen.setdefault(_loose(label), label)
+        twin = seen.setdefault(loose(label), label)
         if specs[twin] != spec:
             raise ConfigError(
                 "markers.ambiguous", "two labels differ only in case or punctuation and sit in different places",
