@@ -18,7 +18,6 @@ BONE = re.compile(r"(HED|PEL|TRX|[LR](?:CL|FE|FO|HN|HU|RA|TI|TO))[OALP]")
 BONE_SUFFIXES = "OALP"
 """Plug-in Gait stores the origin and axis ends of its segments as NAME + O, A, L, P; only all four are taken."""
 OUTPUT_LISTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
-FORCE_COLUMN = re.compile(r"ground_(force|torque|moment)|(^|_)[vpm][xyz]$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -63,24 +62,6 @@ def select_markers(
         text = f"labels occur more than once, later ones are numbered: {_listed(duplicates)}"
         notes.append(Note("markers.duplicates", text, source))
     return Selection(final, tuple(columns), tuple(notes), tuple(duplicates), tuple(subjects))
-
-
-def refuse_forces(labels: list[str], source: str) -> None:
-    """Refuse a marker file whose columns are ground reaction forces.
-
-    Raises:
-        InputError: ``trc.forces``.
-    """
-    named = [label for label in labels if FORCE_COLUMN.search(label)]
-    if named:
-        raise InputError(
-            "trc.forces",
-            "these are forces, not markers",
-            source=source,
-            place="label line",
-            found=_listed(named),
-            remedy="Name the file under forces: and give the marker file under file:",
-        )
 
 
 def _computed(labels: list[str], plain: list[str], outputs: frozenset[str]) -> set[int]:

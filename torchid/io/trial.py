@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from torchid.errors import InputError, Note
 from torchid.io.c3d import read_c3d
 from torchid.io.frame import METRES, length_unit
@@ -14,6 +16,8 @@ from torchid.io.trc import read_trc
 from torchid.recording import Forces, Trial
 
 ROLES = ("static", "fit", "heldout")
+SAME_TRIAL = 0.1
+"""Relative difference in length up to which markers and forces, one in ms, are of the same trial."""
 
 
 def read_trial(
@@ -65,6 +69,7 @@ def _read_text(name: str, file: Path, forces: Path | None, role: str, options: R
     unit, said = length_unit(trc.units, position, options, source)
     measured, force_notes, facts = _read_forces(forces)
     rate = (len(trc.time) - 1) / (trc.time[-1] - trc.time[0]) if len(trc.time) > 1 else 0.0
+    _refuse_other_clock(trc.time, measured, file, forces)
     raw = RawTrial(
         source=source,
         labels=chosen.labels,
@@ -74,9 +79,27 @@ def _read_text(name: str, file: Path, forces: Path | None, role: str, options: R
         up="",
         customary="y",
         notes=(*trc.notes, *chosen.notes, *said, *force_notes),
+        lines=trc.lines,
         parameters=(("format", "TRC"), ("units", unit), ("rate_hz", f"{rate:.10g}"), *facts),
     )
     return assemble(raw, name, role, options)
+
+
+def _refuse_other_clock(time: np.ndarray, measured: Forces | None, file: Path, forces: Path | None) -> None:
+    """Refuse files of one trial of which one lasts a thousand times as long as the other: its times are in ms."""
+    if measured is None or forces is None or len(time) < 2 or len(measured.time) < 2:
+        return
+    own, other = float(time[-1] - time[0]), float(measured.time[-1] - measured.time[0])
+    longer, ratio = (forces, other / own) if other > own else (file, own / other)
+    if abs(ratio / 1e3 - 1.0) <= SAME_TRIAL:
+        raise InputError(
+            "time.unit",
+            "the times of markers and forces differ by a factor of a thousand",
+            source=longer,
+            place="column time",
+            found=f"markers last {own:g}, forces {other:g}",
+            remedy="Divide the times of this file by 1000; they must be in s",
+        )
 
 
 def _read_forces(path: Path | None) -> tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]:
