@@ -21,6 +21,10 @@ SLOWEST = 5.0
 2000 Hz."""
 MS_MATCH = 0.01
 """Relative deviation of the rate stated from a thousand times that of the time column that still shows times in ms."""
+SHORTEST = 1e-9
+"""A period [s] that no clock goes below."""
+LATEST = 1e9
+"""Time [s] that no clock of a recording reaches, thirty years."""
 LISTED = 5
 """Places that a note names."""
 
@@ -68,8 +72,9 @@ def uniform_clock(
         InputError: ``time.invalid``, ``time.order``, ``time.irregular`` or ``time.unit``.
     """
     bad = lambda code, message, row: _bad_time(code, message, row, times, lines, source)  # noqa: E731
-    if not np.isfinite(times).all():
-        raise bad("time.invalid", "a time is missing", int(np.argmin(np.isfinite(times))))
+    possible = np.abs(times) < LATEST
+    if not possible.all():
+        raise bad("time.invalid", "a time is missing or cannot be", int(np.argmin(possible)))
     if len(times) < 2:
         return Clock(times, np.arange(len(times)))
     steps = np.diff(times)
@@ -115,7 +120,7 @@ def _rows(times: np.ndarray, nominal: float | None) -> Int[np.ndarray, " rows"]:
     if steps.max() < (2.0 - WHOLE) * steps.min():
         return np.arange(len(times))
     for period in (float(np.median(steps)), *([1.0 / nominal] if nominal else [])):
-        jumps = np.rint(steps / period)
+        jumps = np.rint(steps / max(period, SHORTEST))
         leaping, missing = jumps > 1, (jumps - 1).sum()
         if (
             (jumps >= 1).all()
