@@ -114,10 +114,12 @@ def test_spellings_of_missing(tmp_path: Path, spelling: str) -> None:
         (lambda lines: lines[:8] + [lines[8] + "\t7\t8"] + lines[9:], "text.row", "line 9"),
         (lambda lines: lines[:8] + [lines[8].replace(".", ",")] + lines[9:], "text.decimal_comma", "line 9"),
         (lambda lines: lines[:8] + [lines[8].replace("0.", "O.")] + lines[9:], "text.number", "line 9"),
-        (lambda lines: lines[:8] + [lines[9], lines[8]] + lines[10:], "time.order", "data row"),
-        (lambda lines: lines[:9] + lines[12:], "time.irregular", "data row"),
+        (lambda lines: lines[:8] + [lines[9], lines[8]] + lines[10:], "time.order", "line 10, column time"),
+        (lambda lines: [lines[k] for k in (*range(8), *range(8, 18, 3))], "time.irregular", "line "),
         (lambda lines: ["hello"] + lines[1:], "trc.signature", "line 1"),
         (lambda lines: lines[:6], "trc.empty", ""),
+        (lambda lines: lines[:3], "trc.header", "line 3, the last"),
+        (lambda lines: [lines[0], lines[1][:40], ""], "trc.header", "line 2, the last"),
         (lambda lines: [line.replace("MA", "ground_force_vx") for line in lines], "trc.forces", "label line"),
     ],
 )
@@ -135,6 +137,77 @@ def test_an_incomplete_last_row_is_left_out_and_said(tmp_path: Path) -> None:
     trc = read_trc(save(tmp_path / "a.trc", trc_text(cloud())[:-40]))
     assert len(trc.time) == FRAMES - 1
     assert {"text.last_row", "trc.counts"} <= codes(trc.notes)
+
+
+@pytest.mark.parametrize("style", ["{:.6f}", "{:.6e}", "{:.6g}"])
+@pytest.mark.parametrize("tab", ["", "\t"])
+def test_no_cut_is_silent(tmp_path: Path, style: str, tab: str) -> None:
+    """Wherever the last row of a MOT is cut, it is left out, or kept with the word that it has no line end."""
+    rows = ["\t".join([f"{k / 100:.2f}", *(style.format(x) for x in row)]) + tab for k, row in enumerate(standing())]
+    text = "\n".join(["endheader", "\t".join(["time", *force_columns()]), *rows])
+    full = read_storage(save(tmp_path / "a.mot", text + "\n"))
+    assert full.notes == ()
+    for cut in range(1, len(rows[-1])):
+        found = read_storage(save(tmp_path / "a.mot", text[:-cut]))
+        (said,) = codes(found.notes)
+        assert said == ("text.no_line_end" if len(found.values) == FRAMES else "text.last_row")
+        lost = np.abs(found.values - full.values[: len(found.values)]).max()
+        assert lost <= (1e-4 if style != "{:.6g}" else 0.1), f"{cut} characters cut change {lost}"
+
+
+def test_a_missing_cell_is_not_read_as_shifted_columns(tmp_path: Path) -> None:
+    """A cell less in one row, or in all, is refused, though tabs at the ends of rows make up for it."""
+    head, rows = trc_text(cloud()).split("\n")[:6], [f"{row}\t" for row in trc_text(cloud()).rstrip().split("\n")[6:]]
+    cut = ["\t".join(row.split("\t")[:8] + row.split("\t")[9:]) for row in rows]
+    with pytest.raises(InputError, match="shifted") as caught:
+        read_trc(save(tmp_path / "a.trc", "\n".join([*head, *rows[:3], cut[3], *rows[4:]]) + "\n"))
+    assert (caught.value.code, caught.value.place) == ("text.row", "line 10")
+    with pytest.raises(InputError, match=r"MG.*trc\.shifted"):
+        read_trc(save(tmp_path / "a.trc", "\n".join([*head, *cut]) + "\n"))
+
+
+def test_a_point_with_a_coordinate_missing_is_a_gap_and_said(tmp_path: Path) -> None:
+    """One blank coordinate makes the point a gap, with marker and line."""
+    lines = trc_text(cloud()).split("\n")
+    cells = lines[8].split("\t")
+    cells[6] = ""
+    lines[8] = "\t".join(cells)
+    trc = read_trc(save(tmp_path / "a.trc", "\n".join(lines)))
+    assert_array_equal(np.argwhere(np.isnan(trc.position).any(-1)), [[2, 1]])
+    (said,) = [note.message for note in trc.notes if note.code == "trc.partial"]
+    assert "MB in line 9" in said
+
+
+def test_missing_rows_and_wrong_frame_numbers_are_said(tmp_path: Path) -> None:
+    """Rows cut out become frames of gaps; frame numbers that leap while time goes on are named with their line."""
+    lines = trc_text(cloud()).split("\n")
+    trc = read_trc(save(tmp_path / "a.trc", "\n".join(lines[:10] + lines[12:])))
+    assert len(trc.time) == FRAMES and codes(trc.notes) == {"time.gaps", "trc.counts"}
+    assert_array_equal(np.flatnonzero(np.isnan(trc.position).all(axis=(1, 2))), [4, 5])
+    assert_array_equal(trc.lines[[3, 4, 6]], [10, 0, 11])
+    lines[10] = lines[10].replace("5\t", "9\t", 1)
+    (said,) = read_trc(save(tmp_path / "a.trc", "\n".join(lines))).notes
+    assert said.code == "trc.frame_numbers" and "line 11" in said.message
+
+
+def test_an_absurd_marker_sample_is_named_with_its_line(tmp_path: Path) -> None:
+    """A digit too many in one cell of a TRC is a gap of that marker, in that line."""
+    position = cloud()[:1] + 1e-3 * np.random.default_rng(5).normal(size=(FRAMES, MARKERS, 3))
+    position[4, 3, 0] += 9.0
+    trial = read_trial("a", save(tmp_path / "a.trc", trc_text(position)))
+    assert_array_equal(np.argwhere(trial.markers.position.isnan().any(-1).numpy()), [[4, 3]])
+    (said,) = [note.message for note in trial.notes if note.code == "markers.spikes"]
+    assert "MD (frame 5, line 11)" in said
+
+
+def test_unlabelled_points_after_the_labelled_are_left_out(tmp_path: Path) -> None:
+    """Rows with more cells than labels are read where the header counts more markers than it labels."""
+    lines = trc_text(cloud()).split("\n")
+    lines[2] = lines[2].replace(f"\t{MARKERS}\t", "\t20\t")
+    rows = [line + "\t1.5\t2.5\t3.5" * (k % 3) for k, line in enumerate(lines[6:-1])]
+    trc = read_trc(save(tmp_path / "a.trc", "\n".join([*lines[:6], *rows]) + "\n"))
+    assert_allclose(trc.position, cloud(), atol=1e-7)
+    assert "trc.counts" in codes(trc.notes)
 
 
 def test_units_from_header_data_or_user(tmp_path: Path) -> None:
@@ -190,30 +263,58 @@ def test_storage_round_trip_and_header_styles(tmp_path: Path) -> None:
     assert unknown.in_degrees is None
 
 
-NAMES = [
-    ("ground_force_{a}", "ground_torque_{t}"),
-    ("1_ground_force_{a}", "1_ground_torque_{t}"),
-    ("ground_force_1_{a}", "ground_force_1_m{t}"),
-    ("R_ground_force_{a}", "R_ground_torque_{t}"),
-    ("ground_force_calcn_r_{a}", "ground_torque_calcn_r_{t}"),
-    ("ground_force_2_{a}", "ground_moment_2_m{t}"),
-    ("FP1_{a}", "FP1_m{t}"),
-]
+def pair(folder: Path, values: np.ndarray, names: list[str] | None = None):
+    """A trial of a plain TRC beside a MOT with these values, whose first row stands in line 6."""
+    mot = save(folder / "a.mot", mot_text(names or force_columns(), values))
+    return read_trial("a", save(folder / "a.trc", trc_text(cloud())), mot)
 
 
-@pytest.mark.parametrize(("force_name", "moment_name"), NAMES)
-def test_column_names_of_all_styles(tmp_path: Path, force_name: str, moment_name: str) -> None:
-    """Every style of names gives the wrench p x F + T about the origin, rotated to Z up."""
-    random = np.random.default_rng(2)
+def standing(seed: int = 2) -> np.ndarray:
+    """Rows of force, centre of pressure and free moment of somebody of 700 N who stands in a Y-up laboratory."""
+    random = np.random.default_rng(seed)
     force = random.normal(size=(FRAMES, 3)) * 20 + [0, 700, 0]
-    point, free = random.normal(size=(FRAMES, 3)) * 0.3, random.normal(size=(FRAMES, 3))
-    columns = [force_name.format(a=w + a) for w in "vp" for a in "xyz"] + [moment_name.format(t=a) for a in "xyz"]
-    mot = save(tmp_path / "a.mot", mot_text(columns, np.concatenate([force, point, free], axis=1)))
-    trial = read_trial("a", save(tmp_path / "a.trc", trc_text(cloud())), mot)
+    point, free = 0.3 + 0.01 * random.normal(size=(FRAMES, 3)), random.normal(size=(FRAMES, 3))
+    return np.concatenate([force, point, free], axis=1)
+
+
+def wrench_of(values: np.ndarray) -> np.ndarray:
+    """The wrench p x F + T about the origin, rotated to Z up."""
+    force, moment = values[:, :3], np.cross(values[:, 3:6], values[:, :3]) + values[:, 6:]
+    return np.stack([force[:, 0], -force[:, 2], force[:, 1], moment[:, 0], -moment[:, 2], moment[:, 1]], axis=1)
+
+
+@pytest.mark.parametrize("names", [("ground_force_{}", "ground_torque_{}"), ("FP1_{}", "FP1_moment_{}")])
+def test_columns_of_forces_become_wrenches(tmp_path: Path, names: tuple[str, str]) -> None:
+    """Force, centre of pressure and free moment give the wrench about the origin."""
+    columns = [names[0].format(w + a) for w in "vp" for a in "xyz"] + [names[1].format(a) for a in "xyz"]
+    trial = pair(tmp_path, standing(), columns)
     assert trial.forces is not None
-    moment = np.cross(point, force) + free
-    expected = np.stack([force[:, 0], -force[:, 2], force[:, 1], moment[:, 0], -moment[:, 2], moment[:, 1]], axis=1)
-    assert_allclose(trial.forces.wrench[:, 0], expected, atol=1e-6)
+    assert_allclose(trial.forces.wrench[:, 0], wrench_of(standing()), atol=1e-6)
+
+
+def test_vectors_in_cells_read_as_columns(tmp_path: Path) -> None:
+    """A STO of Vec3 gives the wrench of the same numbers in columns; other types are refused by name."""
+    values = standing()
+    rows = [
+        "\t".join([f"{k / 100:.6f}", *(",".join(f"{x:.10g}" for x in row[c : c + 3]) for c in (0, 3, 6))])
+        for k, row in enumerate(values)
+    ]
+    text = "\n".join(["DataType=Vec3", "version=3", "endheader", "time\tf1\tp1\tm1", *rows]) + "\n"
+    trc = save(tmp_path / "a.trc", trc_text(cloud()))
+    trial = read_trial("a", trc, save(tmp_path / "a.sto", text))
+    assert trial.forces is not None and trial.forces.plates[0].name == "f1"
+    assert_allclose(trial.forces.wrench[:, 0], wrench_of(values), atol=1e-6)
+    with pytest.raises(InputError, match=r"Quaternion.*storage\.type"):
+        read_storage(save(tmp_path / "b.sto", text.replace("=Vec3", "=Quaternion")))
+
+
+def test_only_a_vertical_free_moment_is_enough(tmp_path: Path) -> None:
+    """A file with one column of free moment is read with it, and the rest is said to be zero."""
+    values = standing()
+    values[:, [6, 8]] = 0.0
+    trial = pair(tmp_path, np.delete(values, [6, 8], axis=1), force_columns()[:6] + ["ground_torque_1_y"])
+    assert trial.forces is not None and "mot.no_moment" in codes(trial.notes)
+    assert_allclose(trial.forces.wrench[:, 0], wrench_of(values), atol=1e-6)
 
 
 def force_columns(prefix: str = "ground_force_1") -> list[str]:
@@ -233,22 +334,96 @@ def test_garbage_centre_of_pressure_without_force_is_harmless(tmp_path: Path) ->
     assert_allclose(trial.forces.wrench[6:, 0, 5], 0.5, atol=1e-12)
 
 
+@pytest.mark.parametrize("force", [0.0, 15.0])
+def test_no_centre_of_pressure_without_load_is_no_load(tmp_path: Path, force: float) -> None:
+    """NaN or 331 m of centre of pressure, and NaN of free moment, under less than 20 N are no load, and said."""
+    values = standing()
+    values[2:5, :3] = [0.0, force, 0.0]
+    values[2:5, 3:] = np.nan
+    values[6] = [0.0, 15.0, 0.0, 331.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    trial = pair(tmp_path, values)
+    values[[2, 3, 4, 6]] = 0.0
+    assert trial.forces is not None
+    assert_allclose(trial.forces.wrench[:, 0], wrench_of(values), atol=1e-6)
+    (said,) = [note.message for note in trial.notes if note.code == "mot.no_load"]
+    assert "4 rows" in said and "lines 8 to 10, 12" in said
+
+
+@pytest.mark.parametrize("column", range(9))
+def test_missing_values_under_load_are_gaps(tmp_path: Path, column: int) -> None:
+    """A NaN in any column under load leaves a gap of that row, which is said with line and column."""
+    values = standing()
+    values[4, column] = np.nan
+    trial = pair(tmp_path, values)
+    assert trial.forces is not None
+    assert_array_equal(np.flatnonzero(trial.forces.wrench.isnan().any(-1)), [4])
+    (said,) = [note.message for note in trial.notes if note.code == "mot.gaps"]
+    assert "line 10" in said and force_columns()[column] in said
+
+
 @pytest.mark.parametrize(
-    ("change", "code"),
+    ("cell", "value"),
+    [((4, 3), 50.0), ((4, 5), 1e5), ((4, 4), -0.6), ((4, 1), 20e3), ((4, 1), -700.0), ((4, 0), -2e4), ((4, 7), 80.0)],
+)
+def test_one_absurd_cell_of_forces_is_a_gap(tmp_path: Path, cell: tuple[int, int], value: float) -> None:
+    """A centre of pressure metres away, 20 kN, a pull, a free moment of 80 N m: the row is a gap, the cell named."""
+    values = standing()
+    values[cell] = value
+    trial = pair(tmp_path, values)
+    assert trial.forces is not None
+    assert_array_equal(np.flatnonzero(trial.forces.wrench.isnan().any(-1)), [4])
+    (said,) = [note.message for note in trial.notes if note.code == "mot.spikes"]
+    assert f"line 10, column {force_columns()[cell[1]]} is {value:g}" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "place"),
     [
-        (lambda v: v.__setitem__((3, 1), np.nan), "mot.nan"),
-        (lambda v: v.__setitem__((slice(None), 3), 300.0), "mot.cop_units"),
+        (lambda v: v.__setitem__((slice(0, 8), 1), np.nan), "mot.nan", "line 6, column ground_force_1_vy"),
+        (lambda v: v.__setitem__((slice(None), 3), 300.0), "mot.cop_units", "ground_force_1"),
+        (lambda v: v.__setitem__((slice(3, 7), 3), 30.0), "mot.cop_units", "ground_force_1"),
+        (lambda v: v.__imul__([1e3] * 3 + [1.0] * 6), "mot.force_units", "column ground_force_1_vy"),
     ],
 )
-def test_forces_that_cannot_be_are_refused(tmp_path: Path, change, code: str) -> None:
-    """NaN under load and centres of pressure in mm are refused."""
-    values = np.zeros((FRAMES, 9))
-    values[:, 1] = 700.0
+def test_forces_that_cannot_be_are_refused(tmp_path: Path, change, code: str, place: str) -> None:
+    """NaN in most rows, centres of pressure in mm or far off in many, and forces above 20 kN are refused."""
+    values = standing()
     change(values)
-    mot = save(tmp_path / "a.mot", mot_text(force_columns(), values))
     with pytest.raises(InputError) as caught:
-        read_trial("a", save(tmp_path / "a.trc", trc_text(cloud())), mot)
-    assert caught.value.code == code
+        pair(tmp_path, values)
+    assert caught.value.code == code and place in caught.value.place
+
+
+def test_missing_rows_of_forces_are_gaps(tmp_path: Path) -> None:
+    """Rows taken out of a MOT leave NaN at their times."""
+    lines = mot_text(force_columns(), standing()).split("\n")
+    mot = save(tmp_path / "a.mot", "\n".join(lines[:9] + lines[11:]))
+    trial = read_trial("a", save(tmp_path / "a.trc", trc_text(cloud())), mot)
+    assert trial.forces is not None and "time.gaps" in codes(trial.notes)
+    assert_array_equal(np.flatnonzero(trial.forces.wrench.isnan().any(-1)), [4, 5])
+    assert_allclose(trial.forces.time, trial.markers.time, atol=1e-9)
+
+
+def test_times_in_ms_are_refused_or_read_by_the_rate(tmp_path: Path) -> None:
+    """A MOT in ms is refused, by its rate or beside its markers; a TRC whose DataRate proves ms is read so."""
+
+    def in_ms(text: str, column: int) -> str:
+        rows = [line.split("\t") for line in text.split("\n")]
+        for row in rows:
+            if len(row) > 5 and row[0].replace(".", "").isdigit():
+                row[column] = f"{float(row[column]) * 1000:.6f}"
+        return "\n".join("\t".join(row) for row in rows)
+
+    trc = save(tmp_path / "a.trc", trc_text(cloud()))
+    for rate in (100.0, 10000.0):
+        values = np.tile(standing(), (int(rate / 100), 1))
+        mot = save(tmp_path / "a.mot", in_ms(mot_text(force_columns(), values, rate), 0))
+        with pytest.raises(InputError, match=r"1000.*time\.unit") as caught:
+            read_trial("a", trc, mot)
+        assert caught.value.source == str(mot)
+    slow = read_trc(save(tmp_path / "b.trc", in_ms(trc_text(cloud()), 1)))
+    assert_allclose(slow.time, np.arange(FRAMES) / 100.0)
+    assert "time.ms" in codes(slow.notes)
 
 
 def test_unmatched_columns_are_listed(tmp_path: Path) -> None:

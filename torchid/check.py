@@ -34,6 +34,15 @@ CURES = {
     "c3d.truncated": "copy or export the file again",
     "c3d.frames": "check that the whole trial was read",
     "text.last_row": "export the file again",
+    "time.gaps": "export the rows that are missing; torchid treats them as gaps",
+    "trc.frame_numbers": "check that no frame was cut out or doubled",
+    "trc.partial": "correct those cells; torchid treats the points as gaps",
+    "markers.spikes": "correct those samples in the recording system; torchid treats them as gaps",
+    "markers.leaping": "check the rate, the unit and the labels",
+    "mot.leaping": "check the rate and the units of these columns",
+    "mot.spikes": "correct those cells; torchid treats the rows as gaps",
+    "mot.gaps": "export the forces without gaps; torchid leaves those frames out of the inertia",
+    "plates.spikes": "look for loose cables and noise on the channels; torchid treats the samples as gaps",
 }
 """What to do about the notes of reading that are problems."""
 

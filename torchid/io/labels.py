@@ -9,7 +9,6 @@ from torchid.io.output_names import loose, named_outputs
 
 UNLABELLED = re.compile(r"([*#]\d*|U_\d+|uname\d*\**\d*|unlabel\w*\W*\d*|unnamed\W*\d*)?", re.IGNORECASE)
 OUTPUT_LISTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
-FORCE_COLUMN = re.compile(r"ground_(force|torque|moment)|(^|_)[vpm][xyz]$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -58,24 +57,6 @@ def select_markers(
         text = f"labels occur more than once, later ones are numbered: {_listed(duplicates)}"
         notes.append(Note("markers.duplicates", text, source))
     return Selection(final, tuple(columns), tuple(notes), tuple(duplicates), tuple(subjects))
-
-
-def refuse_forces(labels: list[str], source: str) -> None:
-    """Refuse a marker file whose columns are ground reaction forces.
-
-    Raises:
-        InputError: ``trc.forces``.
-    """
-    named = [label for label in labels if FORCE_COLUMN.search(label)]
-    if named:
-        raise InputError(
-            "trc.forces",
-            "these are forces, not markers",
-            source=source,
-            place="label line",
-            found=_listed(named),
-            remedy="Name the file under forces: and give the marker file under file:",
-        )
 
 
 def _outputs(labels: list[str], plain: list[str], listed: frozenset[str], wanted: frozenset[str]) -> dict[int, str]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
@@ -14,6 +14,7 @@ from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
 from torchid.io.plates import baseline
+from torchid.io.spikes import marker_spikes, plate_spikes
 from torchid.recording import Event, Forces, Markers, Trial
 
 SMALL_BASELINE = 1.0
@@ -38,6 +39,8 @@ class RawTrial:
     events: tuple[Event, ...] = ()
     beside: Forces | None = None
     """Forces of another file, in its axes and on its clock, which stand for those of this one."""
+    lines: Int[np.ndarray, " frames"] | None = None
+    """Line of a text file of every frame, None for other formats."""
 
 
 def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial:
@@ -58,10 +61,14 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
         raw.beside if same_axes else None,
     )  # fmt: skip
     held: list[Note] = []
-    if role != "static" and len(raw.time) > 1:
+    leaping: list[Note] = []
+    if len(raw.time) > 1:
         rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
-        mask, held = held_samples(position, rate, raw.labels, raw.source)
+        mask, leaping = marker_spikes(position, rate, raw.labels, raw.source, raw.lines)
         position[mask] = np.nan
+        if role != "static":
+            mask, held = held_samples(position, rate, raw.labels, raw.source)
+            position[mask] = np.nan
     world = turn_to_world(torch.from_numpy(position), axis)
     markers = Markers(raw.labels, torch.from_numpy(np.ascontiguousarray(raw.time, dtype=float)), world)
     forces, turned = raw.forces, []
@@ -72,7 +79,7 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     if forces is not None:
         forces = mend(forces, options.forces_as, options.plates, raw.source)
     said = [*said, *turned, *_as_asked(options, raw.source)]
-    notes = (*raw.notes, *missing, *left_out, *said, *held, *_force_notes(forces, raw))
+    notes = (*raw.notes, *missing, *left_out, *said, *leaping, *held, *_force_notes(forces, raw))
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
     return Trial(name, markers, forces, role, raw.events, notes, parameters, computed)
 
@@ -117,10 +124,11 @@ def _forces_in_world(forces: Forces, axis: str) -> Forces:
 
 
 def _force_notes(forces: Forces | None, raw: RawTrial) -> list[Note]:
-    """Sign of every plate, its unloaded reading, and overlap of the clocks."""
+    """Samples that leap away once (made NaN), sign of every plate, its unloaded reading, and overlap of the clocks."""
     if forces is None:
         return []
-    notes = []
+    mask, notes = plate_spikes(forces, raw.source)
+    forces.wrench[torch.from_numpy(mask)] = torch.nan
     for k, plate in enumerate(forces.plates):
         vertical = forces.wrench[:: max(1, len(forces.wrench) // SAMPLES), k, 2].numpy()
         loaded = vertical[np.abs(vertical) > SAMPLE_LOADED_N]

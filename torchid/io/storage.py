@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from torchid.errors import InputError, Note
 from torchid.io.files import read_lines, replacing
@@ -27,6 +27,8 @@ class Storage:
     in_degrees: bool | None = None
     """What ``inDegrees`` says, None where it is absent."""
     notes: tuple[Note, ...] = ()
+    lines: Int[np.ndarray, " rows"] = field(default_factory=lambda: np.zeros(0, int))
+    """Line of the file of every row, from 1; empty where the columns were never in a file."""
 
     def column(self, name: str) -> Float[np.ndarray, " rows"]:
         """Values (rows,) of a column.
@@ -42,10 +44,12 @@ class Storage:
 def read_storage(path: str | Path) -> Storage:
     """A MOT or STO file.
 
-    Header keys in the styles ``key=value`` (OpenSim) and ``key value`` (SIMM) are kept, keys in lower case.
+    Header keys in the styles ``key=value`` (OpenSim) and ``key value`` (SIMM) are kept, keys in lower case. Columns of
+    vectors (``DataType=Vec3``, cells ``x,y,z``) become three columns each, ``name_x``, ``name_y`` and ``name_z``.
 
     Raises:
-        InputError: ``storage.header`` without ``endheader`` or column line, ``text.*`` for its rows.
+        InputError: ``storage.header`` without ``endheader`` or column line, ``storage.type`` for cells that are neither
+            numbers nor vectors, ``text.*`` for its rows.
     """
     source = str(path)
     lines = read_lines(Path(path))
@@ -71,11 +75,30 @@ def read_storage(path: str | Path) -> Storage:
             found=", ".join(columns[:8]),
             remedy="Export the file again",
         )
-    rows = [(k + 1, lines[k]) for k in range(names + 1, len(lines)) if lines[k].strip()]
-    table = parse_rows(rows, len(columns), source, notes)
-    for keys, actual in ((("nrows", "datarows"), len(table)), (("ncolumns", "datacolumns"), len(columns))):
+    stored = len(columns)
+    if _is_vectors(header, source):
+        columns = ("time", *(f"{name}_{axis}" for name in columns[1:] for axis in "xyz"))
+        lines = [*lines[: names + 1], *(line.replace(",", "\t") for line in lines[names + 1 :])]
+    rows = parse_rows(lines, names + 1, len(columns), source, notes)
+    for keys, actual in ((("nrows", "datarows"), len(rows.lines)), (("ncolumns", "datacolumns"), stored)):
         notes += _counted(header, keys, actual, source)
-    return Storage(columns[1:], table[:, 0], table[:, 1:], header, _degrees(header), tuple(notes))
+    time, values = rows.values[:, 0], rows.values[:, 1:]
+    return Storage(columns[1:], time, values, header, _degrees(header), tuple(notes), rows.lines)
+
+
+def _is_vectors(header: dict[str, str], source: str) -> bool:
+    """Whether the cells are vectors of three by the header's ``DataType``."""
+    kind = header.get("datatype", "double").lower()
+    if kind not in ("double", "vec3", "unitvec3"):
+        raise InputError(
+            "storage.type",
+            "columns of this type are not read",
+            source=source,
+            place="header, DataType",
+            found=header["datatype"],
+            remedy="Write plain columns (DataType=double) or vectors (DataType=Vec3)",
+        )
+    return kind != "double"
 
 
 def _columns(line: str) -> tuple[str, ...]:

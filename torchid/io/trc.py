@@ -4,14 +4,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from torchid.conventions import y_up_to_z_up
 from torchid.errors import InputError, Note
+from torchid.io.clock import Clock, uniform_clock
 from torchid.io.files import read_lines, replacing
-from torchid.io.labels import refuse_forces
-from torchid.io.table import parse_rows, split_row, uniform_clock
+from torchid.io.force_names import refuse_forces
+from torchid.io.table import Rows, parse_rows, split_row
 from torchid.recording import Markers
+
+PARTLY = 0.5
+"""Share of a marker's points that may lack a coordinate: cells are damaged now and then, not in every other row."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +25,9 @@ class TrcFile:
     labels: tuple[str, ...]
     time: Float[np.ndarray, " frames"]
     position: Float[np.ndarray, "frames markers 3"]
-    """NaN where cells are blank."""
+    """NaN where cells are blank and where rows are missing."""
+    lines: Int[np.ndarray, " frames"]
+    """Line of the file of every frame, from 1; 0 where the row is missing."""
     units: str
     header: dict[str, str]
     notes: tuple[Note, ...]
@@ -30,12 +36,40 @@ class TrcFile:
 def read_trc(path: str | Path) -> TrcFile:
     """A TRC file; a blank cell keeps its column, whatever the number of tabs in the header.
 
+    Rows that the time column shows to be missing become frames without markers.
+
     Raises:
-        InputError: ``trc.signature``, ``trc.columns``, ``trc.empty``, ``trc.forces``, ``text.*`` and ``time.*``.
+        InputError: ``trc.signature``, ``trc.header``, ``trc.columns``, ``trc.empty``, ``trc.forces``, ``text.*`` and
+            ``time.*``.
     """
     source, notes = str(path), []
     lines = read_lines(Path(path))
-    if len(lines) < 5 or not lines[0].lstrip().lower().startswith("pathfiletype"):
+    _refuse_others(lines, source)
+    header = dict(zip((key.lower() for key in lines[1].split()), lines[2].split(), strict=False))
+    labels = _labels(lines[3], source)
+    refuse_forces(labels, source)
+    first = next((k for k in range(4, len(lines)) if lines[k].strip()), len(lines))
+    if first < len(lines) and not _is_number(split_row(lines[first])):
+        first += 1
+    more = (_float(header.get("nummarkers")) or 0) > len(labels)
+    rows = parse_rows(lines, first, 2 + 3 * len(labels), source, notes, more)
+    if not len(rows.lines):
+        raise InputError("trc.empty", "the file has no frames", source=source, remedy="Export the trial again")
+    for key, actual in (("numframes", len(rows.lines)), ("nummarkers", len(labels))):
+        notes += _counted(header, key, actual, source)
+    clock = uniform_clock(rows.values[:, 1], rows.lines, source, notes, _float(header.get("datarate")))
+    notes += [*_rate_note(header, clock, source), *_numbers_note(rows, clock, source)]
+    position = rows.values[:, 2:].reshape(len(rows.lines), len(labels), 3)
+    notes += _whole_points(position, labels, rows.lines, source)
+    return TrcFile(
+        tuple(labels), clock.time, clock.spread(position), clock.spread(rows.lines, 0), _units(header), header,
+        tuple(notes)
+    )  # fmt: skip
+
+
+def _refuse_others(lines: list[str], source: str) -> None:
+    """Refuse files that are no TRC, and those that end before their labels."""
+    if not lines[0].lstrip().lower().startswith("pathfiletype"):
         raise InputError(
             "trc.signature",
             "this is no TRC file",
@@ -44,21 +78,16 @@ def read_trc(path: str | Path) -> TrcFile:
             found=repr(lines[0][:40]),
             remedy="The first line must begin with PathFileType",
         )
-    header = dict(zip((key.lower() for key in lines[1].split()), lines[2].split(), strict=False))
-    labels = _labels(lines[3], source)
-    refuse_forces(labels, source)
-    rows = [(k + 1, lines[k]) for k in range(4, len(lines)) if lines[k].strip()]
-    if rows and not _is_number(split_row(rows[0][1])):
-        rows = rows[1:]
-    if not rows:
-        raise InputError("trc.empty", "the file has no frames", source=source, remedy="Export the trial again")
-    table = parse_rows(rows, 2 + 3 * len(labels), source, notes)
-    notes += _counted(header, "numframes", len(table), source) + _counted(header, "nummarkers", len(labels), source)
-    time = uniform_clock(table[:, 1], source, notes, _float(header.get("datarate")))
-    notes += _rate_note(header, time, source)
-    position = table[:, 2:].reshape(len(table), len(labels), 3)
-    position[np.isnan(position).any(axis=-1)] = np.nan
-    return TrcFile(tuple(labels), time, position, _units(header), header, tuple(notes))
+    if not any(line.strip() for line in lines[3:]):
+        last = max(k for k, line in enumerate(lines) if line.strip())
+        raise InputError(
+            "trc.header",
+            "the file ends in its header: it has no labels and no frames",
+            source=source,
+            place=f"line {last + 1}, the last",
+            found=repr(lines[last][:60]),
+            remedy="Copy or export the file again",
+        )
 
 
 def _labels(line: str, source: str) -> list[str]:
@@ -103,14 +132,55 @@ def _counted(header: dict[str, str], key: str, actual: int, source: str) -> list
     return [Note("trc.counts", f"{key} is {stated:g}, the file holds {actual}", source)]
 
 
-def _rate_note(header: dict[str, str], time: np.ndarray, source: str) -> list[Note]:
+def _rate_note(header: dict[str, str], clock: Clock, source: str) -> list[Note]:
     stated = _float(header.get("datarate"))
-    if not stated or len(time) < 2:
+    if not stated or not clock.rate or abs(stated - clock.rate) <= 0.01 * clock.rate:
         return []
-    rate = (len(time) - 1) / (time[-1] - time[0])
-    if abs(stated - rate) <= 0.01 * rate:
+    text = f"DataRate is {stated:g} Hz, the time column runs at {clock.rate:g} Hz and is used"
+    return [Note("trc.rate", text, source)]
+
+
+def _numbers_note(rows: Rows, clock: Clock, source: str) -> list[Note]:
+    """Frame numbers that do not count on as the time column does."""
+    numbers = rows.values[:, 0]
+    if len(numbers) < 3 or not np.isfinite(numbers).all():
         return []
-    return [Note("trc.rate", f"DataRate is {stated:g} Hz, the time column runs at {rate:g} Hz and is used", source)]
+    steps = np.diff(numbers) / np.diff(clock.rows)
+    wrong = np.flatnonzero(steps != np.median(steps))
+    if not len(wrong):
+        return []
+    at = int(wrong[0]) + 1
+    text = f"Frame# goes from {numbers[at - 1]:g} to {numbers[at]:g}, the time column does not; time is used"
+    return [Note("trc.frame_numbers", f"line {rows.lines[at]}: {text}", source)]
+
+
+def _whole_points(position: np.ndarray, labels: list[str], lines: np.ndarray, source: str) -> list[Note]:
+    """Make points with one or two coordinates missing, in place; those are said.
+
+    Raises:
+        InputError: ``trc.shifted`` where most points of a marker are so: cells are missing before it in every row.
+    """
+    absent = np.isnan(position)
+    whole = absent.any(axis=-1)
+    partly = whole & ~absent.all(axis=-1)
+    if not partly.any():
+        return []
+    frame, marker = np.argwhere(partly)[0]
+    place = f"{labels[marker]} in line {lines[frame]}"
+    often = partly.sum(axis=0) > PARTLY * (~absent.all(axis=-1)).sum(axis=0)
+    if often.any():
+        named = ", ".join(labels[k] for k in np.flatnonzero(often)[:5])
+        raise InputError(
+            "trc.shifted",
+            "columns are shifted: cells are missing in the rows",
+            source=source,
+            place=place,
+            found=f"{named} with fewer than three coordinates in most rows",
+            remedy="Export the file again, with three cells for every marker",
+        )
+    position[whole] = np.nan
+    text = f"{partly.sum()} points lack one or two coordinates and are taken as missing, the first {place}"
+    return [Note("trc.partial", text, source)]
 
 
 def write_trc(path: str | Path, markers: Markers, y_up: bool = True) -> None:

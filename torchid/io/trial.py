@@ -3,6 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from torchid.errors import InputError, Note
 from torchid.io.c3d import read_c3d
 from torchid.io.frame import length_unit
@@ -16,6 +18,8 @@ from torchid.io.units import METRES
 from torchid.recording import Forces, Trial
 
 ROLES = ("static", "fit", "heldout")
+SAME_TRIAL = 0.1
+"""Relative difference in length up to which markers and forces, one in ms, are of the same trial."""
 
 
 def read_trial(
@@ -65,6 +69,7 @@ def _read_text(name: str, file: Path, forces: Measured, role: str, options: Read
     unit, said = length_unit(trc.units, position, options, source)
     measured, force_notes, facts = forces
     rate = (len(trc.time) - 1) / (trc.time[-1] - trc.time[0]) if len(trc.time) > 1 else 0.0
+    _refuse_other_clock(trc.time, measured, source, dict(facts).get("forces", ""))
     raw = RawTrial(
         source=source,
         labels=chosen.labels,
@@ -74,9 +79,27 @@ def _read_text(name: str, file: Path, forces: Measured, role: str, options: Read
         up="",
         customary="y",
         notes=(*trc.notes, *chosen.notes, *said, *force_notes),
+        lines=trc.lines,
         parameters=(("format", "TRC"), ("units", unit), ("rate_hz", f"{rate:.10g}"), *facts),
     )
     return assemble(raw, name, role, options)
+
+
+def _refuse_other_clock(time: np.ndarray, measured: Forces | None, file: str, forces: str) -> None:
+    """Refuse files of one trial of which one lasts a thousand times as long as the other: its times are in ms."""
+    if measured is None or len(time) < 2 or len(measured.time) < 2:
+        return
+    own, other = float(time[-1] - time[0]), float(measured.time[-1] - measured.time[0])
+    longer, ratio = (forces, other / own) if other > own else (file, own / other)
+    if abs(ratio / 1e3 - 1.0) <= SAME_TRIAL:
+        raise InputError(
+            "time.unit",
+            "the times of markers and forces differ by a factor of a thousand",
+            source=longer,
+            place="column time",
+            found=f"markers last {own:g}, forces {other:g}",
+            remedy="Divide the times of this file by 1000; they must be in s",
+        )
 
 
 def _read_forces(path: Path | None) -> Measured:

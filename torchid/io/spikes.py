@@ -1,0 +1,173 @@
+"""Single samples that leap away from their neighbours and back, as nothing that is measured on a person can."""
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from torchid.errors import Note
+from torchid.recording import Forces
+
+ACCELERATION = 2000.0
+"""Acceleration [m/s^2] that no marker on a person has for a whole frame: hands that pitch and feet that kick reach
+about 1000; recordings of gait and runs stay below 420, their worst reconstructed point included."""
+FLICKER = 0.05
+"""A leap [m] up to which a sample is left alone: markers that merge or are half hidden flicker by centimetres (42 mm in
+the worst recording at hand), and the robust fit bears those."""
+STANDS_OUT = 5.0
+"""So many times the largest bend elsewhere in its own stream makes a sample one that does not belong there."""
+LOADING = 5e5
+"""Rate [N/s] that no force on a plate reaches: stiff landings of gymnasts load by some 1e5 N/s, gait and drop jumps
+leap by less than 3e4."""
+FORCE_FLICKER = 500.0
+"""A leap [N] up to which a sample is left alone at any rate."""
+LEVER = 1.0
+"""Distance [m] from a plate's centre that no centre of pressure on it exceeds, for leaps of the moment."""
+MANY = 0.1
+"""Share of a stream's samples above which leaps are no single samples: rate, unit or labels are wrong."""
+PIECE = 8192
+"""Frames that are looked at together."""
+LISTED = 8
+"""Frames that a note names."""
+
+
+def leap_bound(rate: float) -> float:
+    """Deviation [m] of a marker from the middle of its neighbours, at ``rate`` [Hz], that no body can make."""
+    return max(FLICKER, ACCELERATION / (2.0 * rate**2)) if rate else np.inf
+
+
+def force_bound(rate: float) -> float:
+    """Deviation [N] of a force from the middle of its neighbours, at ``rate`` [Hz], that no contact can make."""
+    return max(FORCE_FLICKER, LOADING / rate) if rate else np.inf
+
+
+def spikes(
+    values: Float[np.ndarray, "frames streams components"], bound: float, floor: float | None = None
+) -> tuple[Bool[np.ndarray, "frames streams"], Bool[np.ndarray, " streams"]]:
+    """Which samples deviate by more than can be from where their neighbours put them, and which streams do throughout.
+
+    Between two neighbours that is their middle, and they must be closer to each other than the sample is to it, so that
+    a step is none. With neighbours on one side only (first, last, beside a gap) it is the straight line through two of
+    them, for twice the deviation. A sample without neighbours is not judged. NaN are gaps. Where more than ``MANY`` of
+    the samples leap, no single one is marked, but the stream.
+
+    Args:
+        values: one vector per frame and stream.
+        bound: deviation that is always too large.
+        floor: deviation that never is; between the two it is where it exceeds ``STANDS_OUT`` times all others of its
+            stream. By default the bound alone counts.
+    """
+    floor = bound if floor is None else min(floor, bound)
+    found = np.zeros(values.shape[:2], bool)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in np.flatnonzero(_suspect(values, floor)):
+            stream = values[:, k].copy()
+            found[:, k] = _between(stream, bound, floor)
+            stream[found[:, k]] = np.nan
+            found[:, k] |= _beside(stream, bound, floor) | _beside(stream[::-1], bound, floor)[::-1]
+    throughout = found.sum(axis=0) > np.maximum(MANY * len(found), 1)
+    found[:, throughout] = False
+    return found, throughout
+
+
+def _suspect(values: np.ndarray, floor: float) -> np.ndarray:
+    """Streams with a second difference that a spike must have: every other is done with."""
+    found = np.zeros(values.shape[1], bool)
+    for start in range(0, max(0, len(values) - 2), PIECE):
+        part = values[start : start + PIECE + 2]
+        bend = part[2:] - part[1:-1]
+        bend += part[:-2]
+        bend -= part[1:-1]
+        np.abs(bend, out=bend)
+        found |= (bend > 2.0 * floor / np.sqrt(values.shape[2])).any(axis=(0, 2))
+    return found
+
+
+def _leaps(stream: np.ndarray) -> np.ndarray:
+    """Distance of every sample of a stream (frames, components) from the middle of its neighbours, 0 without both."""
+    leap = np.zeros(len(stream))
+    leap[1:-1] = np.nan_to_num(np.linalg.norm(stream[1:-1] - (stream[:-2] + stream[2:]) / 2.0, axis=1), posinf=np.inf)
+    return leap
+
+
+def _between(stream: np.ndarray, bound: float, floor: float) -> np.ndarray:
+    """Spikes of one stream (frames, components) with a neighbour on either side."""
+    leap = _leaps(stream)
+    # A spike bends the two samples before and after it as well: these say nothing about the rest.
+    before = np.concatenate([np.zeros(3), np.maximum.accumulate(leap)[:-3]])
+    after = np.concatenate([np.maximum.accumulate(leap[::-1])[::-1][3:], np.zeros(3)])
+    limit = np.clip(STANDS_OUT * np.maximum(before[: len(leap)], after[-len(leap) :]), floor, bound)
+    apart = np.full(len(stream), np.inf)
+    apart[1:-1] = np.linalg.norm(stream[2:] - stream[:-2], axis=1)
+    return (leap > limit) & (apart < leap)
+
+
+def _beside(stream: np.ndarray, bound: float, floor: float) -> np.ndarray:
+    """Spikes of one stream (frames, components) with two neighbours after them and none before."""
+    sample, near, far = stream[:-2], stream[1:-1], stream[2:]
+    alone = np.concatenate([[True], np.isnan(sample[:-1]).any(axis=1)])
+    leap = np.linalg.norm(sample - (2.0 * near - far), axis=1)
+    others = _leaps(stream)
+    others[1:-1][alone] = 0.0
+    limit = np.clip(STANDS_OUT * others.max(), floor, bound)
+    found = np.zeros(len(stream), bool)
+    found[:-2] = alone & (leap > 2.0 * limit) & (np.linalg.norm(far - near, axis=1) < leap / 2.0)
+    return found
+
+
+def marker_spikes(
+    position: Float[np.ndarray, "frames markers 3"],
+    rate: float,
+    labels: tuple[str, ...],
+    source: str,
+    lines: Int[np.ndarray, " frames"] | None = None,
+) -> tuple[Bool[np.ndarray, "frames markers"], list[Note]]:
+    """Mask of marker samples [m] that leap away for one frame, and what to say of them.
+
+    Args:
+        position: NaN where missing.
+        rate: frames per second.
+        labels: one per marker.
+        source: the file.
+        lines: of the file, by frame; None where it has none.
+    """
+    found, throughout = spikes(position, leap_bound(rate), FLICKER)
+    frames, notes = np.flatnonzero(found.any(axis=1)), []
+    if throughout.any():
+        names = [label for label, hit in zip(labels, throughout, strict=True) if hit]
+        text = f"leap between places in over {MANY:.0%} of their frames, as no body moves: {', '.join(names[:12])}"
+        notes.append(Note("markers.leaping", f"{len(names)} markers {text}; left as they are", source))
+    if not len(frames):
+        return found, notes
+    places = []
+    for k in frames[:LISTED]:
+        names = [label for label, hit in zip(labels, found[k], strict=True) if hit]
+        line = "" if lines is None else f", line {lines[k]}"
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        places.append(f"{', '.join(names[:3])}{more} (frame {k + 1}{line})")
+    rest = f", and {len(frames) - LISTED} more frames" if len(frames) > LISTED else ""
+    text = (
+        f"{found.sum()} samples leap away from where the frames before and after put them, as no body moves; taken as"
+    )
+    text = f"{text} missing: {', '.join(places)}{rest}"
+    return found, [*notes, Note("markers.spikes", text, source)]
+
+
+def plate_spikes(forces: Forces, source: str) -> tuple[Bool[np.ndarray, "samples plates"], list[Note]]:
+    """Mask of plate samples whose force, or moment about the plate's centre, leaps away once, and what to say of it."""
+    wrench, bound = forces.wrench.numpy(), force_bound(forces.rate if len(forces.time) > 1 else 0.0)
+    found, _ = spikes(wrench[..., :3], bound)
+    for k, plate in enumerate(forces.plates):
+        if plate.corners is not None:
+            centre = plate.corners.mean(dim=0).numpy()
+            moment = wrench[:, k, 3:] - np.cross(centre, wrench[:, k, :3])
+            found[:, k] |= spikes(moment[:, None], bound * LEVER)[0][:, 0]
+    notes = []
+    for k, plate in enumerate(forces.plates):
+        times = forces.time[torch.from_numpy(found[:, k])].tolist()
+        if times:
+            listed = ", ".join(f"{t:.4g}" for t in times[:LISTED]) + (", ..." if len(times) > LISTED else "")
+            text = (
+                f"{plate.name}: {len(times)} samples leap away from those before and after, faster than a contact loads"
+            )
+            notes.append(Note("plates.spikes", f"{text}; left as gaps (at {listed} s)", source))
+    return found, notes
