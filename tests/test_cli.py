@@ -1,17 +1,22 @@
 """The command line: exit codes, one line per error, speed of the help."""
 
+import logging
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import torch
 from typer.testing import CliRunner
 
 from torchid import cli
 from torchid.cli import app, pair_files
 from torchid.config import load_config
 from torchid.errors import DataError, InputError
+from torchid.io.trc import write_trc
+from torchid.logs import configure_logging
+from torchid.recording import Markers
 
 runner = CliRunner()
 CONFIG = "{subject: {name: S01}, markers: plug_in_gait, trials: [{name: a, file: a.c3d}]}"
@@ -122,6 +127,30 @@ def test_terminal_escapes_in_messages_are_shown_not_obeyed(config, experiment):
     result = runner.invoke(app, ["run", config])
     assert "\x1b" not in result.stderr and "\x07" not in result.stderr
     assert "[2J" in result.stderr and "[red]" in result.stderr
+
+
+HOSTILE = "\x1b[2J\x1b]0;title\x07\x9b31m\u202eLASI"
+
+
+def test_check_prints_no_terminal_escapes(tmp_path):
+    """Labels and names of files are printed by one terminal, which shows control characters and loses no letter."""
+    labels = (HOSTILE, "RASI", "LPSI", "RPSI")
+    position = torch.randn(20, 4, 3, dtype=torch.float64)
+    position[:15, 0] = torch.nan
+    path = tmp_path / f"{HOSTILE[0]}a.trc"
+    write_trc(path, Markers(labels, torch.arange(20, dtype=torch.float64) / 100, position))
+    result = runner.invoke(app, ["check", str(path)])
+    assert "75 %" in result.stdout and "LASI" in result.stdout and "Cure" in result.stdout, result.output
+    assert "label them again" in " ".join(result.stdout.split())
+    assert not [c for c in result.output if c != "\n" and (ord(c) < 32 or 0x7F <= ord(c) < 0xA0 or c == "\u202e")]
+
+
+def test_the_log_prints_no_terminal_escapes(capsys):
+    """A warning that quotes a label is shown too, not obeyed."""
+    configure_logging()
+    logging.getLogger("torchid.test").warning("label %s", HOSTILE)
+    printed = capsys.readouterr().err
+    assert "LASI" in printed and "\x1b" not in printed and "\x07" not in printed
 
 
 @pytest.mark.data

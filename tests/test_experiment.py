@@ -19,6 +19,7 @@ from torchid.config import load_config
 from torchid.experiment import run_experiment
 from torchid.experiment.correction import _worse_notes
 from torchid.experiment.stages import legs
+from torchid.experiment.write import result_names
 from torchid.io.c3d_write import write_c3d
 from torchid.outcome import Residual
 from torchid.recording import Trial
@@ -195,6 +196,32 @@ def test_the_wrong_marker_set_is_said(tmp_path):
     result = CliRunner().invoke(app, ["run", str(short_session(tmp_path, markers=str(wrong)))])
     assert result.exit_code in (2, 3) and "markers" in result.output
     assert not (tmp_path / "out" / "geometry.json").exists()
+
+
+@pytest.mark.usefixtures("no_report")
+def test_results_in_the_folder_of_the_config_leave_the_users_files_alone(tmp_path):
+    """``out: .`` keeps the config that the run started from; a file in the way is refused before any work."""
+    config = short_session(tmp_path, inertia={"enabled": False}, out=".")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    (tmp_path / "squats_ik.mot").write_text("mine")
+    refused = CliRunner().invoke(app, ["run", str(config)])
+    assert refused.exit_code == 2 and "squats_ik.mot" in refused.output and "results.foreign" in refused.output
+    assert not list((tmp_path / ".torchid" / "stages").iterdir())
+    (tmp_path / "squats_ik.mot").unlink()
+    for _ in range(2):
+        result = CliRunner().invoke(app, ["run", str(config)])
+        assert result.exit_code == 0, result.output
+        assert all(path.read_bytes() == content for path, content in before.items())
+    assert load_config(tmp_path / "config.resolved.yaml") == load_config(config)
+    assert (tmp_path / "squats_ik.mot").is_file()
+
+
+def test_every_file_that_a_run_writes_was_claimed_before():
+    """No result comes as a surprise to ``result_names``."""
+    small.outcome()
+    names = [item.trial.name for item in small.session().trials]
+    written = {path.name for path in out().iterdir() if path.is_file()} - {"config.yaml"}
+    assert written <= set(result_names(names))
 
 
 @pytest.mark.usefixtures("no_report")

@@ -1,5 +1,6 @@
 """Tests of torchid.io.c3d_write: what is written reads back by us and by ezc3d."""
 
+import resource
 from dataclasses import replace
 from pathlib import Path
 
@@ -89,3 +90,20 @@ def test_forces_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"write\.(forces|corners)"):
             write_c3d(tmp_path / "a.c3d", replace(trial, forces=case))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("room", [0, 1, 512, 2500, -1500, -1])
+def test_a_file_that_finds_no_room_is_an_error(tmp_path: Path, room: int) -> None:
+    """Where the system takes fewer bytes than the file has, which ezc3d does not tell, the path is named."""
+    write_c3d(tmp_path / "whole.c3d", example())
+    data = 4 * (4 * 7 * FRAMES + 2 * 6 * FRAMES * RATIO)  # what follows is padding to a whole block
+    whole = (tmp_path / "whole.c3d").read_bytes()
+    needed = 512 * (int.from_bytes(whole[16:18], "little") - 1) + data
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room % needed, hard))
+        with pytest.raises(InputError, match=r"a\.c3d: cannot be written"):
+            write_c3d(tmp_path / "a.c3d", example())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [path.name for path in tmp_path.iterdir()] == ["whole.c3d"]

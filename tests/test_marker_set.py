@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchid.errors import ConfigError, InputError
+from torchid.errors import ConfigError
 from torchid.model.landmarks import LANDMARKS
 from torchid.model.marker_set import MarkerSet, MarkerSpec, load_marker_set, marker_prior, marker_sets
 from torchid.model.skeleton import SEGMENTS
@@ -130,9 +130,9 @@ def test_an_own_set_may_extend_a_built_in_one(tmp_path):
         ("A: {segment: thigh_l, landmrk: knee_lateral_l}\n", "an entry is a segment"),
         ("A: {landmark: knee_lateral_l}\n", "an entry is a segment"),
         ("A: [thigh_l]\n", "an entry is a segment"),
-        ("A: thigh_l\nA: thigh_r\n", "given twice"),
+        ("A: thigh_l\nA: thigh_r\n", "stands twice"),
         ("ab: thigh_l\nA.B: thigh_r\n", "differ only in case"),
-        ("12: thigh_l\n", "quotes"),
+        ("12: thigh_l\n", "in quotes"),
         ("A: thigh_l\naliases: {B: [C]}\n", "alias of a label that the set lacks"),
         ("A: thigh_l\naliases: {A: C}\n", "not a list"),
         ("A: thigh_l\ncomputed: 3\n", "list of patterns"),
@@ -145,18 +145,27 @@ def test_mistakes_in_a_set_are_named_with_the_remedy(tmp_path, text, said):
         load_marker_set(write(tmp_path, text))
 
 
-@pytest.mark.parametrize("text", ["A: [", "just text", "- A\n- B\n", "", "!!python/object/apply:os.getcwd []\n"])
+BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12)
+)
+"""Three thousand million values in 12 lines."""
+
+
+@pytest.mark.parametrize(
+    "text", ["A: [", "just text", "- A\n- B\n", "", "!!python/object/apply:os.getcwd []\n", BOMB, "A: " + 99 * "["]
+)
 def test_files_that_are_no_sets_are_refused(tmp_path, text):
-    """Broken YAML, lists, text, empty files and tagged objects raise an InputError and run nothing."""
-    with pytest.raises(InputError):
+    """Broken YAML, lists, text, empty files, tagged objects, alias bombs and towers are refused; nothing of it runs."""
+    with pytest.raises(ConfigError) as caught:
         load_marker_set(write(tmp_path, text))
+    assert "own.yaml" in caught.value.source
 
 
 def test_an_unknown_set_names_the_nearest():
-    """A misspelt name of a built-in set is answered with the nearest; a missing file is an InputError."""
+    """A misspelt name of a built-in set is answered with the nearest; a missing file is named."""
     with pytest.raises(ConfigError, match="did you mean hamner2013"):
         load_marker_set("hamner2031")
-    with pytest.raises(InputError):
+    with pytest.raises(ConfigError, match="no such file"):
         load_marker_set("no/such/file.yaml")
 
 

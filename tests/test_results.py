@@ -1,6 +1,7 @@
 """The results folder: whole files, safe names, one run at a time, stages that a later run takes up."""
 
 import hashlib
+import io
 import json
 import os
 import signal
@@ -8,6 +9,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,10 @@ from hypothesis import strategies as st
 
 from torchid import files, results
 from torchid.errors import DataError, InputError, Note
-from torchid.files import atomic_write, file_sha256, safe_name, write_json, write_netcdf
+from torchid.files import TEMPORARY, atomic_write, file_sha256, nameless_file, safe_name, write_json, write_text
+from torchid.io.storage import write_storage
+from torchid.io.trc import write_trc
+from torchid.netcdf import write_netcdf
 from torchid.provenance import provenance, stage_key
 from torchid.recording import Event, Markers, Trial
 from torchid.results import OutputFolder
@@ -210,7 +215,9 @@ def test_mapped_snapshots_hold_what_was_written(tmp_path, seed):
     with (tmp_path / "a").open("wb") as file:
         write_snapshot(file, value)
     assert (tmp_path / "a").stat().st_size < 1.1 * wide.nbytes + 4096, "a tensor that stands twice is kept once"
-    for found in (load_snapshot(tmp_path / "a"), swap_out(value, tmp_path), from_bytes(to_bytes(value))):
+    with nameless_file(tmp_path) as file:
+        swapped = swap_out(value, file)
+    for found in (load_snapshot(tmp_path / "a"), swapped, from_bytes(to_bytes(value))):
         for _ in range(2):
             for name in ("turned", "again", "none", "one"):
                 torch.testing.assert_close(found[name], value[name], rtol=0, atol=0)
@@ -268,21 +275,25 @@ def test_a_stage_of_another_version_is_computed_again_and_the_log_says_so_plainl
 
 
 def test_a_killed_run_is_continued(tmp_path):
-    """After kill -9 the finished stage is reused, the lock is free and only whole files stand in the folder."""
+    """After kill -9 the finished stage is reused, the lock is free, and what was half written is gone."""
     script = """
 import os, signal, sys
+from contextlib import ExitStack
 from torchid.results import OutputFolder
-from torchid.files import write_json
-with OutputFolder(sys.argv[1]) as folder:
+from torchid.files import atomic_write, write_json
+with OutputFolder(sys.argv[1]) as folder, ExitStack() as stack:
     folder.stage("one", "k", lambda: [1.5])
     write_json(folder.path("one.json"), folder.times)
-    folder.stage("two", "k", lambda: os.kill(os.getpid(), signal.SIGKILL))
+    for place in (folder.staging, folder.state, folder.state / "stages"):
+        stack.enter_context(atomic_write(place / "half")).write(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
 """
     out = tmp_path / "out"
     ended = subprocess.run([sys.executable, "-c", script, str(out)], capture_output=True, timeout=60, check=False)
     assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
-    json.loads((out / "one.json").read_text())
+    assert os.listdir(out) == [".torchid"] and len(list(out.rglob(TEMPORARY))) == 3
     with OutputFolder(out) as folder:
+        assert not list(out.rglob(TEMPORARY)) and not list(folder.staging.iterdir())
         assert folder.stage("one", "k", lambda: pytest.fail("computed again")) == [1.5]
         assert folder.stage("two", "k", lambda: "new") == "new"
 
@@ -317,7 +328,7 @@ def test_results_stay_below_the_folder(tmp_path, name):
 
 
 def test_files_of_an_earlier_run_do_not_stand_beside_new_results(tmp_path):
-    """What a run did not write again is removed when it ends, kept when it breaks; the user's own files always stay."""
+    """A run that ends replaces what an earlier one wrote, one that breaks changes nothing; the user's files stay."""
     out = tmp_path / "out"
 
     def run(*names: str, error: BaseException | None = None) -> set[str]:
@@ -330,9 +341,153 @@ def test_files_of_an_earlier_run_do_not_stand_beside_new_results(tmp_path):
 
     assert run("a.json", "b.json") == {"a.json", "b.json"}
     (out / "notes.txt").write_text("mine")
-    assert run("c.json", error=KeyboardInterrupt()) == {"a.json", "b.json", "c.json", "notes.txt"}
+    assert run("c.json", error=KeyboardInterrupt()) == {"a.json", "b.json", "notes.txt"}
     assert run("a.json", error=DataError("data.poor", "too little")) == {"a.json", "notes.txt"}
     assert run("d.json") == {"d.json", "notes.txt"}
+
+
+def write_results(folder: OutputFolder, *names: str, text: str = "") -> None:
+    for name in names:
+        write_text(folder.path(name), text or name)
+
+
+def test_what_is_not_torchids_is_neither_overwritten_nor_removed(tmp_path):
+    """A user's file, folder, link, or a result that was edited: refused before the work and at its end."""
+    out = tmp_path / "out"
+    with OutputFolder(out) as folder:
+        write_results(folder, "a.txt", "edited.txt", "gone.txt")
+    (out / "edited.txt").write_text("mine")
+    (out / "file.txt").write_text("mine")
+    (out / "folder.txt").mkdir()
+    (out / "link.txt").symlink_to(out / "a.txt")
+    (out / "dangling.txt").symlink_to(out / "nowhere")
+    (out / "gone.txt").unlink()
+    for name in ("edited.txt", "file.txt", "folder.txt", "link.txt", "dangling.txt"):
+        with pytest.raises(InputError) as early, OutputFolder(out) as folder:
+            folder.claim(["a.txt", "gone.txt", "new.txt"])
+            folder.claim(["new.txt", name])
+        late = early
+        if "link" not in name and "dangling" not in name:  # path() itself goes where a link leads
+            with pytest.raises(InputError) as late, OutputFolder(out) as folder:
+                write_results(folder, "a.txt", "new.txt", name, text="ours")
+        for caught in (early, late):
+            assert caught.value.code == "results.foreign" and name in str(caught.value) and caught.value.remedy
+        assert (out / "a.txt").read_text() == "a.txt" and not (out / "new.txt").exists()
+    with OutputFolder(out) as folder:
+        write_results(folder, "new.txt")
+    left = {path.name for path in out.iterdir()} - {".torchid"}
+    assert left == {"new.txt", "edited.txt", "file.txt", "folder.txt", "link.txt", "dangling.txt"}
+    assert (out / "edited.txt").read_text() == (out / "file.txt").read_text() == "mine"
+
+
+def test_without_its_list_nothing_is_torchids(tmp_path):
+    """A list that is lost or damaged makes results foreign: refused, not overwritten."""
+    for damage in (b"", b"[1", b'["a.txt"]', b'{"a.txt": 3}', None):
+        out = tmp_path / repr(damage)
+        with OutputFolder(out) as folder:
+            write_results(folder, "a.txt")
+        file = out / ".torchid" / "files.json"
+        file.unlink() if damage is None else file.write_bytes(damage)
+        with pytest.raises(InputError, match=r"results\.foreign"), OutputFolder(out) as folder:
+            write_results(folder, "a.txt", text="new")
+        assert (out / "a.txt").read_text() == "a.txt"
+
+
+def told(out: Path) -> set[tuple[str, str]]:
+    return {(path.name, path.read_text()[:1]) for path in out.iterdir() if path.is_file()}
+
+
+@pytest.mark.parametrize(("kind", "resolved"), [(Killed, "config.yaml"), (OSError, "config.resolved.yaml")])
+def test_a_publication_that_is_cut_is_finished_by_the_next_run(tmp_path, monkeypatch, kind, resolved):
+    """Cut at every call of the system, it leaves results of one run only, its config last; then all or nothing."""
+    cut, seen = 0, set()
+    names = ("a.json", "z.json", resolved)
+    while True:
+        cut += 1
+        out = tmp_path / str(cut)
+        with OutputFolder(out) as folder:
+            write_results(folder, "old.json", *names, text="A")
+        (out / "mine.txt").write_text("M")
+        calls = [0]
+
+        def counted(real, *args, calls=calls, cut=cut, **kwargs):
+            calls[0] += 1
+            if calls[0] == cut:
+                raise kind(28, "No space left on device")
+            return real(*args, **kwargs)
+
+        try:
+            with OutputFolder(out) as folder:
+                write_results(folder, *names, text="B")
+                for name in ("replace", "unlink", "fsync", "open", "mkdir"):
+                    monkeypatch.setattr(os, name, partial(counted, getattr(os, name)))
+        except (Killed, InputError) as error:
+            assert not isinstance(error, InputError) or error.code == "results.unwritable"
+        monkeypatch.undo()
+        found = told(out) - {("mine.txt", "M")}
+        assert len({run for _, run in found}) <= 1, "results of two runs stand side by side"
+        if (resolved, "B") in found:
+            assert found == {(name, "B") for name in names}
+        seen.add(frozenset(found))
+        with suppress(KeyboardInterrupt), OutputFolder(out):
+            found = told(out) - {("mine.txt", "M")}
+            raise KeyboardInterrupt
+        assert found in ({(name, "A") for name in ("old.json", *names)}, {(name, "B") for name in names})
+        assert ("mine.txt", "M") in told(out)
+        assert {path.name for path in (out / ".torchid").iterdir()} <= {"lock", "pid", "stages", "files.json"}
+        if calls[0] < cut:
+            break
+    assert len(seen) > 4
+
+
+def test_netcdf_on_a_disk_that_fills_is_an_error_with_its_path(tmp_path, monkeypatch, seed):
+    """Whichever write fails first, from then on all do: HDF5 must not meet it, for there it ends the process."""
+    rng = np.random.default_rng(seed)
+    dataset = xarray.Dataset(
+        {"q": (("time", "dof"), rng.normal(size=(300, 4))), "used": ("time", rng.normal(size=300) > 0)},
+        coords={"time": np.arange(300) / 100, "dof": list("abcd")},
+    )
+    pieces = [dataset.isel(time=slice(k, k + 110)) for k in range(0, 300, 110)]
+    calls, room = [0], [10**6]
+
+    def write(self, content):
+        calls[0] += 1
+        if calls[0] > room[0]:
+            raise OSError(28, "No space left on device")
+        return io.FileIO.write(self, content)
+
+    monkeypatch.setattr(files.NewFile, "write", write, raising=False)
+    write_netcdf(tmp_path / "a.nc", pieces)
+    needed = calls[0]
+    assert needed > 10
+    (tmp_path / "a.nc").unlink()
+    for room[0] in sorted({0, needed - 1, *rng.choice(needed, 15).tolist()}):
+        calls[0] = 0
+        with pytest.raises(InputError, match=r"a\.nc: cannot be written .found: No space"):
+            write_netcdf(tmp_path / "a.nc", pieces)
+        assert not os.listdir(tmp_path)
+
+
+@pytest.mark.parametrize("writer", ["storage", "trc", "json", "snapshot"])
+def test_every_other_writer_says_that_the_disk_is_full(tmp_path, monkeypatch, writer):
+    """Text, tables and stored stages end as InputError with the path, and leave nothing."""
+
+    def write(self, content):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.NewFile, "write", write, raising=False)
+    path, time = tmp_path / "a", np.arange(5) / 100
+    with pytest.raises(InputError, match=r"/a: cannot be written .found: No space"):
+        if writer == "storage":
+            write_storage(path, ("x",), time, np.ones((5, 1)))
+        elif writer == "trc":
+            write_trc(path, trial(np.random.default_rng(0)).markers)
+        elif writer == "json":
+            write_json(path, [1])
+        else:
+            with atomic_write(path) as file:
+                write_snapshot(file, {"x": torch.ones(100_000)})
+    assert not os.listdir(tmp_path)
 
 
 def test_keys_change_with_everything_that_matters(seed):

@@ -5,17 +5,20 @@ Exit codes: 0 done; 2 the config or a file is at fault; 3 the data do not suppor
 """
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.segment import Segment
+from rich.text import Text
 
 from torchid.allocator import keep_memory
 from torchid.errors import InputError, TorchidError
+from torchid.wording import visible
 
 CONFIG_SUFFIXES = (".yaml", ".yml", ".json")
 MARKER_SUFFIXES = (".c3d", ".trc")
@@ -35,12 +38,24 @@ Overrides = Annotated[
 Debug = Annotated[bool, typer.Option("--debug", help="Show the log and, on an error, the traceback.")]
 
 
+class _Terminal(Console):
+    """Whatever is printed: a label of a file that holds terminal escapes is shown, not obeyed."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """The parts of what is printed; those that control the terminal are rich's own."""
+        if isinstance(renderable, Text):
+            renderable = renderable.copy()
+            renderable.plain = visible(renderable.plain)  # before its lines are broken
+        for part in super().render(renderable, options):
+            yield part if part.control else Segment(visible(part.text), part.style)
+
+
 @app.callback(invoke_without_command=True)
 def _main(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
     if version:
         from importlib.metadata import version as installed
 
-        Console().print(installed("torchid"), highlight=False)
+        _Terminal().print(installed("torchid"), highlight=False)
         raise typer.Exit
 
 
@@ -56,7 +71,7 @@ def run(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -
         keep_memory()
         with _progress() as progress:
             run_experiment(loaded, progress)
-        Console().print(f"Done: {loaded.out}", soft_wrap=True, highlight=False, markup=False)
+        _Terminal().print(f"Done: {loaded.out}", soft_wrap=True, highlight=False, markup=False)
 
 
 @app.command()
@@ -70,7 +85,7 @@ def simulate(config: ConfigFile, overrides: Overrides = None, debug: Debug = Fal
 
         with _progress() as progress:
             run_simulation(loaded, progress)
-        Console().print(f"Done: {loaded.out}", soft_wrap=True, highlight=False, markup=False)
+        _Terminal().print(f"Done: {loaded.out}", soft_wrap=True, highlight=False, markup=False)
 
 
 @app.command()
@@ -85,7 +100,7 @@ def check(
         from torchid.check import check_trial, format_check
         from torchid.io import read_trial
 
-        console, refused = Console(), False
+        console, refused = _Terminal(), False
         for arguments, mass_kg in _recordings(what):
             try:
                 console.print(format_check(check_trial(read_trial(*arguments), mass_kg)))
@@ -149,7 +164,7 @@ class _Bar:
 @contextmanager
 def _progress() -> Iterator[_Bar]:
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bars:
+    with Progress(*columns, console=_Terminal(stderr=True), disable=not sys.stderr.isatty()) as bars:
         yield _Bar(bars)
 
 
@@ -176,13 +191,11 @@ def _exit_codes(debug: bool) -> Iterator[None]:
 
 
 def _complain(error: object, traceback: bool = False) -> None:
-    console = Console(stderr=True)
+    console = _Terminal(stderr=True)
     if traceback:
         console.print_exception()
-    for line in str(error).splitlines():
-        # A label from a file may hold terminal escapes.
-        visible = "".join(letter if letter.isprintable() else "\ufffd" for letter in line)
-        console.print(f"torchid: {visible}", soft_wrap=True, highlight=False, markup=False)
+    for line in str(error).split("\n"):
+        console.print(f"torchid: {line}", soft_wrap=True, highlight=False, markup=False)
 
 
 if __name__ == "__main__":

@@ -2,30 +2,37 @@
 
 import dataclasses
 import hashlib
+import io
 import json
 import math
 import os
 import re
 import secrets
 import unicodedata
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from enum import Enum
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import h5netcdf
 import numpy as np
 import torch
-import xarray
 
 from torchid.errors import InputError
 
 _SAFE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}(?<!\.)\Z")
 _RESERVED = re.compile(r"(?i:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?\Z")
 """Devices of Windows."""
-CHUNK = 1024
-"""Samples along the first dimension that a netCDF file packs together."""
+TEMPORARY = f".{'?' * 16}.tmp*"
+"""Pattern of the names under which files are written before they take their own; only a killed run leaves one."""
+
+
+class NewFile(io.FileIO):
+    """A new file without a buffer. Whatever torchid itself writes goes through one, so that tests can make it fail."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises OSError: ``path`` exists or cannot be made."""
+        super().__init__(path, "x+")
 
 
 def safe_name(text: str) -> str:
@@ -45,17 +52,25 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         InputError: ``results.unwritable`` with the system's reason (disk full, read-only, no such folder).
     """
     path = Path(path)
-    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    temporary = _temporary(path.parent, path.suffix)
+    with writing(path):
+        try:
+            yield temporary
+            _flush(temporary, os.O_RDWR)
+            os.replace(temporary, path)
+            flush_folder(path.parent)
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Turns the system's errors of the block into InputError ``results.unwritable`` about ``path``."""
     try:
-        yield temporary
-        _flush(temporary, os.O_RDWR)
-        os.replace(temporary, path)
-        if os.name == "posix":  # Windows cannot open a folder
-            _flush(path.parent, os.O_RDONLY)
+        yield
     except OSError as error:
-        raise unwritable(path, error) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        raise unwritable(Path(path), error) from error
 
 
 def unwritable(path: Path, error: OSError) -> InputError:
@@ -72,8 +87,29 @@ def unwritable(path: Path, error: OSError) -> InputError:
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
     """A binary file that appears at ``path`` only when the block ends well; errors as ``atomic_path``."""
-    with atomic_path(path) as temporary, temporary.open("xb") as file:
+    with atomic_path(path) as temporary, io.BufferedRandom(NewFile(temporary)) as file:
         yield file
+
+
+@contextmanager
+def nameless_file(folder: Path) -> Iterator[BinaryIO]:
+    """A binary file in ``folder`` that is gone when nobody holds or maps it any more; OSError as the system says."""
+    path = _temporary(folder)
+    with io.BufferedRandom(NewFile(path)) as file:
+        if os.name == "posix":  # Windows cannot remove an open file; there it stays until the folder is swept
+            path.unlink()
+        yield file
+
+
+def _temporary(folder: Path, suffix: str = "") -> Path:
+    """A name like ``TEMPORARY``; it keeps the suffix, by which ezc3d goes."""
+    return folder / f".{secrets.token_hex(8)}.tmp{suffix}"
+
+
+def flush_folder(folder: Path) -> None:
+    """Names that were given or taken in ``folder`` are on the disk when this returns."""
+    if os.name == "posix":  # Windows cannot open a folder
+        _flush(folder, os.O_RDONLY)
 
 
 def _flush(path: Path, flags: int) -> None:
@@ -123,37 +159,6 @@ def write_text(path: str | Path, text: str) -> None:
     """``text`` as UTF-8, atomically."""
     with atomic_write(path) as file:
         file.write(text.encode("utf-8", "replace"))
-
-
-def write_netcdf(path: str | Path, pieces: Iterable[xarray.Dataset]) -> None:
-    """A netCDF-4 file through h5netcdf, deflated, atomically.
-
-    Args:
-        path: the file.
-        pieces: the dataset, cut along its dimension ``time`` where it is long; only one piece is held at a time.
-    """
-    with atomic_path(path) as temporary:
-        for k, piece in enumerate(pieces):
-            if k == 0:
-                long = [name for name in ("time",) if name in piece.sizes]
-                piece.to_netcdf(temporary, engine="h5netcdf", encoding=_encoding(piece), unlimited_dims=long)
-            else:
-                _append(temporary, piece)
-
-
-def _encoding(dataset: xarray.Dataset) -> dict[Any, dict[str, Any]]:
-    numbers = {name: v for name, v in dataset.variables.items() if v.ndim and v.dtype.kind in "fiu"}
-    sizes = {name: (min(max(1, len(v)), CHUNK), *map(int, v.shape[1:])) for name, v in numbers.items()}
-    return {name: {"zlib": True, "complevel": 1, "chunksizes": size} for name, size in sizes.items()}
-
-
-def _append(path: Path, piece: xarray.Dataset) -> None:
-    with h5netcdf.File(path, "a") as file:
-        start = file.dimensions["time"].size
-        file.resize_dimension("time", start + piece.sizes["time"])
-        for name, variable in file.variables.items():
-            if "time" in variable.dimensions:
-                variable[start:] = piece[name].values.astype(variable.dtype)
 
 
 def file_sha256(path: str | Path) -> str:

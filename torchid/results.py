@@ -1,6 +1,5 @@
 """The folder that a run writes: one run at a time, whole files, stages that a later run takes up again."""
 
-import json
 import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -12,32 +11,35 @@ from typing import Any, TypeVar
 from filelock import FileLock, Timeout
 
 from torchid.errors import DataError, InputError
-from torchid.files import atomic_write, safe_name, unwritable, write_json, write_text
+from torchid.files import TEMPORARY, atomic_write, nameless_file, safe_name, unwritable, write_text, writing
 from torchid.provenance import StageTime, Stopwatch
+from torchid.publication import Publication
 from torchid.snapshot import SnapshotError, load_snapshot, release, swap_out, write_snapshot
 
 log = logging.getLogger(__name__)
 Result = TypeVar("Result")
 
 STATE = ".torchid"
-"""Folder inside ``out`` for the lock, the stages and the list of files."""
+"""Folder inside ``out`` for the lock, the stages, the list of files and what is not yet in its place."""
 
 
 class OutputFolder:
     """``with OutputFolder(out) as folder:`` creates and locks ``out`` for this run.
 
-    The lock is the operating system's, so that a killed run leaves none behind. Files of an earlier run that this one
-    did not write again are removed when the block ends well or with a DataError: nothing stale beside new results.
+    The lock is the operating system's, so that a killed run leaves none behind. Result files are written aside and
+    appear together when the block ends well or with a DataError; those of an earlier run go then, and stay where the
+    block ends otherwise. What a killed run left is finished or swept when the next one begins.
 
     Raises:
-        InputError: ``results.locked`` when another run works there, ``results.unwritable`` when nobody can.
+        InputError: ``results.locked`` when another run works there, ``results.unwritable`` when nobody can,
+            ``results.foreign`` when the block ends and a file of the user's stands where a result goes.
     """
 
     def __init__(self, out: str | Path) -> None:
         self.out = Path(out).resolve()
         self.state = self.out / STATE
         self.times: dict[str, StageTime] = {}
-        self._written: set[str] = set()
+        self._publication = Publication(self.out, self.state)
         self._lock = FileLock(self.state / "lock", timeout=0)
 
     def __enter__(self) -> "OutputFolder":
@@ -55,8 +57,10 @@ class OutputFolder:
         except OSError as error:
             raise unwritable(self.out, error) from error
         try:
+            self._sweep()
+            self._publication.finish()
             write_text(self.state / "pid", str(os.getpid()))
-        except InputError:
+        except BaseException:
             self._lock.release()
             raise
         return self
@@ -66,24 +70,40 @@ class OutputFolder:
     ) -> None:
         try:
             if error is None or isinstance(error, DataError):
-                self._remove_stale()
-            else:
-                self._list_files(self._written | set(self._listed()))
+                self._publication.publish()
         finally:
-            self._lock.release()
+            try:
+                self._publication.drop()
+            finally:
+                self._lock.release()
+
+    @property
+    def staging(self) -> Path:
+        """The folder whose content appears in ``out`` when the block ends well."""
+        return self._publication.new
+
+    def owns(self, name: str) -> bool:
+        """Whether a result ``name`` would take the place of nothing, or of what torchid itself put there."""
+        return self._publication.owns(name)
+
+    def claim(self, names: Iterable[str]) -> None:
+        """Make sure that results of these names can be put into ``out``; InputError ``results.foreign`` if not."""
+        self._publication.refuse_foreign(names)
 
     def path(self, name: str) -> Path:
-        """Where the result file ``name`` goes; it counts as written by this run.
+        """Where to write the result file ``name``; it appears in ``out`` when the block ends.
 
         Raises:
-            InputError: ``results.outside`` when the name leaves the folder (use ``safe_name`` for names from data).
+            InputError: ``results.outside`` when the name leaves the folder (use ``safe_name`` for names from data),
+                ``results.unwritable``.
         """
         path = (self.out / name).resolve()
         if path == self.out or not path.is_relative_to(self.out) or path.is_relative_to(self.state):
             raise InputError("results.outside", "a result must stay below `out`", source=self.out, found=name[:80])
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._written.add(path.relative_to(self.out).as_posix())
-        return path
+        aside = self.staging / path.relative_to(self.out)
+        with writing(aside):
+            aside.parent.mkdir(parents=True, exist_ok=True)
+        return aside
 
     def stage(self, name: str, key: str, compute: Callable[[], Result]) -> Result:
         """The stage's result: the stored one if its ``key`` is the same, else computed and stored.
@@ -114,9 +134,8 @@ class OutputFolder:
             InputError: ``results.unwritable``.
         """
         try:
-            return swap_out(value, self.state)
-        except OSError as error:
-            raise unwritable(self.out, error) from error
+            with writing(self.staging), nameless_file(self.staging) as file:
+                return swap_out(value, file)
         finally:
             release()
 
@@ -144,24 +163,12 @@ class OutputFolder:
         except OSError:
             return "unknown"
 
-    def _listed(self) -> list[str]:
-        """Files of earlier runs; a damaged list is as good as none, for it only serves to tidy up."""
-        try:
-            names = json.loads((self.state / "files.json").read_text())
-        except (OSError, ValueError):
-            return []
-        return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
-
-    def _list_files(self, names: Iterable[str]) -> None:
-        write_json(self.state / "files.json", sorted(names))
-
-    def _remove_stale(self) -> None:
-        for name in set(self._listed()) - self._written:
-            path = (self.out / name).resolve()
-            if path.is_relative_to(self.out) and not path.is_relative_to(self.state):
-                path.unlink(missing_ok=True)
-                log.info("removed %s of an earlier run", name)
-        self._list_files(self._written)
+    def _sweep(self) -> None:
+        """Remove what killed runs left half written."""
+        with writing(self.state):
+            for folder in (self.state, self.state / "stages"):
+                for path in folder.glob(TEMPORARY):
+                    path.unlink(missing_ok=True)
 
 
 def _read_stage(file: Path, key: str) -> dict[str, Any] | None:

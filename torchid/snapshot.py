@@ -15,7 +15,6 @@ import json
 import math
 import mmap
 import sys
-import tempfile
 import weakref
 from collections.abc import Iterator
 from enum import Enum
@@ -81,19 +80,18 @@ def load_snapshot(path: str | Path) -> Any:
     return value
 
 
-def swap_out(value: Value, folder: str | Path) -> Value:
-    """The same value, its tensors in a nameless file in ``folder`` that vanishes with them; not to be changed in place.
+def swap_out(value: Value, file: BinaryIO) -> Value:
+    """The same value, its tensors mapped from ``file``, which was empty and may be closed; not to be changed in place.
 
     Raises:
         TypeError: as ``to_bytes``.
         OSError: the file cannot be written.
     """
-    with tempfile.TemporaryFile(dir=folder) as file:
-        file.write(bytes(DIGEST))
-        for piece in _pieces(value):
-            file.write(piece)
-        file.flush()
-        return _rebuild(_map(file))
+    file.write(bytes(DIGEST))
+    for piece in _pieces(value):
+        file.write(piece)
+    file.flush()
+    return _rebuild(_map(file))
 
 
 def release() -> None:

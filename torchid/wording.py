@@ -8,14 +8,20 @@ from typing import Any
 ABSENT = "–"
 """Stands for what is not known."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+_SHOWN = "\N{REPLACEMENT CHARACTER}"
 _UNIT = re.compile(r"(?<=\d) (?=(?:N|mm|kg|m|Hz|s|%|°)(?![\w]))|(?<=\bN) (?=m\b)")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.]*\w)")
 
 
 def clean(text: str, most: int = 120) -> str:
     """A name from a file without control characters and bidirectional marks, shortened in the middle."""
-    text = _CONTROL.sub("\N{REPLACEMENT CHARACTER}", str(text))
+    text = _CONTROL.sub(_SHOWN, str(text))
     return text if len(text) <= most else f"{text[: most - 12]}…{text[-11:]}"
+
+
+def visible(text: str) -> str:
+    """Lines for a terminal, with what it would obey instead of show as U+FFFD: escapes, bells, marks of direction."""
+    return "\n".join(_CONTROL.sub(_SHOWN, line) for line in text.split("\n"))
 
 
 def number(value: Any, digits: int = 1, factor: float = 1.0) -> str:

@@ -14,12 +14,13 @@ from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, put_aside, subject_prior, torques
 from torchid.experiment.swapped_markers import put_right
-from torchid.experiment.write import write_outcome
+from torchid.experiment.write import result_names, write_outcome
 from torchid.files import file_sha256, write_json, write_text
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
 from torchid.outcome import Followed, Outcome, Residual, Session
 from torchid.provenance import provenance, stage_key
+from torchid.publication import CONFIGS
 from torchid.regressor.rows import residual_rms
 from torchid.report import write_report
 from torchid.results import OutputFolder
@@ -34,14 +35,16 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
     """Everything the config asks for, into its ``out`` folder; a second call takes up finished stages.
 
     Raises:
-        TorchidError: bad input (nothing more is written), or data that do not support a result (what there is, is).
+        TorchidError: bad input (what is in ``out`` stays), or data that do not support a result (what there is, is).
     """
     if config.threads:
         torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     with OutputFolder(config.out) as folder:
+        _claim(folder, config)
         config = with_recordings(config, progress)
-        write_text(folder.path("config.yaml"), dump_config(config))
+        _claim(folder, config)
+        write_text(folder.path(next(filter(folder.owns, CONFIGS))), dump_config(config))
         progress("read", 0.0)
         with folder.timed("read"):
             session = read_session(config, folder.aside)
@@ -57,6 +60,13 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
         if failure is not None:
             raise failure
     return outcome
+
+
+def _claim(folder: OutputFolder, config: Config) -> None:
+    """No work for results that have no place: InputError where a file of the user's has the name of one."""
+    folder.claim(result_names(trial.name for trial in config.trials))
+    if not folder.owns(CONFIGS[0]):
+        folder.claim(CONFIGS[1:])
 
 
 def _inputs(config: Config) -> list:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from torchid.config import Config, load_config
 from torchid.errors import ConfigError
+from torchid.results import OutputFolder
 from torchid.simulate.session import simulate_session
 
 RECORDINGS = "recordings"
@@ -16,16 +17,18 @@ def run_simulation(config: Config, progress: Callable[[str, float], None] = lamb
 
     Raises:
         ConfigError: the config has no ``simulate:`` section.
+        InputError: ``results.foreign``, ``results.locked`` or ``results.unwritable``, as of ``OutputFolder``.
     """
     if config.simulate is None:
         raise ConfigError(
             "simulate.missing", "the config has no `simulate:` section", remedy="add one, if only `simulate: {}`"
         )
     progress("simulate", 0.0)
-    session = simulate_session(config.simulate, config.seed, config.out / RECORDINGS)
+    with OutputFolder(config.out / RECORDINGS) as folder:
+        written = simulate_session(config.simulate, config.seed, folder.staging).config
     progress("simulate", 1.0)
-    assert session.config is not None
-    return session.config
+    assert written is not None
+    return folder.out / written.name
 
 
 def with_recordings(config: Config, progress: Callable[[str, float], None]) -> Config:

@@ -1,16 +1,19 @@
 """Result files of section 3 of the contracts: JSON tables, netCDF series, OpenSim storages, model files."""
 
+from collections.abc import Iterable
+
 import torch
 import xarray
 
 from torchid.dynamics import wrench_about
 from torchid.errors import DataError
-from torchid.files import safe_name, write_json, write_netcdf
+from torchid.files import safe_name, write_json
 from torchid.geometry.tracking import modelled
 from torchid.io.storage import write_storage
 from torchid.kinematics.chain import chain_poses
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.urdf import write_urdf
+from torchid.netcdf import write_netcdf
 from torchid.outcome import Followed, Outcome
 from torchid.outcome.tables import diagnosis_table, geometry_table, inertia_table
 from torchid.regressor.rows import predict
@@ -19,6 +22,16 @@ from torchid.snapshot import release
 
 PIECE = 8192
 """Frames of a motion file that are put together at a time."""
+TABLES = (
+    "geometry.json", "inertia.json", "diagnosis.json", "model.urdf", "model.osim", "report.html", "provenance.json"
+)  # fmt: skip
+SERIES = ("motion_{}.nc", "forces_{}.nc", "{}_ik.mot", "{}_id.sto")
+"""Names of a trial's files."""
+
+
+def result_names(trials: Iterable[str]) -> list[str]:
+    """Every file that a run may write, but for its config."""
+    return [*TABLES, *(name.format(safe_name(trial)) for trial in trials for name in SERIES)]
 
 
 def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | None) -> None:
@@ -43,18 +56,17 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
 
 
 def _write_trial(outcome: Outcome, name: str, folder: OutputFolder) -> None:
-    item, part = outcome.followed[name], safe_name(name)
+    item = outcome.followed[name]
+    motion, forces, kinematics, dynamics = (folder.path(file.format(safe_name(name))) for file in SERIES)
     pieces = [slice(k, k + PIECE) for k in range(0, len(item.motion.time), PIECE)]
-    write_netcdf(folder.path(f"motion_{part}.nc"), (_piece(outcome, name, piece) for piece in pieces))
+    write_netcdf(motion, (_piece(outcome, name, piece) for piece in pieces))
     if item.wrench is not None:
-        write_netcdf(folder.path(f"forces_{part}.nc"), [forces_dataset(outcome, item)])
+        write_netcdf(forces, [forces_dataset(outcome, item)])
     tree, time = outcome.fit.model.tree, item.motion.time.numpy()
     names = osim_names(tree)
-    write_storage(
-        folder.path(f"{part}_ik.mot"), names, time, osim_coordinates(item.motion.q).numpy(), title=f"{name} kinematics"
-    )
-    forces = tuple(f"{n}_{'force' if tree.dofs[k].unit == 'm' else 'moment'}" for k, n in enumerate(names))
-    write_storage(folder.path(f"{part}_id.sto"), forces, time, outcome.torque[name].numpy(), title=f"{name} dynamics")
+    write_storage(kinematics, names, time, osim_coordinates(item.motion.q).numpy(), title=f"{name} kinematics")
+    columns = tuple(f"{n}_{'force' if tree.dofs[k].unit == 'm' else 'moment'}" for k, n in enumerate(names))
+    write_storage(dynamics, columns, time, outcome.torque[name].numpy(), title=f"{name} dynamics")
 
 
 def _piece(outcome: Outcome, name: str, part: slice) -> xarray.Dataset:

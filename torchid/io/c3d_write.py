@@ -1,5 +1,7 @@
 """Writing a trial as C3D: markers in mm, force plates of type 2 as analog channels, events, subject."""
 
+import errno
+import os
 from pathlib import Path
 
 import ezc3d
@@ -7,7 +9,8 @@ import numpy as np
 from torch import Tensor
 
 from torchid.errors import InputError
-from torchid.io.files import replacing
+from torchid.files import atomic_path
+from torchid.io.c3d_header import BLOCK
 from torchid.io.plates import plate_frame
 from torchid.recording import Event, Forces, Plate, Trial
 
@@ -27,7 +30,8 @@ def write_c3d(path: str | Path, trial: Trial) -> None:
 
     Raises:
         InputError: ``write.forces`` where the forces cannot be stored beside the markers (rate not a whole multiple,
-            another start, too few samples, NaN), ``write.corners`` where a plate has none.
+            another start, too few samples, NaN), ``write.corners`` where a plate has none, ``results.unwritable``
+            where the disk is full or the like.
     """
     file = ezc3d.c3d()
     time = trial.markers.time
@@ -42,8 +46,18 @@ def write_c3d(path: str | Path, trial: Trial) -> None:
     _put_forces(file, trial.forces, trial, rate)
     _put_events(file, trial.events)
     _put_subject(file, trial.parameters)
-    with replacing(path) as temporary:
+    with atomic_path(path) as temporary:
         file.write(str(temporary))
+        _check_whole(temporary, file["data"]["points"].size + file["data"]["analogs"].size)
+
+
+def _check_whole(path: Path, values: int) -> None:
+    """OSError where fewer than ``values`` reals follow the parameters: ezc3d does not tell of a full disk."""
+    with path.open("rb") as file:
+        start = int.from_bytes(file.read(18)[16:], "little")  # word 9: the block where the data begin, from one
+    # Header and parameters take a block each at least; ezc3d puts the word right when all else is written.
+    if start < 3 or path.stat().st_size < (start - 1) * BLOCK + 4 * values:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _put_points(file: ezc3d.c3d, trial: Trial, rate: float) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from torchid.errors import InputError, Note
-from torchid.io.files import read_lines, replacing
+from torchid.files import atomic_write
+from torchid.io.files import read_lines
 from torchid.io.table import parse_rows, split_row
 
 MAX_HEADER_LINES = 500
@@ -140,13 +141,14 @@ def write_storage(
 
     Raises:
         ValueError: shapes that do not agree.
+        InputError: ``results.unwritable``.
     """
     if values.shape != (len(time), len(columns)):
         raise ValueError(f"values {values.shape}, time {len(time)}, columns {len(columns)}")
     head = [title, "version=1", f"nRows={len(time)}", f"nColumns={len(columns) + 1}"]
     head += [f"inDegrees={'yes' if in_degrees else 'no'}", "endheader", "\t".join(("time", *columns))]
     row = "\t".join(["%.12g"] * (len(columns) + 1)) + "\n"
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        file.write("\n".join(head) + "\n")
+    with atomic_write(path) as file:
+        file.write(("\n".join(head) + "\n").encode("utf-8", "replace"))
         for t, x in zip(time.tolist(), values, strict=True):
-            file.write(row % (t, *x.tolist()))
+            file.write((row % (t, *x.tolist())).encode("ascii"))

@@ -8,8 +8,9 @@ from jaxtyping import Float, Int
 
 from torchid.conventions import y_up_to_z_up
 from torchid.errors import InputError, Note
+from torchid.files import write_text
 from torchid.io.clock import Clock, uniform_clock
-from torchid.io.files import read_lines, replacing
+from torchid.io.files import read_lines
 from torchid.io.force_names import refuse_forces
 from torchid.io.table import Rows, parse_rows, split_row
 from torchid.recording import Markers
@@ -205,5 +206,4 @@ def write_trc(path: str | Path, markers: Markers, y_up: bool = True) -> None:
         "\t".join([str(k + 1), f"{float(t):.10g}", *("" if np.isnan(x) else f"{x:.9g}" for x in frame.ravel())])
         for k, (t, frame) in enumerate(zip(markers.time, values, strict=True))
     )
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
+    write_text(path, "\n".join([*head, *rows]) + "\n")

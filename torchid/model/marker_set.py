@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
-import yaml
 from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import Inertial
-from torchid.errors import ConfigError, InputError
+from torchid.documents import read_document
+from torchid.errors import ConfigError
 from torchid.io.output_names import AUGMENTED, loose
 from torchid.model.landmarks import LANDMARKS
 from torchid.model.model import Landmark, Model
@@ -104,8 +104,8 @@ def load_marker_set(
         landmarks: landmarks that the model places.
 
     Raises:
-        ConfigError: no such set, or an entry names an unknown segment, landmark or label; the nearest is named.
-        InputError: the file is not readable YAML.
+        ConfigError: no such set, or an entry names an unknown segment, landmark or label; the nearest is named. So is
+            a file that is absent or not plain YAML (``torchid.documents``).
     """
     path = Path(name_or_path)
     if path.suffix.lower() not in (".yaml", ".yml", ".json"):
@@ -120,26 +120,12 @@ def load_marker_set(
 
 
 def _read(path: Path) -> dict[str, object]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-        content = yaml.safe_load(text)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(
-            "markers.unreadable", "cannot be read as a marker set", source=path, found=str(error)
-        ) from None
-    if not isinstance(content, dict) or not isinstance(node, yaml.MappingNode):
-        raise InputError("markers.not_a_mapping", "a marker set is label: segment, line by line", source=path)
-    keys = [key.value for key, _ in node.value]
-    for k, key in enumerate(keys):
-        if key in keys[:k]:
-            raise ConfigError("markers.twice", "label given twice", source=path, place=str(key))
-    for key in content:
-        if not isinstance(key, str):
-            raise ConfigError(
-                "markers.label", "YAML reads this label as something else than text", source=path, place=str(key),
-                remedy="put it in quotes",
-            )  # fmt: skip
+    content = read_document(path)
+    if not isinstance(content, dict):
+        raise ConfigError(
+            "markers.not_a_mapping", "a marker set is label: segment, line by line", source=path,
+            remedy="Write one `label: segment` a line.",
+        )  # fmt: skip
     return content
 
 
@@ -149,7 +135,7 @@ def _parse(
     parent = content.get("extends")
     if parent is not None and (not isinstance(parent, str) or parent not in marker_sets() or parent == path.stem):
         raise ConfigError(
-            "markers.extends", "extends names a built-in set", source=path, place="extends", found=repr(parent),
+            "markers.extends", "extends names a built-in set", source=path, place="extends", found=repr(parent)[:80],
             remedy=_suggest(str(parent), marker_sets(), "built-in sets"),
         )  # fmt: skip
     base = load_marker_set(parent, segments, landmarks) if isinstance(parent, str) else MarkerSet("", {})
@@ -168,12 +154,12 @@ def _spec(label: str, value: object, path: Path, segments: tuple[str, ...], land
     if not isinstance(entry, dict) or not {"segment"} <= set(entry) <= {"segment", "landmark"}:
         raise ConfigError(
             "markers.entry", "an entry is a segment, or {segment: ..., landmark: ...}", source=path, place=label,
-            found=repr(value),
+            found=repr(value)[:80],
         )  # fmt: skip
     for key, known in (("segment", segments), ("landmark", landmarks)):
         if key in entry and entry[key] not in known:
             raise ConfigError(
-                f"markers.{key}", f"unknown {key}", source=path, place=label, found=repr(entry[key]),
+                f"markers.{key}", f"unknown {key}", source=path, place=label, found=repr(entry[key])[:80],
                 remedy=_suggest(str(entry[key]), known, f"{key}s"),
             )  # fmt: skip
     return MarkerSpec(entry["segment"], entry.get("landmark"))

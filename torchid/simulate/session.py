@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from torchid.files import atomic_write, write_json, write_text
+from torchid.files import atomic_write, write_json, write_text, writing
 from torchid.io.c3d_write import write_c3d
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.planting import check_places
@@ -71,7 +71,8 @@ def _places(subject: SimulatedSubject, options: SimulateOptions, trials: Sequenc
 
 def write_session(session: Session, options: SimulateOptions, out: Path) -> Session:
     """Write the recordings, ``config.yaml`` and, under ``truth/``, ``subject.json`` and one ``.npz`` per trial."""
-    (out / TRUTH).mkdir(parents=True, exist_ok=True)
+    with writing(out):
+        (out / TRUTH).mkdir(parents=True, exist_ok=True)
     for item in session.trials:
         write_c3d(out / f"{item.trial.name}.c3d", item.trial)
         _write_truth(out / TRUTH / f"{item.trial.name}.npz", item.truth)
