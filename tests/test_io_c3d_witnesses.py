@@ -159,15 +159,33 @@ def test_layouts_that_fit_alike_are_refused(tmp_path: Path) -> None:
         read_c3d(built.save(tmp_path / "a.c3d"))
 
 
-def test_contradiction_in_a_file_that_was_cut_is_refused(tmp_path: Path) -> None:
-    """Without the size as witness, one against one is no majority; with labels it is, and the file is truncated."""
+@pytest.mark.parametrize("names", [None, labels(MARKERS)])
+@pytest.mark.parametrize("size", [-3 * BLOCK, 3 * BLOCK])
+def test_a_contradiction_that_the_size_does_not_settle_is_refused(
+    tmp_path: Path, names: list[str] | None, size: int
+) -> None:
+    """In a file that was cut or goes on no layout fits: it is not called cut, which would advise to read it anyhow."""
+    built = sound()
+    built.parameters["POINT"] = {"LABELS": names, "USED": np.array([MARKERS - 1])}
+    data = built.build()
     path = tmp_path / "a.c3d"
-    for names, code in ((None, r"c3d\.contradiction"), (labels(MARKERS), r"c3d\.truncated")):
-        built = sound()
-        built.parameters["POINT"] = {"LABELS": names, "USED": np.array([MARKERS - 1])}
-        path.write_bytes(built.build()[: -3 * BLOCK])
-        with pytest.raises(InputError, match=code):
-            read_c3d(path)
+    path.write_bytes(data[:size] if size < 0 else data + b"\7" * size)
+    with pytest.raises(InputError, match=r"none fits.*c3d\.contradiction"):
+        read_c3d(path, options=ReadOptions(allow_truncated=True))
+
+
+@pytest.mark.parametrize(("number", "value"), [(4, 65535), (4, 65533), (4, 3), (5, 2)])
+def test_a_first_frame_that_its_last_contradicts(tmp_path: Path, number: int, value: int) -> None:
+    """One end of the frames is wrong, the other that of a whole recording: time begins at 0, and a note says so."""
+    built = sound(first_frame=1)
+    del built.parameters["TRIAL"]
+    data = bytearray(built.build())
+    word(number, value)(built, data)
+    path = tmp_path / "a.c3d"
+    path.write_bytes(data)
+    trial = read_c3d(path)
+    assert len(trial.markers.time) == FRAMES and float(trial.markers.time[0]) == 0.0
+    assert [note for note in trial.notes if note.code in ("c3d.header_disagrees", "c3d.frames")]
 
 
 def test_two_scales_of_integers_are_refused(tmp_path: Path) -> None:

@@ -16,10 +16,11 @@ from rich.table import Table
 from benchmarks.fit import bench_fit
 from benchmarks.inertia import bench_inertia
 from benchmarks.kinematics import bench_ik
+from benchmarks.reading import bench_reading
 from benchmarks.regressor import bench_regressor
 from torchid.allocator import keep_memory
 
-PACKAGES = ("torch", "numpy", "scipy", "pin", "opensim")
+PACKAGES = ("torch", "numpy", "scipy", "pin", "opensim", "ezc3d")
 Row = tuple[str, float | None, str, str]
 """What, value, unit, what is asked for."""
 
@@ -38,7 +39,8 @@ def main() -> None:
     regressor = bench_regressor(2 if quick else 9, compiled=not quick)
     inertia = bench_inertia(3 if quick else 20)
     memory = _memory(1 if quick else 60)
-    rows = _rows(fit, ik, regressor, inertia, memory)
+    reading = bench_reading(1 if quick else 5)
+    rows = _rows(fit, ik, regressor, inertia, memory, reading)
     about = {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "cpu": _cpu(),
@@ -51,6 +53,7 @@ def main() -> None:
         "regressor": regressor,
         "inertia": inertia,
         "hour_memory_MiB": memory,
+        "reading": reading,
     }
     Path(args.out).write_text(json.dumps(results, indent=1))
     _print(rows)
@@ -60,7 +63,7 @@ def _ratio(a: object, b: object) -> float | None:
     return float(a) / float(b) if isinstance(a, float) and isinstance(b, float) else None
 
 
-def _rows(fit: dict, ik: dict, regressor: dict, inertia: dict, memory: float) -> list[Row]:
+def _rows(fit: dict, ik: dict, regressor: dict, inertia: dict, memory: float, reading: dict) -> list[Row]:
     speed, gap = ik["frames_per_s"], ik["gap"]
     return [
         ("fit to 0.01 %, 62 unknowns", fit["few_s"], "s", "<= 0.35"),
@@ -92,6 +95,8 @@ def _rows(fit: dict, ik: dict, regressor: dict, inertia: dict, memory: float) ->
         ("inertial solve, 20 000 frames", inertia["many_ms"], "ms", "<= 40"),
         ("  relative gap", inertia["gap"], "", "<= 1e-8"),
         ("memory of an hour beyond the input", memory, "MiB", "<= 150"),
+        ("ezc3d / torchid, reading all C3D", _ratio(reading.get("ezc3d"), reading.get("torchid")), "x", ">= 1"),
+        ("  without plates", _ratio(reading.get("ezc3d, no plates"), reading.get("torchid")), "x", ">= 1"),
     ]
 
 

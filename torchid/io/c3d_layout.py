@@ -151,18 +151,24 @@ def _refuse_analog_rate(header: C3dHeader, rate: float, ratio: int) -> None:
 
 
 def _first_frame(header: C3dHeader, frames: int, notes: list[Note]) -> int:
-    """Number of the first frame: of two that the file states, the one whose last frame gives the number read."""
+    """Number of the first frame: of two statements, the one whose last frame gives the number of frames read.
+
+    Where none does, either end may be wrong: 1, as in a recording that was not trimmed, if one of the ends says so.
+    """
     start, end = actual_field(header, "START"), actual_field(header, "END")
-    stated = [] if start is None else [("TRIAL:ACTUAL_START_FIELD", start, end)]
+    stated = [] if start is None or end is None else [("TRIAL:ACTUAL_START_FIELD", start, end)]
     stated.append(("header word 4", header.first_frame, header.last_frame))
-    consistent = [one for one in stated if one[2] is not None and one[2] - one[1] + 1 == frames]
-    name, first, _ = (consistent or stated)[0]
-    if len({one[1] for one in stated}) > 1 and header.first_frame != SATURATED:
-        text = " and ".join(f"{one[0]} is {one[1]}" for one in stated)
-        notes.append(Note("c3d.header_disagrees", f"{text}; {name} gives the first frame", header.source))
-    if first < 1:
+    known = [one for one in stated if SATURATED not in one]
+    consistent = [one for one in known if one[2] - one[1] + 1 == frames]
+    ends = [first for _, first, _ in stated if first != SATURATED] + [last - frames + 1 for _, _, last in known]
+    chosen = consistent[0][1] if consistent else 1 if 1 in ends else (ends or [1])[0]
+    wrong = [one for one in stated if one[1] != chosen and not (one[1] == SATURATED and consistent)]
+    if wrong:
+        text = ", ".join(f"{name} is {first}" for name, first, _ in wrong)
+        notes.append(Note("c3d.header_disagrees", f"{text}; {chosen} is taken for the first frame", header.source))
+    if chosen < 1:
         notes.append(Note("c3d.first_frame", "the first frame is numbered 0; time starts at 0 s", header.source))
-    return max(first, 1)
+    return max(chosen, 1)
 
 
 def _frames(header: C3dHeader, layout: Layout, available: int, allow_truncated: bool, notes: list[Note]) -> int:

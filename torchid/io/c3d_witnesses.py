@@ -104,11 +104,11 @@ def _spelled(field: str, value: int) -> str:
 
 
 def choose_shape(header: C3dHeader, data: bytes | FileBytes, rate: float) -> tuple[Shape, list[Note]]:
-    """The shape that fits the file's size and that most witnesses back; where none fits, the one that most back.
+    """The shape that fits the file's size and that most witnesses back; where none fits, the one that all back.
 
     Raises:
-        InputError: ``c3d.contradiction`` where several shapes are backed alike, ``c3d.data_start`` where no witness
-            says where the data begin.
+        InputError: ``c3d.contradiction`` where several shapes are backed alike, or where witnesses disagree and none
+            fits; ``c3d.data_start`` where no witness says where the data begin.
     """
     said = _statements(header, data, rate)
     shapes = list(_candidates(header, said, len(data)))
@@ -124,7 +124,10 @@ def choose_shape(header: C3dHeader, data: bytes | FileBytes, rate: float) -> tup
     fitting = [shape for shape in shapes if shape.fits(header, len(data))]
     support = {shape: sum(one.backs(shape) for one in said) for shape in fitting or shapes}
     best = [shape for shape, count in support.items() if count == max(support.values())]
-    if len({(s.points, s.channels, s.ratio, s.real, s.block) for s in best}) > 1:
+    tied = len({(s.points, s.channels, s.ratio, s.real, s.block) for s in best}) > 1
+    disputed = any(one.accuses(best[0]) for one in said)
+    # A file that was cut and is disputed is not called cut: to allow that would read what nobody knows.
+    if tied or (disputed and not fitting and not 0 <= best[0].left(header, len(data)) < BLOCK):
         raise _contradiction(header, said, best, bool(fitting), len(data))
     return best[0], _disagreements(header, said, best[0], bool(fitting))
 

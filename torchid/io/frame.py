@@ -113,19 +113,21 @@ def vertical_axis(
     Raises:
         InputError: ``axes.contradiction``, ``axes.unsupported`` and ``axes.unknown``.
     """
-    pushed = _plate_axis(forces) or force_axis(forces)
+    facing = _plate_axis(forces)
+    pushed = facing or force_axis(forces)
     refuse_axis(pushed, options.up or stated, "config" if options.up else "file", source)
     seen = _marker_axis(position)
+    nothing = not np.isfinite(position).any()
     signs = (
-        (options.up, "as asked"),
-        (pushed, "by the surfaces of the plates" if _plate_axis(forces) else "by the ground reaction"),
-        (stated, "stated by the file"),
-        (seen, "by the markers"),
-        (_floor_axis(position), "by the floor: along the other axis markers would lie below it"),
-        (force_axis(beside).strip("x"), "by the ground reaction of the other file"),
-        ("" if np.isfinite(position).any() else customary, "by custom of the format; there is nothing to turn"),
+        (lambda: options.up, "as asked"),
+        (lambda: pushed, "by the surfaces of the plates" if facing else "by the ground reaction"),
+        (lambda: stated, "stated by the file"),
+        (lambda: seen, "by the markers"),
+        (lambda: _floor_axis(position), "by the floor: along the other axis markers would lie below it"),
+        (lambda: force_axis(beside).strip("x"), "by the ground reaction of the other file"),
+        (lambda: customary if nothing else "", "by custom of the format; there is nothing to turn"),
     )
-    axis, reason = next(((up, why) for up, why in signs if up), ("", ""))
+    axis, reason = next(((up, why) for sign, why in signs if (up := sign())), ("", ""))
     if not axis:
         raise _unknown_axis(position, source)
     turned = "; rotated to Z up" if axis == "y" else ""
