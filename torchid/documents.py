@@ -18,10 +18,17 @@ MAX_BYTES = 1 << 20
 MAX_DEPTH = 40
 MAX_NODES = 100_000
 """Values in a document after its aliases are expanded."""
+MAX_WRITTEN = 10_000
+"""Keys and values that YAML may spell out, some hundred trials: its parser takes a second for twice as many. JSON is
+read a thousand times faster and has MAX_BYTES alone."""
 
 Document = Any
 """Nested dict (text keys), list, str, int, float, bool or None."""
 
+_PLAIN = "Write `key: value` lines, indented by blanks; text with `: `, ` #` or a leading mark goes in quotes."
+_NO_ALIAS = "Write the value out."
+_ONE_KEY = "Remove one of them."
+_TOO_DEEP = f"nested deeper than {MAX_DEPTH} levels"
 _TAG = "tag:yaml.org,2002:"
 _CORE_SCHEMA = {
     "null": r"(?:~|null|Null|NULL|)",
@@ -36,14 +43,20 @@ class _Loader(yaml.SafeLoader):
 
     yaml_implicit_resolvers: dict[Any, Any] = {}
     depth = 0
+    written = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = self.peek_event()
         if getattr(event, "tag", None) is not None:
-            raise _marked("config.tag", "tags are not accepted", event.start_mark, str(event.tag))
+            remedy = "Write the value alone, without the tag."
+            raise _marked("config.tag", "tags are not accepted", event.start_mark, str(event.tag), remedy)
         self.depth += 1
+        self.written += 1
         if self.depth > MAX_DEPTH:
-            raise _marked("config.too_deep", f"nested deeper than {MAX_DEPTH} levels", event.start_mark)
+            raise _marked("config.too_deep", _TOO_DEEP, event.start_mark, remedy="Write it flatter.")
+        if self.written > MAX_WRITTEN:
+            message, remedy = f"more than {MAX_WRITTEN} keys and values", "Write so long a document as JSON."
+            raise _marked("config.too_large", message, event.start_mark, remedy=remedy)
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -55,7 +68,7 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, str):
                 raise _marked("config.key", "a key must be text", key_node.start_mark, str(key), "Put it in quotes.")
             if key in mapping:
-                raise _marked("config.duplicate_key", "this key stands twice", key_node.start_mark, key)
+                raise _marked("config.duplicate_key", "this key stands twice", key_node.start_mark, key, _ONE_KEY)
             mapping[key] = self.construct_object(value_node, deep=True)
         return mapping
 
@@ -90,13 +103,17 @@ def read_document(path: Path) -> Document:
     """
     try:
         if not path.is_file():
-            raise ConfigError("config.missing_file", "no such file", source=path)
+            raise ConfigError("config.missing_file", "no such file", source=path, remedy="Check the path.")
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise ConfigError("config.unreadable", "cannot be read", source=path, found=str(error)) from error
+        remedy = "Check the path and the permissions."
+        raise ConfigError(
+            "config.unreadable", "cannot be read", source=path, found=str(error), remedy=remedy
+        ) from error
     if len(content) > MAX_BYTES:
-        raise ConfigError("config.too_large", f"larger than {MAX_BYTES} bytes", source=path)
+        remedy = "Give a file of keys and values, not of data."
+        raise ConfigError("config.too_large", f"larger than {MAX_BYTES} bytes", source=path, remedy=remedy)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -115,7 +132,7 @@ def parse_document(text: str, source: str = "") -> Document:
             error.code, error.message, source=source, place=error.place, found=error.found, remedy=error.remedy
         ) from error
     except RecursionError as error:
-        raise ConfigError("config.too_deep", f"nested deeper than {MAX_DEPTH} levels", source=source) from error
+        raise ConfigError("config.too_deep", _TOO_DEEP, source=source, remedy="Write it flatter.") from error
 
 
 def dump_document(document: Document) -> str:
@@ -138,7 +155,7 @@ def _check_depth(document: Document) -> None:
     while layer:
         depth += 1
         if depth > MAX_DEPTH:
-            raise ConfigError("config.too_deep", f"nested deeper than {MAX_DEPTH} levels")
+            raise ConfigError("config.too_deep", _TOO_DEEP, remedy="Write it flatter.")
         children = [value.values() if isinstance(value, dict) else value for value in layer]
         layer = [child for group in children if not isinstance(group, str | int | float | None) for child in group]
 
@@ -148,7 +165,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(mapping) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ConfigError("config.duplicate_key", "this key stands twice", found=twice)
+        raise ConfigError("config.duplicate_key", "this key stands twice", found=twice[:80], remedy=_ONE_KEY)
     return mapping
 
 
@@ -159,12 +176,13 @@ def _parse_yaml(text: str) -> Document:
         if node is None:
             return None
         if _count_nodes(node, {}) > MAX_NODES:
-            raise ConfigError("config.too_large", f"more than {MAX_NODES} values after its aliases are expanded")
+            message = f"more than {MAX_NODES} values after its aliases are expanded"
+            raise ConfigError("config.too_large", message, remedy="Use fewer aliases.")
         return loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
-        raise _marked("config.yaml", str(error.problem), error.problem_mark) from error
+        raise _marked("config.yaml", str(error.problem), error.problem_mark, remedy=_PLAIN) from error
     except (yaml.YAMLError, ValueError) as error:  # ValueError: an integer of more than 4300 digits
-        raise ConfigError("config.yaml", " ".join(str(error).split())) from error
+        raise ConfigError("config.yaml", " ".join(str(error).split()), remedy=_PLAIN) from error
 
 
 def _count_nodes(node: yaml.Node, known: dict[int, int]) -> int:
@@ -177,7 +195,7 @@ def _count_nodes(node: yaml.Node, known: dict[int, int]) -> int:
     for child in node.value:
         for part in child if isinstance(child, tuple) else (child,):
             if known.get(id(part)) == -1:
-                raise _marked("config.recursive_alias", "an alias contains itself", part.start_mark)
+                raise _marked("config.recursive_alias", "an alias contains itself", part.start_mark, "", _NO_ALIAS)
             total += _count_nodes(part, known)
     known[id(node)] = total
     return total

@@ -73,28 +73,35 @@ def check_body(mass: float, I_C: Array, element: Element, path: str | Path) -> N
         InputError: ``model.mass`` or ``model.inertia``: principal moments of which one exceeds the others' sum.
     """
     if not mass > 0.0:
-        raise fault(element, path, "model.mass", "a mass must be positive", f"{mass:g} kg")
+        remedy = "Correct the mass, or leave the inertial of a massless link out."
+        raise fault(element, path, "model.mass", "a mass must be positive", f"{mass:g} kg", remedy=remedy)
     second = np.linalg.eigvalsh(0.5 * np.trace(I_C) * np.eye(3) - I_C)
     if second[0] < -NOT_A_BODY * np.abs(second).sum():
         moments = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(I_C))
         remedy = "Each must be positive and at most the sum of the two others; export the inertia again."
-        raise fault(element, path, "model.inertia", "no body has these principal moments", moments, remedy)
+        raise fault(element, path, "model.inertia", "no body has these principal moments", moments, remedy=remedy)
 
 
 def _ordered(links: Sequence[Link], source: str | Path) -> list[Link]:
     """Parents before children, otherwise in the file's order (depth first)."""
     twice = [name for name, count in Counter(link.name for link in links).items() if count > 1]
     if twice:
-        raise InputError("model.name_twice", "a name stands twice", source=source, found=", ".join(twice[:5]))
+        found = ", ".join(twice[:5])
+        raise InputError("model.name_twice", "a name stands twice", source=source, found=found, remedy="Rename one.")
     roots = [link for link in links if link.parent is None]
     if len(roots) != 1:
         found = ", ".join(link.name for link in roots[:5]) or "none: the joints form a loop"
-        raise InputError("model.root", "needs exactly one link without parent", source=source, found=found)
+        remedy = "Join all links by joints that form one tree."
+        message = "needs exactly one link without parent"
+        raise InputError("model.root", message, source=source, found=found, remedy=remedy)
     children: dict[str, list[Link]] = {link.name: [] for link in links}
     for link in links:
         if link.parent is not None:
             if link.parent not in children:
-                raise InputError("model.parent", "unknown parent", source=source, place=link.place, found=link.parent)
+                raise InputError(
+                    "model.parent", "unknown parent", source=source, place=link.place, found=link.parent,
+                    remedy="Name a link of the file.",
+                )  # fmt: skip
             children[link.parent].append(link)
     order, waiting = [], [roots[0]]
     while waiting:
@@ -103,7 +110,9 @@ def _ordered(links: Sequence[Link], source: str | Path) -> list[Link]:
     if len(order) < len(links):
         lost = [link for link in links if link not in order]
         names = ", ".join(link.name for link in lost[:5])
-        raise InputError("model.loop", "links form a loop", source=source, place=lost[0].place, found=names)
+        raise InputError(
+            "model.loop", "links form a loop", source=source, place=lost[0].place, found=names, remedy="Cut the loop."
+        )
     return order
 
 

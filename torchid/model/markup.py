@@ -27,16 +27,19 @@ def read_xml(path: str | Path, root: str) -> Element:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise InputError("xml.unreadable", "cannot be read", source=path, found=str(error)) from error
+        remedy = "Check the path and the permissions."
+        raise InputError("xml.unreadable", "cannot be read", source=path, found=str(error), remedy=remedy) from error
     if len(content) > MAX_BYTES:
-        raise InputError("xml.too_large", f"larger than {MAX_BYTES} bytes", source=path)
+        remedy = "Leave meshes and textures in files of their own."
+        raise InputError("xml.too_large", f"larger than {MAX_BYTES} bytes", source=path, remedy=remedy)
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
     )
     try:
         element = etree.fromstring(content, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise InputError("xml.syntax", "not well-formed XML", source=path, found=str(error)[:200]) from error
+        found, remedy = str(error)[:200], "Correct it there, or export the model again."
+        raise InputError("xml.syntax", "not well-formed XML", source=path, found=found, remedy=remedy) from error
     if element.getroottree().docinfo.doctype:
         raise InputError("xml.doctype", "a document type is not accepted", source=path, remedy="Remove <!DOCTYPE ...>.")
     if element.tag != root:
@@ -51,9 +54,7 @@ def place(element: Element) -> str:
     return f"line {element.sourceline}, <{element.tag}{f' name={name!r}' if name else ''}>"[:160]
 
 
-def fault(
-    element: Element, source: str | Path, code: str, message: str, found: str = "", remedy: str = ""
-) -> InputError:
+def fault(element: Element, source: str | Path, code: str, message: str, found: str = "", *, remedy: str) -> InputError:
     """The error of an element."""
     return InputError(code, message, source=source, place=place(element), found=found[:80], remedy=remedy)
 
@@ -70,7 +71,8 @@ def numbers(text: str, element: Element, source: str | Path, counts: Sequence[in
         values = [math.nan]
     if len(values) not in counts or not all(abs(value) <= MAX_NUMBER for value in values):
         wanted = " or ".join(str(count) for count in counts)
-        raise fault(element, source, "xml.number", f"needs {wanted} number(s) of sound size", text)
+        message = f"needs {wanted} number(s) of sound size"
+        raise fault(element, source, "xml.number", message, text, remedy="Write plain numbers with blanks between.")
     return values
 
 
