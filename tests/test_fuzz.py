@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "scripts"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from fuzzing.changes import UNDETECTABLE, changes
 from fuzzing.reading import Reading, read
 from fuzzing.run import failed, verdicts
 from fuzzing.seeds import KINDS, seeds
 
+ROOT = Path(__file__).resolve().parents[1]
 MODELS = ("config", "urdf", "mjcf")
 TEXTS = ("trc", "mot", "sto")
 

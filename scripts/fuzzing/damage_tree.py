@@ -33,6 +33,8 @@ WORDS = (
     "\u0661",
 )
 TAG = "x"
+QUICK_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+QUICK_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 def damage_yaml(content: bytes, random: Random) -> Damaged:
@@ -60,7 +62,7 @@ def _yaml_nodes(tree: Any) -> Iterator[tuple[Any, Any]]:
 def _yaml_node(data: bytes, random: Random) -> Damaged:
     """A value replaced, a key renamed, lost or moved."""
     try:
-        tree = yaml.safe_load(data)
+        tree = QUICK_LOADER(data).get_single_data()
         nodes = list(_yaml_nodes(tree))
     except (yaml.YAMLError, ValueError, RecursionError):
         nodes = []
@@ -83,7 +85,9 @@ def _yaml_node(data: bytes, random: Random) -> Damaged:
     else:
         way = "lost"
         del holder[key]
-    return Damaged(yaml.safe_dump(tree, sort_keys=False, allow_unicode=True).encode(), f"node {way}", place)
+    return Damaged(
+        yaml.dump(tree, Dumper=QUICK_DUMPER, sort_keys=False, allow_unicode=True).encode(), f"node {way}", place
+    )
 
 
 def _yaml_bomb(data: bytes, random: Random) -> Damaged:

@@ -2,18 +2,31 @@
 
 import datetime
 import json
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 RECORDS = Path(__file__).resolve().parents[1] / "reliability.json"
 
 
-def record(name: str, figures: dict[str, Any]) -> None:
-    """Note figures under a name, with the date."""
-    found = recorded() | {name: figures | {"date": datetime.date.today().isoformat()}}
+@dataclass(frozen=True)
+class Figure:
+    """What was measured of a goal."""
+
+    text: str
+    reached: bool | None
+    """None: not decided by this measurement."""
+    command: str
+    date: str = ""
+
+
+def record(name: str, text: str, reached: bool | None, command: str) -> None:
+    """Note a figure with the date; ``name`` is a goal's (G8), or of a part of one (G2 trc)."""
+    figure = Figure(text, reached, command, datetime.date.today().isoformat())
+    found = {key: asdict(value) for key, value in recorded().items()} | {name: asdict(figure)}
     RECORDS.write_text(json.dumps(dict(sorted(found.items())), indent=1) + "\n", encoding="utf-8")
 
 
-def recorded() -> dict[str, dict[str, Any]]:
+def recorded() -> dict[str, Figure]:
     """All figures noted so far."""
-    return json.loads(RECORDS.read_text(encoding="utf-8")) if RECORDS.is_file() else {}
+    found = json.loads(RECORDS.read_text(encoding="utf-8")) if RECORDS.is_file() else {}
+    return {name: Figure(**figure) for name, figure in found.items()}
