@@ -118,16 +118,6 @@ def test_more_than_anybody_writes_is_refused_in_bounded_time(write):
     assert len(found) == MOST + 1 and found[""].code == "config.more_problems"
 
 
-@pytest.mark.parametrize(
-    ("override", "said"),
-    [("inertia.lmi=3", "true or false"), ("trials.0.units=feet", "mm"), ("subject.mass_kg=heavy", "number"),
-     ("seed=-1", "bounds"), ("markers=7", "built-in"), ("trials=[]", "simulate")],
-)  # fmt: skip
-def test_every_problem_has_a_remedy(write, override, said):
-    """Wrong types, words and bounds say what to write instead."""
-    assert any(said in problem.remedy for problem in problems(write(MINIMAL), override).values())
-
-
 def test_alias_bomb_is_refused():
     """Aliases count as often as they are used, so that nine to the ninth never comes to be."""
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]

@@ -25,7 +25,6 @@ def test_damaged_files_never_crash_hang_or_raise_anything_untyped(kind: str, see
     assert len(found) == 60
     wrong = [one for one in found if one.outcome == "bad" or kind in MODELS and failed(one)]
     assert not wrong, f"scripts/fuzz --kind {kind} --seed {seed} --only {wrong[0].number}: {wrong[0]}"
-    assert kind not in MODELS or all(one.remedy for one in found if one.outcome == "refused")
 
 
 @pytest.mark.parametrize("kind", ["c3d", *TEXTS])

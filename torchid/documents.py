@@ -18,17 +18,13 @@ MAX_BYTES = 1 << 20
 MAX_DEPTH = 40
 MAX_NODES = 100_000
 """Values in a document after its aliases are expanded."""
-MAX_WRITTEN = 10_000
-"""Keys and values that YAML may spell out, some hundred trials: its parser takes a second for twice as many. JSON is
-read a thousand times faster and has MAX_BYTES alone."""
+MAX_EVENTS = 10_000
+"""Steps of YAML's parser, about one for each key and value; twice as many take it a second. JSON is read a thousand
+times faster and has MAX_BYTES alone."""
 
 Document = Any
 """Nested dict (text keys), list, str, int, float, bool or None."""
 
-_PLAIN = "Write `key: value` lines, indented by blanks; text with `: `, ` #` or a leading mark goes in quotes."
-_NO_ALIAS = "Write the value out."
-_ONE_KEY = "Remove one of them."
-_TOO_DEEP = f"nested deeper than {MAX_DEPTH} levels"
 _TAG = "tag:yaml.org,2002:"
 _CORE_SCHEMA = {
     "null": r"(?:~|null|Null|NULL|)",
@@ -42,21 +38,15 @@ class _Loader(yaml.SafeLoader):
     """SafeLoader with the core schema, bounded depth and no tags."""
 
     yaml_implicit_resolvers: dict[Any, Any] = {}
-    depth = 0
-    written = 0
+    depth = steps = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = self.peek_event()
         if getattr(event, "tag", None) is not None:
-            remedy = "Write the value alone, without the tag."
-            raise _marked("config.tag", "tags are not accepted", event.start_mark, str(event.tag), remedy)
+            raise _marked("config.tag", "tags are not accepted", event.start_mark, str(event.tag))
         self.depth += 1
-        self.written += 1
         if self.depth > MAX_DEPTH:
-            raise _marked("config.too_deep", _TOO_DEEP, event.start_mark, remedy="Write it flatter.")
-        if self.written > MAX_WRITTEN:
-            message, remedy = f"more than {MAX_WRITTEN} keys and values", "Write so long a document as JSON."
-            raise _marked("config.too_large", message, event.start_mark, remedy=remedy)
+            raise _marked("config.too_deep", f"nested deeper than {MAX_DEPTH} levels", event.start_mark)
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -68,13 +58,21 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, str):
                 raise _marked("config.key", "a key must be text", key_node.start_mark, str(key), "Put it in quotes.")
             if key in mapping:
-                raise _marked("config.duplicate_key", "this key stands twice", key_node.start_mark, key, _ONE_KEY)
+                raise _marked("config.duplicate_key", "this key stands twice", key_node.start_mark, key)
             mapping[key] = self.construct_object(value_node, deep=True)
         return mapping
 
     def construct_integer(self, node: yaml.ScalarNode) -> int:
         text = str(self.construct_scalar(node))
         return int(text, 0) if text[:2] in ("0o", "0x") else int(text, 10)
+
+    def get_event(self) -> Any:
+        event = super().get_event()
+        self.steps += 1
+        if self.steps > MAX_EVENTS:
+            message, remedy = f"more than {MAX_EVENTS} keys and values", "Write so long a document as JSON."
+            raise _marked("config.too_large", message, event.start_mark, remedy=remedy)
+        return event
 
 
 for _kind, _pattern in _CORE_SCHEMA.items():
@@ -103,17 +101,13 @@ def read_document(path: Path) -> Document:
     """
     try:
         if not path.is_file():
-            raise ConfigError("config.missing_file", "no such file", source=path, remedy="Check the path.")
+            raise ConfigError("config.missing_file", "no such file", source=path)
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        remedy = "Check the path and the permissions."
-        raise ConfigError(
-            "config.unreadable", "cannot be read", source=path, found=str(error), remedy=remedy
-        ) from error
+        raise ConfigError("config.unreadable", "cannot be read", source=path, found=str(error)) from error
     if len(content) > MAX_BYTES:
-        remedy = "Give a file of keys and values, not of data."
-        raise ConfigError("config.too_large", f"larger than {MAX_BYTES} bytes", source=path, remedy=remedy)
+        raise ConfigError("config.too_large", f"larger than {MAX_BYTES} bytes", source=path)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -132,7 +126,7 @@ def parse_document(text: str, source: str = "") -> Document:
             error.code, error.message, source=source, place=error.place, found=error.found, remedy=error.remedy
         ) from error
     except RecursionError as error:
-        raise ConfigError("config.too_deep", _TOO_DEEP, source=source, remedy="Write it flatter.") from error
+        raise ConfigError("config.too_deep", f"nested deeper than {MAX_DEPTH} levels", source=source) from error
 
 
 def dump_document(document: Document) -> str:
@@ -155,7 +149,7 @@ def _check_depth(document: Document) -> None:
     while layer:
         depth += 1
         if depth > MAX_DEPTH:
-            raise ConfigError("config.too_deep", _TOO_DEEP, remedy="Write it flatter.")
+            raise ConfigError("config.too_deep", f"nested deeper than {MAX_DEPTH} levels")
         children = [value.values() if isinstance(value, dict) else value for value in layer]
         layer = [child for group in children if not isinstance(group, str | int | float | None) for child in group]
 
@@ -165,7 +159,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(mapping) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ConfigError("config.duplicate_key", "this key stands twice", found=twice[:80], remedy=_ONE_KEY)
+        raise ConfigError("config.duplicate_key", "this key stands twice", found=twice)
     return mapping
 
 
@@ -176,13 +170,12 @@ def _parse_yaml(text: str) -> Document:
         if node is None:
             return None
         if _count_nodes(node, {}) > MAX_NODES:
-            message = f"more than {MAX_NODES} values after its aliases are expanded"
-            raise ConfigError("config.too_large", message, remedy="Use fewer aliases.")
+            raise ConfigError("config.too_large", f"more than {MAX_NODES} values after its aliases are expanded")
         return loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
-        raise _marked("config.yaml", str(error.problem), error.problem_mark, remedy=_PLAIN) from error
+        raise _marked("config.yaml", str(error.problem), error.problem_mark) from error
     except (yaml.YAMLError, ValueError) as error:  # ValueError: an integer of more than 4300 digits
-        raise ConfigError("config.yaml", " ".join(str(error).split()), remedy=_PLAIN) from error
+        raise ConfigError("config.yaml", " ".join(str(error).split())) from error
 
 
 def _count_nodes(node: yaml.Node, known: dict[int, int]) -> int:
@@ -195,7 +188,7 @@ def _count_nodes(node: yaml.Node, known: dict[int, int]) -> int:
     for child in node.value:
         for part in child if isinstance(child, tuple) else (child,):
             if known.get(id(part)) == -1:
-                raise _marked("config.recursive_alias", "an alias contains itself", part.start_mark, "", _NO_ALIAS)
+                raise _marked("config.recursive_alias", "an alias contains itself", part.start_mark)
             total += _count_nodes(part, known)
     known[id(node)] = total
     return total

@@ -14,6 +14,8 @@ from torchid.errors import ConfigError, OptionError
 Place = tuple[str | int, ...]
 Section = type
 """A pydantic model, or a dataclass of options."""
+MOST = 20
+"""Problems that are explained; what else is wrong is counted."""
 
 _CODES = {
     "extra_forbidden": "config.unknown_key",
@@ -41,28 +43,6 @@ _WORDINGS = {
     "model_type": "must be a mapping {key: value}",
     "dataclass_type": "must be a mapping {key: value}",
 }
-
-
-_REMEDIES = {
-    "bool_type": "Write true or false, without quotes.",
-    "float_type": "Write a number, without quotes.",
-    "int_type": "Write a whole number, without quotes.",
-    "int_from_float": "Write a whole number.",
-    "string_type": "Write text; in quotes where it looks like something else.",
-    "tuple_type": "Write a list: [a, b].",
-    "dict_type": "Write a mapping: {key: value}.",
-    "model_type": "Write a mapping: {key: value}.",
-    "dataclass_type": "Write a mapping: {key: value}.",
-    "path": "Write the path of a file; relative ones start at the config's folder.",
-    "unset_variable": "Set the variable, or write the path out.",
-    "unknown_name": "Use one of them.",
-    "marker_set": "Write the name of a built-in set, such as plug_in_gait, or the path of a YAML file.",
-    "duplicate_trial": "Give every trial a name of its own.",
-    "no_trials": "List recordings under trials:, or write a section simulate:.",
-    "no_mass": "Write subject.mass_kg, or leave inertia.known_mass out.",
-}
-MOST = 20
-"""Problems that are explained; what else is wrong is counted."""
 
 
 class InvalidConfig(ConfigError):
@@ -139,26 +119,18 @@ def _explain_one(
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         message, remedy = "unknown key", _nearest_key(place, document, model)
     elif kind == "missing":
-        message, remedy = "this key is required", f"Add `{place[-1]}: ...` there."
+        message = "this key is required"
     else:
         message = " or ".join(dict.fromkeys(_wording(detail) for detail in details))
         value = _value(document, place)
         found = repr(value)[:80] if place and not isinstance(value, dict | list) else ""
-        known = _literals(details)
-        remedy = _did_you_mean(str(value), known) or _remedy(kind, known)
+        remedy = _did_you_mean(str(value), _literals(details))
     code = _CODES.get(kind, "config.invalid_value")
     return ConfigError(code, message, source=source, place=dotted(place), found=found, remedy=remedy)
 
 
 def _wording(detail: ErrorDetails) -> str:
     return _WORDINGS.get(detail["type"], detail["msg"].replace("Input should be", "must be"))
-
-
-def _remedy(kind: str, known: Sequence[str]) -> str:
-    """What to write where no known word is near."""
-    if kind == "literal_error":
-        return f"Use one of {', '.join(known)}."
-    return _REMEDIES.get(kind, "Write a value within these bounds, or leave the key out for its default.")
 
 
 def _literals(details: list[ErrorDetails]) -> list[str]:

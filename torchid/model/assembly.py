@@ -86,22 +86,16 @@ def _ordered(links: Sequence[Link], source: str | Path) -> list[Link]:
     """Parents before children, otherwise in the file's order (depth first)."""
     twice = [name for name, count in Counter(link.name for link in links).items() if count > 1]
     if twice:
-        found = ", ".join(twice[:5])
-        raise InputError("model.name_twice", "a name stands twice", source=source, found=found, remedy="Rename one.")
+        raise InputError("model.name_twice", "a name stands twice", source=source, found=", ".join(twice[:5]))
     roots = [link for link in links if link.parent is None]
     if len(roots) != 1:
         found = ", ".join(link.name for link in roots[:5]) or "none: the joints form a loop"
-        remedy = "Join all links by joints that form one tree."
-        message = "needs exactly one link without parent"
-        raise InputError("model.root", message, source=source, found=found, remedy=remedy)
+        raise InputError("model.root", "needs exactly one link without parent", source=source, found=found)
     children: dict[str, list[Link]] = {link.name: [] for link in links}
     for link in links:
         if link.parent is not None:
             if link.parent not in children:
-                raise InputError(
-                    "model.parent", "unknown parent", source=source, place=link.place, found=link.parent,
-                    remedy="Name a link of the file.",
-                )  # fmt: skip
+                raise InputError("model.parent", "unknown parent", source=source, place=link.place, found=link.parent)
             children[link.parent].append(link)
     order, waiting = [], [roots[0]]
     while waiting:
@@ -110,9 +104,7 @@ def _ordered(links: Sequence[Link], source: str | Path) -> list[Link]:
     if len(order) < len(links):
         lost = [link for link in links if link not in order]
         names = ", ".join(link.name for link in lost[:5])
-        raise InputError(
-            "model.loop", "links form a loop", source=source, place=lost[0].place, found=names, remedy="Cut the loop."
-        )
+        raise InputError("model.loop", "links form a loop", source=source, place=lost[0].place, found=names)
     return order
 
 
