@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torchid.config import Config, InvalidConfig, dump_config, load_config
+from torchid.config.explain import MOST
 from torchid.contact.options import ContactOptions
 from torchid.documents import MAX_BYTES, dump_document, parse_document
 from torchid.errors import ConfigError
@@ -105,6 +106,16 @@ def test_hostile_documents_are_refused_with_a_code(write, text, code):
         load_config(write(text))
     assert caught.value.code == code
     assert caught.value.source
+
+
+def test_more_than_anybody_writes_is_refused_in_bounded_time(write):
+    """Ten thousand keys of YAML are too many, and of thousands of wrong keys in JSON the first are explained."""
+    many = "\n".join(f"k{k}: {k}" for k in range(6000))
+    with pytest.raises(ConfigError, match="JSON") as caught:
+        load_config(write(many))
+    assert caught.value.code == "config.too_large"
+    found = problems(write(json.dumps({f"k{k}": k for k in range(6000)}), "c.json"))
+    assert len(found) == MOST + 1 and found[""].code == "config.more_problems"
 
 
 def test_alias_bomb_is_refused():

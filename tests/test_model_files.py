@@ -1,5 +1,6 @@
 """Model files: what is written means the same to Pinocchio, MuJoCo and OpenSim, and what is read is what it says."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from torchid.errors import ConfigError, DataError, InputError
 from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.files import load_model
 from torchid.model.mechanics import axis_rotation, matrix_to_rpy, rpy_to_matrix
+from torchid.model.mjcf_words import WORDS
 from torchid.model.model import Geometry, Model
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.tree import BASE_DOFS, Tree
@@ -444,3 +446,46 @@ def test_other_suffixes_are_refused(tmp_path: Path) -> None:
         load_model(tmp_path / "a.sdf")
     with pytest.raises(InputError, match="model.osim"):
         load_model(tmp_path / "a.osim")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text", "said"),
+    [
+        (".urdf", _urdf(JOINT.format("revolute", "")).replace("axis xyz", "axis xzy"), "<axis> xzy: no name"),
+        (".urdf", _urdf(JOINT.format("revolute", "<lmit/>")), "<lmit>: no name"),
+        (".urdf", _urdf(JOINT.format("revolute", '<axis xyz="0 0 1"/>')), "<axis>: only the first"),
+        (".xml", _mjcf("", '<compilr angle="radian"/>'), "<compilr>: no name"),
+        (".xml", _mjcf('<body><joint axes="0 0 1"/><geom size="1"/></body>'), "<joint> axes: no name"),
+        (".xml", _mjcf("", '<default><gaom density="1"/></default>'), "<gaom>: no name"),
+    ],
+)
+def test_names_that_the_format_lacks_are_said(suffix: str, text: str, said: str, tmp_path: Path) -> None:
+    """A misspelt element or attribute is not read as if it were absent, without a word; neither is a second one."""
+    (tmp_path / f"a{suffix}").write_text(text)
+    _, notes = load_model(tmp_path / f"a{suffix}")
+    assert any(said in note.message for note in notes if note.code in ("model.unread", "model.twice"))
+
+
+def test_sound_models_have_no_strange_names(tmp_path: Path, seed: int) -> None:
+    """Neither what torchid writes nor a model with everything that is read."""
+    tree, geometry, phi = _subject(np.random.default_rng(seed), 0)
+    write_urdf(tree, geometry, phi, tmp_path / "a.urdf", {"toe": (tree.names[-1], [0.0, 0.0, 0.1])})
+    (tmp_path / "a.xml").write_text(MJCF.format(angle="radian", sequence="xyz", euler="0 0 1", turn=0.7))
+    for name in ("a.urdf", "a.xml"):
+        assert not {note.code for note in load_model(tmp_path / name)[1]} & {"model.unread", "model.twice"}
+
+
+def test_the_words_of_mjcf_are_those_of_mujoco() -> None:
+    """MuJoCo's own schema lists every element and attribute of the table, below the elements that are looked at."""
+    schema = pytest.importorskip("mujoco").mj_printSchema(False, False)
+    known = set(re.findall(r"[A-Za-z_0-9]+", schema))
+    own = {word.rstrip("*") for pair in WORDS.values() for text in pair for word in text.split()}
+    assert own - known == {"include", "frame", "replicate", "composite", "worldbody"} - known
+
+
+def test_next_to_no_mass_is_none(tmp_path: Path) -> None:
+    """A mass whose quotients overflow is refused as none."""
+    inside = '<body><joint/><inertial pos="0 0 0" mass="1e-320" diaginertia="1 1 1"/></body>'
+    (tmp_path / "a.xml").write_text(_mjcf(inside))
+    with pytest.raises(InputError, match=r"model\.massless"):
+        load_model(tmp_path / "a.xml")

@@ -14,6 +14,8 @@ from torchid.errors import ConfigError, OptionError
 Place = tuple[str | int, ...]
 Section = type
 """A pydantic model, or a dataclass of options."""
+MOST = 20
+"""Problems that are explained; what else is wrong is counted."""
 
 _CODES = {
     "extra_forbidden": "config.unknown_key",
@@ -75,8 +77,13 @@ def explain(details: list[ErrorDetails], document: Any, model: type[BaseModel], 
     for detail in details:
         grouped.setdefault(_place(detail, document), []).append(detail)
     # A union reports every member; the one that went deepest is what the user meant.
-    deepest = [place for place in grouped if not any(len(p) > len(place) and p[: len(place)] == place for p in grouped)]
-    return InvalidConfig([_explain_one(place, grouped[place], document, model, source) for place in deepest])
+    above = {place[:k] for place in grouped for k in range(len(place))}
+    deepest = [place for place in grouped if place not in above]
+    problems = [_explain_one(place, grouped[place], document, model, source) for place in deepest[:MOST]]
+    if len(deepest) > MOST:
+        message, remedy = f"{len(deepest) - MOST} more problems are not listed", "Correct those above first."
+        problems.append(ConfigError("config.more_problems", message, source=source, remedy=remedy))
+    return InvalidConfig(problems)
 
 
 def dotted(place: Place) -> str:

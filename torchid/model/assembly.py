@@ -73,12 +73,13 @@ def check_body(mass: float, I_C: Array, element: Element, path: str | Path) -> N
         InputError: ``model.mass`` or ``model.inertia``: principal moments of which one exceeds the others' sum.
     """
     if not mass > 0.0:
-        raise fault(element, path, "model.mass", "a mass must be positive", f"{mass:g} kg")
+        remedy = "Correct the mass, or leave the inertial of a massless link out."
+        raise fault(element, path, "model.mass", "a mass must be positive", f"{mass:g} kg", remedy=remedy)
     second = np.linalg.eigvalsh(0.5 * np.trace(I_C) * np.eye(3) - I_C)
     if second[0] < -NOT_A_BODY * np.abs(second).sum():
         moments = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(I_C))
         remedy = "Each must be positive and at most the sum of the two others; export the inertia again."
-        raise fault(element, path, "model.inertia", "no body has these principal moments", moments, remedy)
+        raise fault(element, path, "model.inertia", "no body has these principal moments", moments, remedy=remedy)
 
 
 def _ordered(links: Sequence[Link], source: str | Path) -> list[Link]:

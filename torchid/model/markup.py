@@ -51,9 +51,7 @@ def place(element: Element) -> str:
     return f"line {element.sourceline}, <{element.tag}{f' name={name!r}' if name else ''}>"[:160]
 
 
-def fault(
-    element: Element, source: str | Path, code: str, message: str, found: str = "", remedy: str = ""
-) -> InputError:
+def fault(element: Element, source: str | Path, code: str, message: str, found: str = "", *, remedy: str) -> InputError:
     """The error of an element."""
     return InputError(code, message, source=source, place=place(element), found=found[:80], remedy=remedy)
 
@@ -70,7 +68,8 @@ def numbers(text: str, element: Element, source: str | Path, counts: Sequence[in
         values = [math.nan]
     if len(values) not in counts or not all(abs(value) <= MAX_NUMBER for value in values):
         wanted = " or ".join(str(count) for count in counts)
-        raise fault(element, source, "xml.number", f"needs {wanted} number(s) of sound size", text)
+        message = f"needs {wanted} number(s) of sound size"
+        raise fault(element, source, "xml.number", message, text, remedy="Write plain numbers with blanks between.")
     return values
 
 

@@ -17,8 +17,10 @@ from torchid.model.assembly import Link, assemble, check_body
 from torchid.model.markup import Element, fault, numbers, place, read_xml
 from torchid.model.mechanics import Array, axis_rotation, pose, pseudo_inertia
 from torchid.model.mjcf_shapes import shape_inertia, z_to
+from torchid.model.mjcf_words import WORDS
 from torchid.model.model import Model
 from torchid.model.tree_of_links import Axis, FileScatter
+from torchid.model.vocabulary import unread
 
 REFUSED = ("include", "frame", "replicate", "attach", "composite", "flexcomp", "plugin")
 COMPILED = "Let MuJoCo write the compiled model: <compiler saveinertial='true'/>, then mujoco.mj_saveLastXML."
@@ -71,7 +73,8 @@ def read_mjcf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
     free = [body for body in tops if _free_joint(body, reading, None) is not None]
     if len(free) != 1 and len(tops) != 1:
         found = f"{len(tops)} bodies in the world, {len(free)} free"
-        raise fault(root, path, "mjcf.root", "needs one body in the world, or one with a free joint", found)
+        message, remedy = "needs one body in the world, or one with a free joint", "Leave one body there."
+        raise fault(root, path, "mjcf.root", message, found, remedy=remedy)
     top = (free or tops)[0]
     if not free:
         reading.say("base_floats", f"{place(top)}: has no free joint; it floats, and its own joints are left out")
@@ -81,7 +84,7 @@ def read_mjcf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
     if reading.armature:
         reading.say("armature", f"{', '.join(reading.armature)}: armature is no inertia of a body and is left out")
     model, notes = assemble(reading.links, path, reading.sites, scatter or FileScatter())
-    return model, (*reading.notes, *notes)
+    return model, (*unread(root, WORDS, str(path)), *reading.notes, *notes)
 
 
 def _refuse(root: Element, path: str | Path) -> None:
@@ -94,13 +97,13 @@ def _refuse(root: Element, path: str | Path) -> None:
         x, y, z = numbers(option.get("gravity", "0 0 -9.81"), option, path, (3,))
         if math.hypot(x, y) > 1e-3 * abs(z) or z > 0.0:
             remedy = "Turn the model until Z points up."
-            raise fault(option, path, "mjcf.up", "gravity does not point along -Z", f"{x:g} {y:g} {z:g}", remedy)
+            raise fault(option, path, "mjcf.up", "gravity does not point along -Z", f"{x:g} {y:g} {z:g}", remedy=remedy)
 
 
 def _read_compiler(compiler: Element, reading: _Reading) -> None:
     for key in TOTALS:
         if key in compiler.attrib and compiler.get(key) not in ("-1", "0", "false", "local", "0 5"):
-            raise fault(compiler, reading.path, "mjcf.compiler", "this option is not read", key, COMPILED)
+            raise fault(compiler, reading.path, "mjcf.compiler", "this option is not read", key, remedy=COMPILED)
     reading.degrees = compiler.get("angle", "degree" if reading.degrees else "radian") != "radian"
     reading.sequence = compiler.get("eulerseq", reading.sequence)
     reading.from_shapes = compiler.get("inertiafromgeom", reading.from_shapes)
@@ -117,7 +120,7 @@ def _read_default(default: Element, parent: str, reading: _Reading) -> None:
     classes[name] = known
     for child in default.findall("default"):
         if not child.get("class"):
-            raise fault(child, reading.path, "mjcf.default", "an inner default needs a class")
+            raise fault(child, reading.path, "mjcf.default", "an inner default needs a class", remedy="Name it.")
         _read_default(child, name, reading)
 
 
@@ -125,7 +128,8 @@ def _attributes(element: Element, inherited: str | None, reading: _Reading) -> d
     """Attributes of an element over those of its class."""
     name = element.get("class") or inherited or "main"
     if name not in reading.classes:
-        raise fault(element, reading.path, "mjcf.class", "unknown class", name)
+        remedy = f"Known: {', '.join(list(reading.classes)[:20])}."
+        raise fault(element, reading.path, "mjcf.class", "unknown class", name, remedy=remedy)
     return reading.classes[name].get(str(element.tag), {}) | dict(element.attrib)
 
 
@@ -142,7 +146,8 @@ def _read_body(body: Element, parent: str | None, inherited: str | None, reading
     inherited = body.get("childclass") or inherited
     name = body.get("name") or f"body_{len(reading.links)}"
     if parent is not None and _free_joint(body, reading, inherited) is not None:
-        raise fault(body, reading.path, "mjcf.free", "only a body of the world may be free")
+        remedy = "Move the body into the world, or give it another joint."
+        raise fault(body, reading.path, "mjcf.free", "only a body of the world may be free", remedy=remedy)
     axes, anchor = _joints(body, name, inherited, reading) if parent is not None else ((), np.zeros(3))
     pseudo = _inertia(body, inherited, reading)
     reading.links.append(Link(name, parent, _pose(body, dict(body.attrib), reading), axes, anchor, pseudo, place(body)))
@@ -180,22 +185,26 @@ def _joints(body: Element, name: str, inherited: str | None, reading: _Reading) 
 def _axes(joint: Element, label: str, values: dict[str, str], reading: _Reading) -> list[Axis]:
     kind = values.get("type", "hinge")
     if numbers(values.get("ref", "0"), joint, reading.path, (1,))[0] != 0.0:
-        raise fault(joint, reading.path, "mjcf.ref", "a reference other than zero is not read", values["ref"])
+        message = "a reference other than zero is not read"
+        raise fault(joint, reading.path, "mjcf.ref", message, values["ref"], remedy=COMPILED)
     if kind == "ball":
         reading.say("ball", f"{label}: a ball joint, read as turns about X, Y, Z")
         return [Axis(f"{label}_{axis}", False, np.eye(3)[k]) for k, axis in enumerate("xyz")]
     if kind not in ("hinge", "slide"):
-        raise fault(joint, reading.path, "mjcf.joint", "unknown type of joint", kind)
+        raise fault(
+            joint, reading.path, "mjcf.joint", "unknown type of joint", kind, remedy="Use free, ball, slide or hinge."
+        )
     unit = np.array(numbers(values.get("axis", "0 0 1"), joint, reading.path, (3,)))
     if not np.linalg.norm(unit) > 0.0:
-        raise fault(joint, reading.path, "mjcf.axis", "an axis of length zero")
+        raise fault(joint, reading.path, "mjcf.axis", "an axis of length zero", remedy="Give it a direction.")
     lower, upper = -math.inf, math.inf
     if "range" in values and values.get("limited", "auto") != "false":
         lower, upper = numbers(values["range"], joint, reading.path, (2,))
         if reading.degrees and kind == "hinge":
             lower, upper = math.radians(lower), math.radians(upper)
         if lower > upper:
-            raise fault(joint, reading.path, "mjcf.range", "the lower limit is above the upper", values["range"])
+            message, remedy = "the lower limit is above the upper", "Exchange them."
+            raise fault(joint, reading.path, "mjcf.range", message, values["range"], remedy=remedy)
     return [Axis(label, kind == "slide", unit / np.linalg.norm(unit), lower, upper)]
 
 
@@ -211,13 +220,15 @@ def _orientation(element: Element, values: dict[str, str], reading: _Reading) ->
     if not spellings:
         return np.eye(3)
     if len(spellings) > 1:
-        raise fault(element, reading.path, "mjcf.orientation", "two orientations", " and ".join(spellings))
+        found = " and ".join(spellings)
+        raise fault(element, reading.path, "mjcf.orientation", "two orientations", found, remedy="Leave one.")
     kind = spellings[0]
     count = {"quat": 4, "axisangle": 4, "xyaxes": 6}.get(kind, 3)
     v = np.array(numbers(values[kind], element, reading.path, (count,)))
     norm = np.linalg.norm(v[:3] if kind in ("axisangle", "xyaxes") else v)
     if kind != "euler" and not norm > 0.0:
-        raise fault(element, reading.path, "mjcf.orientation", f"a {kind} of length zero", values[kind])
+        message, remedy = f"a {kind} of length zero", "Give it a direction, or leave it out."
+        raise fault(element, reading.path, "mjcf.orientation", message, values[kind], remedy=remedy)
     unit = math.radians(1.0) if reading.degrees else 1.0
     if kind == "quat":
         return Rotation.from_quat(v[[1, 2, 3, 0]]).as_matrix()
@@ -229,7 +240,8 @@ def _orientation(element: Element, values: dict[str, str], reading: _Reading) ->
         return z_to(v / norm)
     x, y = v[:3] / norm, v[3:] - (v[3:] @ v[:3]) / norm**2 * v[:3]
     if not np.linalg.norm(y) > 0.0:
-        raise fault(element, reading.path, "mjcf.orientation", "axes of one direction", values[kind])
+        message, remedy = "axes of one direction", "Give two that are not parallel."
+        raise fault(element, reading.path, "mjcf.orientation", message, values[kind], remedy=remedy)
     y = y / np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
@@ -237,7 +249,8 @@ def _orientation(element: Element, values: dict[str, str], reading: _Reading) ->
 def _euler(element: Element, angles: Array, reading: _Reading) -> Array:
     """Three turns: lower case about axes that turn along, upper case about the parent's."""
     if len(reading.sequence) != 3 or not set(reading.sequence.lower()) <= set("xyz"):
-        raise fault(element, reading.path, "mjcf.eulerseq", "not a sequence of three axes", reading.sequence)
+        message, remedy = "not a sequence of three axes", "Write three of x, y, z, X, Y, Z in <compiler eulerseq>."
+        raise fault(element, reading.path, "mjcf.eulerseq", message, reading.sequence, remedy=remedy)
     R = np.eye(3)
     for letter, angle in zip(reading.sequence, angles, strict=True):
         turn = axis_rotation("xyz".index(letter.lower()), angle)

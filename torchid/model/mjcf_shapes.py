@@ -28,19 +28,22 @@ def shape_inertia(geom: Element, values: dict[str, str], path: str | Path, remed
     if kind in WITHOUT_MASS or _is(values, "mass", geom, path, 0.0):
         return 0.0, np.zeros((3, 3)), np.eye(4)
     if kind not in SIZES or "mesh" in values or values.get("shellinertia", "false") == "true":
-        raise fault(geom, path, "mjcf.shape", "the inertia of this shape is not computed", kind, remedy)
+        raise fault(geom, path, "mjcf.shape", "the inertia of this shape is not computed", kind, remedy=remedy)
     X, half = (np.eye(4), None) if "fromto" not in values else _between(geom, values, path)
     size = numbers(values.get("size", ""), geom, path, range(1, 4))
     if half is not None:
         size = [size[0], half] if SIZES[kind] == 2 else [size[0], size[0], half]  # MuJoCo ignores a second one
     if len(size) < SIZES[kind] or min(size[: SIZES[kind]]) <= 0.0:
-        raise fault(geom, path, "mjcf.size", f"a {kind} needs {SIZES[kind]} positive size(s)", values.get("size", ""))
+        message, found = f"a {kind} needs {SIZES[kind]} positive size(s)", values.get("size", "")
+        raise fault(geom, path, "mjcf.size", message, found, remedy="Write them in size, or give an inertial.")
     volume, per_mass = _UNIT[kind](*size[: SIZES[kind]])
     mass = numbers(values.get("mass", ""), geom, path, (1,))[0] if "mass" in values else (
         volume * numbers(values.get("density", str(DENSITY)), geom, path, (1,))[0]
     )  # fmt: skip
     if mass < 0.0:
-        raise fault(geom, path, "model.mass", "a mass must be positive", f"{mass:g} kg")
+        raise fault(
+            geom, path, "model.mass", "a mass must be positive", f"{mass:g} kg", remedy="Correct mass or density."
+        )
     x, y, z = per_mass
     return mass, mass * np.diag([y + z, x + z, x + y]), X
 
@@ -55,7 +58,8 @@ def _between(geom: Element, values: dict[str, str], path: str | Path) -> tuple[A
     along = ends[:3] - ends[3:]
     length = float(np.linalg.norm(along))
     if not length > 0.0:
-        raise fault(geom, path, "mjcf.fromto", "two equal points", values["fromto"])
+        remedy = "Give two points that differ."
+        raise fault(geom, path, "mjcf.fromto", "two equal points", values["fromto"], remedy=remedy)
     return pose(z_to(along / length), 0.5 * (ends[:3] + ends[3:])), 0.5 * length
 
 

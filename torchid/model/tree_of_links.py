@@ -23,6 +23,8 @@ from torchid.model.tree import Body, Dof, Slide, Tree, Turn
 
 ALIGNED = 1e-12
 """Sine of the lean below which an axis is its coordinate axis."""
+LEAST_MASS = 1e-9
+"""Below it a body has none [kg]: it moves nothing, and quotients by it overflow."""
 LEAST_EXTENT = 1e-3
 """Root of the second moment per mass along a principal axis that every body has at least [m]."""
 
@@ -187,9 +189,12 @@ def _thicken(bodies: Sequence[Placed], source: str) -> tuple[Array, tuple[Note, 
     phi, thin = [], []
     for body in bodies:
         P, mass = body.pseudo.copy(), body.pseudo[3, 3]
-        if not mass > 0.0:
+        if not mass > LEAST_MASS:
             remedy = "Give it an inertial."
-            raise InputError("model.massless", "a body has no mass", source=source, place=body.place, remedy=remedy)
+            raise InputError(
+                "model.massless", "a body has no mass", source=source, place=body.place, found=f"{mass:g} kg",
+                remedy=remedy,
+            )  # fmt: skip
         centre = P[:3, 3] / mass
         square, axes = np.linalg.eigh(P[:3, :3] / mass - np.outer(centre, centre))
         if square[0] < LEAST_EXTENT**2:

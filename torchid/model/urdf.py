@@ -28,10 +28,26 @@ from torchid.model.mechanics import (
 from torchid.model.model import Geometry, Model
 from torchid.model.tree import Body, Dof, Tree
 from torchid.model.tree_of_links import Axis, FileScatter
+from torchid.model.vocabulary import unread
 
 UNLIMITED = 1e9
 """Written for a limit that does not exist, where URDF demands one; read as none [m, rad]."""
 MOVING = ("revolute", "continuous", "prismatic")
+_PARTS = "inertial visual* collision* contact sensor* self_collision_checking"
+_WORDS = {
+    "robot": ("name version", "link* joint* material* transmission* gazebo* ros2_control* sensor* mujoco drake"),
+    "link": ("name type", _PARTS),
+    "inertial": ("", "origin mass inertia"),
+    "origin": ("xyz rpy", ""),
+    "mass": ("value", ""),
+    "inertia": ("ixx ixy ixz iyy iyz izz", ""),
+    "joint": ("name type", "origin parent child axis limit mimic dynamics calibration safety_controller actuator*"),
+    "parent": ("link", ""),
+    "child": ("link", ""),
+    "axis": ("xyz", ""),
+    "limit": ("lower upper effort velocity acceleration deceleration jerk", ""),
+}
+"""http://wiki.ros.org/urdf/XML, with what URDF 1.2, Gazebo and MuJoCo add."""
 
 
 def read_urdf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Model, tuple[Note, ...]]:
@@ -58,17 +74,18 @@ def read_urdf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
     for element in root.findall("joint"):
         child = _end(element, "child", links, path)
         if child in joints:
-            raise fault(element, path, "model.loop", "a link hangs on two joints", child, "Cut the loop.")
+            raise fault(element, path, "model.loop", "a link hangs on two joints", child, remedy="Cut the loop.")
         joints[child] = element
     _drop_world(links, joints, path)
-    return assemble([_link(name, links[name], joints.get(name), links, path) for name in links], path, {},
-                    scatter or FileScatter())  # fmt: skip
+    read = [_link(name, links[name], joints.get(name), links, path) for name in links]
+    model, notes = assemble(read, path, {}, scatter or FileScatter())
+    return model, (*unread(root, _WORDS, str(path)), *notes)
 
 
 def _name(element: Element, path: str | Path) -> str:
     name = element.get("name")
     if not name:
-        raise fault(element, path, "urdf.name", "needs a name")
+        raise fault(element, path, "urdf.name", "needs a name", remedy='Give it name="...".')
     return name
 
 
@@ -76,7 +93,8 @@ def _end(joint: Element, which: str, links: dict[str, Element], path: str | Path
     end = joint.find(which)
     name = end.get("link", "") if end is not None else ""
     if name not in links:
-        raise fault(joint, path, "urdf.link", f"its {which} is no link of the file", name)
+        remedy = f'Write <{which} link="..."/> with the name of a link.'
+        raise fault(joint, path, "urdf.link", f"its {which} is no link of the file", name, remedy=remedy)
     return name
 
 
@@ -87,7 +105,8 @@ def _drop_world(links: dict[str, Element], joints: dict[str, Element], path: str
             parent = _end(joint, "parent", links, path)
             alone = sum(_end(other, "parent", links, path) == parent for other in joints.values()) == 1
             if parent in joints or links[parent].find("inertial") is not None or not alone:
-                raise fault(joint, path, "urdf.joint", "only the root may float", "floating")
+                remedy = f"Use one of fixed, {', '.join(MOVING)}."
+                raise fault(joint, path, "urdf.joint", "only the root may float", "floating", remedy=remedy)
             del joints[child], links[parent]
 
 
@@ -106,17 +125,19 @@ def _axes(joint: Element, path: str | Path) -> tuple[Axis, ...]:
         return ()
     if kind not in MOVING:
         remedy = f"Known: fixed, {', '.join(MOVING)}."
-        raise fault(joint, path, "urdf.joint", "a joint of unknown type", kind, remedy)
+        raise fault(joint, path, "urdf.joint", "a joint of unknown type", kind, remedy=remedy)
     mimic = joint.find("mimic")
     if mimic is not None:
         remedy = "Make the joint fixed or free."
-        raise fault(mimic, path, "urdf.mimic", "coupled joints are not supported", mimic.get("joint", ""), remedy)
+        raise fault(
+            mimic, path, "urdf.mimic", "coupled joints are not supported", mimic.get("joint", ""), remedy=remedy
+        )
     element = joint.find("axis")
     unit = np.array([1.0, 0.0, 0.0])
     if element is not None:
         unit = np.array(numbers(element.get("xyz", "1 0 0"), element, path, (3,)))
     if element is not None and not np.linalg.norm(unit) > 0.0:
-        raise fault(element, path, "urdf.axis", "an axis of length zero")
+        raise fault(element, path, "urdf.axis", "an axis of length zero", remedy="Give it a direction.")
     lower, upper = _limits(joint, path) if kind != "continuous" else (-math.inf, math.inf)
     return (Axis(_name(joint, path), kind == "prismatic", unit / np.linalg.norm(unit), lower, upper),)
 
@@ -127,7 +148,8 @@ def _limits(joint: Element, path: str | Path) -> tuple[float, float]:
         return -math.inf, math.inf
     lower, upper = (numbers(limit.get(end, "0"), limit, path, (1,))[0] for end in ("lower", "upper"))
     if lower > upper:
-        raise fault(limit, path, "urdf.limit", "the lower limit is above the upper", f"{lower:g} > {upper:g}")
+        found = f"{lower:g} > {upper:g}"
+        raise fault(limit, path, "urdf.limit", "the lower limit is above the upper", found, remedy="Exchange them.")
     return (-math.inf if lower <= -UNLIMITED else lower), (math.inf if upper >= UNLIMITED else upper)
 
 
@@ -147,7 +169,8 @@ def _inertial(link: Element, path: str | Path) -> Array:
         return np.zeros((4, 4))
     mass_element, tensor = inertial.find("mass"), inertial.find("inertia")
     if mass_element is None or tensor is None:
-        raise fault(inertial, path, "urdf.inertial", "needs mass and inertia")
+        remedy = "Give both, or leave the inertial of a massless link out."
+        raise fault(inertial, path, "urdf.inertial", "needs mass and inertia", remedy=remedy)
     mass = numbers(mass_element.get("value", ""), mass_element, path, (1,))[0]
     xx, xy, xz, yy, yz, zz = (
         numbers(tensor.get(key, "0"), tensor, path, (1,))[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")

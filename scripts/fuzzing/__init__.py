@@ -1,0 +1,1 @@
+"""Damaged files for torchid's readers, and what becomes of each."""

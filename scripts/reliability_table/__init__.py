@@ -1,0 +1,1 @@
+"""The goals of reliability, measured or taken from the last record."""

@@ -1,0 +1,52 @@
+"""A table of the goals of reliability: what is reached, by which command, and whether that is enough.
+
+    scripts/reliability                    # quick ones measured now, long ones as they were last recorded
+    scripts/reliability --only G5 G28
+
+Long measurements write their row to scripts/reliability.json when they are called with --record; those that never were
+read "not measured here". The exit code is 1 where a goal that was measured is not reached.
+"""
+
+import argparse
+import secrets
+import sys
+
+from reliability_table.goals import GOALS, Measuring
+from reliability_table.record import Figure, recorded
+
+
+def main() -> None:
+    """Measure, and print the table as it grows."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", choices=GOALS, default=list(GOALS), metavar="GOAL")
+    parser.add_argument("--count", type=int, default=2000, help="C3D mutants; others in proportion (default 2000)")
+    parser.add_argument("--seed", type=int, help="of the draws; default: a new one, which is printed")
+    args = parser.parse_args()
+    seed = secrets.randbelow(2**32) if args.seed is None else args.seed
+    print(f"seed {seed}\n\n| id | goal | figure | reached | how |\n|---|---|---|---|---|")
+    found = [_row(name, Measuring(seed, args.count)) for name in args.only]
+    sys.exit(1 if False in found else 0)
+
+
+def _row(name: str, by: Measuring) -> bool | None:
+    """Print the row of a goal, and what is recorded of it; returns whether it is reached."""
+    words, how = GOALS[name]
+    records = {key: figure for key, figure in recorded().items() if key.split()[0] == name}
+    if isinstance(how, str):
+        figure = records.pop(name, Figure("not measured here", None, how))
+    else:
+        figure = how(by)
+    _print(name, words, figure)
+    for key, one in records.items():
+        _print(key, "recorded", one)
+    return figure.reached
+
+
+def _print(name: str, words: str, figure: Figure) -> None:
+    reached = {True: "yes", False: "NO", None: "-"}[figure.reached]
+    date = f" ({figure.date})" if figure.date else ""
+    print(f"| {name} | {words} | {figure.text}{date} | {reached} | `{figure.command}` |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
