@@ -23,7 +23,8 @@ from torchid.errors import Note
 from torchid.experiment.diagnosis_stage import Observer, forceful, spans
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.pieces import ends, pieces
-from torchid.experiment.stages import follow, put_aside, subject_prior
+from torchid.experiment.stages import put_aside, subject_prior
+from torchid.experiment.standing import follow_each
 from torchid.experiment.swapped_markers import relabel, swap_causes
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
@@ -179,8 +180,8 @@ def follow_extended(
     """
     assert base.diagnosis is not None
     found = {}
-    for name, trial in session.trials.items():
-        one = follow(fit, trial, tracked[name], base.cutoff_hz, config)
+    for one in follow_each(fit, session, lambda name: tracked[name], base.cutoff_hz, config):
+        name = one.name
         if name in added and one.wrench is not None:
             used = one.wrench.used & ~inside_any(base.diagnosis.aside, name, one.wrench.motion.time)
             one = replace(one, wrench=replace(one.wrench, wrench=one.wrench.wrench - added[name], used=used))

@@ -6,6 +6,7 @@ import torch
 
 from torchid.config import Config
 from torchid.errors import DataError
+from torchid.experiment.standing import standing_weight
 from torchid.geometry.fit import fit_geometry
 from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import Identified, identify_inertia
@@ -34,7 +35,7 @@ def fit_session(config: Config, session: Session, free: bool, progress: OnStage)
 
 
 def identify(config: Config, outcome: Outcome, progress: OnStage) -> Identified:
-    """Inertia on the fit trials.
+    """Inertia on the fit trials, with the total mass that standing on plates has told.
 
     Raises:
         DataError: nobody saw how much of the body moves.
@@ -44,8 +45,9 @@ def identify(config: Config, outcome: Outcome, progress: OnStage) -> Identified:
         _refuse_unseen(outcome)
     names = outcome.session.fit("inertia")
     trials = [outcome.followed[n].wrench for n in names]
-    mass, box = None, None
-    who = config.subject
+    who, box = config.subject, None
+    weight = standing_weight(outcome.followed.values(), outcome.session)
+    mass = None if weight is None else (weight.mass, weight.sd)
     if config.inertia.known_mass and who.mass_kg:
         mass = (who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg)
     if config.inertia.com_boxes:

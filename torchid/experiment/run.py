@@ -13,6 +13,7 @@ from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, put_aside, subject_prior, torques
+from torchid.experiment.standing import follow_each
 from torchid.experiment.swapped_markers import put_right
 from torchid.experiment.write import result_names, write_outcome
 from torchid.files import file_sha256, write_json, write_text
@@ -86,10 +87,7 @@ def _compute(
     tracked = _track_all(session, folder, key, {"motion": fit, "scaled": scaled}, progress)
     with folder.timed("follow"):
         followed, followed_scaled = (
-            {
-                name: put_aside(follow(g, trial, tracked[kind][name], cutoff_hz, config), folder)
-                for name, trial in session.trials.items()
-            }
+            _followed(g, session, tracked[kind], cutoff_hz, config, folder)
             for kind, g in (("motion", fit), ("scaled", scaled))
         )
     outcome = Outcome(
@@ -143,6 +141,15 @@ def _track_all(
     return found
 
 
+def _followed(
+    fit: GeometryFit, session: Session, tracked: dict[str, Tracked], cutoff_hz: float, config: Config,
+    folder: OutputFolder,
+) -> dict[str, Followed]:  # fmt: skip
+    each = follow_each(fit, session, lambda name: tracked[name], cutoff_hz, config)
+    found = {one.name: put_aside(one, folder) for one in each}
+    return {name: found[name] for name in session.trials}
+
+
 def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
     notes = []
     for name, item in followed.items():
@@ -150,6 +157,9 @@ def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
             frames = len(item.contact.used)
             said = f"{item.contact.excluded} of {frames} frames left out: a foot stands beside the plates"
             notes.append(Note("contact.beside", said, name))
+        if item.contact is not None and item.contact.short:
+            said = f"{item.contact.short} frames left out: the plates miss a part of the weight that standing has told"
+            notes.append(Note("contact.short", said, name))
     return notes
 
 

@@ -1,15 +1,13 @@
 """What each stage of an experiment computes from the stages before."""
 
-from collections.abc import Iterable
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.contact.balance import Weight, falls_short
 from torchid.contact.contact import find_contact
-from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
 from torchid.dynamics import body_rows, body_wrenches, dynamic_state, generalised_forces, wrench_about
 from torchid.experiment.read import SHORTEST
 from torchid.filters import Smoother
@@ -23,7 +21,7 @@ from torchid.model.tree import Tree
 from torchid.motion import Motion, choose_cutoff, smooth_motion
 from torchid.outcome import Followed, Session
 from torchid.recording import Trial
-from torchid.regressor.rows import WrenchTrial, predict
+from torchid.regressor.rows import WrenchTrial
 from torchid.results import OutputFolder
 
 SOLE = ("heel", "mt5", "mt1", "toe")
@@ -37,11 +35,6 @@ ENDS = 0.2
 """So are frames closer to an end of the recording: a filter that knows one side only knows no acceleration. On exact
 synthetic data the residual is 110 N in the two outermost frames, 50 N a fifth of a period in, 9 N inside."""
 CHUNK = 2048
-STANDS = 0.9
-"""Who stands keeps the median of the force at this share of its largest value."""
-PLATE_GAIN = 0.005
-"""Relative scatter of masses that one laboratory's plates read in standing and in walking: 0.4 % in eight public
-sessions."""
 
 
 def cutoff(config: Config, session: Session) -> float:
@@ -55,11 +48,16 @@ def cutoff(config: Config, session: Session) -> float:
 
 
 def follow(
-    fit: GeometryFit, trial: Trial, tracked: Tracked, cutoff_hz: float, config: Config, weight: Weight | None = None
+    fit: GeometryFit,
+    trial: Trial,
+    tracked: Tracked,
+    cutoff_hz: float,
+    config: Config,
+    short: Callable[[Motion], Bool[Tensor, " frames"]] | None = None,
 ) -> Followed:
     """Smooth motion of a tracked trial, its contacts, and the wrench of the plates.
 
-    ``weight`` is what the subject weighs, where a standing trial has told it (``standing_weight``).
+    ``short`` tells the frames in which the plates miss a part of the weight, where standing has told it.
     """
     tree = fit.model.tree
     if len(trial.markers.time) < SHORTEST:
@@ -71,39 +69,18 @@ def follow(
     if trial.forces is None:
         return Followed(trial.name, tracked, motion)
     sure = seen & _inside(len(seen), round(ENDS / smoother.cutoff_hz * rate)).to(seen.device)
-    short = None if weight is None else _short(fit, trial, motion, weight, config)
     contact = find_contact(
-        soles(fit, tracked), trial.forces, sure, rate, SPREAD / smoother.cutoff_hz, config.contact, short
+        soles(fit, tracked),
+        trial.forces,
+        sure,
+        rate,
+        SPREAD / smoother.cutoff_hz,
+        config.contact,
+        None if short is None else short(motion),
     )
     total = smoother(torch.nan_to_num(trial.forces.total), contact.measured.to(torch.float64))
     wrench = WrenchTrial(trial.name, tree, fit.geometry, motion, total, contact.used)
     return Followed(trial.name, tracked, motion, contact, wrench)
-
-
-def _short(fit: GeometryFit, trial: Trial, motion: Motion, weight: Weight, config: Config) -> Bool[Tensor, " frames"]:
-    """Frames in which the plates miss a part of the weight, with the prior's shares of mass."""
-    assert trial.forces is not None
-    known = torch.isfinite(trial.forces.total[:, 2])
-    total = motion.smoother(torch.nan_to_num(trial.forces.total), known.to(torch.float64))
-    phi = subject_prior(config, fit).mean
-    every = WrenchTrial(trial.name, fit.model.tree, fit.geometry, motion, total, known)
-    needed = predict(every, phi)[:, 2] * (weight.mass / phi[:, 0].sum())
-    return known & falls_short(total[:, 2], needed, weight, trial.markers.rate, config.contact)
-
-
-def standing_weight(followed: Iterable[Followed], session: Session) -> Weight | None:
-    """What the subject weighs, from the static trials that stand on plates; None where none does."""
-    levels = {}
-    for item in followed:
-        trial = session.trials[item.name]
-        if trial.role == "static" and item.contact is not None and trial.forces is not None:
-            vertical = trial.forces.total[item.contact.measured, 2]
-            if len(vertical) and float(vertical.median()) > STANDS * float(vertical.max()) > SAMPLE_LOADED_N:
-                levels[item.name] = float(vertical.mean()) / GRAVITY
-    if not levels:
-        return None
-    mass = sum(levels.values()) / len(levels)
-    return Weight(mass, PLATE_GAIN * mass, tuple(levels))
 
 
 def put_aside(followed: Followed, folder: OutputFolder) -> Followed:

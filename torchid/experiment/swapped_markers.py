@@ -17,8 +17,9 @@ from torchid.effects.place import inside_any
 from torchid.effects.traits import Correction
 from torchid.experiment.diagnosis_stage import diagnose_outcome
 from torchid.experiment.fits import OnStage, fit_session, identify
-from torchid.experiment.stages import follow, put_aside, subject_prior
-from torchid.geometry.tracking import track
+from torchid.experiment.stages import put_aside, subject_prior
+from torchid.experiment.standing import follow_each
+from torchid.geometry.tracking import Tracked, track
 from torchid.outcome import Outcome
 from torchid.recording import Trial
 from torchid.results import OutputFolder
@@ -83,10 +84,13 @@ def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, ke
         trials[name] = trial if named is trial else folder.aside(named)
     session = replace(base.session, trials=trials)
     fit = folder.stage("geometry_relabelled", key, lambda: fit_session(config, session, True, progress))
-    followed = {}
-    for name, trial in trials.items():
-        tracked = folder.stage(f"relabelled_{name}", key, lambda t=trial: track(fit, t.markers))
-        followed[name] = put_aside(follow(fit, trial, tracked, base.cutoff_hz, config), folder)
+
+    def tracked(name: str) -> Tracked:
+        return folder.stage(f"relabelled_{name}", key, lambda: track(fit, trials[name].markers))
+
+    each = follow_each(fit, session, tracked, base.cutoff_hz, config)
+    found = {one.name: put_aside(one, folder) for one in each}
+    followed = {name: found[name] for name in trials}
     found = replace(base, session=session, fit=fit, followed=followed, prior=subject_prior(config, fit))
     return replace(found, identified=folder.stage("inertia_relabelled", key, lambda: identify(config, found, progress)))
 
