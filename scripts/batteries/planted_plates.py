@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from torchid.conventions import GRAVITY
 from torchid.io.c3d_header import C3dHeader, read_header
 from torchid.io.c3d_layout import resolve_layout
 from torchid.io.files import FileBytes
@@ -93,129 +94,152 @@ class C3dCopy:
         return np.frombuffer(raw, kind).reshape(-1, width)[:, 4 * layout.points :].reshape(-1, layout.channels)
 
 
+Change = Callable[[C3dCopy, int, Draw], None]
+"""Changes a copy at plate k (from 0)."""
+
+
+def _order(copy: C3dCopy, k: int, places: tuple[int, ...]) -> None:
+    corners = copy.corners().copy()
+    corners[k] = corners[k][list(places)]
+    copy.set("FORCE_PLATFORM", "CORNERS", corners.ravel())
+
+
+def _corner_unit(copy: C3dCopy, k: int, draw: Draw) -> None:
+    corners = copy.corners().copy()
+    corners[k] /= 1000.0
+    copy.set("FORCE_PLATFORM", "CORNERS", corners.ravel())
+
+
+def _origin(copy: C3dCopy, k: int, factor: float) -> None:
+    origins = copy.numbers("FORCE_PLATFORM", "ORIGIN").reshape(-1, 3).copy()
+    origins[k, 2] *= factor
+    copy.set("FORCE_PLATFORM", "ORIGIN", origins.ravel())
+
+
+def _mirror(copy: C3dCopy, k: int, draw: Draw) -> None:
+    copy.scale(copy.channels()[k][list([(0, 4, 5), (1, 3, 5)][int(draw.integers(2))])], -1.0)
+
+
+def _exchange(copy: C3dCopy, k: int, draw: Draw) -> None:
+    channels = copy.channels().copy()
+    a, b = draw.choice(6, 2, replace=False)
+    channels[k, [a, b]] = channels[k, [b, a]]
+    copy.set("FORCE_PLATFORM", "CHANNEL", channels.ravel())
+
+
+def _exchange_plates(copy: C3dCopy, k: int, draw: Draw) -> None:
+    channels = copy.channels().copy()
+    j = int(draw.choice([i for i in range(len(channels)) if i != k]))
+    channels[[k, j]] = channels[[j, k]]
+    copy.set("FORCE_PLATFORM", "CHANNEL", channels.ravel())
+
+
+def _late(copy: C3dCopy, columns: np.ndarray, draw: Draw) -> None:
+    copy.shift(columns[columns > 0], float(draw.choice([-1, 1]) * draw.uniform(0.05, 0.3)))
+
+
+def _every(copy: C3dCopy) -> np.ndarray:
+    return copy.channels()[copy.channels() > 0].ravel()
+
+
 def c3d_faults(loaded: list[int], mass_kg: float | None, others: list[Path]) -> list[Fault]:
     """Faults of a C3D; ``loaded`` are the plates (from 0) that somebody stands on."""
-
-    def fault(name: str, change: Callable[[C3dCopy, int, Draw], None]) -> Fault:
-        def plant(source: Path, target: Path, draw: Draw) -> None:
-            copy = C3dCopy(source)
-            change(copy, int(draw.choice(loaded)), draw)
-            target.write_bytes(bytes(copy.bytes))
-
-        return Fault(name, plant)
-
-    def order(copy: C3dCopy, k: int, places: tuple[int, ...]) -> None:
-        corners = copy.corners().copy()
-        corners[k] = corners[k][list(places)]
-        copy.set("FORCE_PLATFORM", "CORNERS", corners.ravel())
-
-    def corner_unit(copy: C3dCopy, k: int, draw: Draw) -> None:
-        corners = copy.corners().copy()
-        corners[k] /= 1000.0
-        copy.set("FORCE_PLATFORM", "CORNERS", corners.ravel())
-
-    def origin(copy: C3dCopy, k: int, factor: float) -> None:
-        origins = copy.numbers("FORCE_PLATFORM", "ORIGIN").reshape(-1, 3).copy()
-        origins[k, 2] *= factor
-        copy.set("FORCE_PLATFORM", "ORIGIN", origins.ravel())
-
-    def mirror(copy: C3dCopy, k: int, axis: int) -> None:
-        signs = [(0, 4, 5), (1, 3, 5)][axis]
-        copy.scale(copy.channels()[k][list(signs)], -1.0)
-
-    def exchange(copy: C3dCopy, k: int, draw: Draw) -> None:
-        channels = copy.channels().copy()
-        a, b = draw.choice(6, 2, replace=False)
-        channels[k, [a, b]] = channels[k, [b, a]]
-        copy.set("FORCE_PLATFORM", "CHANNEL", channels.ravel())
-
-    def plates(copy: C3dCopy, k: int, draw: Draw) -> None:
-        channels = copy.channels().copy()
-        j = int(draw.choice([i for i in range(len(channels)) if i != k]))
-        channels[[k, j]] = channels[[j, k]]
-        copy.set("FORCE_PLATFORM", "CHANNEL", channels.ravel())
-
-    def late(copy: C3dCopy, k: int, draw: Draw, whole: bool) -> None:
-        columns = copy.channels().ravel() if whole else copy.channels()[k]
-        copy.shift(columns[columns > 0], float(draw.choice([-1, 1]) * draw.uniform(0.05, 0.3)))
-
-    def other(copy: C3dCopy, k: int, draw: Draw) -> None:
-        columns = copy.channels().ravel()
-        copy.shift(columns[columns > 0], 0.0, C3dCopy(others[int(draw.integers(len(others)))]))
-
-    every = lambda copy: copy.channels()[copy.channels() > 0].ravel()  # noqa: E731
-    found = [fault(name, lambda c, k, d, p=p: order(c, k, p)) for name, p in TURNS.items()]
-    found += [fault(name, lambda c, k, d, p=p: order(c, k, p[int(d.integers(len(p)))])) for name, p in ORDERS.items()]
-    found += [
-        fault("mirrored", lambda c, k, d: mirror(c, k, int(d.integers(2)))),
-        fault("channels exchanged", exchange), fault("corners in m", corner_unit),
-        fault("origin's sign", lambda c, k, d: origin(c, k, -1.0)),
-        fault("origin's z missing", lambda c, k, d: origin(c, k, 0.0)),
-        fault("N mm", lambda c, k, d: c.scale(c.channels()[k][3:6], 1000.0)),
-        fault("kN", lambda c, k, d: c.scale(every(c), 1e-3)),
-        fault("volts", lambda c, k, d: c.scale(every(c), float(10 ** d.uniform(-3, -2.3)) / 10)),
-        fault("reversed", lambda c, k, d: c.scale(every(c), -1.0)),
-        fault("plate late", lambda c, k, d: late(c, k, d, False)),
-        fault("all late", lambda c, k, d: late(c, k, d, True)),
-    ]  # fmt: skip
+    changes: dict[str, Change] = {name: lambda c, k, d, p=p: _order(c, k, p) for name, p in TURNS.items()}
+    changes |= {name: lambda c, k, d, p=p: _order(c, k, p[int(d.integers(len(p)))]) for name, p in ORDERS.items()}
+    changes |= {
+        "mirrored": _mirror,
+        "channels exchanged": _exchange,
+        "plates exchanged": _exchange_plates,
+        "corners in m": _corner_unit,
+        "origin's sign": lambda c, k, d: _origin(c, k, -1.0),
+        "origin's z missing": lambda c, k, d: _origin(c, k, 0.0),
+        "N mm": lambda c, k, d: c.scale(c.channels()[k][3:6], 1000.0),
+        "kN": lambda c, k, d: c.scale(_every(c), 1e-3),
+        "volts": lambda c, k, d: c.scale(_every(c), _volts(d)),
+        "reversed": lambda c, k, d: c.scale(_every(c), -1.0),
+        "plate late": lambda c, k, d: _late(c, c.channels()[k], d),
+        "all late": lambda c, k, d: _late(c, _every(c), d),
+    }
     if mass_kg:
-        found.append(fault("body weights", lambda c, k, d: c.scale(every(c), 1 / (9.80665 * mass_kg))))
+        changes["body weights"] = lambda c, k, d: c.scale(_every(c), 1 / (GRAVITY * mass_kg))
     if others:
-        found.append(fault("another trial's", other))
-    return [*found, fault("plates exchanged", plates)]
+        changes["another trial's"] = lambda c, k, d: c.shift(
+            _every(c), 0.0, C3dCopy(others[int(d.integers(len(others)))])
+        )
+    return [Fault(name, _c3d_plant(change, loaded)) for name, change in changes.items()]
+
+
+def _c3d_plant(change: Change, loaded: list[int]) -> Callable[[Path, Path, Draw], None]:
+    def plant(source: Path, target: Path, draw: Draw) -> None:
+        copy = C3dCopy(source)
+        change(copy, int(draw.choice(loaded)), draw)
+        target.write_bytes(bytes(copy.bytes))
+
+    return plant
+
+
+def _volts(draw: Draw) -> float:
+    return float(10 ** draw.uniform(-4.0, -3.3))
+
+
+UP = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)
 
 
 def mot_faults(mass_kg: float | None, others: list[Path]) -> list[Fault]:
     """Faults of a MOT whose markers stand in a TRC of Y up."""
-
-    def fault(name: str, change: Callable[[np.ndarray, list[str], Draw], np.ndarray]) -> Fault:
-        def plant(source: Path, target: Path, draw: Draw) -> None:
-            storage = read_storage(source)
-            _write(target, storage, change(storage.values.copy(), list(storage.columns), draw))
-
-        return Fault(name, plant)
-
-    def late(source: Path, target: Path, draw: Draw) -> None:
-        storage = read_storage(source)
-        lag = float(draw.choice([-1, 1]) * draw.uniform(0.05, 0.3))
-        _write(target, storage, storage.values, storage.time + lag)
-
-    def other(source: Path, target: Path, draw: Draw) -> None:
-        storage = read_storage(others[int(draw.integers(len(others)))])
-        begin = read_storage(source).time[0]
-        _write(target, storage, storage.values, storage.time - storage.time[0] + begin)
-
-    def turned(values: np.ndarray, columns: list[str], matrix: np.ndarray) -> np.ndarray:
-        for group, kind in vectors(columns):
-            sign = np.linalg.det(matrix) if kind == "m" else 1.0
-            values[:, group] = values[:, group] @ matrix.T * sign
-        return values
-
-    def scaled(values: np.ndarray, columns: list[str], **factors: float) -> np.ndarray:
-        for group, kind in vectors(columns):
-            values[:, group] *= factors.get(kind, 1.0)
-        return values
-
-    def about_y(angle: float) -> np.ndarray:
-        c, s = round(np.cos(np.radians(angle))), round(np.sin(np.radians(angle)))
-        return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], float)
-
-    up = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)
-    volts = lambda d: float(10 ** d.uniform(-3, -2.3)) / 10  # noqa: E731
-    found = [
-        fault("Z up beside Y up", lambda v, c, d: turned(v, c, up)),
-        fault("axes turned", lambda v, c, d: turned(v, c, about_y(float(d.choice([90, 180, 270]))))),
-        fault("left-handed", lambda v, c, d: turned(v, c, np.diag([[-1.0, 1, 1], [1.0, 1, -1]][int(d.integers(2))]))),
-        fault("N mm", lambda v, c, d: scaled(v, c, m=1000.0)),
-        fault("kN", lambda v, c, d: scaled(v, c, v=1e-3, m=1e-3)),
-        fault("volts", lambda v, c, d: (lambda g: scaled(v, c, v=g, m=g))(volts(d))),
-        fault("reversed", lambda v, c, d: scaled(v, c, v=-1.0, m=-1.0)),
-        Fault("all late", late),
-    ]
+    changes: dict[str, Callable[[np.ndarray, list[str], Draw], np.ndarray]] = {
+        "Z up beside Y up": lambda v, c, d: _turned(v, c, UP),
+        "axes turned": lambda v, c, d: _turned(v, c, _about_y(float(d.choice([90, 180, 270])))),
+        "left-handed": lambda v, c, d: _turned(v, c, np.diag([[-1.0, 1, 1], [1.0, 1, -1]][int(d.integers(2))])),
+        "N mm": lambda v, c, d: _scaled(v, c, m=1000.0),
+        "kN": lambda v, c, d: _scaled(v, c, v=1e-3, m=1e-3),
+        "volts": lambda v, c, d: (lambda g: _scaled(v, c, v=g, m=g))(_volts(d)),
+        "reversed": lambda v, c, d: _scaled(v, c, v=-1.0, m=-1.0),
+    }
     if mass_kg:
-        weight = 9.80665 * mass_kg
-        found.append(fault("body weights", lambda v, c, d: scaled(v, c, v=1 / weight, m=1 / weight)))
-    return [*found, *([Fault("another trial's", other)] if others else [])]
+        weight = GRAVITY * mass_kg
+        changes["body weights"] = lambda v, c, d: _scaled(v, c, v=1 / weight, m=1 / weight)
+    found = [Fault(name, _mot_plant(change)) for name, change in changes.items()]
+    return [*found, Fault("all late", _mot_late), *([Fault("another trial's", _mot_other(others))] if others else [])]
+
+
+def _mot_plant(change: Callable[[np.ndarray, list[str], Draw], np.ndarray]) -> Callable[[Path, Path, Draw], None]:
+    def plant(source: Path, target: Path, draw: Draw) -> None:
+        storage = read_storage(source)
+        _write(target, storage, change(storage.values.copy(), list(storage.columns), draw))
+
+    return plant
+
+
+def _mot_late(source: Path, target: Path, draw: Draw) -> None:
+    storage = read_storage(source)
+    _write(target, storage, storage.values, storage.time + float(draw.choice([-1, 1]) * draw.uniform(0.05, 0.3)))
+
+
+def _mot_other(others: list[Path]) -> Callable[[Path, Path, Draw], None]:
+    def plant(source: Path, target: Path, draw: Draw) -> None:
+        storage = read_storage(others[int(draw.integers(len(others)))])
+        _write(target, storage, storage.values, storage.time - storage.time[0] + read_storage(source).time[0])
+
+    return plant
+
+
+def _turned(values: np.ndarray, columns: list[str], matrix: np.ndarray) -> np.ndarray:
+    for group, kind in vectors(columns):
+        sign = np.linalg.det(matrix) if kind == "m" else 1.0
+        values[:, group] = values[:, group] @ matrix.T * sign
+    return values
+
+
+def _scaled(values: np.ndarray, columns: list[str], **factors: float) -> np.ndarray:
+    for group, kind in vectors(columns):
+        values[:, group] *= factors.get(kind, 1.0)
+    return values
+
+
+def _about_y(angle: float) -> np.ndarray:
+    c, s = round(np.cos(np.radians(angle))), round(np.sin(np.radians(angle)))
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], float)
 
 
 def vectors(columns: list[str]) -> list[tuple[list[int], str]]:

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 import yaml
 
-from batteries.planted_plates import Fault, c3d_faults, mot_faults
+from batteries.planted_plates import C3dCopy, Fault, c3d_faults, mot_faults
 from torchid.agreement.changes import Change
 from torchid.agreement.judge import judge
 from torchid.config.sections import PROJECT_DATA, Config
@@ -191,10 +191,15 @@ def _faults(recording: Recording, root: Path) -> dict[str, Fault]:
     others = [
         r.file for r in every
         if r.forces is None and r.file != recording.file and r.file.parent == recording.file.parent
-        and r.name[:5] == recording.name[:5] and r.name[5:] != recording.name[5:]
+        and r.name[:5] == recording.name[:5] and r.name[5:] != recording.name[5:] and _alike(r.file, recording.file)
     ]  # fmt: skip
     found = c3d_faults(loaded, recording.mass_kg or _stated(trial), others) if loaded else []
     return {f.name: f for f in found if not (f.name == "plates exchanged" and len(trial.forces.plates) < 2)}
+
+
+def _alike(a: Path, b: Path) -> bool:
+    """Both have the same analog channels."""
+    return all(C3dCopy(a).layout.channels == C3dCopy(x).layout.channels > 0 for x in (a, b))
 
 
 def _near(a: Path, b: Path) -> bool:
@@ -230,7 +235,7 @@ def main() -> None:
     print(f"seed {seed}")
     everything = [(root, *case) for case in cases(root, arguments.only, arguments.faults, seed)]
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        rows = list(pool.map(_run, everything))
+        rows = list(track(pool.map(_run, everything), "planting", len(everything), console=Console(stderr=True)))
         right = [r for r in recordings(root) if arguments.only in r.name]
         wrongly = [(r.name, said) for r, said in zip(right, pool.map(accused, right), strict=True) if said]
     if arguments.rows:

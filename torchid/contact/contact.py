@@ -85,7 +85,7 @@ def find_contact(
         touching_points(p, v, bears[:, k], rate_hz, options) for k, (p, v) in enumerate(zip(points, speed, strict=True))
     ]
     touching = torch.stack([each.any(dim=1) for each in down], dim=1)
-    supported = supported_feet(touching, near, points, down, forces, options)
+    supported = supported_feet(touching, near, points, down, forces, options, short)
     supported = ~lasting(~supported, round(options.shortest_s * rate_hz))
     whole = whole & supported.all(dim=1)
     clean = ~dilate(~whole, round(spread_s * rate_hz))

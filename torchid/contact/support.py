@@ -35,21 +35,34 @@ def supported_feet(
     down: list[Bool[Tensor, "frames points"]],
     forces: Forces,
     options: ContactOptions,
+    short: Bool[Tensor, " frames"] | None = None,
 ) -> Bool[Tensor, "frames feet"]:
-    """Every touching foot stands inside a plate with known corners, or has a centre of pressure, its own or shared."""
+    """Every touching foot stands inside a plate with known corners, or has a centre of pressure, its own or shared.
+
+    A foot that reaches over an edge may bear on the plate alone; where it is known whether a part of the weight is
+    missing (``short``), that decides.
+    """
     corners = [plate.corners for plate in forces.plates]
     if all(c is not None for c in corners) and corners:
         known = [c for c in corners if c is not None]
-        inside = [_inside(p, d, known, options.margin_m) for p, d in zip(soles, down, strict=True)]
-        return ~touching | torch.stack(inside, dim=1)
+        over = [_over_plates(p, known, options.margin_m) for p in soles]
+        bears = [
+            d | (p[..., 2] - p[..., 2].quantile(0.02, dim=0) < OVER_FLOOR_M) for p, d in zip(soles, down, strict=True)
+        ]
+        inside = torch.stack([(o | ~b).all(dim=1) for o, b in zip(over, bears, strict=True)], dim=1)
+        if short is not None:
+            inside |= (
+                torch.stack([(o & d).any(dim=1) for o, d in zip(over, down, strict=True)], dim=1) & ~short[:, None]
+            )
+        return ~touching | inside
     loaded = torch.isfinite(forces.centre_of_pressure(options.loaded_n)[..., 0])
     # A centre of pressure under no foot's sole alone lies between two feet that share the plate.
     shared = (loaded & ~near.any(dim=2)).any(dim=1)
     return ~touching | near.any(dim=1) | shared[:, None]
 
 
-def _inside(points: Tensor, down: Tensor, plates: list[Tensor], margin: float) -> Tensor:
-    """All points of the sole that are near the ground, or down, lie over some plate (union of widened rectangles)."""
+def _over_plates(points: Tensor, plates: list[Tensor], margin: float) -> Tensor:
+    """(frames, points): over some plate, widened by a margin."""
     inside = torch.zeros(points.shape[:2], dtype=torch.bool, device=points.device)
     for corners in plates:
         origin = corners[0]
@@ -59,8 +72,7 @@ def _inside(points: Tensor, down: Tensor, plates: list[Tensor], margin: float) -
             along = (points - origin) @ (side / length)
             for_all &= (along > -margin) & (along < length + margin)
         inside |= for_all
-    low = points[..., 2] - points[..., 2].quantile(0.02, dim=0) < OVER_FLOOR_M
-    return (inside | ~(low | down)).all(dim=1)
+    return inside
 
 
 def assign_plates(
