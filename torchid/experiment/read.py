@@ -29,8 +29,7 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     Raises:
         TorchidError: a file, the model or the marker set is at fault, or a trial that moves is too short.
     """
-    model, said = _model(config)
-    markers = load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
+    model, said, markers = read_setup(config)
     files = {file.name: file for file in config.trials}
     # Kept twice: beside an hour's samples of the plates the markers would have no room.
     trials = {name: keep(synchronise(keep(_read(file, markers)))) for name, file in files.items()}
@@ -40,9 +39,23 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     return Session(trials, files, assignment, (*notes, *said, *assignment.notes))
 
 
+def read_setup(config: Config) -> tuple[Model, tuple[Note, ...], MarkerSet]:
+    """The model, what reading it had to say, and the marker set of a config.
+
+    Raises:
+        TorchidError: one of them is at fault.
+    """
+    model, said = _model(config)
+    return model, said, load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
+
+
+def read_options(file: TrialFile, markers: MarkerSet) -> ReadOptions:
+    """How a recording of a config is read."""
+    return ReadOptions(file.subject, file.up, file.units, file.allow_truncated, wanted=markers.wanted)
+
+
 def _read(file: TrialFile, markers: MarkerSet) -> Trial:
-    options = ReadOptions(file.subject, file.up, file.units, file.allow_truncated, wanted=markers.wanted)
-    return read_trial(file.name, file.file, file.forces, file.role, options)
+    return read_trial(file.name, file.file, file.forces, file.role, read_options(file, markers))
 
 
 def _refuse_short(trials: dict[str, Trial]) -> None:
