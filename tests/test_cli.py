@@ -11,7 +11,7 @@ import torch
 from typer.testing import CliRunner
 
 from torchid import cli
-from torchid.cli import app, pair_files
+from torchid.cli import app
 from torchid.config import load_config
 from torchid.errors import DataError, InputError
 from torchid.io.trc import write_trc
@@ -79,8 +79,8 @@ def test_a_run_gets_the_config_with_its_overrides(config, experiment):
 @pytest.mark.parametrize(
     ("error", "code"),
     [
-        (InputError("c3d.truncated", "cut short", source="a.c3d"), 2),
-        (DataError("inertia.motion", "too little motion"), 3),
+        (InputError("c3d.truncated", "cut short", source="a.c3d", remedy="Copy it again"), 2),
+        (DataError("inertia.motion", "too little motion", remedy="Move more"), 3),
         (ZeroDivisionError("a\nb"), 1),
         (KeyboardInterrupt(), 130),
     ],
@@ -123,7 +123,7 @@ def test_wrong_use_ends_with_two(arguments):
 
 def test_terminal_escapes_in_messages_are_shown_not_obeyed(config, experiment):
     """A label that holds an escape sequence cannot write to the terminal."""
-    experiment[1].append(InputError("m", "bad label \x1b[2J\x07[red]"))
+    experiment[1].append(InputError("m", "bad label \x1b[2J\x07[red]", remedy="Rename it"))
     result = runner.invoke(app, ["run", config])
     assert "\x1b" not in result.stderr and "\x07" not in result.stderr
     assert "[2J" in result.stderr and "[red]" in result.stderr
@@ -156,7 +156,7 @@ def test_the_log_prints_no_terminal_escapes(capsys):
 @pytest.mark.data
 def test_check_describes_real_recordings_and_refuses_what_it_cannot_read(data_dir, tmp_path):
     """Each readable file is described, each unreadable one gets its line, and one refusal makes the exit code 2."""
-    good = sorted((data_dir / "btk_c3d").rglob("*.c3d"))[0]
+    good = data_dir / "schreiber_moissenet_2014001" / "2014001_C1_01.c3d"
     bad = tmp_path / "bad.c3d"
     bad.write_bytes(b"<html>")
     result = runner.invoke(app, ["check", str(bad), str(good)])
@@ -164,16 +164,6 @@ def test_check_describes_real_recordings_and_refuses_what_it_cannot_read(data_di
     assert str(bad) in result.stderr and "Traceback" not in result.stderr
     assert good.stem in result.stdout
     assert runner.invoke(app, ["check", str(good)]).exit_code == 0
-
-
-def test_files_to_check_are_paired_in_order():
-    """A force file belongs to the marker file before it; one without is refused, and so is another kind."""
-    a, b, f = Path("a.TRC"), Path("b.c3d"), Path("a_grf.mot")
-    assert pair_files([a, f, b]) == [(a, f), (b, None)]
-    for files, code in (([f], "check.order"), ([a, f, f], "check.order"), ([Path("a.txt")], "check.kind")):
-        with pytest.raises(InputError) as caught:
-            pair_files(files)
-        assert caught.value.code == code
 
 
 def test_version_is_the_package_version(monkeypatch):

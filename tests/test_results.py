@@ -342,7 +342,7 @@ def test_files_of_an_earlier_run_do_not_stand_beside_new_results(tmp_path):
     assert run("a.json", "b.json") == {"a.json", "b.json"}
     (out / "notes.txt").write_text("mine")
     assert run("c.json", error=KeyboardInterrupt()) == {"a.json", "b.json", "notes.txt"}
-    assert run("a.json", error=DataError("data.poor", "too little")) == {"a.json", "notes.txt"}
+    assert run("a.json", error=DataError("data.poor", "too little", remedy="more")) == {"a.json", "notes.txt"}
     assert run("d.json") == {"d.json", "notes.txt"}
 
 

@@ -81,22 +81,23 @@ class TrialCheck:
         return float(np.mean(list(self.gaps.values()))) if self.gaps else 0.0
 
 
-def check_trial(trial: Trial, mass_kg: float | None = None) -> TrialCheck:
+def check_trial(trial: Trial, mass_kg: float | None = None, disagreements: tuple[Note, ...] = ()) -> TrialCheck:
     """Look at a trial without changing it.
 
     Args:
         trial: as read.
         mass_kg: the subject's mass on record; by default what the file states.
+        disagreements: of its forces with the feet (``torchid.agreement``), each with its cure.
     """
     facts, markers, forces = trial.parameters, trial.markers, trial.forces
-    mass = mass_kg if mass_kg is not None else _mass(facts.get("mass_kg", ""))
+    mass = mass_kg if mass_kg is not None else stated_mass(trial)
     missing = 100.0 * markers.position.isnan().any(dim=-1).double().mean(dim=0)
     gaps = {label: float(share) for label, share in zip(markers.labels, missing, strict=True)}
     kinds = [facts.get(f"{plate.name} type", "") for plate in forces.plates] if forces else []
     plates = tuple(check_plate(forces, k, kind) for k, kind in enumerate(kinds)) if forces else ()
     weight = plate_weight(forces) if forces else None
     source = facts.get("file", trial.name)
-    found = [*_from_notes(trial), *_gap_problems(gaps, source), *_plate_problems(plates, source)]
+    found = [*disagreements, *_from_notes(trial), *_gap_problems(gaps, source), *_plate_problems(plates, source)]
     moved = moved_mass(trial)
     found += _weight_problems(moved, mass, source)
     frames = len(markers.time)
@@ -111,9 +112,10 @@ def check_trial(trial: Trial, mass_kg: float | None = None) -> TrialCheck:
     )  # fmt: skip
 
 
-def _mass(text: str) -> float | None:
+def stated_mass(trial: Trial) -> float | None:
+    """The subject's mass [kg] that the file states, None where it states none."""
     try:
-        return float(text) or None
+        return float(trial.parameters.get("mass_kg", "")) or None
     except ValueError:
         return None
 

@@ -21,8 +21,8 @@ from torchid.errors import InputError, TorchidError
 from torchid.wording import visible
 
 CONFIG_SUFFIXES = (".yaml", ".yml", ".json")
-MARKER_SUFFIXES = (".c3d", ".trc")
-FORCE_SUFFIXES = (".mot", ".sto")
+UNBROKEN = 1 << 16
+"""Width of what is not shown on a terminal: nobody but a terminal wants lines broken."""
 
 app = typer.Typer(
     name="torchid",
@@ -91,62 +91,53 @@ def simulate(config: ConfigFile, overrides: Overrides = None, debug: Debug = Fal
 @app.command()
 def check(
     what: Annotated[
-        list[str], typer.Argument(metavar="CONFIG [KEY=VALUE]... | FILE...", help="A config, or recordings.")
+        list[str],
+        typer.Argument(metavar="CONFIG [KEY=VALUE]... | FILE... | FOLDER...", help="A config, or recordings."),
     ],
+    json: Annotated[bool, typer.Option("--json", help="As JSON (docs/check.schema.json).")] = False,
     debug: Debug = False,
 ) -> None:
-    """What is wrong with the recordings, before any fit."""
+    """What is wrong with the recordings, before any fit; ends with 2 where something is."""
     with _exit_codes(debug):
-        from torchid.check import check_trial, format_check
-        from torchid.io import read_trial
+        from torchid.check_report import report, to_json
 
-        console, refused = _Terminal(), False
-        for arguments, mass_kg in _recordings(what):
-            try:
-                console.print(format_check(check_trial(read_trial(*arguments), mass_kg)))
-            except InputError as error:
-                refused = True
-                _complain(error)
-        if refused:
+        found = report(_findings(what) if json else _shown(_findings(what)))
+        if json:
+            typer.echo(to_json(found))
+        if not found.clean:
             raise typer.Exit(InputError.exit_code)
 
 
-def _recordings(what: list[str]) -> Iterator[tuple[tuple, float | None]]:
-    """Arguments of ``read_trial`` and the known mass, for each recording of a config, or for each file of a list."""
-    from torchid.io import ReadOptions
-
+def _findings(what: list[str]) -> Iterator:
+    """What there is to say of a config's session, or of the recordings of a list, one after the other."""
     if Path(what[0]).suffix.lower() in CONFIG_SUFFIXES:
         from torchid.config import load_config
+        from torchid.experiment.checking import check_session
 
-        config = load_config(what[0], what[1:])
-        for trial in config.trials:
-            yield (trial.name, trial.file, trial.forces, trial.role, config.reading(trial)), config.subject.mass_kg
+        yield from check_session(load_config(what[0], what[1:]))
     else:
-        for file, forces in pair_files([Path(text) for text in what]):
-            yield (file.stem, file, forces, "fit", ReadOptions()), None
+        from torchid.check_report import Given, check_recordings
+        from torchid.io.pairing import pair_files
+
+        pairs = pair_files([Path(text) for text in what])
+        yield from check_recordings(Given(file.stem, file, forces) for file, forces in pairs)
 
 
-def pair_files(files: list[Path]) -> list[tuple[Path, Path | None]]:
-    """Each marker file with the force file that follows it, as in ``squat.trc squat_grf.mot``.
+def _shown(findings: Iterator) -> Iterator:
+    """The same, each shown when it comes: errors on stderr, all else on stdout."""
+    from torchid.check import TrialCheck, format_check
+    from torchid.check_report import Refusal
 
-    Raises:
-        InputError: ``check.order`` for a force file without markers before it, ``check.kind`` for anything else.
-    """
-    pairs: list[tuple[Path, Path | None]] = []
-    for file in files:
-        kind = file.suffix.lower()
-        if kind in MARKER_SUFFIXES:
-            pairs.append((file, None))
-        elif kind in FORCE_SUFFIXES and pairs and pairs[-1][1] is None:
-            pairs[-1] = (pairs[-1][0], file)
-        elif kind in FORCE_SUFFIXES:
-            raise InputError(
-                "check.order", "forces without markers", source=file, remedy="Name its marker file before it."
-            )
+    console = _Terminal()
+    console = console if console.is_terminal else _Terminal(width=UNBROKEN)
+    for finding in findings:
+        if isinstance(finding, TrialCheck):
+            console.print(format_check(finding))
+        elif isinstance(finding, Refusal):
+            _complain(finding.text)
         else:
-            known = ", ".join(MARKER_SUFFIXES + FORCE_SUFFIXES + CONFIG_SUFFIXES)
-            raise InputError("check.kind", "not a known kind of file", source=file, remedy=f"Known: {known}.")
-    return pairs
+            console.print(f"  {finding}", style="dim", highlight=False, markup=False)
+        yield finding
 
 
 class _Bar:

@@ -22,6 +22,10 @@ MAX_EVENTS = 10_000
 """Steps of YAML's parser, about one for each key and value; twice as many take it a second. JSON is read a thousand
 times faster and has MAX_BYTES alone."""
 
+SHORTEN = "Write plain keys and values only; docs and configs/ have examples."
+ONCE = "Remove one of the two."
+SYNTAX = "Correct that line; values with : or # in them need quotes."
+
 Document = Any
 """Nested dict (text keys), list, str, int, float, bool or None."""
 
@@ -43,10 +47,10 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = self.peek_event()
         if getattr(event, "tag", None) is not None:
-            raise _marked("config.tag", "tags are not accepted", event.start_mark, str(event.tag))
+            raise _marked("config.tag", "tags are not accepted", event.start_mark, str(event.tag), remedy="Remove it.")
         self.depth += 1
         if self.depth > MAX_DEPTH:
-            raise _marked("config.too_deep", f"nested deeper than {MAX_DEPTH} levels", event.start_mark)
+            raise _marked("config.too_deep", f"nested deeper than {MAX_DEPTH} levels", event.start_mark, remedy=SHORTEN)
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -58,9 +62,11 @@ class _Loader(yaml.SafeLoader):
             if type(key) is int:  # plates: {2: ...}; in JSON every key is text
                 key = str(key)
             if not isinstance(key, str):
-                raise _marked("config.key", "a key must be text", key_node.start_mark, str(key), "Put it in quotes.")
+                raise _marked(
+                    "config.key", "a key must be text", key_node.start_mark, str(key), remedy="Put it in quotes."
+                )
             if key in mapping:
-                raise _marked("config.duplicate_key", "this key stands twice", key_node.start_mark, key)
+                raise _marked("config.duplicate_key", "this key stands twice", key_node.start_mark, key, remedy=ONCE)
             mapping[key] = self.construct_object(value_node, deep=True)
         return mapping
 
@@ -103,13 +109,16 @@ def read_document(path: Path) -> Document:
     """
     try:
         if not path.is_file():
-            raise ConfigError("config.missing_file", "no such file", source=path)
+            raise ConfigError("config.missing_file", "no such file", source=path, remedy="Correct the path.")
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise ConfigError("config.unreadable", "cannot be read", source=path, found=str(error)) from error
+        remedy = "Check the path and the permissions."
+        raise ConfigError(
+            "config.unreadable", "cannot be read", source=path, found=str(error), remedy=remedy
+        ) from error
     if len(content) > MAX_BYTES:
-        raise ConfigError("config.too_large", f"larger than {MAX_BYTES} bytes", source=path)
+        raise ConfigError("config.too_large", f"larger than {MAX_BYTES} bytes", source=path, remedy=SHORTEN)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -128,7 +137,7 @@ def parse_document(text: str, source: str = "") -> Document:
             error.code, error.message, source=source, place=error.place, found=error.found, remedy=error.remedy
         ) from error
     except RecursionError as error:
-        raise ConfigError("config.too_deep", f"nested deeper than {MAX_DEPTH} levels", source=source) from error
+        raise _too_deep(source) from error
 
 
 def dump_document(document: Document) -> str:
@@ -151,7 +160,7 @@ def _check_depth(document: Document) -> None:
     while layer:
         depth += 1
         if depth > MAX_DEPTH:
-            raise ConfigError("config.too_deep", f"nested deeper than {MAX_DEPTH} levels")
+            raise _too_deep()
         children = [value.values() if isinstance(value, dict) else value for value in layer]
         layer = [child for group in children if not isinstance(group, str | int | float | None) for child in group]
 
@@ -161,7 +170,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(mapping) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ConfigError("config.duplicate_key", "this key stands twice", found=twice)
+        raise ConfigError("config.duplicate_key", "this key stands twice", found=twice, remedy=ONCE)
     return mapping
 
 
@@ -172,12 +181,13 @@ def _parse_yaml(text: str) -> Document:
         if node is None:
             return None
         if _count_nodes(node, {}) > MAX_NODES:
-            raise ConfigError("config.too_large", f"more than {MAX_NODES} values after its aliases are expanded")
+            message = f"more than {MAX_NODES} values after its aliases are expanded"
+            raise ConfigError("config.too_large", message, remedy=SHORTEN)
         return loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
-        raise _marked("config.yaml", str(error.problem), error.problem_mark) from error
+        raise _marked("config.yaml", str(error.problem), error.problem_mark, remedy=SYNTAX) from error
     except (yaml.YAMLError, ValueError) as error:  # ValueError: an integer of more than 4300 digits
-        raise ConfigError("config.yaml", " ".join(str(error).split())) from error
+        raise ConfigError("config.yaml", " ".join(str(error).split()), remedy=SYNTAX) from error
 
 
 def _count_nodes(node: yaml.Node, known: dict[int, int]) -> int:
@@ -190,12 +200,21 @@ def _count_nodes(node: yaml.Node, known: dict[int, int]) -> int:
     for child in node.value:
         for part in child if isinstance(child, tuple) else (child,):
             if known.get(id(part)) == -1:
-                raise _marked("config.recursive_alias", "an alias contains itself", part.start_mark)
+                raise _marked(
+                    "config.recursive_alias",
+                    "an alias contains itself",
+                    part.start_mark,
+                    remedy="Write the values out.",
+                )
             total += _count_nodes(part, known)
     known[id(node)] = total
     return total
 
 
-def _marked(code: str, message: str, mark: Any, found: str = "", remedy: str = "") -> ConfigError:
+def _too_deep(source: str = "") -> ConfigError:
+    return ConfigError("config.too_deep", f"nested deeper than {MAX_DEPTH} levels", source=source, remedy=SHORTEN)
+
+
+def _marked(code: str, message: str, mark: Any, found: str = "", *, remedy: str) -> ConfigError:
     place = f"line {mark.line + 1}, column {mark.column + 1}" if mark is not None else ""
     return ConfigError(code, message, place=place, found=found[:80], remedy=remedy)

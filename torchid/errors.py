@@ -32,7 +32,7 @@ class TorchidError(Exception):
     exit_code = 2
 
     def __init__(
-        self, code: str, message: str, *, source: str | Path = "", place: str = "", found: str = "", remedy: str = ""
+        self, code: str, message: str, *, source: str | Path = "", place: str = "", found: str = "", remedy: str
     ) -> None:
         self.code, self.message = code, message
         self.source, self.place, self.found, self.remedy = str(source), place, found, remedy

@@ -99,7 +99,10 @@ class OutputFolder:
         """
         path = (self.out / name).resolve()
         if path == self.out or not path.is_relative_to(self.out) or path.is_relative_to(self.state):
-            raise InputError("results.outside", "a result must stay below `out`", source=self.out, found=name[:80])
+            raise InputError(
+                "results.outside", "a result must stay below `out`", source=self.out, found=name[:80],
+                remedy="Rename the trial: its name becomes that of a file",
+            )  # fmt: skip
         aside = self.staging / path.relative_to(self.out)
         with writing(aside):
             aside.parent.mkdir(parents=True, exist_ok=True)

@@ -20,6 +20,8 @@ from pathlib import Path
 import numpy as np
 import torch
 import yaml
+from rich.console import Console
+from rich.progress import track
 
 from batteries.planted_plates import C3dCopy, Fault, c3d_faults, mot_faults
 from torchid.agreement.changes import Change

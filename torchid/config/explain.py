@@ -45,6 +45,16 @@ _WORDINGS = {
 }
 
 
+_REMEDIES = {
+    "path": "Write a path, in quotes where it has : or # in it.",
+    "unset_variable": "Set it, or write the path out.",
+    "duplicate_trial": "Give every trial a name of its own.",
+    "no_trials": "List recordings under trials:, or describe a person under simulate:.",
+    "no_mass": "Give subject.mass_kg, or leave inertia.known_mass out.",
+}
+"""What to do about a refused value, where no other value is near."""
+
+
 class InvalidConfig(ConfigError):
     """All that is wrong with a config at once; code, place and remedy are those of the first problem."""
 
@@ -119,12 +129,12 @@ def _explain_one(
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         message, remedy = "unknown key", _nearest_key(place, document, model)
     elif kind == "missing":
-        message = "this key is required"
+        message, remedy = "this key is required", f"Add {place[-1]}: and its value."
     else:
         message = " or ".join(dict.fromkeys(_wording(detail) for detail in details))
         value = _value(document, place)
         found = repr(value)[:80] if place and not isinstance(value, dict | list) else ""
-        remedy = _did_you_mean(str(value), _literals(details))
+        remedy = _did_you_mean(str(value), _literals(details)) or _REMEDIES.get(kind, "Correct this value.")
     code = _CODES.get(kind, "config.invalid_value")
     return ConfigError(code, message, source=source, place=dotted(place), found=found, remedy=remedy)
 

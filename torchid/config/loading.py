@@ -13,6 +13,8 @@ from torchid.config.sections import Config
 from torchid.documents import Document, dump_document, parse_document, read_document
 from torchid.errors import ConfigError
 
+CORRECT_PATH = "Correct the path; relative ones start at the config's folder."
+
 
 def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     """The config in a YAML or JSON file.
@@ -28,7 +30,9 @@ def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     path = Path(path)
     document = read_document(path)
     if not isinstance(document, dict):
-        raise ConfigError("config.not_a_mapping", "a config is a list of `key: value` lines", source=path)
+        raise ConfigError(
+            "config.not_a_mapping", "a config is a list of `key: value` lines", source=path, remedy="See configs/."
+        )
     for override in overrides:
         _override(document, override)
     # JSON mode: strict about numbers and truth values, yet a list is a tuple and a text a path.
@@ -54,7 +58,9 @@ def _missing_files(config: Config, source: str) -> list[ConfigError]:
         named |= {f"trials.{k}.file": trial.file, f"trials.{k}.forces": trial.forces}
     absent = [(key, file) for key, file in named.items() if isinstance(file, Path) and not os.path.isfile(file)]
     return [
-        ConfigError("config.missing_file", "no such file", source=source, place=key, found=str(file))
+        ConfigError(
+            "config.missing_file", "no such file", source=source, place=key, found=str(file), remedy=CORRECT_PATH
+        )
         for key, file in absent
     ]
 
@@ -82,7 +88,7 @@ def _override(document: dict[str, Document], override: str) -> None:
 
 def _index(holder: Document, step: str, override: str) -> int:
     if not isinstance(holder, list):
-        raise _bad_override(override, f"nothing can stand below a single value at '{step}'", "")
+        raise _bad_override(override, f"nothing can stand below a single value at '{step}'", "Set that key.")
     if not (step.isascii() and step.isdigit() and len(step) < 10 and int(step) < len(holder)):
         raise _bad_override(override, f"'{step}' is no entry of this list", f"It has {len(holder)}, counted from 0.")
     return int(step)

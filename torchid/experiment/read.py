@@ -30,8 +30,7 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     Raises:
         TorchidError: a file, the model or the marker set is at fault, or a trial that moves is too short.
     """
-    model, said = _model(config)
-    markers = load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
+    model, said, markers = read_setup(config)
     files = {file.name: file for file in config.trials}
     # Kept twice: beside an hour's samples of the plates the markers would have no room.
     trials = {name: keep(synchronise(keep(_read(file, config, markers)))) for name, file in files.items()}
@@ -41,6 +40,16 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     assignment = assign_markers(model, markers, tuple(trials.values()), config.unlisted_choice)
     notes = tuple(note for trial in trials.values() for note in trial.notes)
     return Session(trials, files, assignment, (*notes, *said, *assignment.notes))
+
+
+def read_setup(config: Config) -> tuple[Model, tuple[Note, ...], MarkerSet]:
+    """The model, what reading it had to say, and the marker set of a config.
+
+    Raises:
+        TorchidError: one of them is at fault.
+    """
+    model, said = _model(config)
+    return model, said, load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
 
 
 def _read(file: TrialFile, config: Config, markers: MarkerSet) -> Trial:

@@ -100,7 +100,7 @@ def _compute(
     try:
         identified = folder.stage("inertia", key, lambda: identify(config, outcome, progress))
     except DataError as failure:
-        log.warning("%s", failure)
+        log.info("%s", failure)
         return _with_torques(outcome, folder), failure
     outcome = replace(outcome, identified=identified, notes=(*outcome.notes, *identified.fit.notes))
     with folder.timed("residuals"):

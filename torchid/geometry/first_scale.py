@@ -66,7 +66,10 @@ def _from_static(fit: GeometryFit, static: Markers) -> GeometryFit:
     index = evenly(len(static.time), fit.options.static_frames)
     problem = trial_problem(fit, static, posture_prior(fit, fit.options.static_posture_sd), index)
     if not bool((problem.weight > 0).any()):
-        raise DataError("geometry.static", "the static trial shows none of the subject's markers")
+        raise DataError(
+            "geometry.static", "the static trial shows none of the subject's markers",
+            remedy="Correct markers: for this trial's labels, or give it the role fit",
+        )  # fmt: skip
     problem = replace(problem, robust=None)
     q = _follow_landmarks(fit, problem)
     return replace(fit, xi=solve_arrow(side_by_side([problem]), q, _placed(problem, q, fit), tolerance=1e-6).xi)

@@ -124,7 +124,10 @@ def minimise(start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, 
     objective = cp.sum_squares(root @ w) + slope @ w + divergence_terms(x, weights)
     problem, dual = solve_program(objective, x, linear, [])
     if w.value is None:
-        raise DataError("inertia.solver", "the entropic fit has no solution", found=f"Clarabel: {problem.status}")
+        raise DataError(
+            "inertia.solver", "the entropic fit has no solution", found=f"Clarabel: {problem.status}",
+            remedy="Set inertia.prior: quadratic, or check the mass and the plates",
+        )  # fmt: skip
     target = smooth(hessian, pull, weights)
     return finish(start + rotate @ w.value, target, linear, dual, problem, float(weights.min()))[0]
 

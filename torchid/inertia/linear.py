@@ -28,7 +28,10 @@ def box_rows(com_box: Tensor | None, bodies: int, like: Tensor) -> Float[Tensor,
     if com_box is None:
         return like.new_zeros((0, 10 * bodies))
     if com_box.shape != (bodies, 2, 3) or not bool((com_box[:, 0] < com_box[:, 1]).all()):
-        raise ConfigError("inertia.com_box", "every box needs a lower corner below its upper corner")
+        raise ConfigError(
+            "inertia.com_box", "every box needs a lower corner below its upper corner", found=str(tuple(com_box.shape)),
+            remedy=f"Give com_box of shape ({bodies}, 2, 3): lower and upper corner of each body [m]",
+        )  # fmt: skip
     rows = like.new_zeros((bodies, 2, 3, bodies, 10))
     for body in range(bodies):
         for axis in range(3):

@@ -79,12 +79,21 @@ def pose(
     shapes = {"prior mean": prior.mean.numel(), "Gram matrix": len(equations.gram), "prior": len(prior.covariance)}
     for what, found in shapes.items():
         if found != params:
-            raise ConfigError("inertia.shape", f"{what} does not fit {len(names)} bodies", found=f"{found} of {params}")
+            raise ConfigError(
+                "inertia.shape", f"{what} does not fit {len(names)} bodies", found=f"{found} of {params}",
+                remedy="Give ten parameters a body, in the order of names",
+            )  # fmt: skip
     equations.check()
     if not bool((torch.linalg.eigvalsh(params_to_pseudo(prior.mean.nan_to_num())) > 0).all()):
-        raise ConfigError("prior.not_physical", "the prior mean of a body is no physical inertia")
+        raise ConfigError(
+            "prior.not_physical", "the prior mean of a body is no physical inertia",
+            remedy="Give each body a positive mass and an inertia that some distribution of mass has",
+        )  # fmt: skip
     if mass is not None and not (mass[0] > 0 and 0 < mass[1] < float("inf")):
-        raise ConfigError("inertia.mass", "total mass needs a value and a standard deviation above 0", found=f"{mass}")
+        raise ConfigError(
+            "inertia.mass", "total mass needs a value and a standard deviation above 0", found=f"{mass}",
+            remedy="Give (value, standard deviation) in kg, or None",
+        )  # fmt: skip
     T, covariance, weights = relative_map(prior.mean), prior.covariance, None
     if options.prior == "entropic":
         weights = entropic.body_weights(covariance, T)

@@ -119,7 +119,10 @@ def _check_choice(weight: object, rms_bound: float | None, noise_sd: object) -> 
             continue
         if not isinstance(value, int | float) or not 0 < value < float("inf"):
             other = f' or "{words[name]}"' if name in words else ""
-            raise ConfigError("rows.option", f"must be a positive number{other}", place=name, found=str(value))
+            raise ConfigError(
+                "rows.option", f"must be a positive number{other}", place=name, found=str(value),
+                remedy="Give one, or leave it out",
+            )  # fmt: skip
 
 
 def _names(names: Sequence[str] | None, bodies: int) -> tuple[str, ...]:

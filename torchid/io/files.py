@@ -43,7 +43,10 @@ class FileBytes:
             file.seek(start)
             found = file.read(max(0, stop - start))
         if len(found) < stop - start:
-            raise InputError("file.unreadable", "the file became shorter while it was read", source=self.path)
+            raise InputError(
+                "file.unreadable", "the file became shorter while it was read", source=self.path,
+                found=f"{len(found)} of {stop - start} bytes", remedy="Wait until it is written, then start again",
+            )  # fmt: skip
         return found
 
 

@@ -31,7 +31,10 @@ def to_clock(forces: Forces, time: Float[Tensor, " frames"]) -> Forces:
         InputError: ``forces.short`` for fewer than two samples.
     """
     if len(forces.time) < 2:
-        raise InputError("forces.short", "forces have fewer than two samples", found=str(len(forces.time)))
+        raise InputError(
+            "forces.short", "forces have fewer than two samples", found=str(len(forces.time)),
+            remedy="Export the whole trial's forces, or leave forces: out",
+        )  # fmt: skip
     own, new = forces.time.detach().cpu().numpy(), time.detach().cpu().numpy()
     values = forces.wrench.detach().cpu().numpy().reshape(len(own), -1)
     rate = (len(new) - 1) / (new[-1] - new[0]) if len(new) > 1 else forces.rate
@@ -94,7 +97,10 @@ def synchronise(trial: Trial) -> Trial:
     forces = to_clock(trial.forces, trial.markers.time)
     shared = int(forces.wrench.isfinite().flatten(1).all(dim=1).sum())
     if shared == 0:
-        raise InputError("trial.no_overlap", "markers and forces share no frame", place=f"trial {trial.name}")
+        raise InputError(
+            "trial.no_overlap", "markers and forces share no frame", place=f"trial {trial.name}",
+            remedy="Give the forces of the same trial, on the same clock",
+        )  # fmt: skip
     frames, notes = len(trial.markers.time), trial.notes
     if shared < frames:
         notes = (

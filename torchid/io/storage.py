@@ -38,7 +38,10 @@ class Storage:
             InputError: ``storage.column`` where it is absent.
         """
         if name not in self.columns:
-            raise InputError("storage.column", "a column is missing", place=name, found=", ".join(self.columns[:40]))
+            raise InputError(
+                "storage.column", "a column is missing", place=name, found=", ".join(self.columns[:40]),
+                remedy="Export the file again with this column, or rename the one that holds it",
+            )  # fmt: skip
         return self.values[:, self.columns.index(name)]
 
 

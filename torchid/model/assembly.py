@@ -86,16 +86,24 @@ def _ordered(links: Sequence[Link], source: str | Path) -> list[Link]:
     """Parents before children, otherwise in the file's order (depth first)."""
     twice = [name for name, count in Counter(link.name for link in links).items() if count > 1]
     if twice:
-        raise InputError("model.name_twice", "a name stands twice", source=source, found=", ".join(twice[:5]))
+        raise InputError(
+            "model.name_twice", "a name stands twice", source=source, found=", ".join(twice[:5]), remedy="Rename one."
+        )
     roots = [link for link in links if link.parent is None]
     if len(roots) != 1:
         found = ", ".join(link.name for link in roots[:5]) or "none: the joints form a loop"
-        raise InputError("model.root", "needs exactly one link without parent", source=source, found=found)
+        remedy = "Join the links by joints, so that one alone is no joint's child."
+        raise InputError(
+            "model.root", "needs exactly one link without parent", source=source, found=found, remedy=remedy
+        )
     children: dict[str, list[Link]] = {link.name: [] for link in links}
     for link in links:
         if link.parent is not None:
             if link.parent not in children:
-                raise InputError("model.parent", "unknown parent", source=source, place=link.place, found=link.parent)
+                raise InputError(
+                    "model.parent", "unknown parent", source=source, place=link.place, found=link.parent,
+                    remedy="Name a link that the file has.",
+                )  # fmt: skip
             children[link.parent].append(link)
     order, waiting = [], [roots[0]]
     while waiting:
@@ -104,7 +112,10 @@ def _ordered(links: Sequence[Link], source: str | Path) -> list[Link]:
     if len(order) < len(links):
         lost = [link for link in links if link not in order]
         names = ", ".join(link.name for link in lost[:5])
-        raise InputError("model.loop", "links form a loop", source=source, place=lost[0].place, found=names)
+        remedy = "Open it: closed chains cannot be read."
+        raise InputError(
+            "model.loop", "links form a loop", source=source, place=lost[0].place, found=names, remedy=remedy
+        )
     return order
 
 

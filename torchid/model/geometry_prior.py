@@ -171,7 +171,12 @@ def _rows(prior: GeometryPrior, names: tuple[str, ...], into: str) -> list[int]:
         )  # fmt: skip
     rows = [prior.names.index(name) for name in names]
     if into in prior.names and into not in names:
-        raise ConfigError("geometry.group", "a parameter of this name exists already", place=into)
+        raise ConfigError(
+            "geometry.group", "a parameter of this name exists already", place=into, remedy="Take another."
+        )
     if len({prior.units[k] for k in rows}) > 1:
-        raise ConfigError("geometry.group", "parameters of one group need one unit", place=into, found=str(names))
+        raise ConfigError(
+            "geometry.group", "parameters of one group need one unit", place=into, found=str(names),
+            remedy="Group lengths with lengths, and angles with angles",
+        )  # fmt: skip
     return rows

@@ -25,6 +25,7 @@ from torchid.model.skeleton import SEGMENTS
 
 FOLDER = Path(__file__).parent / "marker_sets"
 RESERVED = ("aliases", "computed", "extends")
+ALIASES = "write them as aliases: {LASI: [LASIS, left asis]}"
 FREE_SD = 0.10
 """Scatter of a marker without landmark about its segment's centre of mass, fraction of stature: wider than any segment
 is thick and half as long as a thigh, so that it guides the first iteration and nothing else."""
@@ -145,7 +146,10 @@ def _parse(
     aliases = base.aliases | _aliases(content.get("aliases") or {}, specs, path)
     computed = content.get("computed") or []
     if not isinstance(computed, list) or not all(isinstance(pattern, str) for pattern in computed):
-        raise ConfigError("markers.computed", "computed is a list of patterns", source=path, place="computed")
+        raise ConfigError(
+            "markers.computed", "computed is a list of patterns", source=path, place="computed",
+            remedy='write it as computed: ["*JC", "PEL?"]',
+        )  # fmt: skip
     return MarkerSet(path.stem, specs, aliases, base.computed + tuple(computed))
 
 
@@ -154,7 +158,7 @@ def _spec(label: str, value: object, path: Path, segments: tuple[str, ...], land
     if not isinstance(entry, dict) or not {"segment"} <= set(entry) <= {"segment", "landmark"}:
         raise ConfigError(
             "markers.entry", "an entry is a segment, or {segment: ..., landmark: ...}", source=path, place=label,
-            found=repr(value)[:80],
+            found=repr(value)[:80], remedy="write it as LASI: pelvis, or LASI: {segment: pelvis, landmark: asis_l}",
         )  # fmt: skip
     for key, known in (("segment", segments), ("landmark", landmarks)):
         if key in entry and entry[key] not in known:
@@ -173,13 +177,14 @@ def _check_spelling(specs: Mapping[str, MarkerSpec], path: Path) -> None:
         if specs[twin] != spec:
             raise ConfigError(
                 "markers.ambiguous", "two labels differ only in case or punctuation and sit in different places",
-                source=path, place=f"{twin}, {label}",
+                source=path, place=f"{twin}, {label}", remedy="rename one in the recording and here",
             )  # fmt: skip
 
 
 def _aliases(value: object, specs: Mapping[str, MarkerSpec], path: Path) -> dict[str, tuple[str, ...]]:
     if not isinstance(value, dict):
-        raise ConfigError("markers.aliases", "aliases are label: [other, ...]", source=path, place="aliases")
+        message = "aliases are label: [other, ...]"
+        raise ConfigError("markers.aliases", message, source=path, place="aliases", remedy=ALIASES)
     found: dict[str, tuple[str, ...]] = {}
     for label, names in value.items():
         if label not in specs:
@@ -188,7 +193,8 @@ def _aliases(value: object, specs: Mapping[str, MarkerSpec], path: Path) -> dict
                 remedy=_suggest(str(label), tuple(specs), "labels"),
             )  # fmt: skip
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ConfigError("markers.alias", "not a list of labels", source=path, place=f"aliases.{label}")
+            place = f"aliases.{label}"
+            raise ConfigError("markers.alias", "not a list of labels", source=path, place=place, remedy=ALIASES)
         found[label] = tuple(names)
     return found
 

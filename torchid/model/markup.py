@@ -27,16 +27,19 @@ def read_xml(path: str | Path, root: str) -> Element:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise InputError("xml.unreadable", "cannot be read", source=path, found=str(error)) from error
+        remedy = "Check the path and the permissions."
+        raise InputError("xml.unreadable", "cannot be read", source=path, found=str(error), remedy=remedy) from error
     if len(content) > MAX_BYTES:
-        raise InputError("xml.too_large", f"larger than {MAX_BYTES} bytes", source=path)
+        raise InputError("xml.too_large", f"larger than {MAX_BYTES} bytes", source=path, remedy="Name a model file.")
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
     )
     try:
         element = etree.fromstring(content, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise InputError("xml.syntax", "not well-formed XML", source=path, found=str(error)[:200]) from error
+        raise InputError(
+            "xml.syntax", "not well-formed XML", source=path, found=str(error)[:200], remedy="Export the model again."
+        ) from error
     if element.getroottree().docinfo.doctype:
         raise InputError("xml.doctype", "a document type is not accepted", source=path, remedy="Remove <!DOCTYPE ...>.")
     if element.tag != root:

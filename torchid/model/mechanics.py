@@ -114,7 +114,10 @@ def phi_to_centre(phi: Array, name: str) -> tuple[float, Array, Array]:
     """
     mass = float(phi[Inertial.M])
     if not mass > 0.0:
-        raise DataError("model.massless", "a body without mass cannot be written", place=name, found=f"{mass:g} kg")
+        raise DataError(
+            "model.massless", "a body without mass cannot be written", place=name, found=f"{mass:g} kg",
+            remedy="Give the body a mass, or join it with its parent by a fixed joint",
+        )  # fmt: skip
     centre, inertia = phi[Inertial.MCX : Inertial.MCZ + 1] / mass, np.zeros((3, 3))
     for k, (i, j) in enumerate(INERTIA_PAIRS):
         inertia[i, j] = inertia[j, i] = phi[Inertial.IXX + k]

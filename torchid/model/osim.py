@@ -174,5 +174,5 @@ def _three(columns: list[_Column], name: str) -> list[_Column]:
     )  # fmt: skip
     if len(found) != 3 or twice:
         message = "a joint with more than three turns or slides, or two about one line, has no form in OpenSim"
-        raise DataError("osim.joint", message, place=name)
+        raise DataError("osim.joint", message, place=name, remedy="Use the URDF, or split the joint by a link between")
     return found

@@ -89,7 +89,10 @@ def model_of(
     names = [dof.name for dof in builder.dofs]
     if len(set(names)) < len(names):
         twice = sorted({name for name in names if names.count(name) > 1})
-        raise InputError("model.name_twice", "a coordinate's name stands twice", source=source, found=", ".join(twice))
+        raise InputError(
+            "model.name_twice", "a coordinate's name stands twice", source=source, found=", ".join(twice),
+            remedy="Rename one of the joints.",
+        )  # fmt: skip
     tree = Tree(tuple(builder.bodies), tuple(builder.dofs), tuple(builder.hinges))
     offset = np.array([np.zeros(3) if b.parent < 0 else b.X_PB[:3, 3] for b in bodies])
     geometry = Geometry(torch.tensor(offset), torch.tensor(builder.angles, dtype=torch.float64))

@@ -69,7 +69,7 @@ def read_urdf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
         )
     links = {_name(element, path): element for element in root.findall("link")}
     if len(links) < len(root.findall("link")):
-        raise InputError("model.name_twice", "two links have one name", source=path)
+        raise InputError("model.name_twice", "two links have one name", source=path, remedy="Rename one of them.")
     joints: dict[str, Element] = {}
     for element in root.findall("joint"):
         child = _end(element, "child", links, path)

@@ -1,0 +1,158 @@
+"""Tests of ``torchid check`` on folders and configs: what is found and paired, its exit code, and its JSON."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from torchid.check_report import schema
+from torchid.cli import app
+from torchid.errors import InputError
+from torchid.io.pairing import find_recordings, pair_files
+from torchid.io.trc import write_trc
+from torchid.recording import Markers
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
+from documentation.check_schema import PAGE, text
+
+runner = CliRunner()
+GROUND = "nRows=2\nnColumns=4\nendheader\ntime\tground_force_vx\tground_force_vy\tground_force_vz\n0\t0\t700\t0\n"
+ANGLES = "nRows=2\nnColumns=2\nendheader\ntime\tknee_angle_r\n0\t10\n"
+
+
+def recording(path: Path, gaps: bool = False) -> Path:
+    """A TRC of a swaying cloud of eight markers, tall along Y; with ``gaps`` one is mostly missing."""
+    random = np.random.default_rng(3)
+    time = np.arange(60) / 100.0
+    position = random.uniform([-0.2, -0.2, 0.1], [0.2, 0.2, 1.7], (8, 3)) + 1e-3 * random.normal(size=(60, 8, 3))
+    position[:40, 2] = np.nan if gaps else position[:40, 2]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_trc(path, Markers(tuple("ABCDEFGH"), torch.from_numpy(time), torch.from_numpy(position)))
+    return path
+
+
+def tree(folder: Path, files: dict[str, str]) -> None:
+    """Empty marker files and force files with the content given, below a folder."""
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(content)
+
+
+@pytest.mark.parametrize(
+    ("markers", "forces", "belongs"),
+    [
+        ("static1.trc", "static1_grf.mot", True),
+        ("a/markers.trc", "a/grf.sto", True),
+        ("markers_walk.trc", "grf_walk.mot", True),
+        ("MarkerData/walk 2.trc", "ForceData/walk_2_forces.mot", True),
+        ("walk.trc", "Forces/walk.MOT", True),
+        ("walk1.trc", "walk2_grf.mot", False),
+        ("a/markers.trc", "b/grf.sto", False),
+        ("a/deep/walk.trc", "walk_grf.mot", False),
+    ],
+)
+def test_forces_find_their_markers(tmp_path: Path, markers: str, forces: str, belongs: bool) -> None:
+    """By name and place, never those of another trial; a motion of that name is none."""
+    tree(tmp_path, {markers: "", forces: GROUND})
+    assert find_recordings(tmp_path) == [(tmp_path / markers, tmp_path / forces if belongs else None)]
+    tree(tmp_path, {forces: ANGLES})
+    assert find_recordings(tmp_path) == [(tmp_path / markers, None)]
+
+
+def test_forces_of_a_folder_with_markers_of_its_own_are_theirs(tmp_path: Path) -> None:
+    """Two subjects' folders side by side do not lend each other forces; hidden files are passed over."""
+    tree(
+        tmp_path, {"s1/walk.trc": "", "s2/walk.trc": "", "s2/walk_grf.mot": GROUND, "s1/b.C3D": "", "s1/notes.txt": ""}
+    )
+    tree(tmp_path, {".cache/x.trc": "", "s1/._walk.trc": ""})
+    one, two = tmp_path / "s1", tmp_path / "s2"
+    assert find_recordings(tmp_path) == [
+        (one / "b.C3D", None),
+        (one / "walk.trc", None),
+        (two / "walk.trc", two / "walk_grf.mot"),
+    ]
+
+
+def test_files_to_check_are_paired_in_order(tmp_path: Path) -> None:
+    """A force file belongs to the marker file before it; one without, another kind and an empty folder are refused."""
+    a, b, f = Path("a.TRC"), Path("b.c3d"), Path("a_grf.mot")
+    assert pair_files([a, f, b]) == [(a, f), (b, None)]
+    refused = [([f], "check.order"), ([a, f, f], "check.order"), ([Path("a.txt")], "check.kind")]
+    for files, code in [*refused, ([tmp_path], "check.empty")]:
+        with pytest.raises(InputError) as caught:
+            pair_files(files)
+        assert caught.value.code == code
+
+
+def test_problems_end_with_two(tmp_path: Path) -> None:
+    """A folder without problems ends with 0; one with a problem, or with a file that cannot be read, with 2."""
+    recording(tmp_path / "good" / "a.trc")
+    assert runner.invoke(app, ["check", str(tmp_path)]).exit_code == 0
+    recording(tmp_path / "gaps" / "b.trc", gaps=True)
+    result = runner.invoke(app, ["check", str(tmp_path)])
+    assert result.exit_code == 2 and "markers.gaps" in result.stdout and "no problems found" in result.stdout
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "c.c3d").write_bytes(b"<html>")
+    result = runner.invoke(app, ["check", str(tmp_path / "good"), str(tmp_path / "bad")])
+    assert result.exit_code == 2 and "c3d.signature" in result.stderr and "a.trc" in result.stdout
+
+
+def test_lines_are_whole_where_nobody_watches(tmp_path: Path) -> None:
+    """A file's name and a long cure stand in one line each when the text goes into a file."""
+    path = recording(tmp_path / ("deep " * 20).strip() / "b.trc", gaps=True)
+    lines = runner.invoke(app, ["check", str(tmp_path)]).stdout.splitlines()
+    assert [line for line in lines if line.startswith("! ") and str(path) in line and line.endswith("[markers.gaps]")]
+
+
+def fits(value, shape: dict, whole: dict) -> bool:
+    """Whether JSON has the shape that a schema demands, in the few words that ours uses."""
+    if "$ref" in shape:
+        return fits(value, whole["$defs"][shape["$ref"].split("/")[-1]], whole)
+    if "anyOf" in shape:
+        return any(fits(value, one, whole) for one in shape["anyOf"])
+    kinds = {"string": str, "integer": int, "number": (int, float), "null": type(None), "array": list, "object": dict}
+    wanted = shape["type"] if isinstance(shape["type"], list) else [shape["type"]]
+    own, inner = shape.get("properties", {}), shape.get("additionalProperties", {})
+    return (
+        any(isinstance(value, kinds[kind]) for kind in wanted)
+        and (not isinstance(value, list) or all(fits(one, shape["items"], whole) for one in value))
+        and (not isinstance(value, dict) or set(shape.get("required", ())) <= set(value))
+        and (not isinstance(value, dict) or all(fits(v, own.get(k, inner), whole) for k, v in value.items()))
+    )  # fmt: skip
+
+
+def test_json_is_as_its_schema_says(tmp_path: Path) -> None:
+    """Problems and refusals alike; numbers that are not known are null, and a wrong kind would not fit."""
+    recording(tmp_path / "b.trc", gaps=True)
+    (tmp_path / "c.c3d").write_bytes(b"<html>")
+    result = runner.invoke(app, ["check", "--json", str(tmp_path)])
+    found = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert result.exit_code == 2 and fits(found, schema(), schema())
+    assert [note["code"] for note in found["recordings"][0]["problems"]] == ["markers.gaps"]
+    assert [error["code"] for error in found["refused"]] == ["c3d.signature"] and found["refused"][0]["remedy"]
+    found["recordings"][0]["markers"] = "8"
+    assert not fits(found, schema(), schema())
+
+
+def test_the_published_schema_is_the_present_one() -> None:
+    """``PYTHONPATH=scripts python -m documentation.check_schema`` writes it."""
+    assert PAGE.read_text(encoding="utf-8") == text()
+
+
+@pytest.mark.parametrize(
+    ("own", "code"),
+    [("A: pelviss", "markers.segment"), ("A: pelvis", "markers.root"), ("A: pelvis\nB: pelvis\nC: pelvis", "")],
+)
+def test_a_configs_markers_are_checked(tmp_path: Path, own: str, code: str) -> None:
+    """A marker set with an unknown segment, or with none of the labels, is refused before a run; else it is told."""
+    recording(tmp_path / "a.trc")
+    (tmp_path / "lab.yaml").write_text(own)
+    (tmp_path / "c.yaml").write_text("{subject: {name: S}, markers: lab.yaml, trials: [{name: a, file: a.trc}]}")
+    result = runner.invoke(app, ["check", str(tmp_path / "c.yaml")])
+    assert result.exit_code == (2 if code else 0) and code in result.stderr
+    assert code or "markers.unlisted" in result.stdout

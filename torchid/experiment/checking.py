@@ -1,0 +1,32 @@
+"""A config's session before any fit: its recordings, and whether markers and model fit them."""
+
+from collections.abc import Iterator
+
+from torchid.check_report import Finding, Given, Refusal, check_recordings
+from torchid.config import Config
+from torchid.errors import TorchidError
+from torchid.experiment.read import read_setup
+from torchid.geometry.assign import assign_markers
+from torchid.recording import Trial
+
+
+def check_session(config: Config) -> Iterator[Finding]:
+    """What is wrong with each recording, then what becomes of its markers on the model.
+
+    Raises:
+        TorchidError: the model or the marker set is at fault.
+    """
+    model, said, markers = read_setup(config)
+    mass = config.subject.mass_kg
+    given = [
+        Given(file.name, file.file, file.forces, file.role, config.reading(file, markers.wanted), mass)
+        for file in config.trials
+    ]
+    trials: list[Trial] = []
+    yield from check_recordings(given, trials.append)
+    if len(trials) < len(given) or not trials:
+        return
+    try:
+        yield from (*said, *assign_markers(model, markers, tuple(trials), config.unlisted_choice).notes)
+    except TorchidError as error:
+        yield Refusal.of(error)

@@ -1,0 +1,100 @@
+"""Which files of a list or of a folder tree are recordings, and which forces belong to which markers."""
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from torchid.errors import InputError
+
+MARKER_SUFFIXES = (".c3d", ".trc")
+FORCE_SUFFIXES = (".mot", ".sto")
+KIND = re.compile(r"(grfs?|forces?|marker(s|data)?|trc|mot|kinetics)", re.IGNORECASE)
+"""Words of a file's name that say what is in it, not which trial."""
+FORCE_COLUMN = re.compile(r"force|(^|_)[vf][xyz]\d*$", re.IGNORECASE)
+HEAD = 16384
+"""Bytes at the start of a file in which its columns are named."""
+
+
+def pair_files(files: list[Path]) -> list[tuple[Path, Path | None]]:
+    """Each marker file with the force file that follows it, as in ``squat.trc squat_grf.mot``.
+
+    A folder stands for all recordings below it (``find_recordings``).
+
+    Raises:
+        InputError: ``check.order`` for a force file without markers before it, ``check.kind`` for anything else,
+            ``check.empty`` for a folder without recordings.
+    """
+    pairs: list[tuple[Path, Path | None]] = []
+    for file in files:
+        kind = file.suffix.lower()
+        if file.is_dir():
+            pairs += find_recordings(file)
+        elif kind in MARKER_SUFFIXES:
+            pairs.append((file, None))
+        elif kind in FORCE_SUFFIXES and pairs and pairs[-1][1] is None:
+            pairs[-1] = (pairs[-1][0], file)
+        elif kind in FORCE_SUFFIXES:
+            raise InputError(
+                "check.order", "forces without markers", source=file, remedy="Name its marker file before it."
+            )
+        else:
+            known = ", ".join((*MARKER_SUFFIXES, *FORCE_SUFFIXES, "a config (.yaml, .yml, .json), a folder"))
+            raise InputError("check.kind", "not a known kind of file", source=file, remedy=f"Known: {known}.")
+    return pairs
+
+
+def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
+    """All marker files below a folder, each TRC with the forces that its name and place give it.
+
+    A force file belongs to a TRC where both names are equal but for words such as ``grf``; it lies in the same folder,
+    or in one beside it or below it that holds no markers itself (``MarkerData/walk.trc``, ``ForceData/walk_grf.mot``).
+
+    Raises:
+        InputError: ``check.empty``.
+    """
+    files = sorted(_visible(folder))
+    markers = [file for file in files if file.suffix.lower() in MARKER_SUFFIXES]
+    forces = [file for file in files if file.suffix.lower() in FORCE_SUFFIXES and _has_forces(file)]
+    if not markers:
+        raise InputError(
+            "check.empty", "no recordings in this folder", source=folder, remedy="Name a folder with C3D or TRC files"
+        )
+    inhabited = {file.parent for file in markers}
+    return [(file, _forces_of(file, forces, inhabited) if file.suffix.lower() == ".trc" else None) for file in markers]
+
+
+def _visible(folder: Path) -> Iterator[Path]:
+    """Files below the folder, but for hidden ones and those in hidden folders."""
+    for place, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (Path(place, name) for name in names if not name.startswith("."))
+
+
+def _has_forces(file: Path) -> bool:
+    """Whether the columns of a MOT or STO are forces, and not the coordinates of a motion."""
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(HEAD).decode("utf-8", "replace")
+    except OSError:
+        return True  # Reading it will tell why not.
+    _, _, behind = head.lower().partition("endheader")
+    columns = behind.partition("\n")[2].strip("\r\n").split("\n")[0].split()
+    return any(FORCE_COLUMN.search(column) for column in columns)
+
+
+def _trial(file: Path) -> str:
+    """The part of a file's name that says which trial it is: empty for ``markers.trc`` and ``grf.mot``."""
+    words = [word for word in re.split(r"[\s_\-.]+", file.stem) if not KIND.fullmatch(word)]
+    return " ".join(words).casefold()
+
+
+def _forces_of(markers: Path, forces: list[Path], inhabited: set[Path]) -> Path | None:
+    """The force file of the same trial that is nearest: in the folder, in one below it, in one beside it."""
+    trial, home = _trial(markers), markers.parent
+    same = [file for file in forces if _trial(file) == trial]
+    here = [file for file in same if file.parent == home]
+    apart = [file for file in same if trial and file.parent not in inhabited]
+    below = [file for file in apart if file.parent.parent == home]
+    beside = [file for file in apart if file.parent.parent == home.parent]
+    return next(iter([*here, *below, *beside]), None)
