@@ -17,8 +17,9 @@ from torchid.agreement.evidence import Evidence, agrees, gather
 from torchid.agreement.feet import FRAMES, Feet, find_feet
 from torchid.agreement.finding import Finding, in_figures
 from torchid.agreement.units import unit_findings
+from torchid.conventions import SAMPLE_LOADED_N
 from torchid.io.mend import ForcesAs, mend, number_of, reframed
-from torchid.recording import Forces, Trial
+from torchid.recording import Forces, Plate, Trial
 
 BETTER = 1.0
 """Another reading is taken for the right one from this gain on, in logarithms a frame: a witness at 1.3 times its usual
@@ -90,7 +91,48 @@ def _axes(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, .
         turned = _other_up(trial, reread)
         if turned is not None:
             return (Finding(_said(scene, whole, bad), (turned,)),)
+    world = None if any(single[k].right for k in bad) else _other_world(trial)
+    if world:
+        return (Finding(f"{_said(scene, whole, bad)}, and would {world}"),)
     return tuple(_of_plate(scene, k, single[k], shared) for k in bad)
+
+
+SIZES = (0.5, 2.0)
+"""Factors of all markers that are tried where no reading of the forces helps."""
+
+
+def _other_world(trial: Trial) -> str:
+    """What else than the forces would have to change so that they agree, as the end of a sentence; else empty."""
+    assert trial.forces is not None
+    half = trial.markers.position.new_tensor([1.0, -1.0, -1.0])
+    upright = replace(
+        trial,
+        markers=replace(trial.markers, position=trial.markers.position * half),
+        forces=replace(trial.forces, wrench=trial.forces.wrench * half.repeat(2), plates=_bare(trial.forces)),
+    )
+    if _all_agree(upright):
+        return "if everything stood on its feet: the recording is upside down (turn it by 180 degrees about X)"
+    for size in SIZES:
+        other = replace(trial, markers=replace(trial.markers, position=trial.markers.position / size))
+        if _all_agree(other):
+            return f"if the markers were {1 / size:g} times as large: check their unit and the cameras' calibration"
+    return ""
+
+
+def _bare(forces: Forces) -> tuple[Plate, ...]:
+    return tuple(replace(plate, corners=None) for plate in forces.plates)
+
+
+def _all_agree(trial: Trial) -> bool:
+    scene = scene_of(trial)
+    if scene is None:
+        return False
+    loaded = [
+        bool(agrees(gather(scene.feet, scene.forces.wrench[None, :, k], scene.feet.position.new_tensor([height])))[0])
+        for k, height in enumerate(scene.heights)
+        if bool((scene.forces.wrench[:, k, 2] > SAMPLE_LOADED_N).any())
+    ]
+    return bool(loaded) and all(loaded)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import torch
 
 from torchid.config import Config, dump_config
 from torchid.errors import DataError, Note
+from torchid.experiment.acceptance import impossible
 from torchid.experiment.correction import extend_outcome
 from torchid.experiment.diagnosis_stage import diagnose_outcome
 from torchid.experiment.fits import OnStage, fit_session, identify
@@ -51,6 +52,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
             session = read_session(config, folder.aside)
         progress("read", 1.0)
         outcome, failure = _compute(config, session, folder, progress)
+        failure = failure or impossible(outcome)
         outcome = replace(outcome, times=dict(folder.times))
         progress("write", 0.0)
         with folder.timed("write"):

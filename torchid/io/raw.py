@@ -14,6 +14,7 @@ from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
 from torchid.io.plates import baseline
+from torchid.io.repeats import refuse_repeats
 from torchid.io.spikes import marker_spikes, plate_spikes
 from torchid.recording import Event, Forces, Markers, Trial
 
@@ -67,6 +68,7 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
         mask, leaping = marker_spikes(position, rate, raw.labels, raw.source, raw.lines)
         position[mask] = np.nan
         if role != "static":
+            refuse_repeats(position, raw.source)
             mask, held = held_samples(position, rate, raw.labels, raw.source)
             position[mask] = np.nan
     world = turn_to_world(torch.from_numpy(position), axis)

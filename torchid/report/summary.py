@@ -41,7 +41,7 @@ def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataErr
         ("", "Scaled template, tabulated inertia", "Identified geometry, tabulated inertia", "Identified", "Change"),
         verdict_rows(outcome, tested),
     )]  # fmt: skip
-    blocks = [*_named(outcome.diagnosis), *blocks]
+    blocks = [*([] if failure else _named(outcome.diagnosis)), *blocks]
     warnings = tuple(warning_lines(outcome, tested))
     if warnings:
         blocks += [Paragraph("Worth knowing before using these results:"), Items(warnings)]
@@ -65,6 +65,8 @@ def _named(found: Diagnosis | None) -> list[Block]:
 
 
 def _finding(outcome: Outcome, tested: dict[str, Wrenches], failure: DataError | None) -> str:
+    if failure is not None and failure.code.startswith("result."):
+        return f"No body could give this result, so do not use it: {failure.message} ({failure.found})."
     judge = judges(outcome)
     identified, scaled = marker_rms(outcome, judge.names)
     said = (
