@@ -24,8 +24,8 @@ LEVER = 1.0
 """Distance [m] from a plate's centre that no centre of pressure on it exceeds, for leaps of the moment."""
 MANY = 0.1
 """Share of a stream's samples above which leaps are no single samples: rate, unit or labels are wrong."""
-PIECE = 8192
-"""Frames that are looked at together."""
+PIECE = 512
+"""Frames that are looked at together, few enough to stay in a processor's cache."""
 LISTED = 8
 """Frames that a note names."""
 
@@ -71,15 +71,22 @@ def spikes(
 
 def _suspect(values: np.ndarray, floor: float) -> np.ndarray:
     """Streams with a second difference that a spike must have: every other is done with."""
-    found = np.zeros(values.shape[1], bool)
-    for start in range(0, max(0, len(values) - 2), PIECE):
-        part = values[start : start + PIECE + 2]
+    frames, streams, components = values.shape
+    bend = _largest_bends(values.reshape(frames, streams * components))
+    return (bend.reshape(streams, components) > 2.0 * floor / np.sqrt(components)).any(axis=1)
+
+
+def _largest_bends(columns: np.ndarray) -> np.ndarray:
+    """Largest second difference of every column (frames, columns), 0 where it is never known."""
+    largest = np.zeros(columns.shape[1])
+    for start in range(0, max(0, len(columns) - 2), PIECE):
+        part = columns[start : start + PIECE + 2]
         bend = part[2:] - part[1:-1]
         bend += part[:-2]
         bend -= part[1:-1]
-        np.abs(bend, out=bend)
-        found |= (bend > 2.0 * floor / np.sqrt(values.shape[2])).any(axis=(0, 2))
-    return found
+        for extreme in (np.fmax.reduce(bend, axis=0), -np.fmin.reduce(bend, axis=0)):
+            np.fmax(largest, extreme, out=largest)
+    return largest
 
 
 def _leaps(stream: np.ndarray) -> np.ndarray:
@@ -155,12 +162,18 @@ def marker_spikes(
 def plate_spikes(forces: Forces, source: str) -> tuple[Bool[np.ndarray, "samples plates"], list[Note]]:
     """Mask of plate samples whose force, or moment about the plate's centre, leaps away once, and what to say of it."""
     wrench, bound = forces.wrench.numpy(), force_bound(forces.rate if len(forces.time) > 1 else 0.0)
-    found, _ = spikes(wrench[..., :3], bound)
+    found = np.zeros(wrench.shape[:2], bool)
+    with np.errstate(over="ignore", invalid="ignore"):
+        bends = _largest_bends(wrench.reshape(len(wrench), -1)).reshape(-1, 6)
     for k, plate in enumerate(forces.plates):
+        centre = np.zeros(3) if plate.corners is None else plate.corners.mean(dim=0).numpy()
+        force, moment = bends[k, :3].sum(), bends[k, 3:].sum()
+        if force + moment + np.abs(centre).sum() * force < bound * min(LEVER, 1.0):
+            continue
+        found[:, k] = spikes(wrench[:, k, None, :3], bound)[0][:, 0]
         if plate.corners is not None:
-            centre = plate.corners.mean(dim=0).numpy()
-            moment = wrench[:, k, 3:] - np.cross(centre, wrench[:, k, :3])
-            found[:, k] |= spikes(moment[:, None], bound * LEVER)[0][:, 0]
+            about = wrench[:, k, 3:] - np.cross(centre, wrench[:, k, :3])
+            found[:, k] |= spikes(about[:, None], bound * LEVER)[0][:, 0]
     notes = []
     for k, plate in enumerate(forces.plates):
         times = forces.time[torch.from_numpy(found[:, k])].tolist()
