@@ -344,6 +344,8 @@ def test_files_of_an_earlier_run_do_not_stand_beside_new_results(tmp_path):
     assert run("c.json", error=KeyboardInterrupt()) == {"a.json", "b.json", "notes.txt"}
     assert run("a.json", error=DataError("data.poor", "too little", remedy="more")) == {"a.json", "notes.txt"}
     assert run("d.json") == {"d.json", "notes.txt"}
+    assert run() == {"notes.txt"}
+    assert not (out / ".torchid" / "publishing.json").exists()
 
 
 def write_results(folder: OutputFolder, *names: str, text: str = "") -> None:

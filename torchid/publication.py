@@ -39,7 +39,7 @@ class Publication:
         path = self.out / name
         if not os.path.lexists(path):
             return True
-        known = {_listed(file).get(name) for file in (self._list, self._pending)} - {None}
+        known = {(_listed(file) or {}).get(name) for file in (self._list, self._pending)} - {None}
         with writing(path):
             return bool(known) and path.is_file() and not path.is_symlink() and file_sha256(path) in known
 
@@ -72,7 +72,7 @@ class Publication:
     def finish(self) -> None:
         """Go on where a publication was cut, if one was; then ``new`` is empty. Errors as ``publish``."""
         pending = _listed(self._pending)
-        if pending:
+        if pending is not None:
             self.refuse_foreign(pending)
             with writing(self.out):
                 self._take_away(pending)
@@ -82,6 +82,7 @@ class Publication:
                 os.replace(self._pending, self._list)
                 flush_folder(self._list.parent)
         with writing(self.new):
+            self._pending.unlink(missing_ok=True)  # damaged, if it is still there
             if self.new.exists():
                 shutil.rmtree(self.new)
             self.new.mkdir(parents=True)
@@ -93,7 +94,7 @@ class Publication:
 
     def _take_away(self, pending: dict[str, str]) -> None:
         """What earlier runs put there, but for what this publication has already put in its place."""
-        for name in sorted(_listed(self._list), key=_order, reverse=True):
+        for name in sorted(_listed(self._list) or (), key=_order, reverse=True):
             if (name not in pending or (self.new / name).exists()) and self.owns(name):
                 (self.out / name).unlink(missing_ok=True)
                 if name not in pending:
@@ -109,10 +110,13 @@ def _order(name: str) -> tuple[bool, str]:
     return name in CONFIGS, name
 
 
-def _listed(file: Path) -> dict[str, str]:
+def _listed(file: Path) -> dict[str, str] | None:
     """A list of files; a damaged one is as good as none, for then nothing is torchid's."""
+    if not file.exists():
+        return None
     try:
-        names = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return names if isinstance(names, dict) else {}
+        with writing(file):
+            names = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError:
+        return None
+    return names if isinstance(names, dict) else None
