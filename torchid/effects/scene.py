@@ -57,7 +57,7 @@ class Scene:
 
     @property
     def span(self) -> "Scene":
-        """Whose first and last frame are those between which parameters were found: effects that begin with a
+        """The scene whose first and last frame are those between which parameters were found. Effects that begin with a
         recording, or take a course in it, count from there."""
         return self.ends or self
 

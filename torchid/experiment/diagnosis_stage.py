@@ -50,8 +50,8 @@ def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_me
     if identified is None or not observed:
         return None
     missing = _missing_weight(outcome, observed, parts["fit"], options.missing_weight) if EFFECT in effects else []
-    aside = [i for one in missing for i in one.aside]
-    left = [w for w in (set_aside(w, aside) for w in observed) if any(True for _ in w.rows.blocks())]
+    gone = [i for one in missing for i in one.aside]
+    left = [w for w in (set_aside(w, gone) for w in observed) if any(True for _ in w.rows.blocks())]
     observed = left or observed
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
     found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options)
