@@ -134,9 +134,9 @@ HOSTILE = "\x1b[2J\x1b]0;title\x07\x9b31m\u202eLASI"
 
 def test_check_prints_no_terminal_escapes(tmp_path):
     """Labels and names of files are printed by one terminal, which shows control characters and loses no letter."""
-    labels = (HOSTILE, "RASI", "LPSI", "RPSI")
-    place = torch.tensor([[0.0, 0.0, 0.1], [0.3, 0.0, 0.1], [0.0, 0.1, 1.7], [0.3, 0.1, 1.7]], dtype=torch.float64)
-    position = place + 1e-3 * torch.randn(20, 4, 3, dtype=torch.float64)
+    labels = (HOSTILE, "RASI", "LPSI", "RPSI", "LHEE", "RHEE")
+    place = torch.tensor([[0.3 * (k % 2), 0.0, 0.3 * k] for k in range(6)], dtype=torch.float64)
+    position = place + 1e-3 * torch.randn(20, 6, 3, dtype=torch.float64)
     position[:15, 0] = torch.nan
     path = tmp_path / f"{HOSTILE[0]}a.trc"
     write_trc(path, Markers(labels, torch.arange(20, dtype=torch.float64) / 100, position))

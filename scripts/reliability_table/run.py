@@ -2,9 +2,10 @@
 
     scripts/reliability                    # quick ones measured now, long ones as they were last recorded
     scripts/reliability --only G5 G28
+    scripts/reliability --record G8 "0 of 250 corrupt" yes "scripts/faults --kills 50"
 
-Long measurements write their row to scripts/reliability.json when they are called with --record; those that never were
-read "not measured here". The exit code is 1 where a goal that was measured is not reached.
+Long measurements write their row to scripts/reliability.json, by `reliability_table.record` or as above; those that
+never did read "not measured here". The exit code is 1 where a goal that was measured is not reached.
 """
 
 import argparse
@@ -12,7 +13,7 @@ import secrets
 import sys
 
 from reliability_table.goals import GOALS, Measuring
-from reliability_table.record import Figure, recorded
+from reliability_table.record import Figure, record, recorded
 
 
 def main() -> None:
@@ -21,7 +22,12 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=GOALS, default=list(GOALS), metavar="GOAL")
     parser.add_argument("--count", type=int, default=2000, help="C3D mutants; others in proportion (default 2000)")
     parser.add_argument("--seed", type=int, help="of the draws; default: a new one, which is printed")
+    parser.add_argument("--record", nargs=4, metavar=("GOAL", "FIGURE", "yes|no", "COMMAND"), help="note a figure")
     args = parser.parse_args()
+    if args.record:
+        goal, text, reached, command = args.record
+        record(goal, text, reached == "yes", command)
+        return
     seed = secrets.randbelow(2**32) if args.seed is None else args.seed
     print(f"seed {seed}\n\n| id | goal | figure | reached | how |\n|---|---|---|---|---|")
     found = [_row(name, Measuring(seed, args.count)) for name in args.only]
