@@ -48,6 +48,8 @@ class Plate:
     """Corners in W [m], None when the file has none (MOT)."""
     origin: Float[Tensor, " 3"] | None = None
     """From the transducer to the centre of the surface, in the plate's axes [m]; None where the file tells none."""
+    moment_length: float = 1.0
+    """Length in which the file's moments are stored: 0.001 for N mm [m]."""
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,8 @@ class OutputFolder:
         It is for what comes and goes many times: freed memory stays with the process.
         """
         try:
-            return swap_out(value, self.state)
+            with nameless_file(self.staging) as file:
+                return swap_out(value, file)
         except OSError as error:
             log.warning("columns stay in memory: %s", error)
             return value

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from torchid.conventions import GRAVITY
-from torchid.io.c3d_header import C3dHeader, read_header
+from torchid.io.c3d_header import C3dHeader, Processor, read_header
 from torchid.io.c3d_layout import resolve_layout
 from torchid.io.files import FileBytes
 from torchid.io.storage import Storage, read_storage, write_storage
@@ -47,7 +47,11 @@ class C3dCopy:
         parameter = self.header.find(group, name)
         assert parameter is not None
         kind = {2: "h", 4: "f"}[parameter.kind]
-        raw = struct.pack(f"<{len(values)}{kind}", *(int(v) if kind == "h" else float(v) for v in values))
+        order, dec = self.header.processor.order, self.header.processor is Processor.DEC and kind == "f"
+        scaled = values * 4.0 if dec else values  # a DEC real: words exchanged, an exponent larger by two
+        raw = struct.pack(f"{order}{len(values)}{kind}", *(int(v) if kind == "h" else float(v) for v in scaled))
+        if dec:
+            raw = np.frombuffer(raw, "<u2").reshape(-1, 2)[:, ::-1].tobytes()
         # After the name come two bytes of offset, kind, number of dimensions and the dimensions.
         named = name.encode() if self.bytes.find(name.encode()) >= 0 else name.lower().encode()
         at = self.bytes.find(parameter.raw, self.bytes.find(named))
@@ -72,7 +76,7 @@ class C3dCopy:
 
     def shift(self, columns: np.ndarray, seconds: float, other: "C3dCopy | None" = None) -> None:
         """Analog samples of channels later by some time (the first ones repeated), or another file's."""
-        layout, kind = self.layout, np.dtype("<f4" if self.layout.is_float else "<i2")
+        layout, kind = self.layout, np.dtype(self.header.processor.order + ("f4" if self.layout.is_float else "i2"))
         begin = self.header.start + (self.header.data_block - 1) * 512
         width = 4 * layout.points + layout.channels * layout.ratio
         size = layout.frames * width
@@ -87,7 +91,7 @@ class C3dCopy:
 
     def samples(self) -> np.ndarray:
         """Analog samples (samples, channels) as stored."""
-        layout, kind = self.layout, np.dtype("<f4" if self.layout.is_float else "<i2")
+        layout, kind = self.layout, np.dtype(self.header.processor.order + ("f4" if self.layout.is_float else "i2"))
         begin = self.header.start + (self.header.data_block - 1) * 512
         width = 4 * layout.points + layout.channels * layout.ratio
         raw = bytes(self.bytes[begin : begin + layout.frames * width * kind.itemsize])

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, in_words, number_of
 from torchid.recording import Plate
@@ -14,6 +15,8 @@ FLIPPED = ((2, 1, 4, 3), (4, 3, 2, 1), (1, 4, 3, 2), (3, 2, 1, 4))
 CROSSED = tuple(itertools.permutations((1, 2, 3, 4)))[1:]
 """Every other order of four corners."""
 
+Up = Literal["y", "z"]
+
 
 @dataclass(frozen=True)
 class Change:
@@ -23,7 +26,7 @@ class Change:
     """What is wrong then, as the end of a sentence."""
     forces_as: ForcesAs = ForcesAs()
     plates: Mapping[int, PlateAs] = field(default_factory=dict)
-    up: str | None = None
+    up: Up | None = None
     """Vertical axis of the markers, where it is not as read."""
 
     @property
@@ -72,13 +75,15 @@ def pair_changes(plates: tuple[Plate, ...]) -> list[Change]:
     ]
 
 
-def file_changes() -> list[Change]:
-    """What may be wrong with all forces of a file."""
+def file_changes(own_axes: bool) -> list[Change]:
+    """What may be wrong with all forces of a file; ``own_axes``: its axes may be others than those of the markers."""
     found = [
         Change("all forces are reversed (they push the subject down)", ForcesAs(gain=-1.0)),
         Change("all moments are in N mm", ForcesAs(moment_gain=1e-3)),
         Change("all moments are too small by 1000", ForcesAs(moment_gain=1e3)),
     ]
+    if not own_axes:
+        return found
     found += [
         Change(f"the forces' axes are turned by {angle} degrees about the vertical", ForcesAs(turn_deg=angle))
         for angle in QUARTERS

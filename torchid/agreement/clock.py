@@ -22,8 +22,8 @@ SEEN = 0.8
 LEAST_S, CLEAR = 0.030, 1.5
 """A lag is believed from this size on, where undoing it makes the loaded foot this much slower (root mean square).
 Feet tell clocks to 20 ms; of 52 public recordings the largest are 32 ms with a factor of 1.1 and 24 ms with 1.6."""
-SAME_S = 0.04
-"""Lags of plates closer than this are one."""
+SAME_S = 0.025
+"""Lags of plates this near their common one are one: feet tell each to 20 ms."""
 MOST_FRAMES = 20_000
 """Frames from the beginning of a recording that tell its clock."""
 STILL = 0.5

@@ -11,14 +11,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.agreement.changes import Change, corner_changes, file_changes, pair_changes, plate_changes
+from torchid.agreement.changes import Change, Up, corner_changes, file_changes, pair_changes, plate_changes
 from torchid.agreement.clock import clock_findings
-from torchid.agreement.evidence import Evidence, agrees, gather
+from torchid.agreement.evidence import FREE_MOST_M, PRESSURE_MOST_M, Evidence, agrees, gather
 from torchid.agreement.feet import FRAMES, Feet, find_feet
 from torchid.agreement.finding import Finding, in_figures
 from torchid.agreement.units import unit_findings
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.io.mend import ForcesAs, mend, number_of, reframed
+from torchid.io.resample import to_clock
 from torchid.recording import Forces, Plate, Trial
 
 BETTER = 1.0
@@ -56,8 +57,21 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
     scene, refused = scene_of(trial), () if reread is None else _refused(trial, reread)
     if scene is None:
         return refused
-    units = unit_findings(scene.feet, scene.forces, scene.heights, mass_kg)
-    return units or (*_axes(scene, trial, reread), *refused) or clock_findings(trial)
+    units = unit_findings(trial, scene.feet, scene.forces, scene.heights, mass_kg)
+    return units or (*_axes_or_clock(scene, trial, reread), *refused)
+
+
+def _axes_or_clock(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, ...]:
+    """Plates and axes, or a clock where that alone explains what they do not."""
+    axes, clock = _axes(scene, trial, reread), clock_findings(trial)
+    if not axes or not clock or trial.forces is None:
+        return axes or clock
+    change = clock[0].changes[0]
+    plates = {n: p for finding in clock for n, p in finding.changes[0].plates.items()}
+    forces = mend(trial.forces, change.forces_as, plates)
+    in_time = None if forces is None else replace(trial, forces=to_clock(forces, trial.markers.time))
+    later = None if in_time is None else scene_of(in_time)
+    return clock if later is not None and in_time is not None and not _axes(later, in_time, None) else axes
 
 
 def scene_of(trial: Trial) -> Scene | None:
@@ -79,7 +93,7 @@ def _axes(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, .
     plates = scene.forces.plates
     single = {k: _tried(scene, k, plate_changes(plates, k)) for k in range(len(plates))}
     bad = [k for k, tried in single.items() if tried.disagrees]
-    together = [*pair_changes(plates), *file_changes()]
+    together = [*pair_changes(plates), *file_changes("forces" in trial.parameters)]
     whole = {k: _tried(scene, k, together) for k in range(len(plates))}
     bad += [k for k, tried in whole.items() if k not in bad and tried.disagrees and _all_gain(whole)]
     if not bad:
@@ -168,16 +182,20 @@ class Tried:
         return float(self.evidence.gain[1 + self.changes.index(change)])
 
     def agrees(self, change: Change) -> bool:
-        """Whether the plate is within what a foot can do under the change, or as idle as it was read."""
-        i = 1 + self.changes.index(change)
-        return self._agrees(i) or not bool((self.evidence.loaded[[0, i]] > 0).any())
+        """Whether the plate is within what a foot can do under the change, or idle."""
+        return self._agrees(1 + self.changes.index(change)) or not self.bears(change)
+
+    def bears(self, change: Change | None) -> bool:
+        """Whether the plate is loaded under the change, or as read."""
+        return bool(self.evidence.loaded[0 if change is None else 1 + self.changes.index(change)] > 0)
 
     def _much_better(self, i: int) -> bool:
         smaller = self.changes[i - 1].forces_as.moment_gain < 1 or any(
             p.moment_gain < 1 for p in self.changes[i - 1].plates.values()
         )
         # Moments of next to nothing agree with every foot: only what is impossible speaks for N mm.
-        return float(self.evidence.gain[i]) > BETTER and not (smaller and self._agrees(0))
+        possible = float(self.evidence.free[0]) < FREE_MOST_M and float(self.evidence.pressure[0]) < PRESSURE_MOST_M
+        return float(self.evidence.gain[i]) > BETTER and not (smaller and possible)
 
     def _agrees(self, i: int) -> bool:
         return bool(agrees(self.evidence)[i])
@@ -207,7 +225,9 @@ def _shared(whole: dict[int, Tried], bad: list[int]) -> list[Change]:
         return []
     total = {}
     for change in whole[bad[0]].changes:
-        if all(tried.agrees(change) for tried in whole.values()):
+        # Exchanged plates may leave one idle, but somebody stands on as many as before.
+        bearing = [sum(tried.bears(c) for tried in whole.values()) for c in (None, change)]
+        if all(tried.agrees(change) for tried in whole.values()) and bearing[1] >= max(1, bearing[0]):
             total[change.line] = (sum(whole[k].gain(change) for k in whole) / len(bad), change)
     small = all(tried._agrees(0) for tried in whole.values())
     helpful = [(g, c) for g, c in total.values() if g > BETTER and not (small and c.forces_as.moment_gain < 1)]
@@ -253,14 +273,15 @@ def _carries(trial: Trial | None, number: int) -> bool:
 
 def _other_up(trial: Trial, reread: Reread) -> Change | None:
     """The change of the vertical of markers or forces alone under which they agree."""
-    for markers, forces in (("y", "z"), ("z", "y")):
+    axes: tuple[tuple[Up, Up], ...] = (("y", "z"), ("z", "y"))
+    for markers, forces in axes:
         change = Change(f"the markers have {markers.upper()} up and the forces {forces.upper()}",
                         ForcesAs(up=forces), up=markers)  # fmt: skip
         other = reread(change)
         scene = None if other is None else scene_of(other)
         if scene is None or other is None:
             continue
-        tried = {k: _tried(scene, k, file_changes()) for k in range(len(scene.forces.plates))}
+        tried = {k: _tried(scene, k, file_changes(True)) for k in range(len(scene.forces.plates))}
         loaded = [t for t in tried.values() if bool(t.evidence.loaded[0] > 0)]
         if loaded and all(t._agrees(0) for t in loaded):
             return change

@@ -2,6 +2,7 @@
 
 import math
 
+import torch
 from torch import Tensor
 
 from torchid.agreement.changes import Change
@@ -10,21 +11,26 @@ from torchid.agreement.feet import Feet
 from torchid.agreement.finding import Finding
 from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
 from torchid.io.mend import ForcesAs, PlateAs, number_of
-from torchid.recording import Forces
+from torchid.recording import Forces, Trial
 
 PERSON_N = 700.0
 """A weight to which forces are brought for the comparison with feet, whatever their unit."""
 LEAST = 1e-4
 """Readings below this in any unit are noise."""
-NEAR, APART = math.log(2.5), math.log(1.25)
-"""A unit is possible within this factor of the weight on record (partly measured steps and runs give 0.4 to 1.5), and
-it is the one if the next is farther by that factor."""
+NEAR, APART = math.log(1.6), math.log(1.25)
+"""A unit is possible within this factor of the weight on record (steps measured in part give less of it), and it is the
+one if the next is farther by that factor."""
+STEP_S = 0.04
+"""Time on either side from which an acceleration is taken."""
 
 
-def unit_findings(feet: Feet, forces: Forces, heights: list[float], mass_kg: float | None) -> tuple[Finding, ...]:
+def unit_findings(
+    trial: Trial, feet: Feet, forces: Forces, heights: list[float], mass_kg: float | None
+) -> tuple[Finding, ...]:
     """Plates that carry a foot, but less than anybody weighs.
 
     Args:
+        trial: whose markers tell how the body is accelerated.
         feet: at the frames of the forces.
         forces: as read.
         heights: of the plates' surfaces in W [m].
@@ -35,10 +41,11 @@ def unit_findings(feet: Feet, forces: Forces, heights: list[float], mass_kg: flo
     found = [k for k in silent if _carries(feet, forces.wrench[:, k] * (PERSON_N / peak[k]), heights[k])]
     if not found:
         return ()
-    level = float(_level(forces.wrench[:, found, 2].sum(dim=1)))
+    lift = _lift(trial, feet)
+    level = _level(forces.wrench[:, found, 2].sum(dim=1), lift)
     loud = forces.wrench[..., 2].amax(dim=0) > SAMPLE_LOADED_N
     if mass_kg is None and bool(loud.any()):
-        mass_kg = float(_level(forces.wrench[:, loud, 2].sum(dim=1))) / GRAVITY
+        mass_kg = _level(forces.wrench[:, loud, 2].sum(dim=1), lift) / GRAVITY
     numbers = {number_of(forces.plates[k], k): forces.plates[k].name for k in found}
     said = f"{', '.join(numbers.values())}: a foot stands on it, yet it reads {level:.3g} N"
     gains = _gains(level, mass_kg)
@@ -60,9 +67,20 @@ def _carries(feet: Feet, wrench: Tensor, height: float) -> bool:
     return bool(agrees(evidence)[0])
 
 
-def _level(vertical: Tensor) -> Tensor:
-    """Median of what stands on the plates while somebody does."""
-    return vertical[vertical > 0.5 * vertical.max()].median()
+def _lift(trial: Trial, feet: Feet) -> Tensor:
+    """1 + a / g (n) at the frames of the feet, a being the vertical acceleration of the markers' mean."""
+    height = trial.markers.position[..., 2].nanmean(dim=1)
+    step = max(1, round(STEP_S * trial.markers.rate))
+    before, after = (feet.frames - step).clamp_min(0), (feet.frames + step).clamp_max(len(height) - 1)
+    acceleration = (height[after] - 2 * height[feet.frames] + height[before]) * (trial.markers.rate / step) ** 2
+    inside = (feet.frames >= step) & (feet.frames < len(height) - step)
+    return 1.0 + torch.where(inside, acceleration, 0.0).nan_to_num() / GRAVITY
+
+
+def _level(vertical: Tensor, lift: Tensor) -> float:
+    """Weight that what stands on the plates moves while somebody does: its mean over that of 1 + a / g."""
+    loaded = vertical > 0.5 * vertical.max()
+    return float(vertical[loaded].mean() / lift[loaded].mean())
 
 
 def _gains(level: float, mass_kg: float | None) -> list[tuple[str, float]]:

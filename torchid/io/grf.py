@@ -1,6 +1,7 @@
 """Ground reaction forces of an OpenSim MOT or STO: columns of force, centre of pressure and free moment to wrenches."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -52,12 +53,19 @@ class PlateRows:
         return np.concatenate([self.force, self.point, self.torque], axis=1)
 
 
-def forces_from_storage(storage: Storage, source: str) -> tuple[Forces, tuple[Note, ...]]:
+def forces_from_storage(
+    storage: Storage, source: str, moment_gain: Callable[[int], float] = lambda number: 1.0
+) -> tuple[Forces, tuple[Note, ...]]:
     """Wrenches on the subject about the file's origin, in the file's axes [N, N m].
 
     A force acts at its centre of pressure p and brings a free moment T: the moment about the origin is p x F + T. Where
     the force is zero, p is without meaning and not used; where p or T is missing under less than 20 N, there is no
     load. Missing rows, missing values under load, and single cells that leap away are gaps (NaN), and said.
+
+    Args:
+        storage: the file's columns.
+        source: the file.
+        moment_gain: factor of the free moments of a plate, by its number: what the user says of their unit.
 
     Raises:
         InputError: ``mot.columns`` where no complete set of columns is found, ``mot.empty`` without rows, ``mot.nan``
@@ -71,9 +79,10 @@ def forces_from_storage(storage: Storage, source: str) -> tuple[Forces, tuple[No
     lines = storage.lines if len(storage.lines) else np.arange(len(storage.time)) + 1
     clock = uniform_clock(storage.time, lines, source, notes)
     wrenches = []
-    for name, columns in sets.items():
+    for number, (name, columns) in enumerate(sets.items(), start=1):
         with np.errstate(over="ignore", invalid="ignore"):
             plate, idle = _plate_rows(storage, columns, name, source, lines)
+            plate = replace(plate, torque=plate.torque * moment_gain(number))
             wrenches.append(_wrench(plate, idle, clock.rate, notes))
     stacked = torch.from_numpy(clock.spread(np.stack(wrenches, axis=1)))
     return Forces(torch.from_numpy(clock.time), stacked, tuple(Plate(name) for name in sets)), tuple(notes)

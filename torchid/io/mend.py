@@ -201,7 +201,7 @@ def _mended(forces: Forces, k: int, change: PlateAs | None, index: dict[int, int
     if change.reads or change.exchange or change.mirror:
         origin = index[change.reads] if change.reads else k
         channels = in_plate(forces.wrench[:, origin], _with_corners(forces.plates[origin], source))
-        wrench = from_plate(_rewired(channels, change), _with_corners(plate, source))
+        wrench = from_plate(_rewired(channels, change, plate.moment_length), _with_corners(plate, source))
     wrench = _moments(wrench, plate, change.moment_gain) * change.gain
     return _shifted(wrench, change.lag_ms / 1e3 * forces.rate) if change.lag_ms else wrench
 
@@ -219,11 +219,13 @@ def _with_corners(plate: Plate, source: str) -> Plate:
     return plate
 
 
-def _rewired(channels: Tensor, change: PlateAs) -> Tensor:
+def _rewired(channels: Tensor, change: PlateAs, moment_length: float) -> Tensor:
     channels = channels.clone()
     if change.exchange:
         a, b = (CHANNELS.index(name) for name in change.exchange)
-        channels[:, [a, b]] = channels[:, [b, a]]
+        # What was read as a force in N and is a moment was stored in N times the file's length, and vice versa.
+        unit = channels.new_tensor([1.0] * 3 + [moment_length] * 3)
+        channels[:, [a, b]] = channels[:, [b, a]] * unit[[a, b]] / unit[[b, a]]
     if change.mirror:
         channels = channels * _reflection(change.mirror, channels)
     return channels

@@ -58,7 +58,7 @@ def read_plates(
         notes += [Note("plates.assumed", f"plate {setup.number}: {text}", header.source) for text in said]
         facts[f"plate {setup.number} type"] = str(setup.kind)
         corners, origin = torch.from_numpy(setup.corners), torch.from_numpy(_upright(setup))
-        plates.append(Plate(f"plate {setup.number}", corners, origin))
+        plates.append(Plate(f"plate {setup.number}", corners, origin, metres))
     return torch.from_numpy(np.ascontiguousarray(found[:, : len(plates)])), tuple(plates), notes, facts
 
 

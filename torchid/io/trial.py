@@ -10,6 +10,7 @@ from torchid.io.c3d import read_c3d
 from torchid.io.frame import length_unit
 from torchid.io.grf import forces_from_storage
 from torchid.io.labels import select_markers
+from torchid.io.mend import PlateAs
 from torchid.io.options import ReadOptions
 from torchid.io.raw import RawTrial, assemble
 from torchid.io.storage import read_storage
@@ -49,7 +50,8 @@ def read_trial(
             found=file.suffix or "no suffix",
             remedy="Give forces (.mot, .sto) under forces:",
         )
-    measured = _read_forces(None if forces is None else Path(forces))
+    measured = _read_forces(None if forces is None else Path(forces), options)
+    options = options if forces is None else _with_moments_read(options)
     if suffix == ".trc":
         return _read_text(name, file, measured, role, options)
     beside, notes, facts = measured
@@ -102,7 +104,13 @@ def _refuse_other_clock(time: np.ndarray, measured: Forces | None, file: str, fo
         )
 
 
-def _read_forces(path: Path | None) -> Measured:
+def _with_moments_read(options: ReadOptions) -> ReadOptions:
+    """The same, for forces whose free moments have been scaled while they were read."""
+    plates = {number: replace(change, moment_gain=1.0) for number, change in options.plates.items()}
+    return replace(options, forces_as=replace(options.forces_as, moment_gain=1.0), plates=plates)
+
+
+def _read_forces(path: Path | None, options: ReadOptions) -> Measured:
     if path is None:
         return None, (), ()
     if path.suffix.lower() not in (".mot", ".sto"):
@@ -113,6 +121,10 @@ def _read_forces(path: Path | None) -> Measured:
             found=path.suffix or "no suffix",
             remedy="Give a MOT or STO of ground reactions",
         )
-    measured, notes = forces_from_storage(read_storage(path), str(path))
+
+    def moment_gain(number: int) -> float:
+        return options.forces_as.moment_gain * options.plates.get(number, PlateAs()).moment_gain
+
+    measured, notes = forces_from_storage(read_storage(path), str(path), moment_gain)
     rate = f"{measured.rate:.10g}" if len(measured.time) > 1 else "0"
     return measured, notes, (("forces", str(path)), ("analog_rate_hz", rate))
