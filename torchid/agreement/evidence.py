@@ -4,7 +4,7 @@ stands still while it is loaded, and a free moment that a foot can give."""
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.agreement.feet import Feet
@@ -84,12 +84,10 @@ def _pressure(force: Tensor, moment: Tensor, loaded: Tensor, height: Tensor) -> 
     return torch.stack([x / fz, y / fz], dim=-1)
 
 
-def pressure_foot(feet: Feet, wrench: Float[Tensor, "n 6"], height: float) -> Int[Tensor, " n"]:
-    """The foot nearest to the centre of pressure of a plate whose surface lies at ``height`` [m]."""
+def pressure_centre(wrench: Float[Tensor, "n 6"], height: float) -> Float[Tensor, "n 2"]:
+    """Centre of pressure of a plate whose surface lies at ``height`` [m]; without load a number without meaning."""
     force, moment = wrench[:, :3].nan_to_num(), wrench[:, 3:].nan_to_num()
-    loaded = force[:, 2] > SAMPLE_LOADED_N
-    centre = _pressure(force, moment, loaded, wrench.new_tensor(height))
-    return _to_feet(centre[None], feet)[1][0]
+    return _pressure(force, moment, force[:, 2] > SAMPLE_LOADED_N, wrench.new_tensor(height))
 
 
 def _summary(
