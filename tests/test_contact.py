@@ -3,8 +3,10 @@
 import pytest
 import torch
 
+from torchid.contact.balance import Weight, falls_short
 from torchid.contact.contact import find_contact
 from torchid.contact.options import ContactOptions
+from torchid.conventions import GRAVITY
 from torchid.recording import Forces, Plate
 
 FRAMES, RATE = 100, 100.0
@@ -132,3 +134,51 @@ def test_toes_push_until_they_leave():
     found = judge({"foot_l": BOTH["foot_l"], "foot_r": points.flip(0)}, LOADED, two_plates())
     first = int(found.touching[:, 1].nonzero()[0])
     assert float(gathering.flip(0)[first]) <= ContactOptions().speed_m_s + 0.1
+
+
+def test_a_lack_of_weight_takes_frames_out():
+    """Where the weight is known, frames that miss a share of it do not count, whatever the feet seem to do."""
+    short = torch.zeros(FRAMES, dtype=torch.bool)
+    short[30:50] = True
+    found = find_contact(BOTH, Forces(TIME, LOADED, two_plates()), ALL, RATE, 0.0, short=short)
+    assert bool((found.used == ~short).all()) and found.excluded == 0 and found.short == 20
+
+
+def test_a_foot_over_an_edge_counts_while_the_weight_is_there():
+    """Toes beyond the plate may bear or not: the balance decides, and without it the frames are left out."""
+    over = {**BOTH, "foot_l": foot(0.22, 0.15)}
+    wrench = pressing((0.3, 0.15, 350.0), (0.1, -0.15, 350.0))
+    assert not judge(over, wrench, two_plates()).used.any()
+    none = torch.zeros(FRAMES, dtype=torch.bool)
+    assert find_contact(over, Forces(TIME, wrench, two_plates()), ALL, RATE, 0.0, short=none).used.all()
+
+
+@pytest.mark.parametrize("missing, lasts_s, short", [(0.2, 0.3, True), (0.04, 0.3, False), (0.2, 0.02, False)])
+def test_weight_that_is_missing_for_a_while(missing, lasts_s, short):
+    """A fifth of the weight is missed, a twenty-fifth and a fiftieth of a second are not."""
+    weight = Weight(70.0, 0.3, ("static",))
+    needed = torch.full((FRAMES,), GRAVITY * weight.mass).double()
+    vertical = needed.clone()
+    vertical[30 : 30 + round(lasts_s * RATE)] *= 1.0 - missing
+    found = falls_short(vertical, needed, weight, RATE, ContactOptions())
+    assert bool(found.any()) == short
+    if short:
+        assert bool(found[32:58].all()) and not bool(found[:25].any()) and not bool(found[65:].any())
+
+
+def test_weight_that_is_missing_throughout_is_for_the_diagnosis():
+    """A subject who hangs in a harness all along has no contact that comes or goes."""
+    weight = Weight(70.0, 0.3, ("static",))
+    needed = torch.full((FRAMES,), GRAVITY * weight.mass).double()
+    assert not falls_short(0.7 * needed, needed, weight, RATE, ContactOptions()).any()
+
+
+def test_a_foot_that_swings_past_is_on_no_belt():
+    """A foot that passes the other's pressure at 3 m/s for a tenth of a second stands on the floor afterwards."""
+    swinging = foot(0.0, -0.1)
+    swinging[:30, :, 0] -= torch.linspace(0.9, 0.0, 30).double()[:, None]
+    swinging[:5, :, 2] += 0.2
+    wrench = pressing((0.1, 0.0, 700.0))
+    found = judge({"foot_l": foot(0.0, 0.03), "foot_r": swinging}, wrench, (plate("one", 0.1, 0.05),))
+    assert not found.belt.any()
+    assert bool(found.touching[40:, 1].all())

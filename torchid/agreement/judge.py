@@ -27,6 +27,8 @@ BETTER = 1.0
 value instead of none. Of 52 recordings none gains more than 0.6 by any change."""
 ALIKE = 0.3
 """Readings whose gains differ by less are not told apart."""
+PULLED_N = 150.0
+"""A plate that bears nothing and is pulled up by this much [N] is no idle one: those read some 20 N at most."""
 SAME_N = 1e-6
 """Two readings with wrenches this close are one."""
 
@@ -173,9 +175,9 @@ class Tried:
 
     @property
     def disagrees(self) -> bool:
-        """The plate as read is beyond what a foot can do, or a change makes it agree much better."""
-        read = self.evidence.loaded[0] > 0
-        return bool(read and not self._agrees(0)) or bool(self.right)
+        """The plate as read is beyond what a foot can do or pulls down, or a change makes it agree much better."""
+        pulls = not self.bears(None) and float(self.wrench[0, :, 2].min()) < -PULLED_N
+        return pulls or (self.bears(None) and not self._agrees(0)) or bool(self.right)
 
     def gain(self, change: Change) -> float:
         """How much the plate gains by a change."""

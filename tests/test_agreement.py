@@ -1,0 +1,289 @@
+"""Forces against feet: what is planted is named by the line that mends it, and nothing is named where nothing is."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from walker import MASS, walking_trial
+
+from torchid.agreement.changes import Change
+from torchid.agreement.judge import changed, judge
+from torchid.agreement.session import Recording, judge_recording, judge_session, refuse_disagreement
+from torchid.config.sections import Config
+from torchid.conventions import GRAVITY
+from torchid.errors import InputError
+from torchid.io import ReadOptions, read_trial
+from torchid.io.grf import forces_from_storage
+from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, from_plate, in_plate, mend, ordered_corners, reframed
+from torchid.io.resample import synchronise
+from torchid.io.storage import Storage
+from torchid.recording import Trial
+
+
+def options_of(line: str) -> ReadOptions:
+    """What a line means in a trial's entry of a config."""
+    entry = {"name": "t", "file": "t.c3d", **yaml.safe_load(f"{{{line}}}")}
+    config = Config.model_validate_json(json.dumps({"subject": {"name": "s"}, "markers": "opencap", "trials": [entry]}))
+    return config.reading(config.trials[0])
+
+
+def read_as(trial: Trial, options: ReadOptions) -> Trial:
+    """The trial as reading would give it with these options (but for the vertical)."""
+    assert trial.forces is not None
+    forces = mend(reframed(trial.forces, options.plates), options.forces_as, options.plates)
+    if forces is not None and not torch.equal(forces.time, trial.markers.time):
+        return synchronise(replace(trial, forces=forces))
+    return replace(trial, forces=forces)
+
+
+def channels(trial: Trial, plate: int, change) -> Trial:
+    """The trial with the six channels of a plate changed."""
+    forces = trial.forces
+    assert forces is not None
+    wrench, own = forces.wrench.clone(), forces.plates[plate]
+    wrench[:, plate] = from_plate(change(in_plate(wrench[:, plate], own)), own)
+    return replace(trial, forces=replace(forces, wrench=wrench))
+
+
+def in_other_corners(trial: Trial, plate: int, order: list[int]) -> Trial:
+    """The trial as a file gives it that lists a plate's corners in another order."""
+    forces = trial.forces
+    assert forces is not None
+    own, wrench = forces.plates[plate], forces.wrench.clone()
+    assert own.corners is not None
+    wrong = replace(own, corners=own.corners[order])
+    wrench[:, plate] = from_plate(in_plate(wrench[:, plate], own), wrong)
+    plates = tuple(wrong if k == plate else p for k, p in enumerate(forces.plates))
+    return replace(trial, forces=replace(forces, wrench=wrench, plates=plates))
+
+
+def scaled(trial: Trial, factor: float) -> Trial:
+    assert trial.forces is not None
+    return replace(trial, forces=replace(trial.forces, wrench=trial.forces.wrench * factor))
+
+
+def swapped(a: str, b: str):
+    """Channels a and b exchanged, each read in the other's unit."""
+    i, j, unit = CHANNELS.index(a), CHANNELS.index(b), torch.tensor([1.0] * 3 + [1e-3] * 3).double()
+
+    def change(six: torch.Tensor) -> torch.Tensor:
+        six = six.clone()
+        six[:, [i, j]] = six[:, [j, i]] * unit[[i, j]] / unit[[j, i]]
+        return six
+
+    return change
+
+
+def exchanged(trial: Trial) -> Trial:
+    """The channels of two plates with each other's corners."""
+    forces = trial.forces
+    assert forces is not None
+    one, two = forces.plates
+    both = [from_plate(in_plate(forces.wrench[:, k], p), q) for k, p, q in ((1, two, one), (0, one, two))]
+    return replace(trial, forces=replace(forces, wrench=torch.stack(both, dim=1)))
+
+
+def late(trial: Trial, seconds: float) -> Trial:
+    assert trial.forces is not None
+    return synchronise(replace(trial, forces=replace(trial.forces, time=trial.forces.time + seconds)))
+
+
+def turned(trial: Trial, matrix: list[list[float]]) -> Trial:
+    """Forces in other axes than the markers."""
+    R = torch.tensor(matrix).double()
+    forces = trial.forces
+    assert forces is not None
+    parts = [forces.wrench[..., :3] @ R.T, forces.wrench[..., 3:] @ R.T * torch.linalg.det(R)]
+    return replace(trial, forces=replace(forces, wrench=torch.cat(parts, dim=-1)))
+
+
+PLANTED = {
+    "turned by 90": (lambda t: in_other_corners(t, 1, [1, 2, 3, 0]), "plates"),
+    "turned by 180": (lambda t: in_other_corners(t, 0, [2, 3, 0, 1]), "plates"),
+    "turned by 270": (lambda t: in_other_corners(t, 1, [3, 0, 1, 2]), "plates"),
+    "corners mirrored": (lambda t: in_other_corners(t, 0, [1, 0, 3, 2]), "plates"),
+    "left-handed": (lambda t: channels(t, 1, lambda w: w * torch.tensor([-1.0, 1, 1, 1, -1, -1])), "plates"),
+    "fx and my": (lambda t: channels(t, 0, swapped("fz", "my")), "plates"),
+    "N mm": (lambda t: channels(t, 0, lambda w: w * torch.tensor([1.0, 1, 1, 1e3, 1e3, 1e3])), "plates"),
+    "plates exchanged": (exchanged, "plates"),
+    "reversed": (lambda t: scaled(t, -1.0), "forces_as"),
+    "kN": (lambda t: scaled(t, 1e-3), "forces_as"),
+    "body weights": (lambda t: scaled(t, 1 / (GRAVITY * MASS)), "forces_as"),
+    "late": (lambda t: late(t, 0.12), "forces_as"),
+    "early": (lambda t: late(t, -0.08), "forces_as"),
+}
+
+
+@pytest.mark.parametrize("draw", range(3))
+@pytest.mark.parametrize("corners", [True, False])
+def test_right_forces_are_not_accused(seed, draw, corners):
+    """A walk whose forces are right is left alone, with corners and without."""
+    assert judge(walking_trial(seed + draw, corners), MASS) == ()
+
+
+@pytest.mark.parametrize("fault", PLANTED)
+def test_a_planted_fault_is_named_by_the_line_that_mends_it(seed, fault):
+    """The line parses as a config's, is of the right kind, gives the right forces back, and nothing is left to say."""
+    plant, key = PLANTED[fault]
+    right = walking_trial(seed)
+    faulty = plant(right)
+    found = judge(faulty, MASS)
+    assert found, fault
+    lines = [f.changes[0].line for f in found]
+    assert all(line.startswith(key) for line in lines), (fault, lines)
+    mended = faulty
+    for line in lines:
+        mended = read_as(mended, options_of(line))
+    assert mended.forces is not None and right.forces is not None
+    assert judge(mended, MASS) == ()
+    inner = slice(40, -40)
+    error = (mended.forces.wrench[inner] - right.forces.wrench[inner]).nan_to_num().square().mean().sqrt()
+    bound = 0.25 if fault in ("late", "early") else 0.03  # feet are a clock of 20 ms
+    assert float(error / right.forces.wrench[inner].square().mean().sqrt()) < bound, (fault, lines)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [[[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], [[-1.0, 0, 0], [0, 1, 0], [0, 0, 1]], [[1.0, 0, 0], [0, -1, 0], [0, 0, 1]]],
+)
+def test_other_axes_of_a_file_of_its_own_are_named(seed, matrix):
+    """Turned about the vertical, or left-handed."""
+    faulty = turned(walking_trial(seed, corners=False), matrix)
+    (finding,) = judge(faulty, MASS)
+    assert finding.changes and judge(read_as(faulty, options_of(finding.changes[0].line)), MASS) == ()
+
+
+def test_forces_of_another_walk_are_named_but_not_mended(seed):
+    """Forces of a walk elsewhere in the room have no line that mends them, and one that leaves them out."""
+    right = walking_trial(seed, corners=False)
+    other = right.markers.position + torch.tensor([0.9, -0.5, 0.0])
+    (finding, *_) = judge(replace(right, markers=replace(right.markers, position=other)), MASS)
+    assert not finding.changes and "another trial" in finding.what and "use: false" in finding.remedy()
+    assert read_as(right, options_of("forces_as: {use: false}")).forces is None
+
+
+@pytest.mark.parametrize("factor, words", [(2.0, "times as large"), (None, "upside down")])
+def test_another_world_is_told(seed, factor, words):
+    """Markers twice as large, and a recording that stands on its head, each get a true sentence."""
+    trial = walking_trial(seed, corners=False)
+    half = torch.tensor([1.0, -1.0, -1.0]).double()
+    position = trial.markers.position * (factor or half)
+    assert trial.forces is not None
+    wrench = trial.forces.wrench if factor else trial.forces.wrench * half.repeat(2)
+    world = replace(
+        trial, markers=replace(trial.markers, position=position), forces=replace(trial.forces, wrench=wrench)
+    )
+    assert words in " ".join(f.what for f in judge(world, MASS))
+
+
+def test_volts_cannot_be_mended(seed):
+    """Forces that are no person's in any unit are said to be volts."""
+    (finding,) = judge(scaled(walking_trial(seed), 1e-4), MASS)
+    assert "volts" in finding.what and not finding.changes
+
+
+def recording(trial: Trial, options: ReadOptions | None = None) -> tuple[Trial, Recording]:
+    """A trial that is read by ``read_as``, as its options have it."""
+    again = Recording(lambda o: read_as(trial, o), options or ReadOptions(), MASS)
+    return read_as(trial, again.options), again
+
+
+def test_a_wrong_word_of_the_user_is_taken_back(seed):
+    """A config that turns a plate which was right is told so."""
+    found = judge_recording(*recording(walking_trial(seed), options_of("plates: {1: {turn_deg: 180}}")))
+    assert found and "remove forces_as and plates" in found[0].remedy()
+
+
+def test_a_session_is_refused_once_for_all_its_trials(seed):
+    """A plate that is turned in every trial is mended by one line of the config."""
+    trials = {f"walk{k}": recording(in_other_corners(walking_trial(seed + k), 0, [2, 3, 0, 1])) for k in range(2)}
+    assert set(judge_session(trials)) == {"walk0", "walk1"}
+    with pytest.raises(InputError) as caught:
+        refuse_disagreement(trials)
+    assert caught.value.code == "forces.feet" and "turn_deg: 180" in caught.value.remedy
+    assert "to the config, for every trial" in caught.value.remedy
+    mended = {name: recording(trial, options_of("plates: {1: {turn_deg: 180}}")) for name, (trial, _) in trials.items()}
+    refuse_disagreement(mended)
+
+
+def test_channels_of_a_plate_come_back(seed):
+    """From a wrench to a plate's channels and back, and a turned plate turns forces about its centre."""
+    generator = torch.Generator().manual_seed(seed)
+    wrench = torch.randn(5, 6, generator=generator, dtype=torch.float64)
+    plate = walking_trial(seed).forces.plates[0]
+    torch.testing.assert_close(from_plate(in_plate(wrench, plate), plate), wrench)
+    for turn in (90, 180, 270):
+        corners = ordered_corners(plate.corners, PlateAs(turn_deg=turn))
+        c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+        R = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]]).double()
+        side, new = plate.corners[0] - plate.corners[1], corners[0] - corners[1]
+        torch.testing.assert_close(new / new.norm(), R @ (side / side.norm()), atol=1e-9, rtol=0)
+        square = replace(plate, corners=plate.corners * torch.tensor([1.0, 1.2, 1.0]).double())
+        moved = replace(square, corners=ordered_corners(square.corners, PlateAs(turn_deg=turn)))
+        force = from_plate(in_plate(wrench, square), moved)[:, :3]
+        torch.testing.assert_close(force, wrench[:, :3] @ R.T, atol=1e-9, rtol=0)
+
+
+def test_changes_of_reading_are_undone_by_reading(seed):
+    """What a change does to the samples of a trial is what ``changed`` predicts from the frames."""
+    trial = walking_trial(seed)
+    for change in (
+        Change("", ForcesAs(gain=2.0, mirror="x", turn_deg=90)),
+        Change("", plates={2: PlateAs(mirror="y")}),
+    ):
+        read = read_as(trial, ReadOptions(forces_as=change.forces_as, plates=change.plates))
+        torch.testing.assert_close(read.forces.wrench, changed(trial.forces, change))
+
+
+def test_a_plate_that_is_not_there_is_refused(seed):
+    """A config that names a plate which the file lacks is told which there are."""
+    trial = walking_trial(seed)
+    with pytest.raises(InputError, match="Known: 1, 2"):
+        mend(trial.forces, ForcesAs(), {3: PlateAs(turn_deg=90)})
+    with pytest.raises(InputError, match="forces_as"):
+        mend(walking_trial(seed, corners=False).forces, ForcesAs(), {1: PlateAs(mirror="x")})
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    "name, line",
+    [
+        ("plate_turned_180/turned.c3d", "plates: {2: {turn_deg: 180}}"),
+        ("plate_turned_180/right.c3d", ""),
+        ("moment_Nmm/moment_Nmm.mot", "forces_as: {moment_gain: 0.001}"),
+        ("moment_Nmm/right.mot", ""),
+        ("mot_zup_trc_yup/zup.mot", "up: y, forces_as: {up: z}"),
+        ("mot_zup_trc_yup/right.mot", ""),
+    ],
+)
+def test_files_that_went_wrong_are_mended(data_dir, name, line):
+    """The line that is advised, read again, leaves nothing to say."""
+    path = data_dir.parent / "cases" / name
+    if not path.is_file():
+        pytest.skip("no files that went wrong beside the recordings")
+    markers, forces = (path, None) if path.suffix == ".c3d" else (path.parent / "walking1.trc", path)
+
+    def read(options: ReadOptions) -> Trial:
+        return synchronise(read_trial("t", markers, forces, options=options))
+
+    found = judge_recording(read(ReadOptions()), Recording(read, ReadOptions()))
+    assert ", ".join(f.changes[0].line for f in found) == line
+    if line:
+        assert judge_recording(read(options_of(line)), Recording(read, options_of(line))) == ()
+
+
+def test_plates_of_a_mot_are_scaled_in_their_free_moment_alone(seed):
+    """A MOT in N mm read with the line that mends it is the right one to the last digit, loaded or not."""
+
+    random = np.random.default_rng(seed)
+    columns = tuple(f"ground_force_{kind}{axis}" for kind in "vpm" for axis in "xyz")
+    values = np.array([50, 700, -30, 0.3, 0.0, 0.2, 0.0, 5, 0]) * (1 + 1e-3 * random.normal(size=(30, 9)))
+    values[:10] = 0.0
+    time = np.arange(30) / 100
+    right, _ = forces_from_storage(Storage(columns, time, values), "right")
+    in_mm = values * np.r_[np.ones(6), np.full(3, 1e3)]
+    mended, _ = forces_from_storage(Storage(columns, time, in_mm), "in N mm", lambda number: 1e-3)
+    torch.testing.assert_close(mended.wrench, right.wrench)
