@@ -23,7 +23,8 @@ def test_replaced_columns_stand_where_others_did(tmp_path, stored):
         return torch.randn(6, columns, 5, generator=draw, dtype=torch.float64)
 
     wide = drawn(7)
-    found = Columns(swap_out(wide, tmp_path) if stored else wide, Terms(torch.arange(9), None))
+    with (tmp_path / "wide").open("w+b") as file:
+        found = Columns(swap_out(wide, file) if stored else wide, Terms(torch.arange(9), None))
     wanted = wide.clone()
     for at in ([4, 1], [7, 8, 9], [8, 1, 0], []):
         by, which = drawn(len(at)), torch.tensor(at, dtype=torch.long)

@@ -141,7 +141,8 @@ def test_labels_beyond_255_continue(tmp_path: Path) -> None:
 def test_more_frames_than_a_word_holds(tmp_path: Path) -> None:
     """Beyond 65535 frames TRIAL:ACTUAL_END_FIELD counts, and without it the file's size."""
     frames = 65600
-    built = C3dBuilder(points=np.tile(standing(1, 3), (frames, 1, 1)), labels=labels(3), scale=0.1)
+    moving = standing(1, 3) + np.arange(frames)[:, None, None] % 100
+    built = C3dBuilder(points=moving, labels=labels(3), scale=0.1)
     start, end = np.array([1, 0]), np.array([frames % 65536, frames // 65536])
     built.parameters = {"TRIAL": {"ACTUAL_START_FIELD": start, "ACTUAL_END_FIELD": end}}
     assert len(read_c3d(built.save(tmp_path / "a.c3d"), options=ReadOptions(up="z")).markers.time) == frames

@@ -132,7 +132,7 @@ def test_an_own_set_may_extend_a_built_in_one(tmp_path):
         ("A: [thigh_l]\n", "an entry is a segment"),
         ("A: thigh_l\nA: thigh_r\n", "stands twice"),
         ("ab: thigh_l\nA.B: thigh_r\n", "differ only in case"),
-        ("12: thigh_l\n", "in quotes"),
+        ("1.5: thigh_l\n", "in quotes"),
         ("A: thigh_l\naliases: {B: [C]}\n", "alias of a label that the set lacks"),
         ("A: thigh_l\naliases: {A: C}\n", "not a list"),
         ("A: thigh_l\ncomputed: 3\n", "list of patterns"),

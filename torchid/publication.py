@@ -119,4 +119,5 @@ def _listed(file: Path) -> dict[str, str] | None:
             names = json.loads(file.read_text(encoding="utf-8"))
     except ValueError:
         return None
-    return names if isinstance(names, dict) else None
+    sound = isinstance(names, dict) and all(isinstance(digest, str) for digest in names.values())
+    return names if sound else None
