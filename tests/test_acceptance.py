@@ -82,3 +82,10 @@ def test_a_lost_frame_now_and_then_is_no_doubling(seed):
     position = torch.randn(100, 8, 3, dtype=torch.float64).numpy().cumsum(axis=0)
     position[10::10] = position[9:-1:10]
     refuse_repeats(position, "x")
+
+
+def test_a_walk_through_that_is_seen_for_half_the_time_is_no_copy(seed):
+    """Frames without any marker say nothing about the others."""
+    position = torch.randn(200, 8, 3, dtype=torch.float64).numpy().cumsum(axis=0)
+    position[:100] = np.nan
+    refuse_repeats(position, "x")

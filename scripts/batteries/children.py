@@ -21,7 +21,7 @@ import torch
 from torchid.config import load_config
 from torchid.config.sections import PROJECT_DATA
 from torchid.conventions import GRAVITY
-from torchid.errors import DataError
+from torchid.errors import TorchidError
 from torchid.experiment import run_experiment
 from torchid.experiment.standing import standing_weight
 from torchid.regressor.rows import residual_rms
@@ -72,9 +72,9 @@ def run(arguments: tuple[str, str, bool, Path]) -> Row:
         path.write_text(json.dumps(document))
         try:
             outcome = run_experiment(load_config(path))
-        except DataError as error:
+        except TorchidError as error:
             return Row(child, split, np.nan, np.nan, np.nan, 0, 0, 0, str(error)[:200])
-        weight = standing_weight(outcome.followed.values(), outcome.session)
+        weight = standing_weight(outcome.followed.values(), outcome.session, outcome.config)
         held = [outcome.followed[n].wrench for n in outcome.session.part("heldout", "inertia")]
         force = residual_rms([w for w in held if w is not None], outcome.phi)[0]
         found = float(outcome.phi[:, 0].sum())
@@ -118,6 +118,7 @@ def main() -> None:
             )
     if arguments.rows:
         arguments.rows.write_text("".join(json.dumps(asdict(row)) + "\n" for row in rows))
+    rows = [row for row in rows if not row.failure]
     held = [row.heldout for row in rows if np.isfinite(row.heldout)]
     off = [abs(row.mass_kg / row.standing_kg - 1) for row in rows]
     print(f"mass off standing: at most {np.max(off):.1%}; held-out force: median {np.median(held):.1%}, at most "

@@ -26,6 +26,9 @@ from rich.progress import track
 from batteries.planted_plates import C3dCopy, Fault, c3d_faults, mot_faults
 from torchid.agreement.changes import Change
 from torchid.agreement.judge import judge
+from torchid.agreement.session import Recording as Again
+from torchid.agreement.session import judge_recording
+from torchid.check import stated_mass
 from torchid.config.sections import PROJECT_DATA, Config
 from torchid.errors import TorchidError
 from torchid.io import ReadOptions, read_trial
@@ -38,6 +41,8 @@ MASSES = {
 """On record [kg], for recordings whose files do not say."""
 UNMENDABLE = {"volts": "volts", "another trial's": "another trial"}
 """Faults that no line mends, and the word that names them."""
+UNREADABLE = ("forces.short", "trial.no_overlap", "markers.subjects", "units.missing", "axes.unknown", "c3d.scale")
+"""Files among the recordings that hold no walk: they test readers."""
 SMALL = 0.2
 """Not named, and the forces or moments differ by less than this share from the right ones."""
 CLOSE = 0.03
@@ -101,18 +106,18 @@ def outcome(recording: Recording, fault: Fault, seed: int) -> dict[str, object]:
             trial = recording.read(faulty)
         except TorchidError as error:
             return row | {"result": "refused", "said": str(error)[:300]}
-        mass = recording.mass_kg or _stated(right)
+        mass = recording.mass_kg or stated_mass(right)
         found = judge(trial, mass, lambda change: _again(recording, faulty, change))
         said = "; ".join(f"{f.what}. {f.remedy()}" for f in found)
         row |= {"changed": _difference(trial.forces, right.forces), "said": said[:600]}
         if not found:
             return row | {"result": "small" if float(str(row["changed"])) < SMALL else "silent"}
         if any(not f.changes for f in found):
-            told = next((word for key, word in UNMENDABLE.items() if key == fault.name), "")
+            told = UNMENDABLE.get(fault.name, "")
             return row | {"result": "named" if told and told in said else "unnamed"}
-        lines = [f.changes[0].line for f in found]
+        lines = [f.lines()[0] for f in found]
         try:
-            mended = recording.read(faulty, options_of(_merged(lines)))
+            mended = recording.read(faulty, options_of(lines[0]))
         except TorchidError as error:
             return row | {"result": "unreadable", "said": f"{said[:300]} -> {error}"}
         helps = not judge(mended, mass)
@@ -123,25 +128,11 @@ def outcome(recording: Recording, fault: Fault, seed: int) -> dict[str, object]:
         return row | {"result": result, "helps": helps, "lines": lines}
 
 
-def _merged(lines: list[str]) -> str:
-    parts = [yaml.safe_load(f"{{{line}}}") for line in lines]
-    merged: dict[str, object] = {}
-    for part in parts:
-        for key, value in part.items():
-            merged[key] = {**merged[key], **value} if isinstance(merged.get(key), dict) else value  # type: ignore
-    return json.dumps(merged)[1:-1]
-
-
 def _again(recording: Recording, faulty: Path, change: Change) -> Trial | None:
     try:
         return recording.read(faulty, options_of(change.line))
     except TorchidError:
         return None
-
-
-def _stated(trial: Trial) -> float | None:
-    text = trial.parameters.get("mass_kg", "")
-    return float(text) if text else None
 
 
 def _difference(a: Forces | None, b: Forces | None) -> float:
@@ -195,7 +186,7 @@ def _faults(recording: Recording, root: Path) -> dict[str, Fault]:
         if r.forces is None and r.file != recording.file and r.file.parent == recording.file.parent
         and r.name[:5] == recording.name[:5] and r.name[5:] != recording.name[5:] and _alike(r.file, recording.file)
     ]  # fmt: skip
-    found = c3d_faults(loaded, recording.mass_kg or _stated(trial), others) if loaded else []
+    found = c3d_faults(loaded, recording.mass_kg or stated_mass(trial), others) if loaded else []
     return {f.name: f for f in found if not (f.name == "plates exchanged" and len(trial.forces.plates) < 2)}
 
 
@@ -215,12 +206,13 @@ def _run(arguments: tuple[Path, Recording, str, int]) -> dict[str, object]:
 
 
 def accused(recording: Recording) -> str:
-    """What is said about a recording as it is."""
+    """What is said about a recording as it is, by the judgement that a run makes."""
     try:
         trial = recording.read()
-    except TorchidError:
-        return ""
-    return "; ".join(f.what for f in judge(trial, recording.mass_kg or _stated(trial)))
+    except TorchidError as error:
+        return f"not read: {error.code}" if error.code not in UNREADABLE else ""
+    again = Again(lambda options: recording.read(None, options), ReadOptions(), recording.mass_kg or stated_mass(trial))
+    return "; ".join(f.what for f in judge_recording(trial, again))
 
 
 def main() -> None:

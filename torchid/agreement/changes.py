@@ -2,8 +2,8 @@
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal, TypeVar
 
 from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, in_words, number_of
 from torchid.recording import Plate
@@ -30,14 +30,40 @@ class Change:
     """Vertical axis of the markers, where it is not as read."""
 
     @property
+    def shrinks_moments(self) -> bool:
+        """Whether moments become smaller by it, as of N mm."""
+        return self.forces_as.moment_gain < 1 or any(plate.moment_gain < 1 for plate in self.plates.values())
+
+    def __and__(self, other: "Change") -> "Change":
+        """Both changes; what the other says of the same plate or of the whole file adds to it key by key."""
+        plates = dict(self.plates)
+        for number, change in other.plates.items():
+            plates[number] = _added(plates.get(number, PlateAs()), change)
+        what = " and ".join(filter(None, (self.what, other.what)))
+        return Change(what, _added(self.forces_as, other.forces_as), plates, other.up or self.up)
+
+    @property
     def line(self) -> str:
         """What to add to the trial in a config."""
+        return self.written(whole=False)
+
+    def written(self, whole: bool) -> str:
+        """The line; ``whole`` writes both keys, so that nothing of the config's own is left in force."""
         parts = [f"up: {self.up}"] if self.up else []
-        if self.forces_as != ForcesAs():
+        if whole or self.forces_as != ForcesAs():
             parts.append(f"forces_as: {in_words(self.forces_as)}")
-        if self.plates:
+        if whole or self.plates:
             parts.append(f"plates: {{{', '.join(f'{n}: {in_words(p)}' for n, p in sorted(self.plates.items()))}}}")
         return ", ".join(parts)
+
+
+Entry = TypeVar("Entry", ForcesAs, PlateAs)
+
+
+def _added(one: Entry, other: Entry) -> Entry:
+    """One entry with what the other changes."""
+    different = {f.name: getattr(other, f.name) for f in fields(other) if getattr(other, f.name) != f.default}
+    return replace(one, **different)
 
 
 def plate_changes(plates: tuple[Plate, ...], k: int) -> list[Change]:

@@ -22,6 +22,10 @@ FREE_M = 0.012
 """Usual free moment over vertical force [m]: the largest 5 % are at 2 to 42 mm there."""
 PRESSURE_MOST_M, AIM_MOST_M, FREE_MOST_M = 0.07, 0.22, 0.06
 """What a foot can do: no recording of 52 goes beyond 48, 151 and 42 mm; 20 mm are 30 N m under a runner's 1500 N."""
+ALONE = 0.8
+"""Share of all vertical force from which on a plate bears the body alone."""
+STANDS_M_S = 0.3
+"""A foot slower than this stands; the pressure of one plate may lie anywhere between two feet that do."""
 BELT_M_S = 0.3
 """Median speed of a loaded foot above which the ground is a moving belt."""
 UNLOADED = 6.0
@@ -50,20 +54,26 @@ class Evidence:
     log(1 + (witness / usual)^2), as of Cauchy errors."""
 
 
-def gather(feet: Feet, wrench: Float[Tensor, "readings n 6"], height: Float[Tensor, " readings"]) -> Evidence:
-    """Witnesses of one plate under several readings of it.
+def gather(
+    feet: Feet, wrench: Float[Tensor, "readings n 6"], height: float, others: Float[Tensor, " n"] | None = None
+) -> Evidence:
+    """Witnesses of one plate under several readings of it, in frames in which all feet are seen.
 
     Args:
         feet: at the n frames.
         wrench: on the subject about the origin of W [N, N m]; the first reading is the one to compare with.
         height: of the plate's surface in W [m].
+        others: vertical force that the other plates bear, without sign [N]: only who stands on one plate alone has its
+            force aim at the body.
     """
     force, moment = wrench[..., :3].nan_to_num(), wrench[..., 3:].nan_to_num()
-    loaded = force[..., 2] > SAMPLE_LOADED_N
-    fz, centre = torch.where(loaded, force[..., 2], 1.0), _pressure(force, moment, loaded, height[:, None])
+    loaded = (force[..., 2] > SAMPLE_LOADED_N) & feet.seen
+    fz, centre = torch.where(loaded, force[..., 2], 1.0), _pressure(force, moment, loaded, wrench.new_tensor(height))
     pressure, foot = _to_feet(centre, feet)
-    arm = feet.centre[:, 2] - height[:, None]
+    arm = feet.centre[:, 2] - height
     aim = (feet.centre[:, :2] - centre - force[..., :2] / fz[..., None] * arm[..., None]).norm(dim=-1)
+    if others is not None:
+        aim = torch.where(fz > ALONE * (fz + others), aim, torch.nan)
     turning = centre[..., 0] * force[..., 1] - centre[..., 1] * force[..., 0]
     free = ((moment[..., 2] - turning) / fz).abs()
     weight = torch.where(loaded, force[..., 2], 0.0)
@@ -73,8 +83,13 @@ def gather(feet: Feet, wrench: Float[Tensor, "readings n 6"], height: Float[Tens
 
 def agrees(evidence: Evidence) -> Bool[Tensor, " readings"]:
     """Readings that show load, and nothing that a foot cannot do."""
-    within = (evidence.pressure < PRESSURE_MOST_M) & (evidence.aim < AIM_MOST_M) & (evidence.free < FREE_MOST_M)
-    return within & (evidence.loaded > 0)
+    aims = (evidence.aim < AIM_MOST_M) | torch.isnan(evidence.aim)
+    return (evidence.pressure < PRESSURE_MOST_M) & aims & (evidence.free < FREE_MOST_M) & (evidence.loaded > 0)
+
+
+def carries_foot(feet: Feet, wrench: Float[Tensor, "n 6"], height: float) -> bool:
+    """Whether a plate with these readings agrees with the feet."""
+    return bool(agrees(gather(feet, wrench[None], height))[0])
 
 
 def _pressure(force: Tensor, moment: Tensor, loaded: Tensor, height: Tensor) -> Tensor:
@@ -108,18 +123,19 @@ def _summary(
 
 
 def _to_feet(point: Tensor, feet: Feet) -> tuple[Tensor, Tensor]:
-    """Distance of points (readings, n, 2) to the nearest line between two markers of a foot, and that foot."""
-    each = []
-    for k in range(feet.count):
-        p = feet.position[:, feet.foot == k, :2]
-        a, b = torch.triu_indices(p.shape[1], p.shape[1], 1)
-        start, along = p[:, a], p[:, b] - p[:, a]
-        away = point[..., None, :] - start
-        share = ((away * along).sum(-1) / along.square().sum(-1).clamp_min(1e-9)).clamp(0.0, 1.0)
-        distance = (away - share[..., None] * along).norm(dim=-1)
-        each.append(distance.nan_to_num(torch.inf).amin(dim=-1))
-    nearest = torch.stack(each, dim=-1).min(dim=-1)
-    return nearest.values, nearest.indices
+    """Distance of points (readings, n, 2) to the nearest line between two markers of a foot, or of two feet that stand,
+    and the nearest foot."""
+    place, belongs = feet.position[..., :2], feet.foot
+    a, b = torch.triu_indices(len(belongs), len(belongs), 1)
+    start, along = place[:, a], place[:, b] - place[:, a]
+    away = point[..., None, :] - start
+    share = ((away * along).sum(-1) / along.square().sum(-1).clamp_min(1e-9)).clamp(0.0, 1.0)
+    distance = (away - share[..., None] * along).norm(dim=-1).nan_to_num(torch.inf)
+    own = [distance[..., (belongs[a] == k) & (belongs[b] == k)].amin(dim=-1) for k in range(feet.count)]
+    nearest = torch.stack(own, dim=-1).min(dim=-1)
+    stands = (slowest_point(feet).norm(dim=-1) < STANDS_M_S)[:, belongs]
+    between = distance.masked_fill(~(stands[:, a] & stands[:, b]), torch.inf).amin(dim=-1)
+    return torch.minimum(nearest.values, between), nearest.indices
 
 
 def _slip(foot: Tensor, feet: Feet, weight: Tensor) -> tuple[Tensor, Tensor]:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchid.recording import Markers
@@ -16,6 +16,8 @@ OFTEN = 0.05
 """Share of the frames in which a marker is as low as it is said to come."""
 SEEN = 0.5
 """A marker that is missing more often is no witness."""
+TWO_FEET_M = 0.3
+"""Two feet that stand have markers further apart than this; a foot that moves by more is not one that stands."""
 FOOT_M, BEND_M = 0.36, 0.03
 """Two markers of one foot are closer than this, and their distance changes by less (standard deviation): the toes of a
 foot bend by 10 to 20 mm, the heels of two walking feet part by hundreds."""
@@ -41,6 +43,12 @@ class Feet:
     """Mean of all markers: roughly where the body is."""
 
     @property
+    def seen(self) -> Bool[Tensor, " n"]:
+        """Frames in which every foot shows two markers."""
+        shown = torch.isfinite(self.position[..., 0])
+        return torch.stack([shown[:, self.foot == k].sum(dim=1) > 1 for k in range(self.count)]).all(dim=0)
+
+    @property
     def count(self) -> int:
         """Number of feet."""
         return int(self.foot.max()) + 1
@@ -61,12 +69,20 @@ def find_feet(markers: Markers, frames: Int[Tensor, " n"] | None = None) -> Feet
     low = _low(position[spaced])
     foot = _outermost(position[spaced][:, low], _joined(position[spaced][:, low]))
     index = low[foot >= 0]
-    if not len(index) or not len(frames):
+    if not len(index) or not len(frames) or _one_foot(position[spaced][:, index], foot[foot >= 0]):
         return None
     ahead, behind = position[frames + STRIDE][:, index], position[frames - STRIDE][:, index]
     velocity = (ahead - behind) * (markers.rate / (2 * STRIDE))
     centre = position[frames].nanmean(dim=1)
     return Feet(frames, position[frames][:, index], velocity, foot[foot >= 0], centre)
+
+
+def _one_foot(position: Tensor, foot: Tensor) -> bool:
+    """Whether one foot alone is marked: the other's forces would have nothing to agree with."""
+    place = position[..., :2].nanmean(dim=0)
+    wide = float(torch.cdist(place, place).max()) > TWO_FEET_M
+    travels = float((position.nan_to_num() - position.nan_to_num()[:1]).norm(dim=-1).amax()) > TWO_FEET_M
+    return int(foot.max()) == 0 and not wide and travels
 
 
 def _low(position: Tensor) -> Tensor:

@@ -7,7 +7,6 @@ from torchid.agreement.changes import Change
 from torchid.agreement.finding import Finding
 from torchid.agreement.judge import judge
 from torchid.errors import InputError
-from torchid.io.mend import ForcesAs
 from torchid.io.options import ReadOptions
 from torchid.io.resample import synchronise
 from torchid.recording import Trial
@@ -44,33 +43,35 @@ def judge_recording(trial: Trial, recording: Recording) -> tuple[Finding, ...]:
         trial: as read with the recording's options, forces on the clock of the markers.
         recording: how to read it again.
     """
-    found = judge(trial, recording.mass_kg, recording.again)
-    options = recording.options
-    if not found or (options.forces_as == ForcesAs() and not options.plates):
+    options, mass = recording.options, recording.mass_kg
+    given = Change("", options.forces_as, options.plates)
+    if options.forces_as.believe:
+        return ()
+    found = judge(trial, mass, recording.again)
+    if not found or not given.line:
         return found
-    bare = recording.again(Change("")) or trial
-    return tuple(
-        replace(f, what=f"with what the config says about them (forces_as, plates), {f.what}", removed=True)
-        for f in judge(bare, recording.mass_kg, recording.again) or (replace(found[0], changes=(Change(""),)),)
-    )
+    seen = f"with what the config says about its forces: {'; '.join(f.what for f in found)}"
+    for change in (Change("nothing is said of them"), *(given & c for f in found for c in f.changes)):
+        other = recording.again(change)
+        if other is not None and not judge(other, mass, recording.again):
+            return (Finding(seen, (change,), removed=True),)
+    return (Finding(seen, removed=True),)
 
 
 def judge_session(trials: Mapping[str, tuple[Trial, Recording]]) -> dict[str, tuple[Finding, ...]]:
-    """Findings about every trial that has some.
-
-    A change that one trial leaves open is settled by another trial that has the same plates and tells it.
+    """Findings about every trial that has some; a line that one of them tells alone settles it where others are open.
 
     Args:
         trials: by name, each as read and how to read it again.
     """
     found = {name: judge_recording(trial, recording) for name, (trial, recording) in trials.items()}
-    settled = {f.changes[0].line for each in found.values() for f in each if len(f.changes) == 1}
+    settled = {f.lines()[0] for each in found.values() for f in each if len(f.changes) == 1}
     return {name: tuple(_narrowed(f, settled) for f in each) for name, each in found.items() if each}
 
 
 def _narrowed(finding: Finding, settled: set[str]) -> Finding:
     """The finding with those of its changes alone that other trials have settled, if there are some."""
-    shared = tuple(change for change in finding.changes if change.line in settled)
+    shared = tuple(c for c, line in zip(finding.changes, finding.lines(), strict=True) if line in settled)
     return replace(finding, changes=shared) if shared else finding
 
 
@@ -96,16 +97,17 @@ def refuse_disagreement(trials: Mapping[str, tuple[Trial, Recording]]) -> None:
     if not found:
         return
     name, findings = next(iter(found.items()))
-    lines = {f.changes[0].line if f.changes else "" for each in found.values() for f in each}
-    one = findings[0].changes[0] if findings[0].changes else None
-    where = "to the trial"
-    if len(lines) == 1 and one is not None and not one.up and len(trials) > 1 and holds_everywhere(one, trials):
-        where = "to the config, for every trial,"
-    others = f" (and of {', '.join(n for n in found if n != name)})" if len(found) > 1 else ""
+    first = findings[0]
+    where, same = "to the trial", [n for n, each in found.items() if each[0].lines() == first.lines()]
+    if len(first.changes) == 1 and not first.changes[0].up and not first.removed and len(trials) > 1:
+        if len(same) == len(found) and holds_everywhere(first.changes[0], trials):
+            where = "to the config, for every trial,"
+    rest = [n for n in found if n not in same]
+    others = f"; forces of {', '.join(rest)} do not agree either, `torchid check` tells how" if rest else ""
     raise InputError(
         "forces.feet",
-        "; ".join(f.what for f in findings),
+        f"{first.what}{others}",
         source=trials[name][0].parameters.get("file", ""),
-        place=f"trial {name}{others}",
-        remedy=". ".join(dict.fromkeys(f.remedy(where) for f in findings)),
+        place=f"trial{'s' if same[1:] else ''} {', '.join(same)}",
+        remedy=first.remedy(where),
     )

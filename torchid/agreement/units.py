@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchid.agreement.changes import Change
-from torchid.agreement.evidence import agrees, gather
+from torchid.agreement.evidence import carries_foot
 from torchid.agreement.feet import Feet
 from torchid.agreement.finding import Finding
 from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
@@ -20,6 +20,8 @@ LEAST = 1e-4
 NEAR, APART = math.log(1.6), math.log(1.25)
 """A unit is possible within this factor of the weight on record (steps measured in part give less of it), and it is the
 one if the next is farther by that factor."""
+KN = 0.15, 3.0
+"""Weights of people in kN, where none is on record."""
 STEP_S = 0.04
 """Time on either side from which an acceleration is taken."""
 
@@ -38,12 +40,15 @@ def unit_findings(
     """
     peak = forces.wrench[..., :3].norm(dim=-1).amax(dim=0)
     silent = [k for k in range(len(peak)) if LEAST < float(peak[k]) < SAMPLE_LOADED_N]
-    found = [k for k in silent if _carries(feet, forces.wrench[:, k] * (PERSON_N / peak[k]), heights[k])]
+    found = [k for k in silent if carries_foot(feet, forces.wrench[:, k] * (PERSON_N / peak[k]), heights[k])]
+    if not found:
+        return ()
+    loud = forces.wrench[..., 2].amax(dim=0) > SAMPLE_LOADED_N
+    found = [k for k in found if not _touched(forces.wrench[..., 2], k, loud)]
     if not found:
         return ()
     lift = _lift(trial, feet)
     level = _level(forces.wrench[:, found, 2].sum(dim=1), lift)
-    loud = forces.wrench[..., 2].amax(dim=0) > SAMPLE_LOADED_N
     if mass_kg is None and bool(loud.any()):
         mass_kg = _level(forces.wrench[:, loud, 2].sum(dim=1), lift) / GRAVITY
     numbers = {number_of(forces.plates[k], k): forces.plates[k].name for k in found}
@@ -62,9 +67,13 @@ def unit_findings(
     return (Finding(said, changes, instead),)
 
 
-def _carries(feet: Feet, wrench: Tensor, height: float) -> bool:
-    evidence = gather(feet, wrench[None], wrench.new_tensor([height]))
-    return bool(agrees(evidence)[0])
+def _touched(vertical: Tensor, k: int, loud: Tensor) -> bool:
+    """Whether the louder plates bear the weight while this one is pressed most: a foot that only touches it."""
+    if not bool(loud.any()):
+        return False
+    total = vertical[:, loud].sum(dim=1)
+    pressed = vertical[:, k] > 0.5 * vertical[:, k].max()
+    return float(total[pressed].median()) > 0.5 * float(total.max())
 
 
 def _lift(trial: Trial, feet: Feet) -> Tensor:
@@ -86,7 +95,7 @@ def _level(vertical: Tensor, lift: Tensor) -> float:
 def _gains(level: float, mass_kg: float | None) -> list[tuple[str, float]]:
     """Units in which ``level`` is a person's weight, as factors to N, the likeliest first."""
     if mass_kg is None:
-        return [("they are in kN", 1000.0)] if level > 0.05 else []
+        return [("they are in kN", 1000.0)] if KN[0] < level < KN[1] else []
     weight = mass_kg * GRAVITY
     units = [("they are in kN", 1000.0), ("they are in body weights", round(weight, 1))]
     ranked = sorted((abs(math.log(level * gain / weight)), what, gain) for what, gain in units)

@@ -11,7 +11,9 @@ from torchid.contact.runs import spread
 from torchid.conventions import GRAVITY
 
 ALWAYS = 0.98
-"""Share of the frames from which on a lack is that of the whole trial."""
+"""Share of the loaded frames from which on a lack is that of the whole trial."""
+KNOWN = 0.95
+"""Level of what plates seem to bear too much that stands for the error of the balance."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,15 @@ def falls_short(
         options: how much may be missing, and for how long.
     """
     missing = (needed - vertical) / (GRAVITY * weight.mass) - weight.sd / weight.mass
+    bearing = vertical > 0.5 * GRAVITY * weight.mass
+    if not bool(bearing.any()):
+        return missing > options.missing_share
+    # No plate bears more than there is: what it seems to bear too much tells how well the acceleration is known.
+    share = max(options.missing_share, float((-missing[bearing]).quantile(KNOWN)))
     width = max(1, round(options.shortest_s * rate_hz)) | 1
     padded = torch.nn.functional.pad(missing[None, None], (width // 2, width // 2), mode="replicate")
     lasting = torch.nn.functional.avg_pool1d(padded, width, stride=1)[0, 0]
-    short = spread(lasting > options.missing_share, missing > 0.5 * options.missing_share)
+    short = spread(lasting > share, missing > 0.5 * share)
     # Where a share is missing throughout, no contact comes or goes: that is for the diagnosis.
-    return short if float((missing > options.missing_share).double().mean()) < ALWAYS else torch.zeros_like(short)
+    loaded = vertical > options.loaded_n
+    return short if float((missing > share)[loaded].double().mean()) < ALWAYS else torch.zeros_like(short)

@@ -33,11 +33,14 @@ class Contact:
     """Those of them that the filter keeps clear of the others, and whose motion is known."""
     belt: Float[Tensor, "feet 2"]
     """Horizontal velocity of the ground under each foot [m/s], zero where nothing moves: a treadmill's belts."""
+    lacking: Bool[Tensor, " frames"] | None = None
+    """Frames in which the plates miss a part of the weight; None where it is not known."""
 
     def frames(self, part: slice) -> "Contact":
         """Some of the frames."""
         touching, supported, plate = self.touching[part], self.supported[part], self.plate[part]
-        return Contact(self.feet, touching, supported, plate, self.measured[part], self.used[part], self.belt)
+        lacking = None if self.lacking is None else self.lacking[part]
+        return Contact(self.feet, touching, supported, plate, self.measured[part], self.used[part], self.belt, lacking)
 
     @property
     def excluded(self) -> int:
@@ -47,7 +50,7 @@ class Contact:
     @property
     def short(self) -> int:
         """Number of frames taken out for a lack of weight alone."""
-        return int((self.supported.all(dim=1) & ~self.measured).sum())
+        return 0 if self.lacking is None else int((self.supported.all(dim=1) & self.lacking).sum())
 
 
 def find_contact(
@@ -75,7 +78,7 @@ def find_contact(
     known = torch.isfinite(forces.wrench).all(dim=2).all(dim=1)
     whole = known if short is None else known & ~short
     if not feet:
-        return _footless(whole, forces, seen, round(spread_s * rate_hz))
+        return _footless(whole, forces, seen, round(spread_s * rate_hz), short)
     points = list(soles.values())
     near = near_plates(points, forces, options)
     bears = near.any(dim=1)
@@ -90,12 +93,12 @@ def find_contact(
     whole = whole & supported.all(dim=1)
     clean = ~dilate(~whole, round(spread_s * rate_hz))
     loaded = torch.isfinite(forces.centre_of_pressure(options.loaded_n)[..., 0])
-    return Contact(feet, touching, supported, assign_plates(near, touching, loaded), whole, clean & seen, belt)
+    return Contact(feet, touching, supported, assign_plates(near, touching, loaded), whole, clean & seen, belt, short)
 
 
-def _footless(whole: Tensor, forces: Forces, seen: Tensor, spread: int) -> Contact:
+def _footless(whole: Tensor, forces: Forces, seen: Tensor, spread: int, short: Tensor | None) -> Contact:
     """A model without soles: every measured frame is taken at its word."""
     none = whole.new_zeros(len(whole), 0)
     plate = torch.full(forces.wrench.shape[:2], -1, device=whole.device)
     belt = forces.wrench.new_zeros(0, 2)
-    return Contact((), none, none, plate, whole, ~dilate(~whole, spread) & seen, belt)
+    return Contact((), none, none, plate, whole, ~dilate(~whole, spread) & seen, belt, short)

@@ -46,7 +46,7 @@ def identify(config: Config, outcome: Outcome, progress: OnStage) -> Identified:
     names = outcome.session.fit("inertia")
     trials = [outcome.followed[n].wrench for n in names]
     who, box = config.subject, None
-    weight = standing_weight(outcome.followed.values(), outcome.session)
+    weight = standing_weight(outcome.followed.values(), outcome.session, config)
     mass = None if weight is None else (weight.mass, weight.sd)
     if config.inertia.known_mass and who.mass_kg:
         mass = (who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg)

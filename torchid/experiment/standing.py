@@ -19,6 +19,8 @@ from torchid.regressor.rows import WrenchTrial, predict
 
 STANDS = 0.9
 """Who stands keeps the median of the force at this share of its largest value."""
+NEAR_RECORD = 0.75, 1.33
+"""Standing masses over the recorded one that are believed: a foot beside the plate halves it."""
 PLATE_GAIN = 0.005
 """Relative scatter of masses that one laboratory's plates read in standing and in walking: 0.4 % in eight public
 sessions."""
@@ -40,15 +42,15 @@ def follow_each(
     for name in sorted(session.trials, key=lambda n: session.trials[n].role != "static"):
         trial, weight = session.trials[name], _weight(levels)
         one = follow(fit, trial, tracked(name), cutoff_hz, config, weight and _short(fit, trial, weight, config))
-        level = _level(one, trial)
+        level = _level(one, session, config)
         if level is not None:
             levels[name] = level
         yield one
 
 
-def standing_weight(followed: Iterable[Followed], session: Session) -> Weight | None:
+def standing_weight(followed: Iterable[Followed], session: Session, config: Config) -> Weight | None:
     """What the subject weighs, from the static trials that stand on plates; None where none does."""
-    levels = {one.name: _level(one, session.trials[one.name]) for one in followed}
+    levels = {one.name: _level(one, session, config) for one in followed}
     return _weight({name: level for name, level in levels.items() if level is not None})
 
 
@@ -57,13 +59,18 @@ def _weight(levels: dict[str, float]) -> Weight | None:
     return Weight(mass, PLATE_GAIN * mass, tuple(levels)) if levels else None
 
 
-def _level(one: Followed, trial: Trial) -> float | None:
-    """Mass [kg] that a static trial reads, None where it does not stand on plates."""
-    if trial.role != "static" or one.contact is None or trial.forces is None:
+def _level(one: Followed, session: Session, config: Config) -> float | None:
+    """Mass [kg] that a static trial reads, None where it does not stand on plates that can be believed."""
+    trial, recorded = session.trials[one.name], config.subject.mass_kg
+    if trial.role != "static" or not session.files[one.name].inertia or trial.forces is None:
+        return None
+    if one.contact is None or not one.contact.feet:
         return None
     vertical = trial.forces.total[one.contact.measured, 2]
-    stands = len(vertical) > 0 and float(vertical.median()) > STANDS * float(vertical.max()) > SAMPLE_LOADED_N
-    return float(vertical.mean()) / GRAVITY if stands else None
+    if not (len(vertical) and float(vertical.median()) > STANDS * float(vertical.max()) > SAMPLE_LOADED_N):
+        return None
+    mass = float(vertical.mean()) / GRAVITY
+    return mass if not recorded or NEAR_RECORD[0] < mass / recorded < NEAR_RECORD[1] else None
 
 
 def _short(

@@ -29,6 +29,8 @@ class ForcesAs:
 
     use: bool = True
     """False leaves them out: the trial then serves geometry alone."""
+    believe: bool = False
+    """True takes them as they are read, although they do not agree with the feet: a chair or a cane on a plate."""
     up: Literal["y", "z"] | None = None
     """Vertical axis of the forces, where it is not that of the markers."""
     turn_deg: Literal[0, 90, 180, 270] = 0
@@ -48,7 +50,7 @@ class PlateAs:
     """How one force plate is to be read."""
 
     use: bool = True
-    """False leaves the plate out; frames with a foot on it then count as not measured."""
+    """False leaves the plate out; frames with a foot of the model on it then count as not measured."""
     turn_deg: Literal[0, 90, 180, 270] = 0
     """Turns the plate on its place, counter-clockwise from above."""
     corners: Annotated[tuple[Corner, ...], Len(4, 4)] | None = None
@@ -181,7 +183,7 @@ def reframed(forces: Forces, plates: PlatesAs) -> Forces:
 
 
 def _refuse_unknown(plates: PlatesAs, index: dict[int, int], source: str) -> None:
-    asked = {*plates, *(p.reads for p in plates.values() if p.reads)}
+    asked = {n for n, p in plates.items() if p != PlateAs(use=False)} | {p.reads for p in plates.values() if p.reads}
     if not asked <= set(index):
         raise InputError(
             "plates.number",

@@ -26,3 +26,5 @@ class ReadOptions:
     wanted: frozenset[str] = frozenset()
     """Labels that the user's marker set lists: never left out as outputs of a program, whatever their names and how
     they move; compared without case, blanks, dots, dashes and underscores."""
+    moments_read: bool = False
+    """Free moments have been scaled while they were read: a ``moment_gain`` is not to be applied again."""

@@ -19,7 +19,7 @@ from torch import Tensor
 from torchid.conventions import LOADED_N
 from torchid.errors import Note
 from torchid.io.c3d_header import C3dHeader
-from torchid.io.mend import PlatesAs
+from torchid.io.mend import PlateAs, PlatesAs
 from torchid.io.plate_setup import SMALL_MISFIT, PlateProblem, PlateSetup, plate_frame, plate_setups, rectangle_misfit
 from torchid.recording import Plate
 
@@ -46,6 +46,7 @@ def read_plates(
     setups, notes = plate_setups(header, shape[1], metres, changes)
     plates, facts = [], {}
     refused = [match[1] for note in notes if (match := re.match(r"plate (\d+) cannot", note.message))]
+    refused = [number for number in refused if changes.get(int(number), PlateAs()).use]
     if refused:
         facts["plates refused"] = " ".join(refused)
     found = np.empty((shape[0], len(setups), 6))

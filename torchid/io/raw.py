@@ -79,11 +79,20 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     elif forces is not None:
         forces = _forces_in_world(turned_up(forces, options.forces_as, axis), axis)
     if forces is not None:
-        forces = mend(forces, options.forces_as, options.plates, raw.source)
+        forces = mend(forces, *_left_to_mend(options), raw.source)
     said = [*said, *turned, *_as_asked(options, raw.source)]
     notes = (*raw.notes, *missing, *left_out, *said, *leaping, *held, *_force_notes(forces, raw))
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
     return Trial(name, markers, forces, role, raw.events, notes, parameters, computed)
+
+
+def _left_to_mend(options: ReadOptions) -> tuple[ForcesAs, dict[int, PlateAs]]:
+    """What the user said of file and plates, without what reading a file of forces has done already."""
+    plates = dict(options.plates)
+    if not options.moments_read:
+        return options.forces_as, plates
+    plates = {number: replace(change, moment_gain=1.0) for number, change in plates.items()}
+    return replace(options.forces_as, moment_gain=1.0), plates
 
 
 def _as_asked(options: ReadOptions, source: str) -> list[Note]:

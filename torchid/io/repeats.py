@@ -24,10 +24,12 @@ def refuse_repeats(position: Float[np.ndarray, "frames markers 3"], source: str)
     Raises:
         InputError: ``markers.still`` and ``markers.doubled``.
     """
-    if len(position) < FEWEST or not np.isfinite(position).any():
+    seen = np.isfinite(position).any(axis=(1, 2))
+    pairs = seen[1:] & seen[:-1]
+    if pairs.sum() < FEWEST:
         return
     same = (position[1:] == position[:-1]) | (np.isnan(position[1:]) & np.isnan(position[:-1]))
-    share = float(same.all(axis=(1, 2)).mean())
+    share = float(same.all(axis=(1, 2))[pairs].mean())
     if share > STILL:
         raise InputError(
             "markers.still", "no marker moves", source=source, place="markers",

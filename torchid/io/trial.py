@@ -51,7 +51,7 @@ def read_trial(
             remedy="Give forces (.mot, .sto) under forces:",
         )
     measured = _read_forces(None if forces is None else Path(forces), options)
-    options = options if forces is None else _with_moments_read(options)
+    options = options if forces is None else replace(options, moments_read=True)
     if suffix == ".trc":
         return _read_text(name, file, measured, role, options)
     beside, notes, facts = measured
@@ -102,12 +102,6 @@ def _refuse_other_clock(time: np.ndarray, measured: Forces | None, file: str, fo
             found=f"markers last {own:g}, forces {other:g}",
             remedy="Divide the times of this file by 1000; they must be in s",
         )
-
-
-def _with_moments_read(options: ReadOptions) -> ReadOptions:
-    """The same, for forces whose free moments have been scaled while they were read."""
-    plates = {number: replace(change, moment_gain=1.0) for number, change in options.plates.items()}
-    return replace(options, forces_as=replace(options.forces_as, moment_gain=1.0), plates=plates)
 
 
 def _read_forces(path: Path | None, options: ReadOptions) -> Measured:

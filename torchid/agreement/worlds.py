@@ -1,0 +1,61 @@
+"""What else than a plate may be wrong: the vertical of one of two files, a recording on its head, markers of a size."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from torchid.agreement.changes import Change, Up, file_changes
+from torchid.agreement.evidence import carries_foot
+from torchid.agreement.readings import scene_of, shared_changes, tried
+from torchid.conventions import SAMPLE_LOADED_N
+from torchid.io.mend import ForcesAs
+from torchid.recording import Trial
+
+SIZES = (0.5, 2.0)
+"""Factors of all markers that are tried where no reading of the forces helps."""
+
+
+def other_up(reread: Callable[[Change], Trial | None]) -> Change | None:
+    """The change of the vertical of markers or forces alone under which they agree, None where there is none."""
+    axes: tuple[tuple[Up, Up], ...] = (("y", "z"), ("z", "y"))
+    for markers, forces in axes:
+        what = f"the markers have {markers.upper()} up and the forces {forces.upper()}"
+        change = Change(what, ForcesAs(up=forces), up=markers)
+        other = reread(change)
+        scene = None if other is None else scene_of(other)
+        if scene is None or other is None:
+            continue
+        each = {k: tried(scene, k, file_changes(True)) for k in range(len(scene.forces.plates))}
+        if _all_agree(other):
+            return change
+        turned = shared_changes(each)
+        if turned:
+            both = replace(turned[0].forces_as, up=forces)
+            return replace(turned[0], up=markers, forces_as=both, what=f"{what}, and {turned[0].what}")
+    return None
+
+
+def other_world(trial: Trial) -> str:
+    """What else than the forces would have to change so that they agree, as the end of a sentence; else empty."""
+    assert trial.forces is not None
+    half = trial.markers.position.new_tensor([1.0, -1.0, -1.0])
+    bare = tuple(replace(plate, corners=None) for plate in trial.forces.plates)
+    upright = replace(
+        trial,
+        markers=replace(trial.markers, position=trial.markers.position * half),
+        forces=replace(trial.forces, wrench=trial.forces.wrench * half.repeat(2), plates=bare),
+    )
+    if _all_agree(upright):
+        return "if everything stood on its feet: the recording is upside down (turn it by 180 degrees about X)"
+    for size in SIZES:
+        other = replace(trial, markers=replace(trial.markers, position=trial.markers.position / size))
+        if _all_agree(other):
+            return f"if the markers were {1 / size:g} times as large: check their unit and the cameras' calibration"
+    return ""
+
+
+def _all_agree(trial: Trial) -> bool:
+    scene = scene_of(trial)
+    if scene is None:
+        return False
+    loaded = [k for k in range(len(scene.heights)) if bool((scene.forces.wrench[:, k, 2] > SAMPLE_LOADED_N).any())]
+    return bool(loaded) and all(carries_foot(scene.feet, scene.forces.wrench[:, k], scene.heights[k]) for k in loaded)
