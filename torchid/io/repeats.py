@@ -24,7 +24,7 @@ def refuse_repeats(position: Float[np.ndarray, "frames markers 3"], source: str)
     Raises:
         InputError: ``markers.still`` and ``markers.doubled``.
     """
-    seen = np.isfinite(position).any(axis=(1, 2))
+    seen = np.asarray(np.isfinite(position).any(axis=(1, 2)))
     pairs = seen[1:] & seen[:-1]
     if pairs.sum() < FEWEST:
         return
