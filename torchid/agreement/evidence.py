@@ -24,6 +24,8 @@ PRESSURE_MOST_M, AIM_MOST_M, FREE_MOST_M = 0.07, 0.22, 0.06
 """What a foot can do: no recording of 52 goes beyond 48, 151 and 42 mm; 20 mm are 30 N m under a runner's 1500 N."""
 ALONE = 0.8
 """Share of all vertical force from which on a plate bears the body alone."""
+MOSTLY_ALONE = 0.2
+"""Of a plate's loaded frames: a walk is on one foot for most of a stance, a landing only while it tips over."""
 STANDS_M_S = 0.3
 """A foot slower than this stands; the pressure of one plate may lie anywhere between two feet that do."""
 BELT_M_S = 0.3
@@ -73,7 +75,9 @@ def gather(
     arm = feet.centre[:, 2] - height
     aim = (feet.centre[:, :2] - centre - force[..., :2] / fz[..., None] * arm[..., None]).norm(dim=-1)
     if others is not None:
-        aim = torch.where(fz > ALONE * (fz + others), aim, torch.nan)
+        alone = loaded & (fz > ALONE * (fz + others))
+        mostly = alone.sum(dim=1) > MOSTLY_ALONE * loaded.sum(dim=1)
+        aim = torch.where(alone & mostly[:, None], aim, torch.nan)
     turning = centre[..., 0] * force[..., 1] - centre[..., 1] * force[..., 0]
     free = ((moment[..., 2] - turning) / fz).abs()
     weight = torch.where(loaded, force[..., 2], 0.0)

@@ -59,6 +59,9 @@ def _axes(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, .
     if not bad:
         return ()
     seen = _said(scene, whole, bad)
+    fallen = "" if any(plate.bears(0) for plate in single.values()) else other_world(trial)
+    if fallen:
+        return (Finding(f"{seen}, and would {fallen}"),)
     if shared and (len(bad) > 1 or not single[bad[0]].right):
         return (Finding(seen, tuple(shared)),)
     if reread is not None and own_axes and not all(single[k].right for k in bad):
