@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.agreement.changes import Change
 from torchid.agreement.evidence import BELT_M_S, pressure_centre, slowest_point, weighted_quantile
 from torchid.agreement.feet import Feet, find_feet
-from torchid.agreement.finding import Finding
+from torchid.agreement.finding import Finding, without
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.io.mend import ForcesAs, PlateAs, number_of
 from torchid.recording import Forces, Plate, Trial
@@ -172,7 +172,7 @@ def clock_findings(trial: Trial) -> tuple[Finding, ...]:
 def _of_plate(plate: Plate, k: int, lag: Lag) -> Finding:
     n = number_of(plate, k)
     change = Change("its clock is off by that", plates={n: PlateAs(lag_ms=_rounded(lag))})
-    return Finding(f"{plate.name} is {_in_words(lag)}", (change,), f"plates: {{{n}: {{use: false}}}}")
+    return Finding(f"{plate.name} is {_in_words(lag)}", (change,), without(n))
 
 
 def _rounded(lag: Lag) -> float:

@@ -1,7 +1,6 @@
 """What is wrong with the forces of a recording, and the config lines that put it right."""
 
 import math
-import re
 from dataclasses import dataclass
 from functools import reduce
 from itertools import islice, product
@@ -12,6 +11,14 @@ from torchid.agreement.evidence import Evidence
 from torchid.io.mend import ForcesAs, PlateAs
 
 
+def without(*numbers: int) -> Change:
+    """The change that leaves plates out, or, without numbers, all forces."""
+    if not numbers:
+        return Change("they are left out", ForcesAs(use=False))
+    named = f"plate{'s' if numbers[1:] else ''} {', '.join(map(str, numbers))}"
+    return Change(f"{named} left out", plates={n: PlateAs(use=False) for n in numbers})
+
+
 @dataclass(frozen=True)
 class Finding:
     """Forces that do not agree with the feet."""
@@ -20,8 +27,8 @@ class Finding:
     """What was seen, as a sentence without its end."""
     changes: tuple[Change, ...] = ()
     """Readings under which they agree, the likeliest first; empty where nothing on the list does."""
-    instead: str = "forces_as: {use: false}"
-    """The line that leaves the forces in question out."""
+    instead: Change = without()
+    """What leaves the forces in question out."""
     removed: bool = False
     """The config says something about these forces already, which the line replaces."""
 
@@ -34,13 +41,13 @@ class Finding:
         add = f"instead of what the config says add {where}" if self.removed else f"add {where}"
         if not self.changes:
             return (
-                f"Nothing on the list of known faults puts it right; to go on without them {add} `{self.instead}`, or, "
-                f"if they are right all the same, `{BELIEVED}`"
+                "Nothing on the list of known faults puts it right; to go on without them "
+                f"{add} `{self.instead.line}`, or, if they are right all the same, `{BELIEVED}`"
             )
         if len(self.changes) == 1:
             return f"They agree if {self.changes[0].what}; then {add} `{self.lines()[0]}`"
         several = "; or ".join(f"{c.what}: `{line}`" for c, line in zip(self.changes, self.lines(), strict=True))
-        return f"They agree in several ways ({several}): {add} the one that is true, or `{self.instead}`"
+        return f"They agree in several ways ({several}): {add} the one that is true, or `{self.instead.line}`"
 
 
 BELIEVED = "forces_as: {believe: true}"
@@ -53,19 +60,9 @@ def together(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Findings about several plates as one, so that there is one line to add: a config has each key once."""
     if len(findings) < 2:
         return findings
-    choices = [f.changes or (_without(f),) for f in findings] if any(f.changes for f in findings) else []
+    choices = [f.changes or (f.instead,) for f in findings] if any(f.changes for f in findings) else []
     changes = tuple(reduce(and_, some) for some in islice(product(*choices), COMBINED) if some)
-    instead = reduce(and_, (_without(f) for f in findings)).line
-    return (Finding("; ".join(f.what for f in findings), changes, instead),)
-
-
-def _without(finding: Finding) -> Change:
-    """The change that leaves the forces in question out."""
-    numbers = [int(n) for n in re.findall(r"(\d+): \{use: false\}", finding.instead)]
-    if not numbers:
-        return Change("they are left out", ForcesAs(use=False))
-    named = ", ".join(map(str, numbers))
-    return Change(f"plate {named} is left out", plates={n: PlateAs(use=False) for n in numbers})
+    return (Finding("; ".join(f.what for f in findings), changes, reduce(and_, (f.instead for f in findings))),)
 
 
 def in_figures(evidence: Evidence, k: int) -> str:

@@ -10,13 +10,18 @@ from dataclasses import replace
 from torchid.agreement.changes import Change, corner_changes, file_changes, pair_changes, plate_changes
 from torchid.agreement.clock import clock_findings
 from torchid.agreement.evidence import carries_foot
-from torchid.agreement.finding import Finding, in_figures, together
+from torchid.agreement.finding import Finding, in_figures, together, without
 from torchid.agreement.readings import Scene, Tried, scene_of, shared_changes, tried
 from torchid.agreement.units import unit_findings
-from torchid.agreement.worlds import other_up, other_world
+from torchid.agreement.worlds import other_size, other_up, upside_down
 from torchid.io.mend import mend, number_of
 from torchid.io.resample import to_clock
 from torchid.recording import Trial
+
+ON_ITS_HEAD = (
+    "the recording is upside down: forces and feet agree once all of it is turned by 180 degrees about X; "
+    "export it upright"
+)
 
 Reread = Callable[[Change], Trial | None]
 
@@ -30,6 +35,8 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
         reread: reads the trial again with a change, None where it refuses; for what cannot be tried without.
     """
     scene, refused = scene_of(trial), () if reread is None else _refused_plates(trial, reread)
+    if upside_down(trial):
+        return (Finding(ON_ITS_HEAD),)
     if scene is None:
         return together(refused)
     units = unit_findings(trial, scene.feet, scene.forces, scene.heights, mass_kg)
@@ -59,18 +66,16 @@ def _axes(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, .
     if not bad:
         return ()
     seen = _said(scene, whole, bad)
-    fallen = "" if any(plate.bears(0) for plate in single.values()) else other_world(trial)
-    if fallen:
-        return (Finding(f"{seen}, and would {fallen}"),)
     if shared and (len(bad) > 1 or not single[bad[0]].right):
         return (Finding(seen, tuple(shared)),)
     if reread is not None and own_axes and not all(single[k].right for k in bad):
         turned = other_up(reread)
         if turned is not None:
             return (Finding(seen, (turned,)),)
-    world = "" if any(single[k].right for k in bad) else other_world(trial)
-    if world:
-        return (Finding(f"{seen}, and would {world}"),)
+    size = None if any(single[k].right for k in bad) else other_size(trial)
+    if size is not None:
+        said = f"{seen}, and would if the markers were {size:g} times as large: check their unit and calibration"
+        return (Finding(said),)
     return tuple(_of_plate(scene, k, single[k]) for k in bad)
 
 
@@ -79,7 +84,7 @@ def _of_plate(scene: Scene, k: int, plate: Tried) -> Finding:
     said = f"{name} does not agree with the feet: {in_figures(plate.evidence, 0)}"
     if not plate.right:
         said += "; forces of another trial would look so"
-    return Finding(said, tuple(plate.right), f"plates: {{{n}: {{use: false}}}}")
+    return Finding(said, tuple(plate.right), without(n))
 
 
 def _said(scene: Scene, each: dict[int, Tried], bad: list[int]) -> str:
@@ -94,7 +99,7 @@ def _refused_plates(trial: Trial, reread: Reread) -> tuple[Finding, ...]:
         changes = [change for change in corner_changes(number) if _carries(reread(change), number)]
         if changes:
             said = f"plate {number} is refused for its corners, yet somebody stands on it"
-            found.append(Finding(said, tuple(changes), f"plates: {{{number}: {{use: false}}}}"))
+            found.append(Finding(said, tuple(changes), without(number)))
     return tuple(found)
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchid.agreement.changes import Change
 from torchid.agreement.evidence import carries_foot
 from torchid.agreement.feet import Feet
-from torchid.agreement.finding import Finding
+from torchid.agreement.finding import Finding, without
 from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
 from torchid.io.mend import ForcesAs, PlateAs, number_of
 from torchid.recording import Forces, Trial
@@ -59,12 +59,9 @@ def unit_findings(
         Change(what, ForcesAs(gain=g)) if whole else Change(what, plates={n: PlateAs(gain=g) for n in numbers})
         for what, g in gains
     )
-    instead = (
-        "forces_as: {use: false}" if whole else f"plates: {{{', '.join(f'{n}: {{use: false}}' for n in numbers)}}}"
-    )
     if not gains:
         said += ": volts, or counts that nobody has scaled"
-    return (Finding(said, changes, instead),)
+    return (Finding(said, changes, without() if whole else without(*numbers)),)
 
 
 def _touched(vertical: Tensor, k: int, loud: Tensor) -> bool:

@@ -4,9 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from torchid.agreement.changes import Change, Up, file_changes
-from torchid.agreement.evidence import carries_foot
 from torchid.agreement.readings import scene_of, shared_changes, tried
-from torchid.conventions import SAMPLE_LOADED_N
 from torchid.io.mend import ForcesAs
 from torchid.recording import Trial
 
@@ -34,28 +32,33 @@ def other_up(reread: Callable[[Change], Trial | None]) -> Change | None:
     return None
 
 
-def other_world(trial: Trial) -> str:
-    """What else than the forces would have to change so that they agree, as the end of a sentence; else empty."""
-    assert trial.forces is not None
+def upside_down(trial: Trial) -> bool:
+    """Whether forces and feet agree once the whole recording is turned on its feet."""
+    if trial.forces is None:
+        return False
     half = trial.markers.position.new_tensor([1.0, -1.0, -1.0])
     bare = tuple(replace(plate, corners=None) for plate in trial.forces.plates)
-    upright = replace(
-        trial,
-        markers=replace(trial.markers, position=trial.markers.position * half),
-        forces=replace(trial.forces, wrench=trial.forces.wrench * half.repeat(2), plates=bare),
+    return _all_agree(
+        replace(
+            trial,
+            markers=replace(trial.markers, position=trial.markers.position * half),
+            forces=replace(trial.forces, wrench=trial.forces.wrench * half.repeat(2), plates=bare),
+        )
     )
-    if _all_agree(upright):
-        return "if everything stood on its feet: the recording is upside down (turn it by 180 degrees about X)"
+
+
+def other_size(trial: Trial) -> float | None:
+    """The factor of all markers with which forces and feet agree, None where none of ``SIZES`` does."""
     for size in SIZES:
-        other = replace(trial, markers=replace(trial.markers, position=trial.markers.position / size))
-        if _all_agree(other):
-            return f"if the markers were {1 / size:g} times as large: check their unit and the cameras' calibration"
-    return ""
+        if _all_agree(replace(trial, markers=replace(trial.markers, position=trial.markers.position * size))):
+            return size
+    return None
 
 
 def _all_agree(trial: Trial) -> bool:
     scene = scene_of(trial)
     if scene is None:
         return False
-    loaded = [k for k in range(len(scene.heights)) if bool((scene.forces.wrench[:, k, 2] > SAMPLE_LOADED_N).any())]
-    return bool(loaded) and all(carries_foot(scene.feet, scene.forces.wrench[:, k], scene.heights[k]) for k in loaded)
+    plates = [tried(scene, k, []) for k in range(len(scene.heights))]
+    loaded = [plate for plate in plates if plate.enough(0)]
+    return bool(loaded) and all(plate.agrees(0) for plate in loaded)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from torchid.errors import Note
 from torchid.io.c3d_header import C3dHeader
-from torchid.io.mend import PlateAs, PlatesAs, ordered_corners
+from torchid.io.mend import PlateAs, PlatesAs, frame_of, ordered_corners
 from torchid.io.units import METRES
 
 CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6, 7: 8}
@@ -167,10 +167,8 @@ def plate_frame(corners: Float[np.ndarray, "4 3"]) -> tuple[Float[np.ndarray, "3
     misfit = rectangle_misfit(corners)
     if misfit > MAX_MISFIT:
         raise PlateProblem(f"its corners lie {1e3 * misfit:.0f} mm from the nearest rectangle{_other_order(corners)}")
-    x = corners[0] - corners[1]
-    z = np.cross(x, corners[0] - corners[3])
-    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-    return np.stack([x, np.cross(z, x), z], axis=1), corners.mean(axis=0)
+    R_WF, p_WF = frame_of(torch.from_numpy(corners))
+    return R_WF.numpy(), p_WF.numpy()
 
 
 def rectangle_misfit(corners: Float[np.ndarray, "4 3"]) -> float:
