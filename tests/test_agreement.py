@@ -344,3 +344,16 @@ def test_what_cannot_be_told_is_not_accused(seed):
     touched = walk.forces.wrench.clone()
     touched[:, 1] = 0.04 * touched[:, 0]
     assert judge(replace(walk, forces=replace(walk.forces, wrench=touched)), MASS) == ()
+
+
+def test_markers_that_lie_beside_upright_forces_are_told(seed):
+    """Two files with other verticals, of somebody who stands: read with both verticals, they agree."""
+    right = standing_trial(seed, 0.2, (350.0, 350.0))
+    lying = right.markers.position[..., [0, 2, 1]] * torch.tensor([1.0, 1.0, -1.0])
+    faulty = replace(right, markers=replace(right.markers, position=lying))
+
+    def reread(change: Change) -> Trial | None:
+        return right if (change.up, change.forces_as.up) == ("y", "z") else None
+
+    found = judge(faulty, MASS, reread)
+    assert found and found[0].changes[0].line == "up: y, forces_as: {up: z}"

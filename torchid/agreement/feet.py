@@ -87,11 +87,26 @@ def _one_foot(position: Tensor, foot: Tensor) -> bool:
 
 def _low(position: Tensor) -> Tensor:
     """Indices of the markers that come near the floor."""
+    lowest = _lowest(position)
+    return (lowest < _floor(lowest) + LOW_M).nonzero()[:, 0]
+
+
+def _lowest(position: Tensor) -> Tensor:
+    """How low each marker comes, infinite for one that is rarely seen."""
     height = position[..., 2]
     often_seen = torch.isfinite(height).double().mean(dim=0) > SEEN
-    lowest = torch.where(often_seen, torch.nanquantile(height, OFTEN, dim=0), torch.inf)
-    floor = lowest.sort().values[:FLOOR_MARKERS].median()
-    return (often_seen & (lowest < floor + LOW_M)).nonzero()[:, 0]
+    return torch.where(often_seen, torch.nanquantile(height, OFTEN, dim=0), torch.inf)
+
+
+def _floor(lowest: Tensor) -> Tensor:
+    return lowest.sort().values[:FLOOR_MARKERS].median()
+
+
+def floor_height(markers: Markers) -> float:
+    """Height in W to which the lowest markers come [m]; infinite without markers."""
+    frames = torch.linspace(0, len(markers.time) - 1, min(FRAMES, len(markers.time))).round().long()
+    lowest = _lowest(markers.position[frames])
+    return float(_floor(lowest)) if len(lowest) else float("inf")
 
 
 def _outermost(position: Tensor, foot: Tensor) -> Tensor:

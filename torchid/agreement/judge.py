@@ -13,7 +13,7 @@ from torchid.agreement.evidence import carries_foot
 from torchid.agreement.finding import Finding, in_figures, together, without
 from torchid.agreement.readings import Scene, Tried, scene_of, shared_changes, tried
 from torchid.agreement.units import unit_findings
-from torchid.agreement.worlds import other_size, other_up, upside_down
+from torchid.agreement.worlds import off_the_floor, other_size, other_up, upside_down
 from torchid.io.mend import mend, number_of
 from torchid.io.resample import to_clock
 from torchid.recording import Trial
@@ -37,10 +37,22 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
     scene, refused = scene_of(trial), () if reread is None else _refused_plates(trial, reread)
     if upside_down(trial):
         return (Finding(ON_ITS_HEAD),)
-    if scene is None:
-        return together(refused)
+    lying = _lying(trial, reread) if scene is None or off_the_floor(trial) else ()
+    if scene is None or lying:
+        return together((*lying, *refused))
     units = unit_findings(trial, scene.feet, scene.forces, scene.heights, mass_kg)
     return units or together((*_axes_or_clock(scene, trial, reread), *refused))
+
+
+def _lying(trial: Trial, reread: Reread | None) -> tuple[Finding, ...]:
+    """No feet on the floor because markers and forces of two files have other verticals; else empty."""
+    turned = other_up(reread) if reread is not None and trial.forces is not None and _own_axes(trial) else None
+    return () if turned is None else (Finding("no marker shows a foot on the floor under the forces", (turned,)),)
+
+
+def _own_axes(trial: Trial) -> bool:
+    """Whether the forces stand in a file of their own, whose axes may be others than those of the markers."""
+    return "forces" in trial.parameters
 
 
 def _axes_or_clock(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, ...]:
@@ -58,14 +70,17 @@ def _axes_or_clock(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[F
 
 def _axes(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, ...]:
     """Plates turned, mirrored, miswired, in other units of moment, or exchanged; files with other axes."""
-    plates, own_axes = scene.forces.plates, "forces" in trial.parameters
+    plates, own_axes = scene.forces.plates, _own_axes(trial)
     single = {k: tried(scene, k, plate_changes(plates, k)) for k in range(len(plates))}
     whole = {k: tried(scene, k, [*pair_changes(plates), *file_changes(own_axes)]) for k in range(len(plates))}
-    shared = shared_changes(whole)
+    shared = shared_changes(scene, whole)
     bad = [k for k, plate in single.items() if plate.disagrees or (shared and whole[k].disagrees)]
+    astray = scene.astray(scene.forces.wrench)
+    if astray is not None and not bad:
+        bad = [k for k, plate in single.items() if plate.bears(0)]
     if not bad:
         return ()
-    seen = _said(scene, whole, bad)
+    seen = _said(scene, whole, bad) + (f", together aimed {1e3 * astray:.0f} mm beside the body" if astray else "")
     if shared and (len(bad) > 1 or not single[bad[0]].right):
         return (Finding(seen, tuple(shared)),)
     if reread is not None and own_axes and not all(single[k].right for k in bad):

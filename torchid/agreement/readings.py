@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 
 from torchid.agreement.changes import Change
-from torchid.agreement.evidence import FREE_MOST_M, PRESSURE_MOST_M, Evidence, agrees, gather
+from torchid.agreement.evidence import AIM_MOST_M, FREE_MOST_M, PRESSURE_MOST_M, Evidence, agrees, gather
 from torchid.agreement.feet import FRAMES, Feet, find_feet
 from torchid.io.mend import mend, reframed
 from torchid.recording import Forces, Trial
@@ -37,6 +37,12 @@ class Scene:
     def heights(self) -> list[float]:
         """Height of each plate's surface in W [m]."""
         return [0.0 if p.corners is None else float(p.corners[:, 2].mean()) for p in self.forces.plates]
+
+    def astray(self, wrench: Float[torch.Tensor, "n plates 6"]) -> float | None:
+        """Distance of the line of all forces together from the middle of the body [m], if no body could have it so."""
+        mean = sum(self.heights) / max(len(self.heights), 1)
+        aim = float(gather(self.feet, wrench.sum(dim=1)[None], mean).aim[0])
+        return aim if aim > AIM_MOST_M else None
 
 
 def scene_of(trial: Trial) -> Scene | None:
@@ -113,7 +119,7 @@ def changed(forces: Forces, change: Change) -> Float[torch.Tensor, "n plates 6"]
     return other.wrench
 
 
-def shared_changes(each: dict[int, Tried]) -> list[Change]:
+def shared_changes(scene: Scene, each: dict[int, Tried]) -> list[Change]:
     """Changes of the whole file under which every plate agrees best, and those that are not told apart from it."""
     if not each:
         return []
@@ -125,6 +131,8 @@ def shared_changes(each: dict[int, Tried]) -> list[Change]:
         if not fits or bearing[1] < max(1, bearing[0]):
             continue
         if change.shrinks_moments and all(plate.agrees(0) or not plate.enough(0) for plate in each.values()):
+            continue
+        if scene.astray(changed(scene.forces, change)) is not None:
             continue
         gain = sum(float(plate.evidence.gain[i]) for plate in each.values()) / max(bearing)
         helpful += [(gain, change)] if gain > BETTER else []

@@ -4,10 +4,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from torchid.agreement.changes import Change, Up, file_changes
+from torchid.agreement.feet import floor_height
 from torchid.agreement.readings import scene_of, shared_changes, tried
 from torchid.io.mend import ForcesAs
 from torchid.recording import Trial
 
+HANGING_M = 0.5
+"""Who stands on plates has his feet this near the origin's height; who stands on his head has them further off."""
 SIZES = (0.5, 2.0)
 """Factors of all markers that are tried where no reading of the forces helps."""
 
@@ -25,16 +28,21 @@ def other_up(reread: Callable[[Change], Trial | None]) -> Change | None:
         each = {k: tried(scene, k, file_changes(True)) for k in range(len(scene.forces.plates))}
         if _all_agree(other):
             return change
-        turned = shared_changes(each)
+        turned = shared_changes(scene, each)
         if turned:
             both = replace(turned[0].forces_as, up=forces)
             return replace(turned[0], up=markers, forces_as=both, what=f"{what}, and {turned[0].what}")
     return None
 
 
+def off_the_floor(trial: Trial) -> bool:
+    """Whether the lowest markers are far from the height of the plates."""
+    return abs(floor_height(trial.markers)) > HANGING_M
+
+
 def upside_down(trial: Trial) -> bool:
     """Whether forces and feet agree once the whole recording is turned on its feet."""
-    if trial.forces is None:
+    if trial.forces is None or not off_the_floor(trial):
         return False
     half = trial.markers.position.new_tensor([1.0, -1.0, -1.0])
     bare = tuple(replace(plate, corners=None) for plate in trial.forces.plates)
@@ -61,4 +69,4 @@ def _all_agree(trial: Trial) -> bool:
         return False
     plates = [tried(scene, k, []) for k in range(len(scene.heights))]
     loaded = [plate for plate in plates if plate.enough(0)]
-    return bool(loaded) and all(plate.agrees(0) for plate in loaded)
+    return bool(loaded) and all(plate.agrees(0) for plate in loaded) and scene.astray(scene.forces.wrench) is None
