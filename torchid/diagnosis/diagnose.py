@@ -7,6 +7,7 @@ from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search.elimination import AT_LAST, SUPPORTED, VISIBLE, eliminate, restore_record, settle
+from torchid.diagnosis.search.hearing import testimonies
 from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.search.stepwise import search
 from torchid.diagnosis.testing.heldout import HeldOut
@@ -14,12 +15,13 @@ from torchid.diagnosis.testing.position_dependence import misfits, with_misfits
 from torchid.diagnosis.testing.refutation import Upheld, uphold
 from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.verdict.causes import after_forces, causes_of, nearest, untested
-from torchid.diagnosis.verdict.confidence import bent_by_position, discounted
+from torchid.diagnosis.verdict.confidence import bent_by_position, discounted, unwitnessed
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
+from torchid.witnesses.panel import Panel
 
 
 def select_effects(include: Sequence[str], exclude: Sequence[str]) -> tuple[Effect, ...]:
@@ -44,6 +46,7 @@ def diagnose(
     known: Identification,
     limit: int,
     options: DiagnosisOptions = DiagnosisOptions(),
+    panel: Panel | None = None,
 ) -> Diagnosis:
     """Return the causes of what the identified model gets wrong, with what remains and the trace of all decisions.
 
@@ -55,15 +58,16 @@ def diagnose(
         known: what the inertial fit knew and found.
         limit: number of causes at most of each kind (``stepwise.kind_of``).
         options: every threshold that decides.
+        panel: witnesses that are asked before a name is given; None: nobody is.
     """
-    found = search(observed, effects, known, limit, options)
+    found = search(observed, effects, known, limit, options, panel)
     if _remains(found, observed, len(heldout)).significant:
         found = settle(eliminate(found, observed, VISIBLE), observed, SUPPORTED)
         found = restore_record(found, observed)
     unseen = HeldOut(found, observed, heldout)
     upheld = uphold(unseen, unseen.acting(), options.heldout)
     found = settle(found.having(upheld.chosen, *upheld.trace), observed, AT_LAST)
-    return _verdict(found, unseen, upheld, observed, plates)
+    return _verdict(found, unseen, upheld, observed, plates, panel)
 
 
 def _verdict(
@@ -72,6 +76,7 @@ def _verdict(
     upheld: Upheld,
     observed: Sequence[TrialObservation],
     plates: tuple[SessionPlate, ...],
+    panel: Panel | None,
 ) -> Diagnosis:
     """Return the diagnosis that the chosen effects amount to."""
     rest, limits = _remains(found, observed, len(unseen.trials)), found.options
@@ -80,11 +85,12 @@ def _verdict(
     bent = [] if rest.alone else misfits(found, observed)
     causes, contradicted = discounted(found, observed, rest, causes_of(found, unseen, extended, names))
     causes, positions = bent_by_position(found, causes, bent)
+    causes, unheard = unwitnessed(causes, found, testimonies(panel, found, observed))
     rest = with_misfits(with_vibration(rest, observed, limits.adequacy), found, bent)
     return Diagnosis(
         plates, unseen.fit(()).errors, extended.errors, _ordered(found, causes), rest,
         untested(observed, plates), nearest(found.rounds[-1], limits.confidence.rivals),
-        _refuted(upheld), (*found.trace, *contradicted, *positions),
+        _refuted(upheld), (*found.trace, *contradicted, *positions, *unheard),
     )  # fmt: skip
 
 

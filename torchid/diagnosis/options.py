@@ -15,6 +15,7 @@ from enum import StrEnum
 
 from torchid.bounds import Count, NonNegative, Positive, Share
 from torchid.observation.options import ObservationOptions
+from torchid.witnesses.options import WitnessOptions
 
 
 @dataclass(frozen=True)
@@ -148,6 +149,7 @@ class DiagnosisOptions:
     adequacy: AdequacyOptions = field(default_factory=AdequacyOptions)
     confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)
     missing_weight: MissingWeightOptions = field(default_factory=MissingWeightOptions)
+    witnesses: WitnessOptions = field(default_factory=WitnessOptions)
 
 
 SECTIONS = (

@@ -31,6 +31,7 @@ class RecordEffect(LoadEffect):
 
     origin = Origin.RECORD
     correction = Correction.RECORD
+    witnessed = True
 
     @abstractmethod
     def entries(self, finding: Finding) -> Mapping[str, float]:
@@ -39,6 +40,9 @@ class RecordEffect(LoadEffect):
 
 class ReadingEffect(Effect):
     """A map from what plates bear to what they read."""
+
+    correction = Correction.READING
+    witnessed = True
 
     @abstractmethod
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:

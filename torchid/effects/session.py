@@ -27,6 +27,7 @@ class GravityTilt(LoadEffect):
     """
 
     name = "gravity_tilt"
+    witnessed = True
     parameters = (Parameter("roll_rad", 0.02, source=TILT), Parameter("pitch_rad", 0.02, source=TILT))
     noun = "a tilted vertical"
     advice = "a plumb line with two markers, or a spirit level on the calibration frame"

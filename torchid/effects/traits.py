@@ -65,6 +65,8 @@ class Correction(Enum):
     """The effect's share of the plates' total is taken off."""
     MARKERS = auto()
     """The markers are moved back to where the bodies carry them, and geometry is fitted again."""
+    READING = auto()
+    """The plates' readings are put right (``Effect.undone``) before anything is fitted, standing included."""
     LABELS = auto()
     """The markers of the place exchange their names in its intervals, and geometry is fitted again."""
     RECORD = auto()
@@ -89,6 +91,8 @@ class Traits:
     occurrence: ClassVar[Occurrence] = Occurrence.THROUGHOUT
     response: ClassVar[Response] = Response.LINEAR
     column_noise: ClassVar[ColumnNoise] = ColumnNoise.NEGLECTED
+    witnessed: ClassVar[bool] = False
+    """True if it is an error of measuring that acts throughout, which witnesses may name before any model is asked."""
     correction: ClassVar[Correction] = Correction.WRENCH
 
     @final

@@ -1,6 +1,6 @@
 """The model extended by what the diagnosis names: recordings corrected, everything fitted again."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -17,10 +17,10 @@ from torchid.effects.effect import Planted
 from torchid.effects.kinds import RecordEffect
 from torchid.effects.marker_scene import Sight
 from torchid.effects.place import inside_any
-from torchid.effects.scene import Scene, make_scene
+from torchid.effects.scene import PlateFrame, Scene, make_scene, reading
 from torchid.effects.traits import Correction
 from torchid.errors import Note
-from torchid.experiment.diagnosis_stage import Observer, forceful, spans
+from torchid.experiment.diagnosis_stage import Observer, forceful, plate_frames, spans
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.pieces import ends, pieces
 from torchid.experiment.stages import put_aside, subject_prior
@@ -31,12 +31,16 @@ from torchid.geometry.tracking import Tracked, track
 from torchid.motion import Motion
 from torchid.observation.trial import TrialObservation
 from torchid.outcome import Followed, Outcome, Residual, Session
-from torchid.recording import Trial
+from torchid.recording import Forces, Trial
 from torchid.regressor.rows import residual_rms
 from torchid.results import OutputFolder
 
 WORSE = 1.2
 """Times the held-out force error of the model without them that named causes may leave before the results warn."""
+
+
+SESSION_WIDE = (Correction.MARKERS, Correction.LABELS, Correction.READING)
+"""Corrections of what was recorded."""
 
 
 def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> Outcome:
@@ -53,8 +57,9 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
     causes, fit = relabelled.diagnosis.causes, relabelled.fit
     config, session = corrected_config(base.config, causes), relabelled.session
     tracked = {name: item.tracked for name, item in relabelled.followed.items()}
-    if any(moves_markers(cause) for cause in causes):
+    if any(correction(cause) in SESSION_WIDE for cause in causes):
         session = extend_session(relabelled, folder)
+    if any(moves_markers(cause) for cause in causes):
         fit = folder.stage("geometry_extended", key, lambda: fit_session(config, session, True, progress))
         # All others are followed from where the markers that were measured led.
         renamed = {own.trial for cause in swap_causes(causes) for own in cause.when or ()}
@@ -66,6 +71,7 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
     with folder.timed("extend"):
         added = effect_wrenches(relabelled)
         followed = follow_extended(config, relabelled, session, fit, tracked, added, folder)
+        added = _taken_off(base, followed)
     outcome = replace(
         base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
     )
@@ -74,6 +80,12 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
     more = _residuals(outcome, "+ named causes")
     notes = (*outcome.notes, *_worse_notes(base.residuals, more))
     return replace(outcome, residuals=(*base.residuals, *more), notes=notes)
+
+
+def _taken_off(base: Outcome, followed: Mapping[str, Followed]) -> dict[str, Float[Tensor, "frames 6"]]:
+    """What an extension took off the plates' total about the origin of W, by trial."""
+    both = ((name, base.followed[name].wrench, one.wrench) for name, one in followed.items())
+    return {name: old.wrench - new.wrench for name, old, new in both if old is not None and new is not None}
 
 
 def _worse_notes(base: Sequence[Residual], extended: Sequence[Residual]) -> list[Note]:
@@ -98,20 +110,37 @@ def _residuals(outcome: Outcome, label: str) -> list[Residual]:
 
 
 def extend_session(outcome: Outcome, folder: OutputFolder) -> Session:
-    """The same recordings with named effects on markers taken out, in all trials in which they are known to act.
+    """The same recordings with effects on markers and readings taken out, in all trials in which they are known to act.
 
     Args:
         outcome: with the verdict on it.
         folder: holds what is as long as a recording.
     """
     assert outcome.diagnosis is not None
-    causes, found = [c for c in outcome.diagnosis.causes if moves_markers(c)], spans(outcome)
+    causes, found = outcome.diagnosis.causes, spans(outcome)
     exchanged, others = swap_causes(causes), [c for c in causes if correction(c) is Correction.MARKERS]
+    read, frames = [c for c in causes if correction(c) is Correction.READING], plate_frames(outcome)[1]
     trials = {}
     for name, trial in outcome.session.trials.items():
         corrected = _cleared(outcome, relabel(trial, exchanged), others, found[name])
+        if trial.forces is not None:
+            corrected = _read_right(corrected, trial.forces, frames[name], read, found[name])
         trials[name] = trial if corrected is trial else folder.aside(corrected)
     return replace(outcome.session, trials=trials)
+
+
+def _read_right(
+    trial: Trial, forces: Forces, frames: tuple[PlateFrame, ...], causes: Sequence[Cause], span: slice
+) -> Trial:
+    """The trial with its plates' readings put right; what was not read stays so."""
+    acting = [planted for cause in causes if (planted := cause.on(trial.name)) is not None]
+    if not acting:
+        return trial
+    right = replace(reading(trial.name, forces, frames), begin=float(forces.time[span.start or 0]))
+    for one in acting:
+        right = one.effect.undone(right, one.place, one.theta)
+    wrench = torch.where(torch.isfinite(forces.wrench), right.wrench.to(forces.wrench), torch.nan)
+    return replace(trial, forces=replace(forces, wrench=wrench))
 
 
 def moves_markers(cause: Cause) -> bool:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-import torch
 from torch import Tensor
 
 from torchid.allocator import keeping_large
@@ -14,11 +13,15 @@ from torchid.diagnosis.options import MissingWeightOptions
 from torchid.diagnosis.verdict.causes import with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
+from torchid.effects.scene import PlateFrame
 from torchid.motion import Motion
-from torchid.observation.plate_registry import recognise
+from torchid.observation.plate_registry import SessionPlate, recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, in_memory, observe_trial
 from torchid.outcome import Outcome
+from torchid.recording import Forces
 from torchid.regressor.rows import WrenchTrial
+from torchid.witnesses.panel import Panel
+from torchid.witnesses.watched import longest_stretch
 
 LONGEST_S = 40.0
 """Of a trial is searched at most: columns of the whole catalogue take 13 MB per second at 100 Hz."""
@@ -27,12 +30,15 @@ MOST = 12
 
 
 @keeping_large()
-def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_memory) -> Diagnosis | None:
+def diagnose_outcome(
+    outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_memory, panel: Panel | None = None
+) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
 
     Args:
         outcome: up to the inertia; its config says what to try and by which thresholds.
         aside: puts columns away until they are looked at (``OutputFolder.swap``); without it they stay in memory.
+        panel: witnesses that may contradict causes; None: nobody does.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
@@ -40,7 +46,7 @@ def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_me
     wanted = outcome.config.diagnosis
     effects, identified = select_effects(wanted.include, wanted.exclude), outcome.identified
     options = wanted.thresholds
-    plates, _ = recognise(_forces(outcome))
+    plates, _ = plate_frames(outcome)
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
     parts = {role: searched(some) for role, some in trials.items()}
     observed, heldout = (
@@ -54,7 +60,7 @@ def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_me
     left = [w for w in (set_aside(w, gone) for w in observed) if any(True for _ in w.rows.blocks())]
     observed = left or observed
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
-    found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options)
+    found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel)
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
     return with_missing_weight(found, missing, options)
 
@@ -80,7 +86,9 @@ def forceful(outcome: Outcome, role: str) -> dict[str, WrenchTrial]:
 def searched(trials: Mapping[str, WrenchTrial]) -> dict[str, slice]:
     """The frames of each trial that are worth their memory: the stretch in which most are used."""
     kept = sorted(trials, key=lambda name: -int(trials[name].used.sum()))[:MOST]
-    return {name: _stretch(rows) for name, rows in trials.items() if name in kept}
+    return {
+        name: longest_stretch(rows.used, round(LONGEST_S * rows.rate)) for name, rows in trials.items() if name in kept
+    }
 
 
 def spans(outcome: Outcome) -> dict[str, slice]:
@@ -88,15 +96,6 @@ def spans(outcome: Outcome) -> dict[str, slice]:
     parts = [searched(forceful(outcome, role)) for role in ("fit", "heldout")]
     whole = {name: slice(0, len(item.motion.time)) for name, item in outcome.followed.items()}
     return whole | parts[0] | parts[1]
-
-
-def _stretch(rows: WrenchTrial) -> slice:
-    n = round(LONGEST_S * rows.rate)
-    if len(rows.used) <= n:
-        return slice(0, len(rows.used))
-    before = torch.nn.functional.pad(rows.used.long().cumsum(0), (1, 0))
-    first = int((before[n:] - before[:-n]).argmax())
-    return slice(first, first + n)
 
 
 def _passed_over(trials: Mapping[str, WrenchTrial], parts: Mapping[str, slice]) -> dict[str, str]:
@@ -131,7 +130,7 @@ class Observer:
             outcome: up to the inertia.
         """
         self.outcome, self._forces = outcome, _forces(outcome)
-        _, self._frames = recognise(self._forces)
+        _, self._frames = plate_frames(outcome)
 
     def __call__(self, name: str, part: slice, ends: Motion | None = None) -> TrialObservation:
         """One part of a trial whose forces and contacts are known.
@@ -151,8 +150,16 @@ class Observer:
         )  # fmt: skip
 
 
-def _forces(outcome: Outcome) -> dict:
-    """Fit trials first: held-out ones never say where a plate is that a fit trial knows."""
+def plate_frames(outcome: Outcome) -> tuple[tuple[SessionPlate, ...], dict[str, tuple[PlateFrame, ...]]]:
+    """All plates of the session, and the frames of every trial's plates in the order of its file."""
+    return recognise(_forces(outcome))
+
+
+FIRST = ("fit", "static", "heldout")
+"""Roles in the order in which they say where a plate is: held-out trials never do where another one knows."""
+
+
+def _forces(outcome: Outcome) -> dict[str, Forces]:
     trials = outcome.session.trials
-    order = sorted(trials, key=lambda name: trials[name].role == "heldout")
-    return {n: trials[n].forces for n in order if trials[n].forces is not None and trials[n].role != "static"}
+    order = sorted(trials, key=lambda name: FIRST.index(trials[name].role))
+    return {name: forces for name in order if (forces := trials[name].forces) is not None}

@@ -6,11 +6,12 @@ from dataclasses import replace
 import torch
 
 from torchid.config import Config, dump_config
+from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import DataError, Note
 from torchid.experiment.acceptance import impossible
 from torchid.experiment.correction import extend_outcome
-from torchid.experiment.diagnosis_stage import diagnose_outcome
 from torchid.experiment.fits import OnStage, fit_session, identify
+from torchid.experiment.laboratory import diagnosed
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, put_aside, subject_prior, torques
@@ -109,12 +110,14 @@ def _compute(
         outcome = replace(outcome, residuals=contributions(outcome))
     if config.diagnosis.enabled:
         progress("diagnosis", 0.0)
-        outcome = replace(
-            outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(outcome, folder.swap))
-        )
+
+        def judged(some: Outcome) -> Diagnosis | None:
+            return diagnosed(some, folder, progress)
+
+        outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: judged(outcome)))
         progress("diagnosis", 1.0)
         if outcome.diagnosis is not None and outcome.diagnosis.causes:
-            outcome, relabelled = put_right(outcome, folder, key, progress)
+            outcome, relabelled = put_right(outcome, judged, folder, key, progress)
             outcome = extend_outcome(outcome, relabelled, folder, key, progress)
     return _with_torques(outcome, folder), None
 

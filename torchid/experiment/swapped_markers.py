@@ -4,7 +4,7 @@ Swapped markers bend postures, which no column is linear in, and the geometry: w
 segment and its joints' centres glided. So all is fitted again with the names put right, and all else looked for then.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from torchid.diagnosis.options import DiagnosisOptions
@@ -15,7 +15,6 @@ from torchid.diagnosis.verdict.records import Cause, Diagnosis
 from torchid.effects.catalogue import effect
 from torchid.effects.place import inside_any
 from torchid.effects.traits import Correction
-from torchid.experiment.diagnosis_stage import diagnose_outcome
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.stages import put_aside, subject_prior
 from torchid.experiment.standing import follow_each
@@ -25,11 +24,14 @@ from torchid.recording import Trial
 from torchid.results import OutputFolder
 
 
-def put_right(base: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> tuple[Outcome, Outcome]:
+def put_right(
+    base: Outcome, diagnosed: Callable[[Outcome], Diagnosis | None], folder: OutputFolder, key: str, progress: OnStage
+) -> tuple[Outcome, Outcome]:
     """All is looked for anew beside the swaps that a verdict names.
 
     Args:
         base: with the first verdict on it.
+        diagnosed: gives the verdict on an outcome up to the inertia.
         folder: for stages.
         key: of all that these depend on.
         progress: called with stages and fractions.
@@ -46,7 +48,7 @@ def put_right(base: Outcome, folder: OutputFolder, key: str, progress: OnStage) 
     if not exchanged:
         return base, base
     again = fitted_anew(base, exchanged, folder, key, progress)
-    after = folder.stage("diagnosis_relabelled", key, lambda: diagnose_outcome(again, folder.swap))
+    after = folder.stage("diagnosis_relabelled", key, lambda: diagnosed(again))
     if after is None or any(_overlap(one, other) for one in exchanged for other in swap_causes(after.causes)):
         return base, base
     return replace(base, diagnosis=merged(base.diagnosis, after, exchanged, base.config.diagnosis.thresholds)), replace(

@@ -24,6 +24,7 @@ from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.evidence.skin_prior import with_slides
 from torchid.diagnosis.options import DiagnosisOptions, NamingOptions
 from torchid.diagnosis.search.elimination import SUPPORTED, settle
+from torchid.diagnosis.search.hearing import testimonies
 from torchid.diagnosis.search.interval_refinement import refine_interval
 from torchid.diagnosis.search.result import SearchResult, asked_later, reduced
 from torchid.diagnosis.search.rivals import Rival, Round
@@ -31,6 +32,7 @@ from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import Step, StepKind, Trace, step
 from torchid.effects.effect import Effect
 from torchid.observation.trial import TrialObservation
+from torchid.witnesses.panel import Panel
 
 log = logging.getLogger(__name__)
 NEWTON = 2
@@ -48,6 +50,8 @@ class _State:
     chosen: tuple[Candidate, ...] = ()
     rounds: tuple[Round, ...] = ()
     trace: Trace = ()
+    barred: frozenset[str] = frozenset()
+    """Effects that witnesses have contradicted."""
     silent: dict[tuple[str, int], float] = field(default_factory=dict)
     """Energy that effects would explain at places where the noise that they leave did not support them [nat].
 
@@ -61,6 +65,7 @@ def search(
     known: Identification,
     limit: int,
     options: DiagnosisOptions = DiagnosisOptions(),
+    panel: Panel | None = None,
 ) -> SearchResult:
     """Return the effects that fit trials support, with everything that later tests ask about.
 
@@ -70,6 +75,7 @@ def search(
         known: what the inertial fit knew and found.
         limit: number of effects at most of each kind (``kind_of``).
         options: thresholds.
+        panel: witnesses that are asked before a name is given; None: nobody is.
     """
     log.info("scanning %d effects in %d trials", len(effects), len(observed))
     state = _State(_begin(observed, effects, known, options.naming), limit, options)
@@ -80,9 +86,27 @@ def search(
         if (best := scan.named) is None:
             break
         log.info("%s at %s gains %.1f nats", best.candidate.effect.name, best.candidate.place.where, best.score)
-        state = _narrow(_add(observed, replace(state, model=model, chosen=(*state.chosen, best.candidate)), looked))
-        del model  # gigabytes that the next round does without
+        added = _add(observed, replace(state, model=model, chosen=(*state.chosen, best.candidate)), looked)
+        state = _barred(state, denied) if (denied := _denied(panel, observed, added)) else _narrow(added)
+        del model, added  # gigabytes that the next round does without
     return settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), observed, SUPPORTED)
+
+
+def _denied(panel: Panel | None, observed: Sequence[TrialObservation], state: _State) -> Step | None:
+    """Return the refusal of the last effect, if witnesses contradict it beside the others; else None."""
+    found = SearchResult(state.model, state.chosen, state.rounds, state.model.fit(state.chosen), state.options)
+    said, least = testimonies(panel, found, observed)[-1], state.options.witnesses.contradicted_nats
+    if said is None or said.nats > -least:
+        return None
+    numbers = {"witness_nats": said.nats, "least_nats": -least, "heard_sd": said.loudness_sd}
+    return step(StepKind.REFUSE, state.chosen[-1], "witnesses", **numbers)
+
+
+def _barred(state: _State, denied: Step) -> _State:
+    """Return the state before an effect was added, without that effect at any place."""
+    log.info("witnesses contradict %s at %s", denied.effect, denied.where)
+    trace = (*state.trace, denied)
+    return replace(state, barred=state.barred | {denied.effect}, rounds=state.rounds[:-1], trace=trace)
 
 
 def _begin(
@@ -104,7 +128,7 @@ def _scan(
 ) -> tuple[Round, LinearModel, Candidate | None, dict[tuple[str, int], float]]:
     """Return a round, the model that it was held under, the candidate whose noise that is, and what was found
     silent."""
-    naming, some = state.options.naming, open_candidates(state.model.design, state.chosen, state.limit)
+    naming, some = state.options.naming, _open(state)
     scanned = scan_all(state.model.statistics, some, state.chosen, naming)
     log.info("scanned %d candidates", len(some))
     look, silent = _look_closer(observed, state, scanned.rivals)
@@ -224,12 +248,18 @@ def _narrow(state: _State) -> _State:
     """Return the state without columns of kinds of which as many are named as may be, but for those asked about
     later."""
     design, chosen = state.model.design, state.chosen
-    some = [*chosen, *open_candidates(design, chosen, state.limit)]
+    some = [*chosen, *_open(state)]
     some += [c for c in asked_later(design, chosen, state.rounds, state.options) if c not in some]
     if narrower(design, some)[0].width == design.width:
         return state
     model, own = state.model.restrict(some)
     return replace(state, model=model, chosen=own[: len(chosen)])
+
+
+def _open(state: _State) -> list[Candidate]:
+    """Return the candidates that may still be named."""
+    some = open_candidates(state.model.design, state.chosen, state.limit)
+    return [c for c in some if c.effect.name not in state.barred]
 
 
 def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:

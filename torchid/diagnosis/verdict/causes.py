@@ -49,7 +49,7 @@ def _plain(one: MissingWeight, options: DiagnosisOptions) -> Cause:
     least = math.exp(-options.naming.alike_nats) * order[0][1]
     alike = [a for a in listed if a.confidence > least][: limits.twins]
     twins = tuple(Twin(a.effect, a.where, a.confidence) for a in alike)
-    parameters = _table(own.estimated(one.place, one.theta, torch.diag(one.sd.square())))
+    parameters = parameter_table(own.estimated(one.place, one.theta, torch.diag(one.sd.square())))
     confidence = min(1.0, order[0][1] + sum(t.confidence for t in twins))
     alternatives = tuple(a for a in listed if a.confidence > LISTED)[: limits.rivals]
     return Cause(
@@ -109,7 +109,7 @@ def cause_of(found: SearchResult, k: int, gain: dict[str, float], names: Sequenc
     confidence = min(1.0, own.weight + sum(twin.confidence for twin in alike))
     acting = tuple(names[j] for j in sorted(one.trials))
     return Cause(
-        one.effect.name, one.place.where, one.place.when, _table(estimate(found, k)), confidence,
+        one.effect.name, one.place.where, one.place.when, parameter_table(estimate(found, k)), confidence,
         listed[: limits.rivals], alike, gain, one.place, internal(found, k).view(len(one.blocks), -1), acting,
         one.trials == found.model.statistics.all,
     )  # fmt: skip
@@ -120,7 +120,7 @@ def _twin(found: SearchResult, k: int, share: Share) -> Twin:
     own = next((c for c in found.twins if same(share.rival.candidate, c) and c not in found.chosen), None)
     if own is None:
         return Twin(*_named(share), share.weight)
-    return Twin(*_named(share), share.weight, own.place, _table(instead(found, k, own)))
+    return Twin(*_named(share), share.weight, own.place, parameter_table(instead(found, k, own)))
 
 
 def _named(share: Share) -> tuple[str, tuple[str, ...]]:
@@ -128,8 +128,12 @@ def _named(share: Share) -> tuple[str, tuple[str, ...]]:
     return share.rival.candidate.effect.name, share.rival.candidate.place.where
 
 
-def _table(values: dict[str, tuple[Tensor, Tensor]]) -> dict[str, dict[str, Tensor]]:
-    """Return values and standard deviations by key, as ``Cause.parameters`` has them."""
+def parameter_table(values: dict[str, tuple[Tensor, Tensor]]) -> dict[str, dict[str, Tensor]]:
+    """Return values and standard deviations by key, as ``Cause.parameters`` has them.
+
+    Args:
+        values: both, by key.
+    """
     return {key: {"value": value, "sd": sd} for key, (value, sd) in values.items()}
 
 

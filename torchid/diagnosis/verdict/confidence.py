@@ -13,6 +13,7 @@ from torchid.diagnosis.trace import StepKind, Trace, step
 from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.session import SESSION
 from torchid.observation.trial import TrialObservation
+from torchid.witnesses.testimony import Testimony
 
 
 def trust(rest: Adequacy, options: DiagnosisOptions) -> float:
@@ -90,4 +91,26 @@ def bent_by_position(found: SearchResult, causes: Sequence[Cause], bent: Sequenc
         causes[one.index] = replace(causes[one.index].scaled(factor), doubted=True)
         numbers = {"factor": factor, "field_part": one.share, "p_value": one.p_value}
         steps.append(step(StepKind.DISCOUNT, found.chosen[one.index], "position_dependence", **numbers))
+    return causes, tuple(steps)
+
+
+def unwitnessed(
+    causes: Sequence[Cause], found: SearchResult, heard: Sequence[Testimony | None]
+) -> tuple[list[Cause], Trace]:
+    """Return causes, those of a laboratory that no witness supports at most possible, and those steps.
+
+    Args:
+        causes: causes of the chosen effects, in their order.
+        found: result of the search.
+        heard: what witnesses say of each; None where they were not asked.
+    """
+    causes, steps, limits = list(causes), [], found.options
+    for k, (one, said) in enumerate(zip(found.chosen, heard, strict=True)):
+        least, most = limits.naming.alike_nats, limits.confidence.doubt
+        if one.effect.bodily or said is None or said.nats > least or causes[k].confidence <= most:
+            continue
+        factor = most / causes[k].confidence
+        causes[k] = replace(causes[k].scaled(factor), doubted=True)
+        numbers = {"factor": factor, "witness_nats": said.nats, "least_nats": least, "heard_sd": said.loudness_sd}
+        steps.append(step(StepKind.DISCOUNT, one, "no_witness", **numbers))
     return causes, tuple(steps)

@@ -1,0 +1,73 @@
+"""Faults that witnesses name by themselves, as causes of a verdict."""
+
+from collections.abc import Sequence
+
+from torchid.diagnosis.options import DiagnosisOptions
+from torchid.diagnosis.trace import Step, StepKind
+from torchid.diagnosis.verdict.causes import LISTED, parameter_table
+from torchid.diagnosis.verdict.records import Alternative, Cause, Twin
+from torchid.effects.place import covers
+from torchid.witnesses.faults import Fault, Scored, instead
+from torchid.witnesses.panel import Panel
+
+RULE = "witnesses"
+"""Rule by which witnesses name a fault, as in ``docs/diagnosis.md``."""
+
+
+def causes_of_faults(
+    panel: Panel, faults: Sequence[Fault], trials: Sequence[str], options: DiagnosisOptions
+) -> tuple[Cause, ...]:
+    """Return the faults as causes, without what they gain on held-out motion.
+
+    Args:
+        panel: the statements that they were named by.
+        faults: the faults.
+        trials: names of the fit trials and, behind them, of the held-out ones.
+        options: limits of what a verdict may claim.
+    """
+    return tuple(_cause(panel, faults, k, trials, options) for k in range(len(faults)))
+
+
+def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, ...]:
+    """Return the entry of each fault.
+
+    Args:
+        faults: the faults.
+        options: thresholds that they passed.
+    """
+    return tuple(
+        Step(StepKind.ENTER, one.suspect.effect.name, one.suspect.place.where, RULE,
+             {"witness_nats": one.scan[0].nats, "least_nats": options.witnesses.named_nats})
+        for one in faults
+    )  # fmt: skip
+
+
+def _cause(panel: Panel, faults: Sequence[Fault], k: int, trials: Sequence[str], options: DiagnosisOptions) -> Cause:
+    """Return the k-th fault as a cause."""
+    own, size, limits = faults[k].suspect, faults[k].size, options.confidence
+    rivals = [one for one in faults[k].scan[1:] if one.suspect is not own]
+    least = faults[k].scan[0].nats - options.naming.alike_nats
+    alike = [one for one in rivals if one.nats > least][: limits.twins]
+    twins = tuple(_twin(panel, faults, k, one) for one in alike)
+    listed = tuple(Alternative(*_named(one), one.probability) for one in rivals if one.probability > LISTED)
+    confidence = min(1.0, faults[k].scan[0].probability + sum(one.probability for one in alike))
+    everywhere = own.effect.site.name != "TRIAL" or "session" in own.place.where
+    acting = tuple(name for name in trials if everywhere or covers(own.place, name))
+    parameters = parameter_table(own.effect.estimated(own.place, size.mean, size.covariance))
+    return Cause(
+        own.effect.name, own.place.where, None, parameters, confidence, listed[: limits.rivals], twins, {},
+        own.place, size.mean[None], acting, everywhere,
+    )  # fmt: skip
+
+
+def _twin(panel: Panel, faults: Sequence[Fault], k: int, one: Scored) -> Twin:
+    """Return a rival that cannot be told from the k-th fault, with its size in place of it."""
+    other = one.suspect
+    size = instead(panel, faults, k, other)
+    values = parameter_table(other.effect.estimated(other.place, size.mean, size.covariance))
+    return Twin(*_named(one), one.probability, other.place, values)
+
+
+def _named(one: Scored) -> tuple[str, tuple[str, ...]]:
+    """Return effect and place of a suspect by their names."""
+    return one.suspect.effect.name, one.suspect.place.where

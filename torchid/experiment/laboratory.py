@@ -1,0 +1,154 @@
+"""The laboratory first: faults that witnesses name are put right before a body model is asked for the rest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from torchid.diagnosis.diagnose import select_effects
+from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.testing.heldout import Errors, HeldOutFit
+from torchid.diagnosis.trace import Trace
+from torchid.diagnosis.verdict.causes import after_forces
+from torchid.diagnosis.verdict.laboratory import causes_of_faults, steps_of
+from torchid.diagnosis.verdict.records import Cause, Diagnosis
+from torchid.effects.scene import make_scene, reading
+from torchid.experiment.correction import corrected_config, effect_wrenches, extend_session, follow_extended
+from torchid.experiment.diagnosis_stage import LONGEST_S, MOST, diagnose_outcome, plate_frames
+from torchid.experiment.fits import OnStage, identify
+from torchid.experiment.stages import soles, subject_prior
+from torchid.outcome import Outcome
+from torchid.regressor.rows import residual_rms
+from torchid.results import OutputFolder
+from torchid.witnesses.faults import name_faults, suspects_of
+from torchid.witnesses.panel import Panel, make_panel
+from torchid.witnesses.watched import Watched, longest_stretch, watch
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """What witnesses found wrong with the measurement."""
+
+    causes: tuple[Cause, ...] = ()
+    trace: Trace = ()
+
+
+def diagnosed(outcome: Outcome, folder: OutputFolder, progress: OnStage) -> Diagnosis | None:
+    """The verdict on an outcome: faults of the laboratory by witnesses, and what the body model finds beside them.
+
+    Args:
+        outcome: up to the inertia.
+        folder: holds what is as long as a recording.
+        progress: called with stages and fractions.
+
+    Returns:
+        The verdict; None without any forces.
+
+    Raises:
+        ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
+        DataError: as ``identify``.
+    """
+    panel = panel_of(outcome)
+    first = examine(outcome, panel)
+    if not first.causes:
+        return diagnose_outcome(outcome, folder.swap, panel)
+    right = read_right(outcome, first.causes, folder, progress)
+    found = diagnose_outcome(right, folder.swap, panel_of(right))
+    return None if found is None else _together(outcome, right, first, found)
+
+
+def examine(outcome: Outcome, panel: Panel | None) -> Laboratory:
+    """What witnesses find wrong with the measurement.
+
+    Args:
+        outcome: up to the inertia.
+        panel: what they state.
+    """
+    wanted = outcome.config.diagnosis
+    if panel is None:
+        return Laboratory()
+    faults = name_faults(panel, suspects_of(panel, select_effects(wanted.include, wanted.exclude)))
+    trials = [name for role in ("fit", "heldout") for name in outcome.session.part(role, "inertia")]
+    causes = causes_of_faults(panel, faults, trials, wanted.thresholds)
+    return Laboratory(causes, steps_of(faults, wanted.thresholds))
+
+
+def panel_of(outcome: Outcome) -> Panel | None:
+    """The statements of witnesses on static and fit trials; None where there are none."""
+    recorded = float(outcome.prior.mean[:, 0].sum())
+    trials = [name for role in ("static", "fit") for name in outcome.session.part(role, "inertia")][:MOST]
+    frames = plate_frames(outcome)[1]
+    seen = [_watched(outcome, name, frames[name], recorded) for name in trials if name in frames]
+    part = (outcome.config.subject.mass_sd_kg or 0.0) / recorded
+    return make_panel([one for one in seen if one is not None], part, outcome.config.diagnosis.thresholds.witnesses)
+
+
+def _watched(outcome: Outcome, name: str, frames: tuple, recorded_kg: float) -> Watched | None:
+    """A trial as witnesses see it, in the stretch that is measured most; None where no contact is known."""
+    item, trial = outcome.followed[name], outcome.session.trials[name]
+    if item.contact is None or trial.forces is None:
+        return None
+    measured = _known(outcome, name)
+    part = longest_stretch(measured, round(LONGEST_S * trial.markers.rate))
+    scene = make_scene(
+        name, outcome.fit.model.tree, outcome.fit.geometry, item.motion.frames(part), outcome.prior.mean
+    )  # fmt: skip
+    return watch(
+        replace(scene, recorded_kg=recorded_kg), reading(name, trial.forces.samples(part), frames), measured[part],
+        soles(outcome.fit, item.tracked.frames(part)), item.contact.frames(part),
+    )  # fmt: skip
+
+
+def _known(outcome: Outcome, name: str) -> Bool[Tensor, " frames"]:
+    """Frames whose whole wrench is on plates and whose motion is known."""
+    item, forces = outcome.followed[name], outcome.session.trials[name].forces
+    assert item.contact is not None and forces is not None
+    return item.contact.measured & torch.isfinite(item.tracked.error).any(1) & torch.isfinite(forces.total).all(1)
+
+
+def read_right(outcome: Outcome, causes: Sequence[Cause], folder: OutputFolder, progress: OnStage) -> Outcome:
+    """The outcome up to the inertia, from recordings without the faults; geometry and motion stay.
+
+    Args:
+        outcome: up to the inertia.
+        causes: faults of readings, of the vertical or of the record.
+        folder: holds what is as long as a recording.
+        progress: called with stages and fractions.
+
+    Raises:
+        DataError: as ``identify``.
+    """
+    config, named = corrected_config(outcome.config, tuple(causes)), replace(outcome, diagnosis=_only(causes))
+    session, tracked = extend_session(named, folder), {n: item.tracked for n, item in outcome.followed.items()}
+    followed = follow_extended(config, named, session, outcome.fit, tracked, effect_wrenches(named), folder)
+    prior = subject_prior(config, outcome.fit)
+    found = replace(outcome, config=config, session=session, followed=followed, prior=prior)
+    return replace(found, identified=identify(config, found, progress))
+
+
+UNASKED = Adequacy(False, torch.nan, torch.nan, "")
+"""Of what remains where nobody has looked."""
+
+
+def _only(causes: Sequence[Cause]) -> Diagnosis:
+    """A verdict of these causes and nothing else."""
+    nothing = Errors(torch.nan, torch.nan)
+    return Diagnosis((), nothing, nothing, tuple(causes), UNASKED)
+
+
+def _together(outcome: Outcome, right: Outcome, first: Laboratory, found: Diagnosis) -> Diagnosis:
+    """Both verdicts, and what the faults gain on held-out motion together."""
+    before, after = _heldout(outcome), _heldout(right)
+    gain = HeldOutFit(after, torch.nan).over(HeldOutFit(before, torch.nan))
+    own = tuple(replace(cause, gain=gain) for cause in first.causes)
+    causes = tuple(sorted((*own, *found.causes), key=after_forces))
+    return replace(found, baseline=before, causes=causes, trace=(*first.trace, *found.trace))
+
+
+def _heldout(outcome: Outcome) -> Errors:
+    """Held-out residual of the identified model."""
+    own = [outcome.followed[name].wrench for name in outcome.session.part("heldout", "inertia")]
+    trials = [wrench for wrench in own if wrench is not None]
+    return Errors(*residual_rms(trials, outcome.phi)) if trials else Errors(torch.nan, torch.nan)

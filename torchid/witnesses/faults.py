@@ -1,0 +1,151 @@
+"""Faults of a laboratory that witnesses name by themselves, each against all others that could say the same."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.effect import Effect
+from torchid.effects.place import Place
+from torchid.witnesses.panel import Panel, log_density
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """An effect at a place, with what it would have witnesses say."""
+
+    effect: Effect
+    place: Place
+    signature: Float[Tensor, "some params"]
+    """Change of the statements by a unit of each internal parameter."""
+    odds: float
+    """Odds before any data that it is there."""
+
+    @property
+    def scale(self) -> Float[Tensor, " params"]:
+        """Standard deviations of its parameters before any data."""
+        return self.signature.new_tensor(self.effect.scale(self.place))
+
+    @property
+    def covariance(self) -> Float[Tensor, "some some"]:
+        """Covariance that it gives the statements."""
+        scaled = self.signature * self.scale
+        return scaled @ scaled.T
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A suspect with its log odds against no further fault."""
+
+    suspect: Suspect
+    nats: float
+    """Log odds [nat]."""
+    probability: float
+    """That it is the further fault."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """Parameters of a fault, all faults together."""
+
+    mean: Float[Tensor, " params"]
+    covariance: Float[Tensor, "params params"]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that witnesses name."""
+
+    suspect: Suspect
+    size: Size
+    scan: tuple[Scored, ...]
+    """The search that named it, the best first."""
+
+
+def suspects_of(panel: Panel, effects: Sequence[Effect]) -> tuple[Suspect, ...]:
+    """Return what witnesses can be asked about: errors of measuring that would change what they say.
+
+    Args:
+        panel: the statements.
+        effects: effects to try.
+    """
+    found, views = [], [one.view for one in panel.trials]
+    for effect in (one for one in effects if one.witnessed):
+        places = effect.places(views)
+        total = sum(place.odds for place in places)
+        for place in places:
+            signature = panel.signature(effect, place)
+            if bool(signature.any()):
+                found.append(Suspect(effect, place, signature, panel.options.odds * place.odds / total))
+    return tuple(found)
+
+
+def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[Fault, ...]:
+    """Return the faults that the statements need, in the order in which they are found.
+
+    Args:
+        panel: the statements.
+        suspects: what could be there.
+    """
+    chosen: list[Suspect] = []
+    scans: list[tuple[Scored, ...]] = []
+    while len(chosen) < panel.options.most:
+        found = scan(panel, chosen, suspects)
+        if not found or found[0].nats < panel.options.named_nats:
+            break
+        chosen.append(found[0].suspect)
+        scans.append(found)
+    both = zip(chosen, sizes(panel, chosen), scans, strict=True)
+    return tuple(Fault(one, size, found) for one, size, found in both)
+
+
+def scan(panel: Panel, chosen: Sequence[Suspect], suspects: Sequence[Suspect]) -> tuple[Scored, ...]:
+    """Return every further suspect with what it would gain beside the chosen ones, the best first.
+
+    Args:
+        panel: the statements.
+        chosen: faults that are named.
+        suspects: what could be there.
+    """
+    base, some = _covariance(panel, chosen), [one for one in suspects if not any(one is other for other in chosen)]
+    before = log_density(panel.said.value, base)
+    gains = [log_density(panel.said.value, base + one.covariance) - before + math.log(one.odds) for one in some]
+    weights = torch.softmax(panel.said.value.new_tensor([0.0, *gains]), 0)[1:].tolist()
+    scored = [Scored(*both) for both in zip(some, gains, weights, strict=True)]
+    return tuple(sorted(scored, key=lambda one: -one.nats))
+
+
+def sizes(panel: Panel, chosen: Sequence[Suspect]) -> list[Size]:
+    """Return mean and covariance of each fault's internal parameters, all faults together.
+
+    Args:
+        panel: the statements.
+        chosen: the faults.
+    """
+    whole, found = _covariance(panel, chosen), []
+    for one in chosen:
+        prior = one.scale.square().diag()
+        gain = torch.linalg.solve(whole, one.signature @ prior).T
+        found.append(Size(gain @ panel.said.value, prior - gain @ one.signature @ prior))
+    return found
+
+
+def instead(panel: Panel, faults: Sequence[Fault], k: int, other: Suspect) -> Size:
+    """Return the size of a suspect in the place of the k-th fault.
+
+    Args:
+        panel: the statements.
+        faults: all that are named.
+        k: index of the one that gives way.
+        other: the suspect.
+    """
+    chosen = [one.suspect for one in faults]
+    return sizes(panel, [*chosen[:k], other, *chosen[k + 1 :]])[k]
+
+
+def _covariance(panel: Panel, chosen: Sequence[Suspect]) -> Float[Tensor, "some some"]:
+    """Return the covariance of the statements with faults of unknown sizes."""
+    return sum((one.covariance for one in chosen), start=panel.covariance)

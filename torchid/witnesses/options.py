@@ -1,0 +1,39 @@
+"""Thresholds of the witnesses, with kind and source as in ``diagnosis/options.py``; scatters are in ``scatter.py``."""
+
+from dataclasses import dataclass, field
+
+from torchid.bounds import Count, Positive, Share
+
+
+@dataclass(frozen=True)
+class BalanceOptions:
+    """The twice integrated balance of momentum."""
+
+    shortest_s: Positive = 0.5
+    """Derived. Shortest window [s]: 5 mm of a centre of mass are 0.4 % of what gravity does in half a second."""
+    longest_s: Positive = 2.0
+    """Calibrated. Longest window [s]: over more, what is left of a zero grows with the square of time."""
+    least_share: Share = 0.08
+    """Calibrated. Share of the weight below which a plate says nothing of its own."""
+    open_ratio: Positive = 3.0
+    """Calibrated. Times the median window's residual from which on a window is left out."""
+    memory_s: Positive = 0.1
+    """Calibrated. Time over which residuals of the balance are alike [s]."""
+
+
+@dataclass(frozen=True)
+class WitnessOptions:
+    """Thresholds by which witnesses name faults and contradict causes."""
+
+    balance: BalanceOptions = field(default_factory=BalanceOptions)
+    odds: Share = 0.05
+    """Derived. Odds before any data that a session has a fault of one kind: one session in twenty."""
+    named_nats: Positive = 2.5
+    """Cited. Log odds from which a fault is named, as ``NamingOptions.named_nats``."""
+    most: Count = 6
+    """Derived. Number of faults at most: more are no laboratory."""
+    contradicted_nats: Positive = 4.5
+    """Derived. Log likelihood by which statements must speak against a cause to refute it: three standard deviations,
+    3^2 / 2."""
+    shortest_contact_s: Positive = 0.3
+    """Calibrated. Least time that a foot must bear a plate for its pressure to count [s]."""

@@ -1,0 +1,114 @@
+"""All statements of a session side by side, what a cause would have them say, and how likely they are with causes.
+
+With causes of parameters theta_k ~ N(0, P_k) the statements are r ~ N(0, S + sum_k J_k P_k J_k'), where J_k is what a
+unit of each parameter makes them say: each cause is put into the recordings and the witnesses are asked again. Causes
+that look alike to one witness are told apart by the others, and what looks alike to all is said to.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.effect import Effect
+from torchid.effects.place import Place
+from torchid.witnesses.balance import balance
+from torchid.witnesses.options import WitnessOptions
+from torchid.witnesses.pressure import pressures
+from torchid.witnesses.scatter import RECORD_PART, SCATTER
+from torchid.witnesses.statements import Statements, joined
+from torchid.witnesses.unloaded import zeros
+from torchid.witnesses.watched import Watched
+
+STEP = 0.1
+"""Resolution. Step of the differences, in prior standard deviations: small beside all that bends, large beside the
+thresholds of what counts as unloaded."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Statements of a session, with all that they scatter by."""
+
+    trials: tuple[Watched, ...]
+    """Trials that they were taken from."""
+    said: Statements
+    """The statements; their covariance is that within each trial."""
+    covariance: Float[Tensor, "some some"]
+    """Of the statements where nothing is wrong: within trials, between sessions and between laboratories."""
+    options: WitnessOptions
+
+    def signature(self, effect: Effect, place: Place) -> Float[Tensor, "some params"]:
+        """Return what a unit of each parameter makes the witnesses say.
+
+        Args:
+            effect: one that acts on loads or readings.
+            place: where it sits.
+        """
+        found = []
+        for k, scale in enumerate(effect.scale(place)):
+            theta = self.said.value.new_zeros(effect.size(place))
+            theta[k] = STEP * scale
+            ways = [self.asked([one.under(effect, place, sign * theta) for one in self.trials]) for sign in (1, -1)]
+            found.append((ways[0] - ways[1]) / (2.0 * theta[k]))
+        return torch.stack(found, 1)
+
+    def asked(self, trials: Sequence[Watched]) -> Float[Tensor, " some"]:
+        """Return what other readings of the same trials make the witnesses say; what is not said again is not changed.
+
+        Args:
+            trials: the same trials.
+        """
+        again = state(trials, self.options)
+        known = dict(zip(again.about, again.value, strict=True))
+        return torch.stack([known.get(one, v) for one, v in zip(self.said.about, self.said.value, strict=True)])
+
+
+def make_panel(trials: Sequence[Watched], record_part: float, options: WitnessOptions) -> Panel | None:
+    """Return the statements of a session; None where no witness has any.
+
+    Args:
+        trials: trials that are asked.
+        record_part: relative standard deviation of the recorded mass.
+        options: thresholds.
+    """
+    said = state(trials, options)
+    if not said.about:
+        return None
+    return Panel(tuple(trials), said, said.covariance + _between(said, record_part), options)
+
+
+def state(trials: Sequence[Watched], options: WitnessOptions) -> Statements:
+    """Return what all witnesses say of the trials.
+
+    Args:
+        trials: trials that are asked.
+        options: thresholds.
+    """
+    found = [s for one in trials for s in (balance(one, options.balance), zeros(one), pressures(one, options)) if s]
+    return joined(found)
+
+
+def _between(said: Statements, record_part: float) -> Float[Tensor, "some some"]:
+    """Return the covariance of statements over sessions and laboratories, by their kinds."""
+    scatter = SCATTER | {"mass": SCATTER["mass"]._replace(alike=max(record_part, RECORD_PART))}
+    own = said.value.new_tensor([scatter[one.kind].own for one in said.about])
+    alike = said.value.new_tensor([scatter[one.kind].alike for one in said.about])
+    same = torch.tensor([[a.kind == b.kind for b in said.about] for a in said.about])
+    return own.square().diag() + torch.where(same, alike[:, None] * alike, 0.0)
+
+
+def log_density(
+    r: Float[Tensor, " some"], covariance: Float[Tensor, "some some"], mean: Float[Tensor, " some"] | float = 0.0
+) -> float:
+    """Return the log density of a normal distribution, up to the constant of its dimension [nat].
+
+    Args:
+        r: where it is taken.
+        covariance: of the distribution.
+        mean: of the distribution.
+    """
+    L = torch.linalg.cholesky(covariance)
+    white = torch.linalg.solve_triangular(L, (r - mean)[:, None], upper=False)
+    return -float(0.5 * white.square().sum() + L.diagonal().log().sum())

@@ -1,0 +1,29 @@
+"""How statements of witnesses scatter where nothing is wrong: by themselves, and all of a kind in a session together.
+
+Estimator. Robust scatter between eight public sessions of five laboratories, of which none is quoted in a figure
+(`docs/decisions.md`); what is alike in a session stands for what bodies and tables of inertia share in all its trials.
+"""
+
+from typing import NamedTuple
+
+
+class Scatter(NamedTuple):
+    """Standard deviations of one kind of statement."""
+
+    own: float
+    """Of each by itself."""
+    alike: float
+    """Of what all of the kind in a session share."""
+
+
+RECORD_PART = 0.01
+"""Estimator. Relative standard deviation of a recorded mass at least: shoes, clothes, the hour of the day."""
+SCATTER = {
+    "mass": Scatter(0.004, 0.0),  # what is alike is the record's
+    "gain": Scatter(0.008, 0.0),
+    "clock_vertical": Scatter(0.002, 0.005), "clock_horizontal": Scatter(0.003, 0.005),  # [s]
+    "lean_x": Scatter(0.004, 0.003), "lean_y": Scatter(0.004, 0.003),
+    "zero_fx": Scatter(1.5, 0.0), "zero_fy": Scatter(1.5, 0.0), "zero_fz": Scatter(1.5, 0.0),  # [N]
+    "zero_mx": Scatter(0.5, 0.0), "zero_my": Scatter(0.5, 0.0), "zero_mz": Scatter(0.5, 0.0),  # [N m]
+    "pressure_lateral": Scatter(0.008, 0.012), "pressure_along": Scatter(0.016, 0.03),  # [m]
+}  # fmt: skip

@@ -1,0 +1,107 @@
+"""One trial as witnesses see it: plates as they were read, and where the centre of mass went."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchid.contact.contact import Contact
+from torchid.conventions import LOADED_N
+from torchid.effects.effect import Effect
+from torchid.effects.marker_scene import View
+from torchid.effects.place import Place
+from torchid.effects.scene import Reading, Scene
+
+
+@dataclass(frozen=True)
+class Watched:
+    """One trial with forces, on the clock of the markers."""
+
+    scene: Scene
+    """Motion of the body, with the inertia of tables."""
+    reading: Reading
+    """Plates as they were read, unfiltered."""
+    measured: Bool[Tensor, " frames"]
+    """Frames whose whole wrench is on plates and whose motion is known."""
+    centre: Float[Tensor, "frames 3"]
+    """Centre of mass in W, by the inertia of tables [m]."""
+    feet: tuple[str, ...] = ()
+    """Names of the feet."""
+    soles: Float[Tensor, "feet frames 2 3"] | None = None
+    """Heel and tip of each sole in W [m]."""
+    foot_on: Int[Tensor, "frames plates"] | None = None
+    """Number of the foot that each plate bears; negative: none, or none alone."""
+
+    @property
+    def name(self) -> str:
+        """Name of the trial."""
+        return self.scene.trial
+
+    @property
+    def view(self) -> View:
+        """The trial as effects see it."""
+        return View(self.scene, self.reading, self.reading)
+
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
+        return self.scene.rate
+
+    def under(self, effect: Effect, place: Place, theta: Float[Tensor, " params"]) -> "Watched":
+        """Return the trial as its plates would have read it, had an effect been there too.
+
+        What the ground must supply besides is read by the plates in proportion to what they bear.
+
+        Args:
+            effect: one that acts on loads or readings.
+            place: where it sits.
+            theta: internal parameters.
+        """
+        return replace(self, reading=effect.read(self._loaded(effect.load(self.scene, place, theta)), place, theta))
+
+    def _loaded(self, load: Float[Tensor, "6 frames"]) -> Reading:
+        """Return the reading with a further load shared by the plates."""
+        if not bool(load.any()):
+            return self.reading
+        borne = self.reading.wrench[..., 2] * (self.reading.wrench[..., 2] > LOADED_N)
+        share = borne / borne.sum(1, keepdim=True).clamp(min=LOADED_N)
+        return replace(self.reading, wrench=self.reading.wrench + share[..., None] * load.T[:, None])
+
+
+def watch(
+    scene: Scene,
+    reading: Reading,
+    measured: Bool[Tensor, " frames"],
+    soles: Mapping[str, Float[Tensor, "frames points 3"]],
+    contact: Contact,
+) -> Watched:
+    """Return a trial as witnesses see it.
+
+    Args:
+        scene: its motion, with the inertia of tables.
+        reading: of its plates, unfiltered, on the clock of the motion.
+        measured: frames whose whole wrench is on plates and whose motion is known.
+        soles: points of each foot's sole in W, the heel first and the tip last.
+        contact: of these feet.
+    """
+    centre = scene.centre_of_mass.T.contiguous()
+    if not contact.feet:
+        return Watched(scene, reading, measured, centre)
+    ends = torch.stack([soles[foot][:, [0, -1]] for foot in contact.feet])
+    return Watched(scene, reading, measured, centre, contact.feet, ends, contact.plate)
+
+
+def longest_stretch(measured: Bool[Tensor, " frames"], frames: int) -> slice:
+    """Return the stretch of a trial in which most frames are measured; all of it where it is no longer.
+
+    Args:
+        measured: frames whose whole wrench is known.
+        frames: its length.
+    """
+    if len(measured) <= frames:
+        return slice(0, len(measured))
+    before = torch.nn.functional.pad(measured.long().cumsum(0), (1, 0))
+    first = int((before[frames:] - before[:-frames]).argmax())
+    return slice(first, first + frames)
