@@ -111,5 +111,17 @@ RULES: dict[str, Callable[[Numbers], str]] = {
         f"is doubted ({percent(n['factor'])} of its confidence stay): more remains than the noise of plates and markers"
     ),
     "position_dependence": _field,
+    "witnesses_name": lambda n: (
+        f"enters before any body model is asked: what needs none says so with {odds(n['witness_nats'])} "
+        f"({odds(n['least_nats'])} are asked)"
+    ),
+    "witnesses_contradict": lambda n: (
+        f"is not named: of what needs no body model, it would change something by {number(n['heard_sd'], 1)} standard "
+        f"deviations, which is {odds(n['witness_nats'])}"
+    ),
+    "no_witness": lambda n: (
+        f"is only possible ({percent(n['factor'])} of its confidence stay): nothing that needs no body model bears it "
+        f"out ({odds(n['witness_nats'])})"
+    ),
 }
 """What each rule of the diagnosis says, by its name in the trace."""

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.conventions import GRAVITY
+from torchid.conventions import GRAVITY, LOADED_N
 from torchid.regressor.rows import runs
 from torchid.witnesses.options import BalanceOptions
 from torchid.witnesses.statements import Statements, Subject
@@ -40,21 +40,22 @@ def balance(watched: Watched, options: BalanceOptions) -> Statements | None:
     """
     bearing = _bearing(watched, options)
     windows = [_window(watched, part, bearing) for part in _parts(watched, options)]
-    if not windows or not len(bearing):
+    if not windows or not bearing:
         return None
-    found, spread = _solved(_closed(windows, options))
-    samples = max(1.0, options.memory_s * watched.rate)
-    covariance = spread * samples
-    return _stated(watched, bearing, found, covariance)
+    return _stated(watched, bearing, *_solved(_closed(windows, options)))
 
 
-def _bearing(watched: Watched, options: BalanceOptions) -> list[int]:
-    """Return the plates that bear more than a little of the weight."""
-    vertical = watched.reading.wrench[watched.measured][..., 2]
+def _bearing(watched: Watched, options: BalanceOptions) -> list[list[int]]:
+    """Return the plates that bear more than a little of the weight: each apart if weight moves between them, else all
+    together, for which the first speaks."""
+    vertical = watched.reading.wrench[watched.measured][..., 2].clamp(min=0.0)
     if not len(vertical):
         return []
-    share = vertical.mean(0) / vertical.mean(0).sum()
-    return (share > options.least_share).nonzero()[:, 0].tolist()
+    share = vertical / vertical.sum(1, keepdim=True).clamp(min=LOADED_N)
+    some = (share.mean(0) > options.least_share).nonzero()[:, 0].tolist()
+    if len(some) > 1 and bool((share[:, some].std(0) < options.least_shift).any()):
+        return [some]
+    return [[k] for k in some]
 
 
 def _parts(watched: Watched, options: BalanceOptions) -> Iterator[slice]:
@@ -66,33 +67,40 @@ def _parts(watched: Watched, options: BalanceOptions) -> Iterator[slice]:
         yield from (slice(a, b) for a, b in zip(edges, edges[1:], strict=False) if b - a >= least)
 
 
-def _window(watched: Watched, part: slice, bearing: list[int]) -> _Window:
+def _window(watched: Watched, part: slice, bearing: list[list[int]]) -> _Window:
     """Return the rows of one window: of the vertical, then of the two horizontal axes."""
     n, dt = part.stop - part.start, 1.0 / watched.rate
     t = dt * torch.arange(n, dtype=watched.centre.dtype, device=watched.centre.device)
     force = watched.reading.wrench[part][:, :, :3]
     once = _integral(force.flatten(1), dt)
     twice = _integral(once, dt).unflatten(1, force.shape[1:])
-    once = once.unflatten(1, force.shape[1:])
+    once, twice = (_joined(x, bearing) for x in (once.unflatten(1, force.shape[1:]), twice))
     free = torch.stack([torch.ones_like(t), t], 1)
     basis = torch.linalg.qr(free).Q
     columns, target = [], []
     for axis in (2, 0, 1):
         y = watched.centre[part, axis] + (0.5 * GRAVITY * t.square() if axis == 2 else 0.0)
-        own = _row(once, twice, axis, bearing)
+        own = _row(once, twice, axis)
         columns.append(own - basis @ (basis.T @ own))
         target.append(y - basis @ (basis.T @ y))
     return _Window(torch.cat(columns), torch.cat(target))
 
 
-def _row(once: Tensor, twice: Tensor, axis: int, bearing: list[int]) -> Float[Tensor, "frames columns"]:
+def _joined(x: Float[Tensor, "frames plates 3"], bearing: list[list[int]]) -> Float[Tensor, "frames groups 3"]:
+    """Return the sums over the plates that speak together; those that bear little go with the first."""
+    apart = [x[:, some].sum(1) for some in bearing[1:]]
+    return torch.stack([x.sum(1) - sum(apart, start=torch.zeros_like(x[:, 0])), *apart], 1)
+
+
+def _row(once: Tensor, twice: Tensor, axis: int) -> Float[Tensor, "frames columns"]:
     """Columns of one axis: mass, gains of further plates, two lags, and the leaning of each plate in x and in y."""
     zero = torch.zeros_like(twice[:, 0, 0])
     vertical = axis == 2
-    gains = [twice[:, k, axis] if vertical else zero for k in bearing[1:]]
+    plates = range(twice.shape[1])
+    gains = [twice[:, k, axis] if vertical else zero for k in plates[1:]]
     lag = once[:, :, axis].sum(1)
     lags = [lag, zero] if vertical else [zero, lag]
-    lean = [twice[:, k, 2] if axis == own else zero for own in (0, 1) for k in bearing]
+    lean = [twice[:, k, 2] if axis == own else zero for own in (0, 1) for k in plates]
     return torch.stack([twice[:, :, axis].sum(1), *gains, *lags, *lean], 1)
 
 
@@ -116,17 +124,32 @@ def _solved(windows: list[_Window]) -> tuple[Float[Tensor, " columns"], Float[Te
     keep = s > 1e-8 * s[0]
     inverse = torch.where(keep, 1.0 / s, 0.0)
     x = (V.mT * inverse) @ (U.mT @ y) / size
-    left = (y - A @ x).square().sum() / max(len(y) - A.shape[1] - 6 * len(windows), 1)
+    error = [w.target - w.columns @ x for w in windows]
+    alike = _alike([one.unflatten(0, (3, -1)) for one in error])
+    left = torch.cat(error).square().sum() / max(len(y) / alike - A.shape[1], 1.0)
     spread = torch.where(keep, 1.0 / s, 1e6)
     half = V.mT * spread / size[:, None]
     return x, left * half @ half.T
 
 
+def _alike(errors: list[Float[Tensor, "3 frames"]]) -> float:
+    """Return the number of frames that say no more than one: the integral of the errors' autocorrelation up to its
+    first zero."""
+    longest = max(one.shape[1] for one in errors)
+    spectra = [torch.fft.rfft(one, 2 * longest).abs().square() for one in errors]
+    correlation = torch.fft.irfft(torch.cat(spectra).sum(0), 2 * longest)[:longest]
+    positive = int((correlation > 0.0).long().cumprod(0).sum())
+    return float(2.0 * correlation[:positive].sum() / correlation[0].clamp(min=1e-300) - 1.0)
+
+
 def _stated(
-    watched: Watched, bearing: list[int], x: Float[Tensor, " columns"], covariance: Float[Tensor, "columns columns"]
+    watched: Watched,
+    bearing: list[list[int]],
+    x: Float[Tensor, " columns"],
+    covariance: Float[Tensor, "columns columns"],
 ) -> Statements:
     """Return the statements that the coefficients amount to, with their covariance to first order."""
-    plates = [watched.reading.frames[k].name for k in bearing]
+    plates = ["+".join(watched.reading.frames[k].name for k in some) for some in bearing]
     names = [Subject("mass", watched.name)]
     names += [Subject("gain", watched.name, f"{plate}/{plates[0]}") for plate in plates[1:]]
     names += [Subject("clock_vertical", watched.name), Subject("clock_horizontal", watched.name)]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
-from torchid.witnesses.panel import Panel, log_density
+from torchid.witnesses.panel import Panel
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,9 @@ def scan(panel: Panel, chosen: Sequence[Suspect], suspects: Sequence[Suspect]) -
         chosen: faults that are named.
         suspects: what could be there.
     """
-    base, some = _covariance(panel, chosen), [one for one in suspects if not any(one is other for other in chosen)]
-    before = log_density(panel.said.value, base)
-    gains = [log_density(panel.said.value, base + one.covariance) - before + math.log(one.odds) for one in some]
+    base, some = _covariance(chosen), [one for one in suspects if not any(one is other for other in chosen)]
+    before = panel.log_density(more=base)
+    gains = [panel.log_density(more=base + one.covariance) - before + math.log(one.odds) for one in some]
     weights = torch.softmax(panel.said.value.new_tensor([0.0, *gains]), 0)[1:].tolist()
     scored = [Scored(*both) for both in zip(some, gains, weights, strict=True)]
     return tuple(sorted(scored, key=lambda one: -one.nats))
@@ -125,7 +125,8 @@ def sizes(panel: Panel, chosen: Sequence[Suspect]) -> list[Size]:
         panel: the statements.
         chosen: the faults.
     """
-    whole, found = _covariance(panel, chosen), []
+    more, found = _covariance(chosen), []
+    whole = panel.likeliest(more) + more
     for one in chosen:
         prior = one.scale.square().diag()
         gain = torch.linalg.solve(whole, one.signature @ prior).T
@@ -146,6 +147,6 @@ def instead(panel: Panel, faults: Sequence[Fault], k: int, other: Suspect) -> Si
     return sizes(panel, [*chosen[:k], other, *chosen[k + 1 :]])[k]
 
 
-def _covariance(panel: Panel, chosen: Sequence[Suspect]) -> Float[Tensor, "some some"]:
-    """Return the covariance of the statements with faults of unknown sizes."""
-    return sum((one.covariance for one in chosen), start=panel.covariance)
+def _covariance(chosen: Sequence[Suspect]) -> Float[Tensor, "some some"] | float:
+    """Return the covariance that faults of unknown sizes give the statements."""
+    return sum((one.covariance for one in chosen), start=0.0)

@@ -17,8 +17,9 @@ class BalanceOptions:
     """Calibrated. Share of the weight below which a plate says nothing of its own."""
     open_ratio: Positive = 3.0
     """Calibrated. Times the median window's residual from which on a window is left out."""
-    memory_s: Positive = 0.1
-    """Calibrated. Time over which residuals of the balance are alike [s]."""
+    least_shift: Share = 0.2
+    """Calibrated. Standard deviation of a plate's share of the weight below which plates speak together: walking has
+    0.4, squats and standing less than 0.1, where a gain would hang on millimetres."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,8 @@ class WitnessOptions:
     """Thresholds by which witnesses name faults and contradict causes."""
 
     balance: BalanceOptions = field(default_factory=BalanceOptions)
-    odds: Share = 0.05
-    """Derived. Odds before any data that a session has a fault of one kind: one session in twenty."""
+    odds: Share = 0.1
+    """Derived. Odds before any data that a session has a fault of one kind: one session in ten."""
     named_nats: Positive = 2.5
     """Cited. Log odds from which a fault is named, as ``NamingOptions.named_nats``."""
     most: Count = 6

@@ -3,8 +3,12 @@
 With causes of parameters theta_k ~ N(0, P_k) the statements are r ~ N(0, S + sum_k J_k P_k J_k'), where J_k is what a
 unit of each parameter makes them say: each cause is put into the recordings and the witnesses are asked again. Causes
 that look alike to one witness are told apart by the others, and what looks alike to all is said to.
+
+One trial may be bad, by markers that were lost or a foot beside a plate: then its statements scatter ``BAD`` times as
+much. Whether one is, and which, is averaged over (a mixture, as for outliers: Box & Tiao, Biometrika 55:119 (1968)).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,6 +26,11 @@ from torchid.witnesses.statements import Statements, joined
 from torchid.witnesses.unloaded import zeros
 from torchid.witnesses.watched import Watched
 
+BAD = 5.0
+"""Estimator. Times as much that statements of a bad trial scatter, a choice: half of the statements of the one turning
+walk whose head markers are exchanged are three standard deviations off."""
+BAD_ODDS = 0.1
+"""Estimator. Probability that one trial of a session is bad, a choice."""
 STEP = 0.1
 """Resolution. Step of the differences, in prior standard deviations: small beside all that bends, large beside the
 thresholds of what counts as unloaded."""
@@ -35,9 +44,40 @@ class Panel:
     """Trials that they were taken from."""
     said: Statements
     """The statements; their covariance is that within each trial."""
-    covariance: Float[Tensor, "some some"]
-    """Of the statements where nothing is wrong: within trials, between sessions and between laboratories."""
+    covariances: Float[Tensor, "ways some some"]
+    """Of the statements where nothing is wrong: within trials, between sessions and between laboratories; and where one
+    trial is bad."""
+    log_odds: Float[Tensor, " ways"]
+    """Log probabilities of these."""
     options: WitnessOptions
+
+    def log_density(
+        self, mean: Float[Tensor, " some"] | float = 0.0, more: Float[Tensor, "some some"] | float = 0.0
+    ) -> float:
+        """Return the log density of the statements, up to the constant of their number [nat].
+
+        Args:
+            mean: what they should be.
+            more: covariance of what they could be besides.
+        """
+        return float(torch.logsumexp(self._by_way(mean, more), 0))
+
+    def likeliest(self, more: Float[Tensor, "some some"] | float = 0.0) -> Float[Tensor, "some some"]:
+        """Return the covariance of the likeliest way in which nothing, or one trial, is bad.
+
+        Args:
+            more: covariance of what statements could be besides.
+        """
+        return self.covariances[int(self._by_way(0.0, more).argmax())]
+
+    def _by_way(
+        self, mean: Float[Tensor, " some"] | float, more: Float[Tensor, "some some"] | float
+    ) -> Float[Tensor, " ways"]:
+        """Return the log density of the statements and each way."""
+        L = torch.linalg.cholesky(self.covariances + more)
+        off = (self.said.value - mean)[:, None].expand(len(L), -1, 1)
+        white = torch.linalg.solve_triangular(L, off, upper=False)[..., 0]
+        return self.log_odds - 0.5 * white.square().sum(1) - L.diagonal(dim1=1, dim2=2).log().sum(1)
 
     def signature(self, effect: Effect, place: Place) -> Float[Tensor, "some params"]:
         """Return what a unit of each parameter makes the witnesses say.
@@ -76,7 +116,13 @@ def make_panel(trials: Sequence[Watched], record_part: float, options: WitnessOp
     said = state(trials, options)
     if not said.about:
         return None
-    return Panel(tuple(trials), said, said.covariance + _between(said, record_part), options)
+    own, alike = _scatter(said, record_part)
+    ways, log_odds = [own + alike], [math.log1p(-BAD_ODDS)]
+    for trial in dict.fromkeys(one.trial for one in said.about):
+        bad = own.new_tensor([BAD if one.trial == trial else 1.0 for one in said.about])
+        ways.append(own * bad[:, None] * bad + alike)
+        log_odds.append(math.log(BAD_ODDS / len(trials)))
+    return Panel(tuple(trials), said, torch.stack(ways), own.new_tensor(log_odds), options)
 
 
 def state(trials: Sequence[Watched], options: WitnessOptions) -> Statements:
@@ -90,25 +136,10 @@ def state(trials: Sequence[Watched], options: WitnessOptions) -> Statements:
     return joined(found)
 
 
-def _between(said: Statements, record_part: float) -> Float[Tensor, "some some"]:
-    """Return the covariance of statements over sessions and laboratories, by their kinds."""
+def _scatter(said: Statements, record_part: float) -> tuple[Float[Tensor, "some some"], Float[Tensor, "some some"]]:
+    """Return the covariance of statements by themselves, and of what all of a kind share, by their kinds."""
     scatter = SCATTER | {"mass": SCATTER["mass"]._replace(alike=max(record_part, RECORD_PART))}
     own = said.value.new_tensor([scatter[one.kind].own for one in said.about])
     alike = said.value.new_tensor([scatter[one.kind].alike for one in said.about])
     same = torch.tensor([[a.kind == b.kind for b in said.about] for a in said.about])
-    return own.square().diag() + torch.where(same, alike[:, None] * alike, 0.0)
-
-
-def log_density(
-    r: Float[Tensor, " some"], covariance: Float[Tensor, "some some"], mean: Float[Tensor, " some"] | float = 0.0
-) -> float:
-    """Return the log density of a normal distribution, up to the constant of its dimension [nat].
-
-    Args:
-        r: where it is taken.
-        covariance: of the distribution.
-        mean: of the distribution.
-    """
-    L = torch.linalg.cholesky(covariance)
-    white = torch.linalg.solve_triangular(L, (r - mean)[:, None], upper=False)
-    return -float(0.5 * white.square().sum() + L.diagonal().log().sum())
+    return said.covariance + own.square().diag(), torch.where(same, alike[:, None] * alike, 0.0)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
-from torchid.witnesses.panel import Panel, log_density
+from torchid.witnesses.panel import Panel
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,12 @@ def hear(panel: Panel, claims: Sequence[Claim]) -> list[Testimony]:
     """
     said = [_said(panel, one) for one in claims]
     together = sum(said, start=torch.zeros_like(panel.said.value))
-    whole = log_density(panel.said.value, panel.covariance, together)
-    L = torch.linalg.cholesky(panel.covariance)
+    whole = panel.log_density(together)
+    L = torch.linalg.cholesky(panel.likeliest())
     found = []
     for own in said:
         loud = float(torch.linalg.solve_triangular(L, own[:, None], upper=False).norm())
-        found.append(Testimony(whole - log_density(panel.said.value, panel.covariance, together - own), loud))
+        found.append(Testimony(whole - panel.log_density(together - own), loud))
     return found
 
 

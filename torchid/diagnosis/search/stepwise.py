@@ -99,7 +99,7 @@ def _denied(panel: Panel | None, observed: Sequence[TrialObservation], state: _S
     if said is None or said.nats > -least:
         return None
     numbers = {"witness_nats": said.nats, "least_nats": -least, "heard_sd": said.loudness_sd}
-    return step(StepKind.REFUSE, state.chosen[-1], "witnesses", **numbers)
+    return step(StepKind.REFUSE, state.chosen[-1], "witnesses_contradict", **numbers)
 
 
 def _barred(state: _State, denied: Step) -> _State:

@@ -10,7 +10,7 @@ from torchid.effects.place import covers
 from torchid.witnesses.faults import Fault, Scored, instead
 from torchid.witnesses.panel import Panel
 
-RULE = "witnesses"
+RULE = "witnesses_name"
 """Rule by which witnesses name a fault, as in ``docs/diagnosis.md``."""
 
 
