@@ -1,0 +1,108 @@
+"""Witnesses name what a laboratory did to its recordings, nothing where it did nothing, and contradict what is not so."""
+
+import os
+import time as clock
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from small_session import outcome
+from torchid.diagnosis.verdict.records import Cause
+from torchid.effects.catalogue import effect
+from torchid.effects.place import SESSION, Place
+from torchid.effects.scene import reading
+from torchid.experiment.diagnosis_stage import plate_frames
+from torchid.experiment.laboratory import examine, panel_of
+from torchid.outcome import Outcome
+from torchid.witnesses.panel import Panel
+from torchid.witnesses.testimony import Claim, hear
+
+SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
+
+
+@pytest.fixture(autouse=True)
+def _said() -> None:
+    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
+
+
+def plates(base: Outcome) -> tuple[str, ...]:
+    return tuple(sorted(plate.frame.name for plate in plate_frames(base)[0]))
+
+
+def drawn(name: str, rng: np.random.Generator, base: Outcome) -> tuple[Place, torch.Tensor]:
+    """Place and internal parameters of a fault, well above what laboratories scatter by."""
+    sign, size = rng.choice([-1.0, 1.0]), rng.uniform(1.0, 2.0)
+    if name == "time_offset":
+        return SESSION, torch.tensor([0.03 * sign * size]).double()
+    if name == "plate_gain":
+        return Place(plates(base)), torch.tensor([0.06 * sign * size]).double()
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    return SESSION, 0.025 * size * torch.tensor([np.cos(angle), np.sin(angle)]).double()
+
+
+def planted(base: Outcome, name: str, place: Place, theta: torch.Tensor) -> Outcome:
+    """The session as a laboratory with a fault would have recorded it; what was followed stays."""
+    frames, trials = plate_frames(base)[1], dict(base.session.trials)
+    for trial, own in frames.items():
+        forces = trials[trial].forces
+        assert forces is not None
+        watched = next((w for w in panel(base).trials if w.name == trial), None)
+        if name == "gravity_tilt" and watched is not None:
+            wrench = watched.under(effect(name), place, theta).reading.wrench
+        else:
+            wrench = effect(name).read(reading(trial, forces, own), place, theta).wrench
+        trials[trial] = replace(trials[trial], forces=replace(forces, wrench=wrench))
+    return replace(base, session=replace(base.session, trials=trials))
+
+
+def panel(base: Outcome) -> Panel:
+    found = panel_of(base)
+    assert found is not None
+    return found
+
+
+def causes(base: Outcome) -> tuple[Cause, ...]:
+    return examine(base, panel(base)).causes
+
+
+def names(cause: Cause) -> set[str]:
+    return {cause.effect, *(twin.effect for twin in cause.indistinguishable)}
+
+
+def test_nothing_is_named_in_a_clean_session() -> None:
+    assert causes(outcome()) == ()
+
+
+@pytest.mark.parametrize("name", ["time_offset", "plate_gain", "gravity_tilt"])
+def test_a_fault_of_the_laboratory_is_named_with_its_size(name: str) -> None:
+    base, rng = outcome(), np.random.default_rng(SEED)
+    place, theta = drawn(name, rng, base)
+    found = causes(planted(base, name, place, theta))
+    assert found and name in names(found[0]), (place, theta, [(c.effect, c.where) for c in found])
+    if found[0].effect == name:
+        torch.testing.assert_close(found[0].theta[0], theta, rtol=0.3, atol=float(0.2 * theta.norm()))
+
+
+def test_a_wrong_record_is_named() -> None:
+    base, rng = outcome(), np.random.default_rng(SEED)
+    off = rng.choice([-1.0, 1.0]) * rng.uniform(0.08, 0.15)
+    found = causes(replace(base, prior=replace(base.prior, mean=(1.0 + off) * base.prior.mean)))
+    assert found and "body_mass" in names(found[0]), (off, found)
+
+
+@pytest.mark.parametrize("claimed", ["payload", "body_weight_support"])
+def test_a_load_that_no_plate_bore_is_contradicted(claimed: str) -> None:
+    base, rng = outcome(), np.random.default_rng(SEED)
+    own = effect(claimed)
+    place = own.places([one.view for one in panel(base).trials])[0]
+    theta = torch.zeros(own.size(place)).double()
+    theta[0] = (10.0 if claimed == "payload" else 100.0) * rng.uniform(1.0, 2.0)
+    said = hear(panel(base), [Claim(own, place, acting(theta))])[0]
+    assert said.nats < -4.5 and said.loudness_sd > 3.0, (place, theta, said)
+
+
+def acting(theta: torch.Tensor) -> Callable[[str], torch.Tensor]:
+    return lambda trial: theta
