@@ -24,6 +24,7 @@ from torchid.experiment.block_errors import (
     block_frames,
     cut_blocks,
 )
+from torchid.experiment.diagnosis_stage import forceful
 from torchid.experiment.fits import identify
 from torchid.experiment.never_worse import MARGIN, Growth, compare, growth
 from torchid.experiment.publishing import RULE, publishable, select
@@ -43,7 +44,7 @@ from torchid.simulate.planting import misread, planted
 CLEAR = Adequacy(False, 0.5, 0.1, "")
 
 
-def errors(rms: np.ndarray) -> BlockErrors:
+def errors(rms: np.ndarray | list[float]) -> BlockErrors:
     """Of blocks of a hundred frames."""
     values = torch.as_tensor(np.asarray(rms, dtype=float))
     return BlockErrors(values, torch.full_like(values, 100.0))
@@ -262,8 +263,7 @@ def test_a_cause_that_is_there_is_published(tmp_path, heldout):
     found = published(base, tmp_path)
     assert found.diagnosis is not None and found.base is not None
     assert [own.effect for own in found.diagnosis.causes] == [one.effect.name] and not found.diagnosis.refuted
-    rows = [[o.followed[n].wrench for n in o.session.part("fit", "inertia")] for o in (found.base, found)]
-    before, after = (residual_rms(own, o.phi) for own, o in zip(rows, (found.base, found), strict=True))
+    before, after = (residual_rms(list(forceful(o, "fit").values()), o.phi) for o in (found.base, found))
     assert max(b / a for a, b in zip(before, after, strict=True)) < 1.02
     assert min(b / a for a, b in zip(before, after, strict=True)) < 0.8
 
@@ -275,17 +275,18 @@ def test_frames_that_an_extension_leaves_out_win_nothing(tmp_path):
     blocks = cut_blocks(base)
     whole = block_errors(base, base, base.config, blocks)
     assert {where for where, _ in whole} == {LEFT_OUT, FITTED, "sway_steps"}
+    used = {name: one.used for role in ("fit", "heldout") for name, one in forceful(base, role).items()}
     for name in ("squats", "sway_steps"):
         covered = torch.zeros_like(blocks.judged[name])
         for part in blocks.wrench[name]:
             assert not bool(covered[part].any())
             covered[part] = True
-        assert int((base.followed[name].wrench.used & ~covered).sum()) < 0.1 * int(covered.sum())
-    item = base.followed["squats"]
-    off = (torch.arange(len(item.wrench.used)) % 200) > 60
-    fewer = replace(item, wrench=replace(item.wrench, used=item.wrench.used & off))
+        assert int((used[name] & ~covered).sum()) < 0.1 * int(covered.sum())
+    item, rows = base.followed["squats"], forceful(base, "fit")["squats"]
+    fewer = replace(item, wrench=replace(rows, used=rows.used & (torch.arange(len(rows.used)) % 200 > 60)))
     less = block_errors(replace(base, followed={**base.followed, "squats": fewer}), base, base.config, blocks)
     assert torch.equal(less[FITTED, "force"].rms, whole[FITTED, "force"].rms)
+    assert base.diagnosis is not None
     aside = replace(base.diagnosis, aside=(Interval("squats", 0.0, 99.0),))
     kept = cut_blocks(replace(base, diagnosis=aside))
     assert not bool(kept.judged["squats"].any()) and kept.wrench == blocks.wrench

@@ -1,10 +1,10 @@
 """Errors of a model block by block, on the same frames as those of another model of the same recordings.
 
-Forces are judged by what plates read: an extended model predicts what motion needs and what the named effects add to it,
-so that its residual is that of the readings as they were measured. A correction changes the prediction, never what is
-predicted, and none can win by shrinking it; effects that shift readings or exchange plates keep their size. Markers are
-judged by their distance from the model, as a part of the size of the body that they show: a correction that scales all
-of them scales both.
+Forces are judged by what plates read: an extended model predicts what motion needs and what the named effects add to
+it, so that its residual is that of the readings as they were measured. A correction changes the prediction, never what
+is predicted, and none can win by shrinking it; effects that shift readings or exchange plates keep their size. Markers
+are judged by their distance from the model, as a part of the size of the body that they show: a correction that scales
+all of them scales both.
 """
 
 from collections.abc import Iterator

@@ -38,6 +38,7 @@ from torchid.results import OutputFolder
 MARK = 8
 """Digits of a stage's key that stand in its name."""
 
+
 def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> Outcome:
     """Everything fitted again with the named causes taken out of the recordings.
 

@@ -67,10 +67,10 @@ def growth(where: Group, reference: BlockErrors, other: BlockErrors) -> Growth:
     mean, whole = float(ratio.mean()), 0.5 * math.log(float((share * (2.0 * ratio).exp()).sum()))
     free = WEIGHT + n - 1.0
     scatter = math.sqrt((WEIGHT * MARGIN**2 + float((ratio - mean).square().sum())) / free)
-    beyond = float(scipy.stats.t.ppf(1.0 - LEVEL, free)) * scatter
-    least, log = max(
-        (mean - beyond / math.sqrt(n), mean), (whole - beyond * float(share.square().sum().sqrt()), whole)
-    )
+    chance = float(scipy.stats.t.ppf(1.0 - LEVEL, free)) * scatter
+    usual = mean - chance / math.sqrt(n), mean
+    total = whole - chance * float(share.square().sum().sqrt()), whole
+    least, log = max(usual, total)
     return Growth(*where, log, least, n)
 
 

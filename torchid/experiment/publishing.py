@@ -10,11 +10,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.trace import Step, StepKind
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.errors import DataError
 from torchid.experiment.block_errors import BlockErrors, Group, block_errors, cut_blocks
 from torchid.experiment.correction import corrected_config, extend_outcome, moves_markers
+from torchid.experiment.diagnosis_stage import assess_outcome
 from torchid.experiment.fits import OnStage
 from torchid.experiment.never_worse import MARGIN, Growth, compare
 from torchid.experiment.swapped_markers import swap_causes
@@ -47,8 +49,8 @@ def publishable(base: Outcome, relabelled: Outcome, folder: OutputFolder, key: s
     origin, refused = _judge_swaps(base, relabelled)
     attempts = Attempts(base, origin, folder, key, progress)
     kept, others = select(attempts)
-    verdict = without(base.diagnosis, [*refused, *others])
-    outcome = attempts.outcome(kept)
+    outcome, gone = attempts.outcome(kept), [*refused, *others]
+    verdict = without(base.diagnosis, gone, assess_outcome(outcome)) if gone else base.diagnosis
     published = replace(outcome, diagnosis=verdict)
     return published if outcome.base is None else replace(published, base=replace(base, diagnosis=verdict))
 
@@ -199,25 +201,23 @@ def worsening(whole: Sequence[Growth], own: Sequence[Growth]) -> dict[str, float
     }  # fmt: skip
 
 
-def without(found: Diagnosis, refused: Sequence[Refusal]) -> Diagnosis:
+def without(found: Diagnosis, refused: Sequence[Refusal], rest: Adequacy) -> Diagnosis:
     """The verdict with causes refuted, each with a step of the trace.
 
     Args:
         found: with all of them.
         refused: those that leave, and their numbers.
+        rest: what remains without them.
     """
-    if not refused:
-        return found
     causes = tuple(own for own in found.causes if not any(own is gone for gone, _ in refused))
-    gains = [gone.gain.get("heldout_log_likelihood", math.nan) for gone, _ in refused]
     refuted = (
-        Refuted(gone.effect, gone.where, gain, RULE, dict(numbers))
-        for (gone, numbers), gain in zip(refused, gains, strict=True)
+        Refuted(gone.effect, gone.where, gone.gain["heldout_log_likelihood"], RULE, dict(numbers))
+        for gone, numbers in refused
     )
     steps = (Step(StepKind.REFUSE, gone.effect, gone.where, RULE, numbers) for gone, numbers in refused)
     return replace(
-        found, causes=causes, refuted=(*found.refuted, *refuted), trace=(*found.trace, *steps),
-        extended=found.extended if causes else found.baseline,
+        found, causes=causes, refuted=(*found.refuted, *refuted), trace=(*found.trace, *steps), unexplained=rest,
+        extended=found.extended if causes else found.baseline, aside=found.aside if causes else (),
     )  # fmt: skip
 
 
