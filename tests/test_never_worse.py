@@ -11,6 +11,7 @@ from inertia_cases import bodies, draw, names, prior
 from torch.testing import assert_close
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
 from torchid.effects.effect import Planted
@@ -26,7 +27,7 @@ from torchid.experiment.block_errors import (
 )
 from torchid.experiment.diagnosis_stage import forceful
 from torchid.experiment.fits import identify
-from torchid.experiment.never_worse import MARGIN, Growth, compare, growth
+from torchid.experiment.never_worse import Growth, compare, growth
 from torchid.experiment.publishing import RULE, publishable, select
 from torchid.experiment.standing import follow_each
 from torchid.filters import Smoother
@@ -41,6 +42,8 @@ from torchid.results import OutputFolder
 from torchid.simulate.options import PlantedOptions
 from torchid.simulate.planting import misread, planted
 
+OPTIONS = DiagnosisOptions().never_worse
+MARGIN = OPTIONS.margin_part
 CLEAR = Adequacy(False, 0.5, 0.1, "")
 
 
@@ -53,7 +56,7 @@ def errors(rms: np.ndarray | list[float]) -> BlockErrors:
 def worse(ratio: np.ndarray, rng: np.random.Generator) -> bool:
     """Whether errors that grow by these factors, from any level, are called worse."""
     level = np.exp(rng.normal(3.0, 1.0, len(ratio)))
-    return growth(("x", "force"), errors(level), errors(level * ratio)).worse
+    return growth(("x", "force"), errors(level), errors(level * ratio), OPTIONS).worse
 
 
 @pytest.mark.parametrize("blocks", [1, 2, 3, 10, 40])
@@ -80,14 +83,14 @@ def test_one_block_that_errs_threefold_is_no_chance(seed):
     level = np.full(10, np.exp(rng.normal(3.0, 1.0)))
     ratio = np.full(10, 0.93)
     ratio[rng.integers(10)] = 3.0
-    assert growth(("x", "force"), errors(level), errors(level * ratio)).worse
+    assert growth(("x", "force"), errors(level), errors(level * ratio), OPTIONS).worse
 
 
 def test_models_are_compared_group_by_group():
     """With the numbers of each."""
     before = {("a", "force"): errors([10.0]), ("b", "markers"): errors([0.02, 0.02])}
     after = {("a", "force"): errors([20.0]), ("b", "markers"): errors([0.02, 0.02])}
-    first, second = compare(before, after)
+    first, second = compare(before, after, OPTIONS)
     assert (first.where, first.kind, first.blocks, first.worse) == ("a", "force", 1, True)
     assert first.part == pytest.approx(1.0) and second.part == pytest.approx(0.0) and not second.worse
 
@@ -141,6 +144,7 @@ class Table:
     def __init__(self, harm: dict[frozenset[int], float], movers: frozenset[int] = frozenset(), most: int = 99) -> None:
         self.causes = tuple(cause(k) for k in range(max(max(some) for some in harm) + 1))
         self._harm, self._movers, self._most, self.fitted = harm, movers, most, {frozenset()}
+        self.options = OPTIONS
 
     def movers(self, chosen: frozenset[int]) -> frozenset[int]:
         return chosen & self._movers
@@ -151,7 +155,7 @@ class Table:
     def growth(self, chosen: frozenset[int], less: frozenset[int] | None = None) -> tuple[Growth, ...]:
         self.fitted.add(self.movers(chosen))
         log = self._log(chosen) - self._log(less or frozenset())
-        return (Growth("x", "force", log, log, 3),)
+        return (Growth("x", "force", log, log, 3, log > MARGIN),)
 
     def _log(self, chosen: frozenset[int]) -> float:
         return sum(own for some, own in self._harm.items() if some <= chosen)

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.options import NeverWorseOptions
 from torchid.diagnosis.trace import Step, StepKind
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.errors import DataError
@@ -18,7 +19,7 @@ from torchid.experiment.block_errors import BlockErrors, Group, block_errors, cu
 from torchid.experiment.correction import corrected_config, extend_outcome, moves_markers
 from torchid.experiment.diagnosis_stage import assess_outcome
 from torchid.experiment.fits import OnStage
-from torchid.experiment.never_worse import MARGIN, Growth, compare
+from torchid.experiment.never_worse import Growth, compare
 from torchid.experiment.swapped_markers import swap_causes
 from torchid.outcome import Outcome
 from torchid.results import OutputFolder
@@ -28,7 +29,7 @@ RULE = "never_worse"
 """Name of the rule in ``docs/diagnosis.md``."""
 Chosen = frozenset[int]
 """Causes of a verdict, by their place in it."""
-FAILED = (Growth("all trials", "force", math.inf, math.inf, 0),)
+FAILED = (Growth("all trials", "force", math.inf, math.inf, 0, True),)
 """Of a model that no inertia fits."""
 
 
@@ -65,12 +66,13 @@ def _judge_swaps(base: Outcome, relabelled: Outcome) -> tuple[Outcome, list[Refu
     if relabelled is base:
         return base, []
     blocks = cut_blocks(base)
-    grown = compare(*(block_errors(one, base, one.config, blocks) for one in (base, relabelled)))
+    limits = base.config.diagnosis.thresholds.never_worse
+    grown = compare(*(block_errors(one, base, one.config, blocks) for one in (base, relabelled)), limits)
     if not any(one.worse for one in grown):
         return relabelled, []
     swaps = swap_causes(base.diagnosis.causes)
     others = tuple(cause for cause in base.diagnosis.causes if not any(cause is swap for swap in swaps))
-    numbers = worsening(grown, grown)
+    numbers = worsening(grown, grown, limits)
     return replace(base, diagnosis=replace(base.diagnosis, causes=others)), [(swap, numbers) for swap in swaps]
 
 
@@ -92,7 +94,7 @@ class Attempts:
             progress: called with stages and fractions.
         """
         assert origin.diagnosis is not None
-        self.causes = origin.diagnosis.causes
+        self.causes, self.options = origin.diagnosis.causes, base.config.diagnosis.thresholds.never_worse
         self._base, self._origin, self._stages = base, origin, (folder, key, progress)
         self._blocks, self._most = cut_blocks(base), 1 + len(self.causes)
         self._models: dict[Chosen, tuple[Outcome, Mapping[Group, BlockErrors]] | None] = {}
@@ -118,7 +120,7 @@ class Attempts:
             return FAILED
         if less is not None and reference is None:
             return ()
-        return compare(self._before if reference is None else reference[1], found[1])
+        return compare(self._before if reference is None else reference[1], found[1], self.options)
 
     def movers(self, chosen: Chosen) -> Chosen:
         """Those of the causes that act on markers."""
@@ -164,7 +166,7 @@ def select(attempts: Attempts) -> tuple[Chosen, list[Refusal]]:
         if not harmful and not any(one.worse for one in whole):
             break
         gone = max(harmful or grown, key=lambda some: _worst(grown[some]))
-        numbers = worsening(whole, grown[gone])
+        numbers = worsening(whole, grown[gone], attempts.options)
         refused += [(attempts.causes[k], numbers) for k in sorted(gone)]
         log.info("%s refuted: %s", _called(attempts.causes[k] for k in gone), numbers)
         kept -= gone
@@ -186,18 +188,19 @@ def _worst(grown: Sequence[Growth]) -> float:
     return max((one.least_log for one in grown), default=-math.inf)
 
 
-def worsening(whole: Sequence[Growth], own: Sequence[Growth]) -> dict[str, float]:
+def worsening(whole: Sequence[Growth], own: Sequence[Growth], options: NeverWorseOptions) -> dict[str, float]:
     """Numbers of a refusal.
 
     Args:
         whole: growth of errors of the model with the cause, over the base model's.
         own: over those of the same model without it.
+        options: their margin.
     """
     kinds = {kind: [one.part for one in own if one.kind == kind] for kind in ("force", "moment", "markers")}
     return {
         **{f"{kind}_growth_part": max(some, default=0.0) for kind, some in kinds.items()},
         "least_growth_part": math.expm1(_worst(own)), "base_growth_part": math.expm1(_worst(whole)),
-        "most_part": MARGIN,
+        "most_part": options.margin_part,
     }  # fmt: skip
 
 
