@@ -17,11 +17,9 @@ from typer.testing import CliRunner
 from torchid.cli import app
 from torchid.config import load_config
 from torchid.experiment import run_experiment
-from torchid.experiment.correction import _worse_notes
 from torchid.experiment.stages import legs
 from torchid.experiment.write import result_names
 from torchid.io.c3d_write import write_c3d
-from torchid.outcome import Residual
 from torchid.recording import Trial
 
 pytestmark = pytest.mark.slow
@@ -242,18 +240,3 @@ def test_hidden_effects_are_hidden_from_the_fits(tmp_path):
         assert "drag" not in written.read_text()
         assert ("drag" in (tmp_path / "out" / "recordings" / "truth" / "subject.json").read_text()) == bool(effects)
     assert reused == [False, True, False]
-
-
-@pytest.mark.parametrize(("after", "warned"), [(35.0, True), (4.5, False), (float("nan"), False)])
-def test_an_extension_that_makes_held_out_forces_worse_is_warned_of(after, warned):
-    """Against the last step before the causes; other roles do not count."""
-
-    def row(role: str, force: float) -> Residual:
-        return Residual("", role, 6.0, "identified", "identified", force, 1.0)
-
-    before = [row("heldout", 50.0), row("heldout", 4.3)]
-    notes = _worse_notes(before, [row("fit", 99.0), row("heldout", after)])
-    assert [note.code for note in notes] == (["diagnosis.worse"] if warned else [])
-    assert all("4.3 N" in note.message and "diagnosis.exclude" in note.message for note in notes)
-    assert not _worse_notes(before, [row("fit", 99.0)])
-    assert not _worse_notes([], [row("heldout", after)])

@@ -18,7 +18,8 @@ RULE = re.compile(r'rule = "|"([a-z_]+)"')
 def decided() -> set[str]:
     """Names of rules that steps are made with, from the code of the diagnosis and of the experiment."""
     found: set[str] = set()
-    for path in [*(DIAGNOSIS / "diagnosis").rglob("*.py"), DIAGNOSIS / "experiment" / "swapped_markers.py"]:
+    stages = [DIAGNOSIS / "experiment" / name for name in ("swapped_markers.py", "publishing.py")]
+    for path in [*(DIAGNOSIS / "diagnosis").rglob("*.py"), *stages]:
         for one in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(one, ast.Constant) and one.value in RULES:
                 found.add(one.value)
@@ -36,7 +37,8 @@ def test_a_decision_is_a_sentence(rule):
     rng = np.random.default_rng(small.SEED)
     names = ("evidence_nats", "crossed_nats", "effect_nats", "least_nats", "score_nats", "heldout_nats", "leeway_nats",
              "background_nats", "missing_part", "lowest_sd", "remaining_part", "residual_part", "least_part", "factor",
-             "error_growth_part", "field_part", "p_value")  # fmt: skip
+             "error_growth_part", "field_part", "p_value", "force_growth_part", "moment_growth_part",
+             "markers_growth_part", "base_growth_part", "most_part")  # fmt: skip
     numbers = {name: float(rng.normal(scale=30.0 if name.endswith("nats") else 0.4)) for name in names}
     said = sentence(Step(StepKind.ENTER, "drag", ("thorax",), rule, numbers))
     assert said.startswith("A drag") and said.endswith(".") and "_" not in said and "nan" not in said

@@ -139,6 +139,20 @@ class MissingWeightOptions:
 
 
 @dataclass(frozen=True)
+class NeverWorseOptions:
+    """Thresholds by which a model that was fitted with a cause predicts worse than without it."""
+
+    margin_part: Share = 0.02
+    """Derived. Part by which errors may grow that nobody would call worse: below it, no figure of a report changes that
+    a reader acts on. It is also the scatter of growth between blocks that is expected before any is seen."""
+    prior_blocks: Positive = 2.0
+    """Derived. Number of blocks that this expectation counts for: with one block, growth beyond 8 % is worse, with two
+    that agree 5 %, with ten 3 %."""
+    level: Share = 0.05
+    """Derived. Chance that errors which grow by the margin are called worse, in one group of blocks."""
+
+
+@dataclass(frozen=True)
 class DiagnosisOptions:
     """Options of the diagnosis: one section for each question that a verdict answers."""
 
@@ -150,11 +164,12 @@ class DiagnosisOptions:
     confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)
     missing_weight: MissingWeightOptions = field(default_factory=MissingWeightOptions)
     witnesses: WitnessOptions = field(default_factory=WitnessOptions)
+    never_worse: NeverWorseOptions = field(default_factory=NeverWorseOptions)
 
 
 SECTIONS = (
     ObservationOptions, NamingOptions, EliminationOptions, HeldOutOptions, AdequacyOptions, ConfidenceOptions,
-    MissingWeightOptions,
+    MissingWeightOptions, NeverWorseOptions,
 )  # fmt: skip
 """Sections of the options, in the order of the table in ``docs/diagnosis.md``."""
 

@@ -19,7 +19,6 @@ from torchid.effects.marker_scene import Sight
 from torchid.effects.place import inside_any
 from torchid.effects.scene import PlateFrame, Scene, make_scene, reading
 from torchid.effects.traits import Correction
-from torchid.errors import Note
 from torchid.experiment.diagnosis_stage import Observer, forceful, plate_frames, spans
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.pieces import ends, pieces
@@ -31,12 +30,13 @@ from torchid.geometry.tracking import Tracked, track
 from torchid.motion import Motion
 from torchid.observation.trial import TrialObservation
 from torchid.outcome import Followed, Outcome, Residual, Session
+from torchid.provenance import stage_key
 from torchid.recording import Forces, Trial
 from torchid.regressor.rows import residual_rms
 from torchid.results import OutputFolder
 
-WORSE = 1.2
-"""Times the held-out force error of the model without them that named causes may leave before the results warn."""
+MARK = 8
+"""Digits of a stage's key that stand in its name."""
 
 
 SESSION_WIDE = (Correction.MARKERS, Correction.LABELS, Correction.READING)
@@ -49,25 +49,22 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
     Args:
         base: with the verdict on it.
         relabelled: with the names of swapped markers put right, on it what was found then; without any, ``base``.
-        folder: for stages.
-        key: of all that these depend on.
+        folder: for stages, which are stored by the causes that they depend on.
+        key: of all else that these depend on.
         progress: called with stages and fractions.
+
+    Raises:
+        DataError: as ``identify``.
     """
     assert relabelled.diagnosis is not None
-    causes, fit = relabelled.diagnosis.causes, relabelled.fit
-    config, session = corrected_config(base.config, causes), relabelled.session
+    causes = relabelled.diagnosis.causes
+    moved = [cause for cause in causes if moves_markers(cause)]
+    config, session, fit = corrected_config(base.config, causes), relabelled.session, relabelled.fit
     tracked = {name: item.tracked for name, item in relabelled.followed.items()}
     if any(correction(cause) in SESSION_WIDE for cause in causes):
         session = extend_session(relabelled, folder)
-    if any(moves_markers(cause) for cause in causes):
-        fit = folder.stage("geometry_extended", key, lambda: fit_session(config, session, True, progress))
-        # All others are followed from where the markers that were measured led.
-        renamed = {own.trial for cause in swap_causes(causes) for own in cause.when or ()}
-        for name, trial in session.trials.items():
-            near = None if name in renamed else tracked[name].q
-            tracked[name] = folder.stage(
-                f"extended_{name}", key, lambda t=trial, near=near: track(fit, t.markers, near=near)
-            )
+    if moved:
+        fit, tracked = _followed_anew(relabelled, config, session, moved, folder, key, progress)
     with folder.timed("extend"):
         added = effect_wrenches(relabelled)
         followed = follow_extended(config, relabelled, session, fit, tracked, added, folder)
@@ -75,11 +72,10 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
     outcome = replace(
         base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
     )
-    identified = folder.stage("inertia_extended", key, lambda: identify(config, outcome, progress))
+    name, key = _stage("inertia_extended", key, causes)
+    identified = folder.stage(name, key, lambda: identify(config, outcome, progress))
     outcome = replace(outcome, identified=identified, config=base.config)
-    more = _residuals(outcome, "+ named causes")
-    notes = (*outcome.notes, *_worse_notes(base.residuals, more))
-    return replace(outcome, residuals=(*base.residuals, *more), notes=notes)
+    return replace(outcome, residuals=(*base.residuals, *_residuals(outcome, "+ named causes")))
 
 
 def _taken_off(base: Outcome, followed: Mapping[str, Followed]) -> dict[str, Float[Tensor, "frames 6"]]:
@@ -88,14 +84,27 @@ def _taken_off(base: Outcome, followed: Mapping[str, Followed]) -> dict[str, Flo
     return {name: old.wrench - new.wrench for name, old, new in both if old is not None and new is not None}
 
 
-def _worse_notes(base: Sequence[Residual], extended: Sequence[Residual]) -> list[Note]:
-    """An extension that held-out motion does not bear out is said to be none."""
-    before, after = ([row.force_rmse_N for row in rows if row.role == "heldout"] for rows in (base, extended))
-    if not before or not after or not after[-1] > WORSE * before[-1]:
-        return []
-    said = f"with the named causes, held-out forces are off by {after[-1]:.1f} N, without them by {before[-1]:.1f} N"
-    advice = "do not use the extended model: exclude causes (diagnosis.exclude) or set diagnosis.enabled: false"
-    return [Note("diagnosis.worse", f"{said}; {advice}")]
+def _followed_anew(
+    relabelled: Outcome, config: Config, session: Session, causes: Sequence[Cause], folder: OutputFolder, key: str,
+    progress: OnStage,
+) -> tuple[GeometryFit, dict[str, Tracked]]:  # fmt: skip
+    """Geometry fitted to corrected markers, and all trials followed by it."""
+    name, key = _stage("geometry_extended", key, causes)
+    fit = folder.stage(name, key, lambda: fit_session(config, session, True, progress))
+    # All others are followed from where the markers that were measured led.
+    renamed = {own.trial for cause in swap_causes(causes) for own in cause.when or ()}
+    tracked = {}
+    for own, trial in session.trials.items():
+        near = None if own in renamed else relabelled.followed[own].tracked.q
+        name, key = _stage(f"extended_{own}", key, ())
+        tracked[own] = folder.stage(name, key, lambda t=trial, near=near: track(fit, t.markers, near=near))
+    return fit, tracked
+
+
+def _stage(name: str, key: str, causes: Sequence[Cause]) -> tuple[str, str]:
+    """Name and key of a stage that depends on some causes, so that those of other causes stand beside it."""
+    own = stage_key(key=key, causes=list(causes)) if causes else key
+    return f"{name}_{own[:MARK]}", own
 
 
 def _residuals(outcome: Outcome, label: str) -> list[Residual]:
@@ -198,6 +207,8 @@ def follow_extended(
 ) -> dict[str, Followed]:  # fmt: skip
     """All trials followed by the extended model; wrenches are those that it has to explain by motion alone.
 
+    Frames that did not count before do not count now: a corrected reading is none of a foot beside the plates.
+
     Args:
         config: corrected by what was found.
         base: with the verdict.
@@ -210,11 +221,14 @@ def follow_extended(
     assert base.diagnosis is not None
     found = {}
     for one in follow_each(fit, session, lambda name: tracked[name], base.cutoff_hz, config):
-        name = one.name
-        if name in added and one.wrench is not None:
-            used = one.wrench.used & ~inside_any(base.diagnosis.aside, name, one.wrench.motion.time)
-            one = replace(one, wrench=replace(one.wrench, wrench=one.wrench.wrench - added[name], used=used))
-        found[name] = put_aside(one, folder)
+        before = base.followed[one.name].wrench
+        if one.wrench is not None and one.contact is not None and before is not None:
+            used = one.wrench.used & before.used
+            contact = replace(one.contact, used=used)
+            used = used & ~inside_any(base.diagnosis.aside, one.name, one.wrench.motion.time)
+            wrench = one.wrench.wrench - added[one.name] if one.name in added else one.wrench.wrench
+            one = replace(one, contact=contact, wrench=replace(one.wrench, wrench=wrench, used=used))
+        found[one.name] = put_aside(one, folder)
     return found
 
 

@@ -8,8 +8,10 @@ from torch import Tensor
 from torchid.allocator import keeping_large
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
+from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.options import MissingWeightOptions
+from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.verdict.causes import with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
@@ -19,7 +21,7 @@ from torchid.observation.plate_registry import SessionPlate, recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, in_memory, observe_trial
 from torchid.outcome import Outcome
 from torchid.recording import Forces
-from torchid.regressor.rows import WrenchTrial
+from torchid.regressor.rows import WrenchTrial, measured
 from torchid.witnesses.panel import Panel
 from torchid.witnesses.watched import longest_stretch
 
@@ -63,6 +65,19 @@ def diagnose_outcome(
     found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel)
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
     return with_missing_weight(found, missing, options)
+
+
+def assess_outcome(outcome: Outcome) -> Adequacy:
+    """What a model leaves of the fit trials' forces, held against noise; some of them have frames that count.
+
+    Args:
+        outcome: of any model, as it is fitted.
+    """
+    limits = outcome.config.diagnosis.thresholds.adequacy
+    fits, heldout = (searched(forceful(outcome, role)) for role in ("fit", "heldout"))
+    observed = list(observe_outcome(outcome, "fit", fits).values())
+    left = [measured(one.rows) - one.identified for one in observed]
+    return with_vibration(assess_adequacy(observed, left, limits, len(heldout)), observed, limits)
 
 
 def _missing_weight(

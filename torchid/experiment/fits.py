@@ -45,16 +45,19 @@ def identify(config: Config, outcome: Outcome, progress: OnStage) -> Identified:
         _refuse_unseen(outcome)
     names = outcome.session.fit("inertia")
     trials = [outcome.followed[n].wrench for n in names]
-    who, box = config.subject, None
-    weight = standing_weight(outcome.followed.values(), outcome.session, config)
-    mass = None if weight is None else (weight.mass, weight.sd)
-    if config.inertia.known_mass and who.mass_kg:
-        mass = (who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg)
-    if config.inertia.com_boxes:
-        box = _com_boxes(outcome.prior)
+    mass, box = given_mass(config, outcome), _com_boxes(outcome.prior) if config.inertia.com_boxes else None
     found = identify_inertia([t for t in trials if t is not None], outcome.prior, config.inertia, mass, box)
     progress("inertia", 1.0)
     return found
+
+
+def given_mass(config: Config, outcome: Outcome) -> tuple[float, float] | None:
+    """Total mass and its standard deviation [kg] that the inertial fit holds to, beside the prior; None without any."""
+    who = config.subject
+    if config.inertia.known_mass and who.mass_kg:
+        return who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg
+    weight = standing_weight(outcome.followed.values(), outcome.session, config)
+    return None if weight is None else (weight.mass, weight.sd)
 
 
 def _refuse_unseen(outcome: Outcome) -> None:

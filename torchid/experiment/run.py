@@ -9,9 +9,9 @@ from torchid.config import Config, dump_config
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import DataError, Note
 from torchid.experiment.acceptance import impossible
-from torchid.experiment.correction import extend_outcome
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.laboratory import diagnosed
+from torchid.experiment.publishing import publishable
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, put_aside, subject_prior, torques
@@ -118,7 +118,7 @@ def _compute(
         progress("diagnosis", 1.0)
         if outcome.diagnosis is not None and outcome.diagnosis.causes:
             outcome, relabelled = put_right(outcome, judged, folder, key, progress)
-            outcome = extend_outcome(outcome, relabelled, folder, key, progress)
+            outcome = publishable(outcome, relabelled, folder, key, progress)
     return _with_torques(outcome, folder), None
 
 

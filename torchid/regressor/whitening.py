@@ -105,7 +105,7 @@ class Spectra:
     """Columns behind those of the inertial parameters, about the root's origin."""
 
     def __iter__(self) -> Iterator[BlockSpectrum]:
-        return (_spectrum(self.trial, part, self.extra) for part in self.trial.blocks())
+        return (block_spectrum(self.trial, part, self.extra) for part in self.trial.blocks())
 
 
 def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = None) -> Iterable[BlockSpectrum]:
@@ -114,7 +114,10 @@ def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = N
     return list(several) if len(trial.used) <= KEPT else several
 
 
-def _spectrum(trial: WrenchTrial, part: slice, extra: Tensor | None) -> BlockSpectrum:
+def block_spectrum(
+    trial: WrenchTrial, part: slice, extra: Float[Tensor, "6 more frames"] | None = None
+) -> BlockSpectrum:
+    """Some frames of a trial in the frequency domain, with more columns where ``extra`` has them for all frames."""
     Y, F = trial.rows(part)
     frames = part.stop - part.start
     kept = coefficients(trial, frames)

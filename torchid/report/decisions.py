@@ -64,6 +64,18 @@ def _field(n: Numbers) -> str:
     )
 
 
+def _worse(n: Numbers) -> str:
+    kinds = {"forces": n["force_growth_part"], "moments": n["moment_growth_part"], "markers": n["markers_growth_part"]}
+    if not all(math.isfinite(part) for part in kinds.values()):
+        return f"is refuted: with it no body fits, where errors may grow by {percent(n['most_part'])}"
+    grown = ", ".join(f"{kind} {percent(part)}" for kind, part in kinds.items())
+    return (
+        "is refuted: all fitted again, the errors of the model grow by it where they grow most (in held-out trials, or "
+        f"in parts of fit trials that are left out in turn): {grown}; with all causes, by "
+        f"{percent(n['base_growth_part'])} of the base model's beyond chance"
+    )
+
+
 RULES: dict[str, Callable[[Numbers], str]] = {
     "evidence": _entered(""),
     "evidence_under_its_own_noise": _entered(", judged beside the noise that it would leave itself"),
@@ -92,6 +104,7 @@ RULES: dict[str, Callable[[Numbers], str]] = {
     "heldout_errors": lambda n: (
         f"is refuted: held-out forces and moments both err by {percent(n['error_growth_part'])} more because of it"
     ),
+    "never_worse": _worse,
     "trials_disagree": lambda n: (
         f"is not named: all trials together have {odds(n['evidence_nats'])}, but predicted from each other "
         f"{odds(n['crossed_nats'])}"

@@ -74,6 +74,8 @@ def _against(one: Refuted) -> str:
     """What held-out motion says; forces may err more that are hardly less likely."""
     if one.rule == "heldout_errors":
         return "held-out forces err more with it"
+    if one.rule == "never_worse":
+        return "the model that is fitted with it predicts worse than without it"
     return f"held-out motion is {_times(-one.heldout_log_likelihood)} likelier without it"
 
 

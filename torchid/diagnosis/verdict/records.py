@@ -111,7 +111,8 @@ class Near:
 
 @dataclass(frozen=True)
 class Refuted:
-    """A cause that fit trials named and held-out motion speaks against; the model was not extended by it."""
+    """A cause that fit trials named and that held-out motion, or the model fitted with it, speaks against; the model
+    was not extended by it."""
 
     effect: str
     """Name of the effect."""
@@ -121,10 +122,10 @@ class Refuted:
     """Log density that it gained there [nat]; where it acts on forces alone, that of forces given what cameras saw.
 
     It is below ``-HeldOutOptions.refuted_nats``, less its leeway, unless both forces and moments err plainly more with
-    it.
+    it, or the model that is fitted with it predicts worse.
     """
     rule: str
-    """``heldout_density`` or ``heldout_errors``."""
+    """``heldout_density``, ``heldout_errors`` or ``never_worse``."""
     numbers: dict[str, float]
     """Numbers that the rule compared, by names that end in their unit."""
 
@@ -148,7 +149,7 @@ class Diagnosis:
     nearest: tuple["Near", ...] = ()
     """Effects that came closest to being named beside the causes, best first."""
     refuted: tuple["Refuted", ...] = ()
-    """Causes that held-out motion refuted."""
+    """Causes that held-out motion, or the model fitted with them, refuted."""
     trace: Trace = ()
     """Every entry, exit, discount and refusal, in order."""
     aside: tuple[Interval, ...] = ()
