@@ -7,11 +7,13 @@ import torch
 from torch import Tensor
 
 from torchid.allocator import keeping_large
+from torchid.diagnosis.candidates.exchanged_markers import EFFECT as EXCHANGE
+from torchid.diagnosis.candidates.exchanged_markers import ExchangedMarkers, exchanged_markers
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.options import MissingWeightOptions
-from torchid.diagnosis.verdict.causes import with_missing_weight
+from torchid.diagnosis.verdict.causes import with_exchanged_markers, with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
 from torchid.motion import Motion
@@ -19,6 +21,7 @@ from torchid.observation.plate_registry import recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, in_memory, observe_trial
 from torchid.outcome import Outcome
 from torchid.regressor.rows import WrenchTrial
+from torchid.tracking.statement import Kind
 
 LONGEST_S = 40.0
 """Of a trial is searched at most: columns of the whole catalogue take 13 MB per second at 100 Hz."""
@@ -56,7 +59,15 @@ def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_me
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
     found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options)
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
-    return with_missing_weight(found, missing, options)
+    exchanged = _exchanged(outcome) if EXCHANGE in effects else []
+    return with_exchanged_markers(with_missing_weight(found, missing, options), exchanged)
+
+
+def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:
+    """Labels of the fit that distances show to be exchanged."""
+    known = set(outcome.fit.attachment.labels)
+    told = [one for one in outcome.session.tracking if one.kind is Kind.EXCHANGED and known.issuperset(one.labels)]
+    return [exchanged_markers(one) for one in told]
 
 
 def _missing_weight(

@@ -1,6 +1,6 @@
 """Markers that one segment carries, their distances, and the shape that they have in a trial."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -13,6 +13,8 @@ MAD_SD = 1.4826
 """Derived. Standard deviation of normal values over their median absolute deviation."""
 SAMPLED = 400
 """Resolution. Frames that tell the shape of a trial: more change a median by less than a tenth of its scatter."""
+SCATTER_M = 0.0035
+"""Measured. Standard deviation of distances on one segment from trial to trial, over eleven people [m]."""
 FEWEST = 5
 """Choice. Frames in which a distance is seen from which it is known, if a trial has as many."""
 
@@ -25,15 +27,29 @@ class Clusters:
     """All markers."""
     segments: tuple[str, ...]
     """Segment of each."""
+    scatter: tuple[float, ...]
+    """Standard deviation of the distances to it from trial to trial [m]."""
 
     @staticmethod
-    def of(segments: Mapping[str, str]) -> "Clusters":
+    def of(segments: Mapping[str, str], scatter: Mapping[str, float] | None = None) -> "Clusters":
         """Return the clusters of markers.
 
         Args:
             segments: segment of each label.
+            scatter: standard deviation of distances from trial to trial on segments that are less rigid than most [m].
         """
-        return Clusters(tuple(segments), tuple(segments.values()))
+        given = scatter or {}
+        own = tuple(given.get(segment, SCATTER_M) for segment in segments.values())
+        return Clusters(tuple(segments), tuple(segments.values()), own)
+
+    @staticmethod
+    def unknown(labels: Iterable[str]) -> "Clusters":
+        """Return markers of which nobody knows the segments: each is alone.
+
+        Args:
+            labels: the markers.
+        """
+        return Clusters.of({label: label for label in labels})
 
     @property
     def together(self) -> Bool[Tensor, "markers markers"]:

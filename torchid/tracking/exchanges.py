@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.recording import Markers
-from torchid.tracking.clusters import Clusters, Shape, runs_of
+from torchid.tracking.clusters import SCATTER_M, Clusters, Shape, runs_of
 from torchid.tracking.statement import Kind, Statement
 
 SUSPECT_M = 0.02
@@ -22,8 +22,6 @@ UNDONE_ALONE = 0.25
 SAVED_M = 0.01
 """Calibrated. Mean misfit of distances that exchanging must take away [m]: three times what distances on one segment
 scatter by from trial to trial (3.5 mm)."""
-SCATTER_M = 0.0035
-"""Measured. Standard deviation of distances on one segment from trial to trial, between sessions of eleven people [m]."""
 SHORTEST = 5
 """Choice. Frames from which an exchange counts; the effect ``marker_swap`` asks for as many."""
 BRIDGED_S = 0.1
@@ -31,6 +29,7 @@ BRIDGED_S = 0.1
 THROUGHOUT = 0.9
 """Choice. Share of the frames that tell from which an exchange lasts throughout: static postures at the ends of a walk
 or a marker that is lost for a while leave a tenth open."""
+
 
 @dataclass(frozen=True)
 class Misfit:
@@ -114,7 +113,7 @@ def find_exchanges(trial: str, markers: Markers, clusters: Clusters, shapes: Seq
     statements = []
     for pair, at, now, undone in sorted(found, key=lambda one: -float(((one[2] - one[3]) * one[1]).nansum())):
         at = at & ~taken[:, list(pair)].any(dim=1)
-        at = _lasting(at, torch.isfinite(now), markers.rate if len(markers.time) > 1 else 1.0)
+        at = _lasting(at, now, undone, markers.rate if len(markers.time) > 1 else 1.0)
         if not at.any():
             continue
         taken[at, pair[0]] = taken[at, pair[1]] = True
@@ -150,10 +149,14 @@ def _told(position: Tensor, together: Tensor, shapes: Sequence[Shape]) -> list[t
 _MISFITS = ("now", "undone")
 
 
-def _lasting(at: Tensor, told: Tensor, rate: float) -> Bool[Tensor, " frames"]:
-    """Return the runs of an exchange that last, through frames that do not tell for a moment; all, if nearly all do."""
+def _lasting(at: Tensor, now: Tensor, undone: Tensor, rate: float) -> Bool[Tensor, " frames"]:
+    """Return the runs of an exchange that last, through frames that do not tell for a moment.
+
+    Where nearly all that tell, tell an exchange, it goes on wherever they do not tell the contrary.
+    """
+    told = torch.isfinite(now) & torch.isfinite(undone)
     if int((at & told).sum()) >= THROUGHOUT * max(int(told.sum()), 1):
-        return torch.ones_like(at)
+        return ~(told & (now < undone))
     filled = at.clone()
     for start, stop in runs_of(~at):
         if 0 < start and stop < len(at) and stop - start <= BRIDGED_S * rate:

@@ -16,7 +16,9 @@ WAY_M = 0.02
 """Choice. Way of the markers beside it meanwhile [m], as far as skin slides."""
 
 
-def find_frozen(trial: str, markers: Markers, labels: tuple[str, ...], near: Int[Tensor, "markers few"]) -> list[Statement]:
+def find_frozen(
+    trial: str, markers: Markers, labels: tuple[str, ...], near: Int[Tensor, "markers few"]
+) -> list[Statement]:
     """Return the markers that stand still while at least half of those beside them go on.
 
     Args:

@@ -60,9 +60,7 @@ def beside(clusters: Clusters, shape: Shape) -> Int[Tensor, "markers few"]:
     return cost.argsort(dim=1)[:, : min(BESIDE, max(len(cost) - 1, 0))]
 
 
-def find_leaps(
-    position: Float[Tensor, "frames markers 3"], rate: float, near: Int[Tensor, "markers few"]
-) -> Leaps:
+def find_leaps(position: Float[Tensor, "frames markers 3"], rate: float, near: Int[Tensor, "markers few"]) -> Leaps:
     """Return the steps in which the distances of a marker to at least two others leap.
 
     Where several leap together, the one with most of it is taken out first, and the others are looked at without it.
@@ -168,9 +166,7 @@ def _away(
     distance = (position[:, marker, None] - position[:, near]).norm(dim=2)
     cuts = sorted({0, len(position), *(k + 1 for k in at)})
     stretches = [
-        (a + first, a + last)
-        for a, b in zip(cuts, cuts[1:], strict=False)
-        for first, last in runs_of(seen[a:b])
+        (a + first, a + last) for a, b in zip(cuts, cuts[1:], strict=False) for first, last in runs_of(seen[a:b])
     ]
     edges = {k + 1: size for k, size in zip(at, sizes, strict=True)}
     off = {stretch: _second_largest(distance[slice(*stretch)] - place) for stretch in stretches}

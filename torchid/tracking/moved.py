@@ -9,8 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.recording import Markers
-from torchid.tracking.clusters import MAD_SD, Clusters, evenly
-from torchid.tracking.exchanges import SCATTER_M
+from torchid.tracking.clusters import MAD_SD, SCATTER_M, Clusters, evenly
 from torchid.tracking.statement import Kind, Statement
 
 ENOUGH = 4
@@ -132,7 +131,7 @@ def body_of(markers: Markers, labels: Sequence[str]) -> Body | None:
     return Body(tuple(labels[k] for k in kept), place, sd)
 
 
-def read_segment(trial: str, against: str, own: Body, other: Body) -> list[MarkerReading]:
+def read_segment(trial: str, against: str, own: Body, other: Body, scatter: float = SCATTER_M) -> list[MarkerReading]:
     """Return what the distances of one segment say of each of its markers.
 
     Args:
@@ -140,13 +139,14 @@ def read_segment(trial: str, against: str, own: Body, other: Body) -> list[Marke
         against: the trial that it is compared with.
         own: shape in the trial.
         other: shape in the other.
+        scatter: standard deviation of its distances from trial to trial [m].
     """
     labels = tuple(label for label in own.labels if label in other.labels)
     if len(labels) < 2:
         return []
     own, other = own.only(labels), other.only(labels)
     change = (_pairs(own.place) - _pairs(other.place)).abs()
-    sd = torch.sqrt(SCATTER_M**2 + own.sd.square() + other.sd.square())
+    sd = torch.sqrt(scatter**2 + own.sd.square() + other.sd.square())
     rest = [[j for j in range(len(labels)) if j != k] for k in range(len(labels))]
     left = torch.stack([change[r][:, r].max() for r in rest])
     if len(labels) >= ENOUGH:
@@ -157,7 +157,9 @@ def read_segment(trial: str, against: str, own: Body, other: Body) -> list[Marke
     culprit = int(left.argmin())
     alone = len(labels) >= ENOUGH and bool(told[culprit]) and bool(left[culprit] < AGREE_PART * moved[culprit])
     pairs = (change > MOVED_M) & (change > MOVED_SD * torch.maximum(sd[:, None], sd))
-    among = () if alone else tuple(label for label, own_pairs in zip(labels, pairs, strict=True) if bool(own_pairs.any()))
+    among = (
+        () if alone else tuple(label for label, own_pairs in zip(labels, pairs, strict=True) if bool(own_pairs.any()))
+    )
     found = []
     for k, label in enumerate(labels):
         verdict = Verdict.AMBIGUOUS if label in among else Verdict.MOVED if alone and k == culprit else Verdict.STAYS
@@ -189,13 +191,16 @@ def marker_readings(
     """
     segments = dict.fromkeys(clusters.segments)
     names = {segment: [clusters.labels[k] for k in clusters.on(segment)] for segment in segments}
+    scatter = dict(zip(clusters.segments, clusters.scatter, strict=True))
     bodies = {(t, s): body_of(markers, names[s]) for t, markers in trials.items() for s in segments}
     found = []
     for trial in trials:
         for other in against[trial]:
             for segment in segments:
                 own, theirs = bodies[trial, segment], bodies[other, segment]
-                told = [] if own is None or theirs is None else read_segment(trial, other, own, theirs)
+                told = (
+                    [] if own is None or theirs is None else read_segment(trial, other, own, theirs, scatter[segment])
+                )
                 known = {one.label for one in told}
                 found += told + [_untold(label, trial, other) for label in names[segment] if label not in known]
     return found

@@ -12,6 +12,7 @@ from torchid.tracking.frozen import find_frozen
 from torchid.tracking.jumps import beside, find_jumps
 from torchid.tracking.moved import MarkerReading, marker_readings, moved_markers
 from torchid.tracking.statement import TAKEN_OUT, Kind, Statement
+from torchid.tracking.turned import find_turned
 
 MOST_OTHERS = 2
 """Choice. Trials beside the static one that a trial is compared with: three can outvote one."""
@@ -44,6 +45,7 @@ def look_at_trial(trial: Trial, clusters: Clusters, others: list[Shape], own: Sh
     """
     own = shape_of(trial.name, trial.markers, clusters.labels) if own is None else own
     exchanged = find_exchanges(trial.name, trial.markers, clusters, others or [own])
+    exchanged += [] if exchanged else find_turned(own, clusters, others)
     named = renamed(trial.markers, exchanged)
     near = beside(clusters, own)
     return [
