@@ -67,7 +67,7 @@ def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:
     """Labels of the fit that distances show to be exchanged."""
     known = set(outcome.fit.attachment.labels)
     told = [one for one in outcome.session.tracking if one.kind is Kind.EXCHANGED and known.issuperset(one.labels)]
-    return [exchanged_markers(one) for one in told]
+    return [exchanged_markers(one, outcome.session.trials[one.trial].markers.time) for one in told]
 
 
 def _missing_weight(

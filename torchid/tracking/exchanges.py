@@ -90,11 +90,14 @@ def misfit(
         to = position[:, beside]
         now.append(((position[:, own, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
         undone.append(((position[:, other, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
-    means = []
-    for misfits in (torch.cat(now, dim=1), torch.cat(undone, dim=1)):
-        enough = torch.isfinite(misfits).sum(dim=1) >= 2
-        means.append(torch.where(enough, misfits.nanmean(dim=1), torch.nan))
-    return Misfit(*means, torch.isfinite(position[:, list(pair)]).all(dim=2).all(dim=1))
+    both = torch.isfinite(position[:, list(pair)]).all(dim=2).all(dim=1)
+    return Misfit(_mean(torch.cat(now, dim=1)), _mean(torch.cat(undone, dim=1)), both)
+
+
+def _mean(misfits: Float[Tensor, "frames distances"]) -> Float[Tensor, " frames"]:
+    """Return the mean of those that are known; NaN where fewer than two are."""
+    enough = torch.isfinite(misfits).sum(dim=1) >= 2
+    return torch.where(enough, misfits.nanmean(dim=1), torch.nan)
 
 
 def find_exchanges(trial: str, markers: Markers, clusters: Clusters, shapes: Sequence[Shape]) -> list[Statement]:

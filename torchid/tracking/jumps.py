@@ -34,7 +34,7 @@ PLACE_M = 0.015
 PIECE = 4096
 """Resolution. Frames that are looked at together."""
 SCATTER_M = 0.004
-"""Calibrated. Scatter of such changes in landings, the worst of the clean recordings: a quarter of their largest [m]."""
+"""Calibrated. Scatter of such changes in landings, the worst of clean recordings: a quarter of their largest [m]."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Where markers sit on their segment in one trial, against where they sit in others."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -17,8 +17,8 @@ ENOUGH = 4
 MOVED_SD = 3.0
 """Derived. Standard deviations from which a displacement is no chance: one in 400."""
 MOVED_M = 0.015
-"""Calibrated. Displacement from which it is said [m]. Below, one in twenty segments of eleven recorded sessions differed
-between postures; 12 of 16 markers that were moved by 15 to 25 mm outside the chest were named."""
+"""Calibrated. Displacement from which it is said [m]. Below, one in twenty segments of eleven recorded sessions
+differed between postures; 12 of 16 markers that were moved by 15 to 25 mm outside the chest were named."""
 AGREE_PART = 0.5
 """Choice. Part of the displacement within which the other distances of the segment must agree without the marker."""
 FRAMES = 120
@@ -163,8 +163,9 @@ def read_segment(trial: str, against: str, own: Body, other: Body, scatter: floa
     found = []
     for k, label in enumerate(labels):
         verdict = Verdict.AMBIGUOUS if label in among else Verdict.MOVED if alone and k == culprit else Verdict.STAYS
-        numbers = (1e3 * float(x[k]) for x in (moved, sd, left))
-        found.append(MarkerReading(label, trial, against, *numbers, verdict, among if label in among else ()))
+        size, scale, rest_mm = (1e3 * float(x[k]) for x in (moved, sd, left))
+        others = among if label in among else ()
+        found.append(MarkerReading(label, trial, against, size, scale, rest_mm, verdict, others))
     return found
 
 
@@ -180,7 +181,7 @@ def _displacement(own: Tensor, other: Tensor, marker: int, rest: list[int]) -> F
 
 
 def marker_readings(
-    trials: dict[str, Markers], clusters: Clusters, against: dict[str, Sequence[str]]
+    trials: Mapping[str, Markers], clusters: Clusters, against: Mapping[str, Sequence[str]]
 ) -> list[MarkerReading]:
     """Return what distances say of the place of every marker in every trial, against each of some other trials.
 

@@ -46,13 +46,14 @@ class ExchangedMarkers:
         return 1.0 / (1.0 + math.exp(-self.odds_nats))
 
 
-def exchanged_markers(statement: Statement) -> ExchangedMarkers:
+def exchanged_markers(statement: Statement, time: Float[Tensor, " frames"]) -> ExchangedMarkers:
     """Return an exchange as a place of ``EFFECT``.
 
     Args:
         statement: of kind ``Kind.EXCHANGED``.
+        time: of the trial's frames [s].
     """
     assert statement.kind is Kind.EXCHANGED
-    times = statement.when or ((-math.inf, math.inf),)
+    times = statement.when or ((float(time[0]), float(time[-1])),)
     when = tuple(Interval(statement.trial, *span) for span in times)
     return ExchangedMarkers(statement, Place(statement.labels, when))
