@@ -18,8 +18,8 @@ JOINT_RAD_S = 57.0
 SHOULDERS = ("upper_arm",)
 """Segments that a shoulder turns, by the beginning of their names."""
 LEAST_RAD = 0.35
-"""Choice. Turn between two frames that noise of markers may feign where they are close in time [rad]: of a forearm whose
-markers lie 60 mm apart, one that is off by 20 mm."""
+"""Choice. Turn between two frames that noise of markers may feign where these are close in time [rad]: of a forearm
+whose markers lie 60 mm apart, one of them off by 20 mm."""
 TOGETHER_S = 0.4
 """Choice. Time between two such steps of one joint for which it is wrong meanwhile [s], as in ``leap_repair``."""
 
