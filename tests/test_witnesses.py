@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-
 from small_session import outcome
+
 from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.catalogue import effect
 from torchid.effects.place import SESSION, Place

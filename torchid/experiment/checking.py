@@ -6,8 +6,10 @@ from torchid.check_report import Finding, Given, Refusal, check_recordings
 from torchid.config import Config
 from torchid.errors import TorchidError
 from torchid.experiment.read import read_setup
+from torchid.experiment.tracks import look_at_session
 from torchid.geometry.assign import assign_markers
 from torchid.recording import Trial
+from torchid.tracking.statement import notes_of
 
 
 def check_session(config: Config) -> Iterator[Finding]:
@@ -27,6 +29,8 @@ def check_session(config: Config) -> Iterator[Finding]:
     if len(trials) < len(given) or not trials:
         return
     try:
-        yield from (*said, *assign_markers(model, markers, tuple(trials), config.unlisted_choice).notes)
+        assignment = assign_markers(model, markers, tuple(trials), config.unlisted_choice)
+        wrong = look_at_session({trial.name: trial for trial in trials}, assignment)
+        yield from (*said, *assignment.notes, *notes_of(wrong))
     except TorchidError as error:
         yield Refusal.of(error)

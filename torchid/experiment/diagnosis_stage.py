@@ -6,13 +6,15 @@ from dataclasses import replace
 from torch import Tensor
 
 from torchid.allocator import keeping_large
+from torchid.diagnosis.candidates.exchanged_markers import EFFECT as EXCHANGE
+from torchid.diagnosis.candidates.exchanged_markers import ExchangedMarkers, exchanged_markers
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
 from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.options import MissingWeightOptions
 from torchid.diagnosis.testing.vibration import with_vibration
-from torchid.diagnosis.verdict.causes import with_missing_weight
+from torchid.diagnosis.verdict.causes import with_exchanged_markers, with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.scene import PlateFrame
@@ -22,6 +24,7 @@ from torchid.observation.trial import BodyEstimate, TrialObservation, in_memory,
 from torchid.outcome import Outcome
 from torchid.recording import Forces
 from torchid.regressor.rows import WrenchTrial, measured
+from torchid.tracking.statement import Kind
 from torchid.witnesses.panel import Panel
 from torchid.witnesses.watched import longest_stretch
 
@@ -64,7 +67,15 @@ def diagnose_outcome(
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
     found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel)
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
-    return with_missing_weight(found, missing, options)
+    exchanged = _exchanged(outcome) if EXCHANGE in effects else []
+    return with_exchanged_markers(with_missing_weight(found, missing, options), exchanged)
+
+
+def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:
+    """Labels of the fit that distances show to be exchanged."""
+    known = set(outcome.fit.attachment.labels)
+    told = [one for one in outcome.session.tracking if one.kind is Kind.EXCHANGED and known.issuperset(one.labels)]
+    return [exchanged_markers(one, outcome.session.trials[one.trial].markers.time) for one in told]
 
 
 def assess_outcome(outcome: Outcome) -> Adequacy:

@@ -6,6 +6,7 @@ from torchid.agreement.session import Recording, refuse_disagreement
 from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.errors import DataError, Note
+from torchid.experiment.tracks import look_at_session, taken_out
 from torchid.geometry.assign import assign_markers
 from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
@@ -15,6 +16,7 @@ from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
 from torchid.outcome import Session
 from torchid.recording import Trial
+from torchid.tracking.statement import notes_of
 
 SHORTEST = 6
 """Frames of the shortest trial whose accelerations a quintic spline tells; a static trial may be shorter."""
@@ -39,7 +41,9 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     refuse_disagreement({name: both for name, both in again.items() if files[name].inertia})
     assignment = assign_markers(model, markers, tuple(trials.values()), config.unlisted_choice)
     notes = tuple(note for trial in trials.values() for note in trial.notes)
-    return Session(trials, files, assignment, (*notes, *said, *assignment.notes))
+    wrong = look_at_session(trials, assignment)
+    sound, before = taken_out(trials, wrong, keep)
+    return Session(sound, files, assignment, (*notes, *said, *assignment.notes, *notes_of(wrong)), wrong, before)
 
 
 def read_setup(config: Config) -> tuple[Model, tuple[Note, ...], MarkerSet]:

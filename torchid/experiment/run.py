@@ -21,6 +21,7 @@ from torchid.experiment.write import result_names, write_outcome
 from torchid.files import file_sha256, write_json, write_text
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
+from torchid.motion.impossible_rates import frames_of, impossible_steps
 from torchid.outcome import Followed, Outcome, Residual, Session
 from torchid.provenance import provenance, stage_key
 from torchid.publication import CONFIGS
@@ -97,7 +98,7 @@ def _compute(
         config, session, fit, scaled, cutoff_hz, followed, followed_scaled,
         subject_prior(config, fit), subject_prior(config, scaled), notes=(*session.notes, *fit.notes),
     )  # fmt: skip
-    outcome = replace(outcome, notes=(*outcome.notes, *_contact_notes(followed)))
+    outcome = replace(outcome, notes=(*outcome.notes, *_contact_notes(followed), *_rate_notes(fit, followed)))
     if not config.inertia.enabled:
         return _with_torques(outcome, folder), None
     try:
@@ -165,6 +166,23 @@ def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
         if item.contact is not None and item.contact.short:
             said = f"{item.contact.short} frames left out: the plates miss a part of the weight that standing has told"
             notes.append(Note("contact.short", said, name))
+    return notes
+
+
+def _rate_notes(fit: GeometryFit, followed: dict[str, Followed]) -> list[Note]:
+    notes = []
+    for name, item in followed.items():
+        time, rate = item.tracked.time, item.motion.smoother.rate_hz
+        steps = impossible_steps(fit.model.tree, item.tracked.q, rate) if len(time) > 1 else []
+        if steps:
+            worst = max(steps, key=lambda one: one.rate_rad_s / one.limit_rad_s)
+            left = int(frames_of(steps, len(time), rate).sum())
+            said = (
+                f"{left} of {len(time)} frames left out: joints turn faster than any body ({worst.body} by "
+                f"{worst.rate_rad_s:.0f} rad/s at {float(time[worst.frame]):.2f} s, limit {worst.limit_rad_s:.0f}); "
+                "look at the markers there"
+            )
+            notes.append(Note("tracking.rates", said, name))
     return notes
 
 

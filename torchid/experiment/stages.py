@@ -19,6 +19,7 @@ from torchid.model.anthropometry import inertial_prior
 from torchid.model.model import Geometry, InertialPrior
 from torchid.model.tree import Tree
 from torchid.motion import Motion, choose_cutoff, smooth_motion
+from torchid.motion.impossible_rates import frames_of, impossible_steps
 from torchid.outcome import Followed, Session
 from torchid.recording import Trial
 from torchid.regressor.rows import WrenchTrial
@@ -64,7 +65,8 @@ def follow(
         return _still(trial, tracked, cutoff_hz, config)
     rate = trial.markers.rate
     smoother = Smoother(min(cutoff_hz, 0.4 * rate), rate, config.motion.filter)
-    seen = torch.isfinite(tracked.error).any(dim=1)
+    wild = frames_of(impossible_steps(tree, tracked.q, rate), len(tracked.q), rate)
+    seen = torch.isfinite(tracked.error).any(dim=1) & ~wild.to(tracked.q.device)
     motion = smooth_motion(tree, trial.markers.time, tracked.q, smoother, seen)
     if trial.forces is None:
         return Followed(trial.name, tracked, motion)

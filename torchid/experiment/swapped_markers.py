@@ -19,9 +19,10 @@ from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.stages import put_aside, subject_prior
 from torchid.experiment.standing import follow_each
 from torchid.geometry.tracking import Tracked, track
-from torchid.outcome import Outcome
+from torchid.outcome import Outcome, Session
 from torchid.recording import Trial
 from torchid.results import OutputFolder
+from torchid.tracking.statement import Kind, Statement
 
 
 def put_right(
@@ -81,10 +82,12 @@ def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, ke
     Geometry included: a swap of 0.8 s had bent a foot's, and skin that slid by 35 mm made up for it.
     """
     config, trials = base.config, {}
-    for name, trial in base.session.trials.items():
-        named = relabel(trial, causes)
-        trials[name] = trial if named is trial else folder.aside(named)
-    session = replace(base.session, trials=trials)
+    told, others = _by_distances(base.session, causes)
+    session = base.session.with_names(told)
+    for name, trial in session.trials.items():
+        named = relabel(trial, others)
+        trials[name] = trial if named is base.session.trials[name] else folder.aside(named)
+    session = replace(session, trials=trials)
     fit = folder.stage("geometry_relabelled", key, lambda: fit_session(config, session, True, progress))
 
     def tracked(name: str) -> Tracked:
@@ -95,6 +98,14 @@ def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, ke
     followed = {name: found[name] for name in trials}
     found = replace(base, session=session, fit=fit, followed=followed, prior=subject_prior(config, fit))
     return replace(found, identified=folder.stage("inertia_relabelled", key, lambda: identify(config, found, progress)))
+
+
+def _by_distances(session: Session, causes: Sequence[Cause]) -> tuple[list[Statement], list[Cause]]:
+    """The exchanges among the causes that distances told, whose samples are gaps, and the others."""
+    known = {(one.trial, one.labels): one for one in session.tracking if one.kind is Kind.EXCHANGED}
+    keys = {id(cause): (cause.trials[0] if cause.trials else "", cause.where) for cause in causes}
+    told = [known[keys[id(cause)]] for cause in causes if keys[id(cause)] in known]
+    return told, [cause for cause in causes if keys[id(cause)] not in known]
 
 
 def merged(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause], options: DiagnosisOptions) -> Diagnosis:

@@ -1,11 +1,14 @@
 """What was read of one subject: trials, where they came from, and the model that carries their markers."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 from torchid.config.sections import TrialFile
 from torchid.errors import Note
 from torchid.geometry.assign import Assignment
-from torchid.recording import Trial
+from torchid.recording import Markers, Trial
+from torchid.tracking.session import renamed, without
+from torchid.tracking.statement import Kind, Statement
 
 
 @dataclass(frozen=True)
@@ -16,6 +19,25 @@ class Session:
     files: dict[str, TrialFile]
     assignment: Assignment
     notes: tuple[Note, ...]
+    tracking: tuple[Statement, ...] = ()
+    """What is wrong with the markers; ``trials`` have gaps there."""
+    as_read: dict[str, Markers] = field(default_factory=dict)
+    """Markers before that, of trials in which labels are exchanged."""
+
+    def with_names(self, exchanged: Sequence[Statement]) -> "Session":
+        """Return the session in which exchanged labels, which were gaps, are there under their own names.
+
+        Args:
+            exchanged: those of ``tracking`` that are to be undone.
+        """
+        trials = dict(self.trials)
+        for name in dict.fromkeys(one.trial for one in exchanged):
+            own = [one for one in self.tracking if one.trial == name]
+            undone = [one for one in own if one in exchanged]
+            markers = renamed(self.as_read[name], [one for one in own if one.kind is Kind.EXCHANGED])
+            left = [one for one in own if one not in undone]
+            trials[name] = replace(trials[name], markers=without(markers, left))
+        return replace(self, trials=trials, tracking=tuple(one for one in self.tracking if one not in exchanged))
 
     @property
     def static(self) -> Trial | None:

@@ -83,6 +83,10 @@ RULES: dict[str, Callable[[Numbers], str]] = {
     "missing_weight": lambda n: (
         f"enters before any search: up to {percent(n['missing_part'])} of the weight are borne where no plate is"
     ),
+    "exchanged_distances": lambda n: (
+        f"enters before any search: distances to the markers beside them are off by {number(n['misfit_mm'])} mm as "
+        f"labelled, by {number(n['undone_mm'])} mm the other way round"
+    ),
     "unsupported": lambda n: (
         f"leaves: beside the others it has {odds(n['evidence_nats'])} ({odds(n['least_nats'])} are asked)"
     ),

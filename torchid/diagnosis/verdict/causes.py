@@ -7,6 +7,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchid.diagnosis.candidates.exchanged_markers import EFFECT as EXCHANGE
+from torchid.diagnosis.candidates.exchanged_markers import ExchangedMarkers
 from torchid.diagnosis.candidates.missing_weight import MissingWeight
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search.estimates import estimate, instead, internal
@@ -19,6 +21,8 @@ from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
 
+NO_GAIN = {"heldout_log_likelihood": 0.0, "force_rmse_pct": 0.0, "moment_rmse_pct": 0.0}
+"""Held-out gain of what is a gap in the recordings that were searched: none, against a gap."""
 LISTED = 1e-3
 """Resolution. Probability below which a rival is not listed: less than a tenth of a percent is never printed."""
 
@@ -38,6 +42,33 @@ def with_missing_weight(found: Diagnosis, some: Sequence[MissingWeight], options
     )
     aside = tuple(i for one in some for i in one.aside)
     return replace(found, causes=(*causes, *found.causes), aside=aside, trace=(*steps, *found.trace))
+
+
+def with_exchanged_markers(found: Diagnosis, some: Sequence[ExchangedMarkers]) -> Diagnosis:
+    """Return the verdict with labels that distances show to be exchanged, found before anything was searched.
+
+    Args:
+        found: verdict of the search, for which these markers were gaps.
+        some: the exchanges.
+    """
+    causes = tuple(
+        Cause(
+            EXCHANGE.name, one.place.where, one.place.when, {}, one.confidence, (), (), NO_GAIN, one.place,
+            one.theta[None], (one.statement.trial,), False,
+        )
+        for one in some
+    )  # fmt: skip
+    steps = tuple(
+        Step(StepKind.ENTER, EXCHANGE.name, one.place.where, "exchanged_distances", _numbers(one)) for one in some
+    )
+    ordered = tuple(sorted((*found.causes, *causes), key=after_forces))
+    return replace(found, causes=ordered, trace=(*steps, *found.trace))
+
+
+def _numbers(one: ExchangedMarkers) -> dict[str, float]:
+    """Return what the distances of exchanged markers say."""
+    own = one.statement
+    return {"misfit_mm": own.size_mm, "undone_mm": own.left_mm, "sd_mm": own.sd_mm, "share_part": own.share}
 
 
 def _plain(one: MissingWeight, options: DiagnosisOptions) -> Cause:

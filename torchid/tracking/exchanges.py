@@ -1,0 +1,183 @@
+"""Labels that carry each other's marker: distances to the markers beside them fit better the other way round."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.recording import Markers
+from torchid.tracking.clusters import SCATTER_M, Clusters, Shape, runs_of
+from torchid.tracking.statement import Kind, Statement
+
+SUSPECT_M = 0.02
+"""Choice. A marker is looked at where a distance to another of its segment is off by this [m]: exchanged markers that
+are nearer to each other bend a posture less than skin does."""
+UNDONE = 0.4
+"""Calibrated. Part of the misfit of distances that may be left with the names exchanged. Toes that bend brought a wrong
+pair of eight recorded sessions to 0.4 for a tenth of a second; exchanged markers leave 0.1."""
+UNDONE_ALONE = 0.25
+"""Choice. The same where only one of the two markers is seen, and nothing else speaks for the exchange."""
+SAVED_M = 0.01
+"""Calibrated. Mean misfit of distances that exchanging must take away [m]: three times what distances on one segment
+scatter by from trial to trial (3.5 mm)."""
+SHORTEST = 5
+"""Choice. Frames from which an exchange counts; the effect ``marker_swap`` asks for as many."""
+BRIDGED_S = 0.1
+"""Choice. An exchange goes on through frames that do not tell, for this long [s]."""
+THROUGHOUT = 0.9
+"""Choice. Share of the frames that tell from which an exchange lasts throughout: static postures at the ends of a walk
+or a marker that is lost for a while leave a tenth open."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How two markers of one trial fit a shape, as labelled and exchanged."""
+
+    now: Float[Tensor, " frames"]
+    """Mean misfit of distances as labelled [m]; NaN where nothing tells."""
+    undone: Float[Tensor, " frames"]
+    """The same with the names exchanged [m]."""
+    both: Bool[Tensor, " frames"]
+    """Both markers are seen."""
+
+    @property
+    def exchanged(self) -> Bool[Tensor, " frames"]:
+        """Return the frames that fit better the other way round."""
+        part = torch.where(self.both, UNDONE, UNDONE_ALONE)
+        return (self.undone < part * self.now) & (self.now - self.undone > SAVED_M)
+
+
+def suspects(
+    position: Float[Tensor, "frames markers 3"], together: Bool[Tensor, "markers markers"], shape: Shape
+) -> Bool[Tensor, "frames markers"]:
+    """Return where some distance of a marker on its segment is plainly not that of the shape.
+
+    Args:
+        position: p_WM_W [m].
+        together: pairs on one segment.
+        shape: of another trial.
+    """
+    known = together & torch.isfinite(shape.median)
+    found = torch.zeros(position.shape[:2], dtype=torch.bool)
+    for a, b in known.triu().nonzero().tolist():
+        off = ((position[:, a] - position[:, b]).norm(dim=1) - shape.median[a, b]).abs() > SUSPECT_M
+        found[:, a] |= off
+        found[:, b] |= off
+    return found
+
+
+def misfit(
+    position: Float[Tensor, "frames markers 3"],
+    together: Bool[Tensor, "markers markers"],
+    shape: Shape,
+    pair: tuple[int, int],
+) -> Misfit:
+    """Return how two markers fit a shape, as labelled and exchanged.
+
+    Where one of them is not seen the other tells. Fewer than two distances on either side tell nothing.
+
+    Args:
+        position: p_WM_W [m].
+        together: pairs on one segment.
+        shape: of another trial.
+        pair: indices of the markers.
+    """
+    now, undone = [], []
+    for own, other in (pair, pair[::-1]):
+        beside = [k for k in together[own].nonzero()[:, 0].tolist() if k not in pair]
+        to = position[:, beside]
+        now.append(((position[:, own, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
+        undone.append(((position[:, other, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
+    both = torch.isfinite(position[:, list(pair)]).all(dim=2).all(dim=1)
+    return Misfit(_mean(torch.cat(now, dim=1)), _mean(torch.cat(undone, dim=1)), both)
+
+
+def _mean(misfits: Float[Tensor, "frames distances"]) -> Float[Tensor, " frames"]:
+    """Return the mean of those that are known; NaN where fewer than two are."""
+    enough = torch.isfinite(misfits).sum(dim=1) >= 2
+    return torch.where(enough, misfits.nanmean(dim=1), torch.nan)
+
+
+def find_exchanges(trial: str, markers: Markers, clusters: Clusters, shapes: Sequence[Shape]) -> list[Statement]:
+    """Return the exchanges of labels in a trial that more than half of the other shapes tell.
+
+    Args:
+        trial: name of the trial.
+        markers: its markers.
+        clusters: which markers sit on one segment.
+        shapes: of other trials; of the trial itself where there are none.
+    """
+    position = markers.select(clusters.labels).position
+    found = _told(position, clusters.together, shapes)
+    against = tuple(shape.trial for shape in shapes if shape.trial != trial)
+    taken = torch.zeros(position.shape[:2], dtype=torch.bool)
+    statements = []
+    for pair, at, now, undone in sorted(found, key=lambda one: -float(((one[2] - one[3]) * one[1]).nansum())):
+        at = at & ~taken[:, list(pair)].any(dim=1)
+        at = _lasting(at, now, undone, markers.rate if len(markers.time) > 1 else 1.0)
+        if not at.any():
+            continue
+        taken[at, pair[0]] = taken[at, pair[1]] = True
+        statements.append(_statement(trial, markers, clusters, pair, at, now, undone, against))
+    return statements
+
+
+def _told(position: Tensor, together: Tensor, shapes: Sequence[Shape]) -> list[tuple]:
+    """Return pairs, the frames in which most shapes tell an exchange, and the misfits, the median over the shapes."""
+    seen = torch.isfinite(position).all(dim=2)
+    doubtful = [suspects(position, together, shape) for shape in shapes]
+    if not doubtful:
+        return []
+    most = torch.stack(doubtful).sum(dim=0) * 2 > len(doubtful)
+    either = (most | ~seen).double()
+    both = most.double().T @ either
+    both = torch.maximum(both, both.T)
+    known = together.any(dim=1)
+    found = []
+    for a, b in (both.triu(1) >= min(SHORTEST, len(position))).nonzero().tolist():
+        if not (known[a] and known[b]):
+            continue
+        each = [misfit(position, together, shape, (a, b)) for shape in shapes]
+        votes = torch.stack([one.exchanged for one in each]).sum(dim=0)
+        told = torch.stack([torch.isfinite(one.now) & torch.isfinite(one.undone) for one in each]).sum(dim=0)
+        at = (2 * votes > told) & (votes > 0)
+        if int(at.sum()) >= min(SHORTEST, len(position)):
+            middle = [torch.stack([getattr(one, name) for one in each]).nanmedian(dim=0).values for name in _MISFITS]
+            found.append(((a, b), at, *middle))
+    return found
+
+
+_MISFITS = ("now", "undone")
+
+
+def _lasting(at: Tensor, now: Tensor, undone: Tensor, rate: float) -> Bool[Tensor, " frames"]:
+    """Return the runs of an exchange that last, through frames that do not tell for a moment.
+
+    Where nearly all that tell, tell an exchange, it goes on wherever they do not tell the contrary.
+    """
+    told = torch.isfinite(now) & torch.isfinite(undone)
+    if int((at & told).sum()) >= THROUGHOUT * max(int(told.sum()), 1):
+        return ~(told & (now < undone))
+    filled = at.clone()
+    for start, stop in runs_of(~at):
+        if 0 < start and stop < len(at) and stop - start <= BRIDGED_S * rate:
+            filled[start:stop] = True
+    out = torch.zeros_like(at)
+    for start, stop in runs_of(filled):
+        if int(at[start:stop].sum()) >= SHORTEST:
+            out[start:stop] = True
+    return out
+
+
+def _statement(
+    trial: str, markers: Markers, clusters: Clusters, pair: tuple[int, int], at: Tensor, now: Tensor, undone: Tensor,
+    against: tuple[str, ...],
+) -> Statement:  # fmt: skip
+    time, told = markers.time, torch.isfinite(now)
+    when = () if bool(at.all()) else tuple((float(time[a]), float(time[b - 1])) for a, b in runs_of(at))
+    labels = tuple(clusters.labels[k] for k in pair)
+    share = float((at & told).sum()) / max(float(told.sum()), 1.0)
+    size, left = (1e3 * float(x[at].nanmedian()) for x in (now, undone))
+    return Statement(Kind.EXCHANGED, trial, labels, when, size, 1e3 * SCATTER_M, left, share, against)
