@@ -1,4 +1,4 @@
-"""Witnesses name what a laboratory did to its recordings, nothing where it did nothing, and contradict what is not so."""
+"""Witnesses name what a laboratory did to its recordings, nothing where it did nothing, and contradict what is false."""
 
 import os
 import time as clock

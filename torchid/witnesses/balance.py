@@ -9,7 +9,7 @@ with J_k the twice integrated force of plate k, b one over the mass, d_k of a ga
 lag (apart for the vertical and the horizontal), e_k of a share of the vertical force that a horizontal channel reads.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -19,8 +19,11 @@ from torch import Tensor
 from torchid.conventions import GRAVITY, LOADED_N
 from torchid.regressor.rows import runs
 from torchid.witnesses.options import BalanceOptions
-from torchid.witnesses.statements import Statements, Subject
+from torchid.witnesses.statements import Subject
 from torchid.witnesses.watched import Watched
+
+UNSEEN = 1e-12
+"""Resolution. Part of the largest eigenvalue below which a combination of columns is not there."""
 
 
 @dataclass(frozen=True)
@@ -31,31 +34,65 @@ class _Window:
     target: Float[Tensor, " rows"]
 
 
-def balance(watched: Watched, options: BalanceOptions) -> Statements | None:
-    """Return what the balance of a trial says; None where no window is long enough.
+@dataclass(frozen=True)
+class Balance:
+    """Mass, gains, clocks and leaning forces of one trial; a ``Witness``."""
+
+    about: tuple[Subject, ...]
+    covariance: Float[Tensor, "some some"]
+    bearing: tuple[tuple[int, ...], ...]
+    """Plates that speak together."""
+    parts: tuple[slice, ...]
+    """Windows."""
+
+    def value(self, watched: Watched) -> Float[Tensor, " some"]:
+        """Return logarithm of the mass over the recorded one, relative gains, lags [s] and shares of the vertical.
+
+        Args:
+            watched: the trial.
+        """
+        x = _solved([_window(watched, part, self.bearing) for part in self.parts])
+        return _stated(watched, len(self.bearing), x)[0]
+
+
+def balance(watched: Watched, options: BalanceOptions) -> Balance | None:
+    """Return the witness of a trial's balance; None where no window is long enough.
 
     Args:
         watched: the trial.
         options: lengths of windows.
     """
-    bearing = _bearing(watched, options)
-    windows = [_window(watched, part, bearing) for part in _parts(watched, options)]
-    if not windows or not bearing:
+    bearing, parts = _bearing(watched, options), tuple(_parts(watched, options))
+    if not parts or not bearing:
         return None
-    return _stated(watched, bearing, *_solved(_closed(windows, options)))
+    windows = [_window(watched, part, bearing) for part in parts]
+    kept = _closed(windows, options)
+    windows, parts = [windows[k] for k in kept], tuple(parts[k] for k in kept)
+    x = _solved(windows)
+    _, J = _stated(watched, len(bearing), x)
+    plates = ["+".join(watched.reading.frames[k].name for k in some) for some in bearing]
+    return Balance(_about(watched.name, plates), J @ _scatter(windows, x) @ J.T, bearing, parts)
 
 
-def _bearing(watched: Watched, options: BalanceOptions) -> list[list[int]]:
+def _about(trial: str, plates: Sequence[str]) -> tuple[Subject, ...]:
+    """Return what the numbers are about, in the order of the columns."""
+    gains = [Subject("gain", trial, f"{plate}/{plates[0]}") for plate in plates[1:]]
+    lean = [Subject(f"lean_{axis}", trial, plate) for axis in "xy" for plate in plates]
+    clocks = [Subject("clock_vertical", trial), Subject("clock_horizontal", trial)]
+    return (Subject("mass", trial), *gains, *clocks, *lean)
+
+
+def _bearing(watched: Watched, options: BalanceOptions) -> tuple[tuple[int, ...], ...]:
     """Return the plates that bear more than a little of the weight: each apart if weight moves between them, else all
     together, for which the first speaks."""
     vertical = watched.reading.wrench[watched.measured][..., 2].clamp(min=0.0)
     if not len(vertical):
-        return []
+        return ()
     share = vertical / vertical.sum(1, keepdim=True).clamp(min=LOADED_N)
     some = (share.mean(0) > options.least_share).nonzero()[:, 0].tolist()
     if len(some) > 1 and bool((share[:, some].std(0) < options.least_shift).any()):
-        return [some]
-    return [[k] for k in some]
+        return (tuple(some),)
+    return tuple((k,) for k in some)
 
 
 def _parts(watched: Watched, options: BalanceOptions) -> Iterator[slice]:
@@ -67,7 +104,7 @@ def _parts(watched: Watched, options: BalanceOptions) -> Iterator[slice]:
         yield from (slice(a, b) for a, b in zip(edges, edges[1:], strict=False) if b - a >= least)
 
 
-def _window(watched: Watched, part: slice, bearing: list[list[int]]) -> _Window:
+def _window(watched: Watched, part: slice, bearing: tuple[tuple[int, ...], ...]) -> _Window:
     """Return the rows of one window: of the vertical, then of the two horizontal axes."""
     n, dt = part.stop - part.start, 1.0 / watched.rate
     t = dt * torch.arange(n, dtype=watched.centre.dtype, device=watched.centre.device)
@@ -86,7 +123,9 @@ def _window(watched: Watched, part: slice, bearing: list[list[int]]) -> _Window:
     return _Window(torch.cat(columns), torch.cat(target))
 
 
-def _joined(x: Float[Tensor, "frames plates 3"], bearing: list[list[int]]) -> Float[Tensor, "frames groups 3"]:
+def _joined(
+    x: Float[Tensor, "frames plates 3"], bearing: tuple[tuple[int, ...], ...]
+) -> Float[Tensor, "frames groups 3"]:
     """Return the sums over the plates that speak together; those that bear little go with the first."""
     apart = [x[:, some].sum(1) for some in bearing[1:]]
     return torch.stack([x.sum(1) - sum(apart, start=torch.zeros_like(x[:, 0])), *apart], 1)
@@ -109,30 +148,34 @@ def _integral(x: Float[Tensor, "frames some"], dt: float) -> Float[Tensor, "fram
     return torch.nn.functional.pad(torch.cumulative_trapezoid(x, dx=dt, dim=0), (0, 0, 1, 0))
 
 
-def _closed(windows: list[_Window], options: BalanceOptions) -> list[_Window]:
+def _closed(windows: Sequence[_Window], options: BalanceOptions) -> list[int]:
     """Return the windows that close as well as the others: one contact beside a plate spoils all the rest."""
-    x, _ = _solved(windows)
+    x = _solved(windows)
     left = torch.stack([(w.target - w.columns @ x).square().mean().sqrt() for w in windows])
-    return [w for w, rms in zip(windows, left, strict=True) if rms <= options.open_ratio * left.median()]
+    return (left <= options.open_ratio * left.median()).nonzero()[:, 0].tolist()
 
 
-def _solved(windows: list[_Window]) -> tuple[Float[Tensor, " columns"], Float[Tensor, "columns columns"]]:
-    """Return least squares of all windows, and their covariance under white residuals."""
+def _solved(windows: Sequence[_Window]) -> Float[Tensor, " columns"]:
+    """Return least squares of all windows; a column that nothing shows is zero."""
     A, y = torch.cat([w.columns for w in windows]), torch.cat([w.target for w in windows])
     size = A.square().sum(0).sqrt().clamp(min=1e-12)
-    U, s, V = torch.linalg.svd(A / size, full_matrices=False)
-    keep = s > 1e-8 * s[0]
-    inverse = torch.where(keep, 1.0 / s, 0.0)
-    x = (V.mT * inverse) @ (U.mT @ y) / size
-    error = [w.target - w.columns @ x for w in windows]
+    values, V = torch.linalg.eigh((A / size).T @ (A / size))
+    inverse = torch.where(values > UNSEEN * values[-1], 1.0 / values, 0.0)
+    return (V * inverse) @ (V.T @ ((A / size).T @ y)) / size
+
+
+def _scatter(windows: Sequence[_Window], x: Float[Tensor, " columns"]) -> Float[Tensor, "columns columns"]:
+    """Return the covariance of least squares, by what they leave and how long that is alike."""
+    A, error = torch.cat([w.columns for w in windows]), [w.target - w.columns @ x for w in windows]
     alike = _alike([one.unflatten(0, (3, -1)) for one in error])
-    left = torch.cat(error).square().sum() / max(len(y) / alike - A.shape[1], 1.0)
-    spread = torch.where(keep, 1.0 / s, 1e6)
-    half = V.mT * spread / size[:, None]
-    return x, left * half @ half.T
+    left = torch.cat(error).square().sum() / max(len(A) / alike - A.shape[1], 1.0)
+    size = A.square().sum(0).sqrt().clamp(min=1e-12)
+    values, V = torch.linalg.eigh((A / size).T @ (A / size))
+    half = V * values.clamp(min=UNSEEN * float(values[-1])).rsqrt() / size[:, None]
+    return left * half @ half.T
 
 
-def _alike(errors: list[Float[Tensor, "3 frames"]]) -> float:
+def _alike(errors: Sequence[Float[Tensor, "3 frames"]]) -> float:
     """Return the number of frames that say no more than one: the integral of the errors' autocorrelation up to its
     first zero."""
     longest = max(one.shape[1] for one in errors)
@@ -143,23 +186,13 @@ def _alike(errors: list[Float[Tensor, "3 frames"]]) -> float:
 
 
 def _stated(
-    watched: Watched,
-    bearing: list[list[int]],
-    x: Float[Tensor, " columns"],
-    covariance: Float[Tensor, "columns columns"],
-) -> Statements:
-    """Return the statements that the coefficients amount to, with their covariance to first order."""
-    plates = ["+".join(watched.reading.frames[k].name for k in some) for some in bearing]
-    names = [Subject("mass", watched.name)]
-    names += [Subject("gain", watched.name, f"{plate}/{plates[0]}") for plate in plates[1:]]
-    names += [Subject("clock_vertical", watched.name), Subject("clock_horizontal", watched.name)]
-    names += [Subject(f"lean_{axis}", watched.name, plate) for axis in "xy" for plate in plates]
-    b = x[0]
-    value = x / b
-    value[0] = -(b * watched.scene.recorded_kg).log()
-    J = torch.eye(len(x), dtype=x.dtype, device=x.device) / b
-    J[1:, 0] = -value[1:] / b
-    J[0, 0] = -1.0 / b
+    watched: Watched, plates: int, x: Float[Tensor, " columns"]
+) -> tuple[Float[Tensor, " columns"], Float[Tensor, "columns columns"]]:
+    """Return the numbers that the coefficients amount to, and their derivatives."""
+    value, J = x / x[0], torch.eye(len(x), dtype=x.dtype, device=x.device) / x[0]
+    J[1:, 0] = -value[1:] / x[0]
+    J[0, 0] = -1.0 / x[0]
+    value[0] = -(x[0] * watched.scene.recorded_kg).log()
     sign = torch.ones_like(value)
-    sign[1 : len(plates)] = -1.0
-    return Statements(tuple(names), sign * value, (sign[:, None] * J) @ covariance @ (sign[:, None] * J).T)
+    sign[1:plates] = -1.0
+    return sign * value, sign[:, None] * J

@@ -113,7 +113,7 @@ def scan(panel: Panel, chosen: Sequence[Suspect], suspects: Sequence[Suspect]) -
     base, some = _covariance(chosen), [one for one in suspects if not any(one is other for other in chosen)]
     before = panel.log_density(more=base)
     gains = [panel.log_density(more=base + one.covariance) - before + math.log(one.odds) for one in some]
-    weights = torch.softmax(panel.said.value.new_tensor([0.0, *gains]), 0)[1:].tolist()
+    weights = torch.softmax(panel.value.new_tensor([0.0, *gains]), 0)[1:].tolist()
     scored = [Scored(*both) for both in zip(some, gains, weights, strict=True)]
     return tuple(sorted(scored, key=lambda one: -one.nats))
 
@@ -130,7 +130,7 @@ def sizes(panel: Panel, chosen: Sequence[Suspect]) -> list[Size]:
     for one in chosen:
         prior = one.scale.square().diag()
         gain = torch.linalg.solve(whole, one.signature @ prior).T
-        found.append(Size(gain @ panel.said.value, prior - gain @ one.signature @ prior))
+        found.append(Size(gain @ panel.value, prior - gain @ one.signature @ prior))
     return found
 
 

@@ -9,7 +9,7 @@ much. Whether one is, and which, is averaged over (a mixture, as for outliers: B
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -22,7 +22,7 @@ from torchid.witnesses.balance import balance
 from torchid.witnesses.options import WitnessOptions
 from torchid.witnesses.pressure import pressures
 from torchid.witnesses.scatter import RECORD_PART, SCATTER
-from torchid.witnesses.statements import Statements, joined
+from torchid.witnesses.statements import Subject, Witness
 from torchid.witnesses.unloaded import zeros
 from torchid.witnesses.watched import Watched
 
@@ -41,9 +41,11 @@ class Panel:
     """Statements of a session, with all that they scatter by."""
 
     trials: tuple[Watched, ...]
-    """Trials that they were taken from."""
-    said: Statements
-    """The statements; their covariance is that within each trial."""
+    """Trials that are asked."""
+    witnesses: tuple[tuple[Witness, ...], ...]
+    """Witnesses of each."""
+    value: Float[Tensor, " some"]
+    """What they say."""
     covariances: Float[Tensor, "ways some some"]
     """Of the statements where nothing is wrong: within trials, between sessions and between laboratories; and where one
     trial is bad."""
@@ -75,7 +77,7 @@ class Panel:
     ) -> Float[Tensor, " ways"]:
         """Return the log density of the statements and each way."""
         L = torch.linalg.cholesky(self.covariances + more)
-        off = (self.said.value - mean)[:, None].expand(len(L), -1, 1)
+        off = (self.value - mean)[:, None].expand(len(L), -1, 1)
         white = torch.linalg.solve_triangular(L, off, upper=False)[..., 0]
         return self.log_odds - 0.5 * white.square().sum(1) - L.diagonal(dim1=1, dim2=2).log().sum(1)
 
@@ -88,21 +90,34 @@ class Panel:
         """
         found = []
         for k, scale in enumerate(effect.scale(place)):
-            theta = self.said.value.new_zeros(effect.size(place))
+            theta = self.value.new_zeros(effect.size(place))
             theta[k] = STEP * scale
-            ways = [self.asked([one.under(effect, place, sign * theta) for one in self.trials]) for sign in (1, -1)]
-            found.append((ways[0] - ways[1]) / (2.0 * theta[k]))
+            found.append(self.change([one.under(effect, place, theta) for one in self.trials]) / theta[k])
         return torch.stack(found, 1)
 
-    def asked(self, trials: Sequence[Watched]) -> Float[Tensor, " some"]:
-        """Return what other readings of the same trials make the witnesses say; what is not said again is not changed.
+    def change(self, trials: Sequence[Watched]) -> Float[Tensor, " some"]:
+        """Return what other readings of the same trials change in what witnesses say.
 
         Args:
-            trials: the same trials.
+            trials: the same trials, those that are as they were the very same.
         """
-        again = state(trials, self.options)
-        known = dict(zip(again.about, again.value, strict=True))
-        return torch.stack([known.get(one, v) for one, v in zip(self.said.about, self.said.value, strict=True)])
+        first, found = 0, torch.zeros_like(self.value)
+        for own, one, some in zip(self.trials, trials, self.witnesses, strict=True):
+            stop = first + sum(len(witness.about) for witness in some)
+            if one is not own:
+                found[first:stop] = self.of(one, some) - self.value[first:stop]
+            first = stop
+        return found
+
+    @staticmethod
+    def of(trial: Watched, some: Sequence[Witness]) -> Float[Tensor, " some"]:
+        """Return what witnesses of a trial say.
+
+        Args:
+            trial: the trial.
+            some: its witnesses.
+        """
+        return torch.cat([one.value(trial) for one in some])
 
 
 def make_panel(trials: Sequence[Watched], record_part: float, options: WitnessOptions) -> Panel | None:
@@ -113,33 +128,41 @@ def make_panel(trials: Sequence[Watched], record_part: float, options: WitnessOp
         record_part: relative standard deviation of the recorded mass.
         options: thresholds.
     """
-    said = state(trials, options)
-    if not said.about:
+    some = [tuple(witnesses_of(one, options)) for one in trials]
+    asked = [(trial, own) for trial, own in zip(trials, some, strict=True) if own]
+    if not asked:
         return None
-    own, alike = _scatter(said, record_part)
+    value = torch.cat([Panel.of(*both) for both in asked])
+    each = [one for _, own in asked for one in own]
+    about = [subject for one in each for subject in one.about]
+    own, alike = _scatter(about, torch.block_diag(*(one.covariance for one in each)), record_part)
     ways, log_odds = [own + alike], [math.log1p(-BAD_ODDS)]
-    for trial in dict.fromkeys(one.trial for one in said.about):
-        bad = own.new_tensor([BAD if one.trial == trial else 1.0 for one in said.about])
+    for trial, _ in asked:
+        bad = own.new_tensor([BAD if one.trial == trial.name else 1.0 for one in about])
         ways.append(own * bad[:, None] * bad + alike)
-        log_odds.append(math.log(BAD_ODDS / len(trials)))
-    return Panel(tuple(trials), said, torch.stack(ways), own.new_tensor(log_odds), options)
+        log_odds.append(math.log(BAD_ODDS / len(asked)))
+    heard = tuple(trial for trial, _ in asked), tuple(own for _, own in asked)
+    return Panel(*heard, value, torch.stack(ways), own.new_tensor(log_odds), options)
 
 
-def state(trials: Sequence[Watched], options: WitnessOptions) -> Statements:
-    """Return what all witnesses say of the trials.
+def witnesses_of(trial: Watched, options: WitnessOptions) -> Iterator[Witness]:
+    """Yield all that can be asked about a trial.
 
     Args:
-        trials: trials that are asked.
+        trial: the trial.
         options: thresholds.
     """
-    found = [s for one in trials for s in (balance(one, options.balance), zeros(one), pressures(one, options)) if s]
-    return joined(found)
+    for one in (balance(trial, options.balance), zeros(trial), pressures(trial, options)):
+        if one is not None:
+            yield one
 
 
-def _scatter(said: Statements, record_part: float) -> tuple[Float[Tensor, "some some"], Float[Tensor, "some some"]]:
+def _scatter(
+    about: Sequence[Subject], within: Float[Tensor, "some some"], record_part: float
+) -> tuple[Float[Tensor, "some some"], Float[Tensor, "some some"]]:
     """Return the covariance of statements by themselves, and of what all of a kind share, by their kinds."""
     scatter = SCATTER | {"mass": SCATTER["mass"]._replace(alike=max(record_part, RECORD_PART))}
-    own = said.value.new_tensor([scatter[one.kind].own for one in said.about])
-    alike = said.value.new_tensor([scatter[one.kind].alike for one in said.about])
-    same = torch.tensor([[a.kind == b.kind for b in said.about] for a in said.about])
-    return said.covariance + own.square().diag(), torch.where(same, alike[:, None] * alike, 0.0)
+    own = within.new_tensor([scatter[one.kind].own for one in about])
+    alike = within.new_tensor([scatter[one.kind].alike for one in about])
+    same = torch.tensor([[a.kind == b.kind for b in about] for a in about], device=within.device)
+    return within + own.square().diag(), torch.where(same, alike[:, None] * alike, 0.0)

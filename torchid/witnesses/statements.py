@@ -1,10 +1,12 @@
-"""Numbers that witnesses state, with what they are about and how well they are known."""
+"""What witnesses are asked, and what they are about."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from torchid.witnesses.watched import Watched
 
 
 @dataclass(frozen=True)
@@ -12,27 +14,30 @@ class Subject:
     """What a number is about."""
 
     kind: str
-    """Name of the witness."""
+    """Name of the witness, of ``scatter.SCATTER``."""
     trial: str
     """Trial that it was taken from."""
     plate: str = ""
     """Plate that it is about; empty: all of them."""
 
 
-@dataclass(frozen=True)
-class Statements:
-    """Numbers of witnesses, zero where nothing is wrong."""
+class Witness(Protocol):
+    """Numbers about one trial, zero where nothing is wrong, that can be taken again of other readings of its plates."""
 
-    about: tuple[Subject, ...]
-    value: Float[Tensor, " some"]
-    covariance: Float[Tensor, "some some"]
-    """Of the scatter within the trial that they were taken from."""
+    @property
+    def about(self) -> tuple[Subject, ...]:
+        """What each number is about."""
+        ...
 
+    @property
+    def covariance(self) -> Float[Tensor, "some some"]:
+        """Of the scatter within the trial that they were taken from."""
+        ...
 
-def joined(some: list[Statements]) -> Statements:
-    """Return all statements, those of different trials being independent."""
-    return Statements(
-        tuple(one for own in some for one in own.about),
-        torch.cat([own.value for own in some]),
-        torch.block_diag(*(own.covariance for own in some)),
-    )
+    def value(self, watched: Watched) -> Float[Tensor, " some"]:
+        """Return the numbers.
+
+        Args:
+            watched: the trial, perhaps as its plates would have read it with an effect.
+        """
+        ...

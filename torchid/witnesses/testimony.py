@@ -40,7 +40,7 @@ def hear(panel: Panel, claims: Sequence[Claim]) -> list[Testimony]:
         claims: all that are made at once.
     """
     said = [_said(panel, one) for one in claims]
-    together = sum(said, start=torch.zeros_like(panel.said.value))
+    together = sum(said, start=torch.zeros_like(panel.value))
     whole = panel.log_density(together)
     L = torch.linalg.cholesky(panel.likeliest())
     found = []
@@ -54,4 +54,4 @@ def _said(panel: Panel, one: Claim) -> Float[Tensor, " some"]:
     """Return the change that a claim makes to the statements."""
     acting = [(trial, one.theta(trial.name)) for trial in panel.trials]
     changed = [t if x is None else t.under(one.effect, one.place, x) for t, x in acting]
-    return panel.asked(changed) - panel.said.value
+    return panel.change(changed)

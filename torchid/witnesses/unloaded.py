@@ -1,16 +1,40 @@
 """What plates read while they bear nothing: their zeros."""
 
-import torch
+from dataclasses import dataclass
 
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.effects.plate_map import to_plate
 from torchid.observation.unloaded_plates import find_unloaded
-from torchid.witnesses.statements import Statements, Subject
+from torchid.witnesses.statements import Subject
 from torchid.witnesses.watched import Watched
 
 CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
-def zeros(watched: Watched) -> Statements | None:
-    """Return the zeros of a trial's plates [N, N m], in their own axes; None where no plate is unloaded.
+@dataclass(frozen=True)
+class Zeros:
+    """The zeros of a trial's plates [N, N m], in their own axes; a ``Witness``."""
+
+    about: tuple[Subject, ...]
+    covariance: Float[Tensor, "some some"]
+    runs: tuple[tuple[int, slice], ...]
+    """Plates, and the frames in which each bears nothing."""
+
+    def value(self, watched: Watched) -> Float[Tensor, " some"]:
+        """Return mean readings of the unloaded plates.
+
+        Args:
+            watched: the trial.
+        """
+        reading = watched.reading
+        return torch.cat([to_plate(reading.frames[k], reading.wrench[part, k]).mean(0) for k, part in self.runs])
+
+
+def zeros(watched: Watched) -> Zeros | None:
+    """Return the witness of a trial's zeros; None where no plate is unloaded.
 
     Args:
         watched: the trial.
@@ -18,10 +42,7 @@ def zeros(watched: Watched) -> Statements | None:
     found = find_unloaded(watched.reading, watched.rate).runs
     if not found:
         return None
-    about = tuple(
-        Subject(f"zero_{channel}", watched.name, watched.reading.frames[k].name)
-        for k, *_ in found
-        for channel in CHANNELS
-    )
-    value, error = torch.cat([mean for *_, mean, _ in found]), torch.cat([sd for *_, sd in found])
-    return Statements(about, value, error.square().diag())
+    names = [watched.reading.frames[k].name for k, *_ in found]
+    about = tuple(Subject(f"zero_{channel}", watched.name, name) for name in names for channel in CHANNELS)
+    error = torch.cat([sd for *_, sd in found])
+    return Zeros(about, error.square().diag(), tuple((k, part) for k, part, *_ in found))

@@ -59,7 +59,8 @@ class Watched:
             place: where it sits.
             theta: internal parameters.
         """
-        return replace(self, reading=effect.read(self._loaded(effect.load(self.scene, place, theta)), place, theta))
+        read = effect.read(self._loaded(effect.load(self.scene, place, theta)), place, theta)
+        return self if read is self.reading else replace(self, reading=read)
 
     def _loaded(self, load: Float[Tensor, "6 frames"]) -> Reading:
         """Return the reading with a further load shared by the plates."""
