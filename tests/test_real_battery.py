@@ -40,7 +40,7 @@ from torchid.simulate.planting import session_plates
 from torchid.simulate.session import Session, simulate_session
 
 SMALL = SimulateOptions(
-    fit=("walk", "squats"), heldout=("arms",), duration_s=2.5, marker_noise_mm=0.0, force_noise_n=0.0
+    fit=("sway_steps", "squats"), heldout=("arms",), duration_s=2.5, marker_noise_mm=0.1, force_noise_n=0.0
 )
 OWN = RealSession("simulated", {"name": "simulated", "mass_kg": 70.0}, "simulated", ())
 ON_PLATES = ("clock12", "clock20", "clock8", "gain", "all_gains", "offset", "crosstalk", "sideways", "shift15", "turn")
@@ -53,7 +53,7 @@ def _told() -> None:
 
 @cache
 def simulated() -> Session:
-    """A static trial, a walk, squats and a held-out trial, without noise."""
+    """A static trial, steps, squats and a held-out trial, with little noise: without any, cameras seem to be stuck."""
     return simulate_session(SMALL, SEED)
 
 
@@ -129,6 +129,7 @@ def test_faults_of_plates_are_those_of_torchids_effects(kind):
         wrong = faulty.trials[k]
         assert wrong.forces is not None and right.forces is not None
         names = [str(p.get(right.name)).replace("plate ", "plate_") for p in answer.plates]
+        names = [f.name for f in reading(right).frames] if kind == "all_gains" else names
         place = Place(tuple(names)) if names else SESSION
         theta = own.internal(place, values)
         made = own.read(reading(wrong, right.forces.wrench), place, theta)
@@ -206,16 +207,31 @@ def test_a_moved_marker_keeps_its_new_place_on_the_segment(kind):
             assert not found
     everywhere = torch.cat(found)
     assert_close(everywhere.norm(dim=1).mean(), torch.tensor(size).double(), rtol=1e-6, atol=0.0)
-    assert float((everywhere - everywhere.mean(0)).norm(dim=1).max()) < 1e-4
+    assert float((everywhere - everywhere.mean(0)).norm(dim=1).max()) < 5e-4
     assert 0.015 <= size <= 0.025
+
+
+def one_contact() -> tuple[Recorded, str]:
+    """The session with squats in which one plate alone is loaded, for a second; and by which foot."""
+    k = next(k for k in recorded().fitted if recorded().trials[k].name == "squats")
+    trial = recorded().trials[k]
+    assert trial.forces is not None
+    plate = SEED % 2
+    during = (trial.forces.time > 0.8) & (trial.forces.time < 1.8)
+    wrench = torch.zeros_like(trial.forces.wrench)
+    wrench[during, plate] = trial.forces.wrench[during, plate]
+    trials = [replace(t, role="heldout") if t.role == "fit" else t for t in recorded().trials]
+    trials[k] = replace(trial, forces=replace(trial.forces, wrench=wrench))
+    return replace(recorded(), trials=tuple(trials)), ("foot_l", "foot_r")[plate]
 
 
 def test_a_silent_plate_lacks_the_contact_of_the_foot_that_is_named():
     """The missing wrench is one plate's of one fit trial, has the truth's impulse, and pressed under that foot."""
-    faulty, truth = planted("silent")
+    whole, foot = one_contact()
+    faulty, truth = planted("silent", SEED, whole)
     (answer,) = truth.right
     lacks = []
-    for right, wrong in zip(recorded().trials, faulty.trials, strict=True):
+    for right, wrong in zip(whole.trials, faulty.trials, strict=True):
         assert right.forces is not None and wrong.forces is not None
         gone = right.forces.wrench - wrong.forces.wrench
         if bool(gone.any()):
@@ -225,7 +241,7 @@ def test_a_silent_plate_lacks_the_contact_of_the_foot_that_is_named():
     assert trial.role == "fit"
     impulse = gone[:, plate, :3].sum(0) / rate
     assert_close(impulse, torch.tensor(answer.parameters["impulse_Ns"]).double())
-    assert answer.where[0] in ("foot_l", "foot_r")
+    assert answer.where == (foot,)
 
 
 def test_a_wrong_record_errs_by_what_was_planted():
@@ -251,7 +267,8 @@ def test_what_is_written_is_what_is_read(tmp_path, corners):
     config = json.loads(write_session(faulty, OWN, tmp_path, kept).read_text())
     for entry, trial, frames in zip(config["trials"], faulty.trials, kept, strict=True):
         forces = tmp_path / entry["forces"] if "forces" in entry else None
-        back, sent = read_trial(entry["name"], tmp_path / entry["file"], forces), cropped(trial, frames)
+        back = read_trial(entry["name"], tmp_path / entry["file"], forces, entry["role"])
+        sent = cropped(trial, frames)
         assert back.forces is not None and sent.forces is not None
         assert back.markers.labels == sent.markers.labels
         assert_close(back.markers.time, sent.markers.time, rtol=0.0, atol=1e-6)

@@ -22,7 +22,9 @@ from torchid.model.marker_set import load_marker_set
 from torchid.recording import Forces, Markers, Trial
 
 MOVING_S, STATIC_S = 5.0, 2.0
-"""Choice. Length to which trials are cropped [s]: a walk over plates lasts 1 to 4 s, and fits grow with it."""
+"""Choice. Length to which trials are cropped at most [s]: a walk over plates lasts 1 to 4 s, and fits grow with it."""
+AROUND_S = 0.7
+"""Choice. Time kept before the first and behind the last load [s]: what a filter of 3 Hz reaches, twice."""
 MARGIN_S = 0.05
 """Choice. Time beyond the markers at both ends for which forces of a MOT are kept [s]: more than any planted lag."""
 
@@ -71,17 +73,22 @@ def read_recorded(session: RealSession, way: str, root: Path) -> Recorded:
 
 
 def frames_kept(trial: Trial) -> slice:
-    """The frames of the longest part that a battery runs: where plates are loaded in most of them."""
+    """The frames that a battery runs: those around what plates bear, at most the longest part that counts."""
     count, seconds = len(trial.markers.time), STATIC_S if trial.role == "static" else MOVING_S
-    length = count if count < 2 else min(count, round(seconds * trial.markers.rate) + 1)
-    if length == count or trial.forces is None:
+    if count < 2:
+        return slice(0, count)
+    rate = trial.markers.rate
+    length = min(count, round(seconds * rate) + 1)
+    if trial.forces is None:
         return slice(0, length)
     loaded = (trial.forces.total[:, 2].nan_to_num() > LOADED_N).double().numpy()
     on_frames = np.interp(trial.markers.time.numpy(), trial.forces.time.numpy(), loaded, 0.0, 0.0)
     sums = np.convolve(on_frames, np.ones(length), "valid")
     best = np.flatnonzero(sums > sums.max() - 0.5)
-    first = int(best[len(best) // 2])  # as much before the contact as behind it
-    return slice(first, first + length)
+    begin = int(best[len(best) // 2])  # as much before the contact as behind it
+    there = begin + np.flatnonzero(on_frames[begin : begin + length] > 0.5)
+    around = round(AROUND_S * rate)
+    return slice(max(begin, int(there[0]) - around), min(begin + length, int(there[-1]) + 1 + around))
 
 
 def cropped(trial: Trial, frames: slice) -> Trial:

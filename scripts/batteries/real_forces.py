@@ -194,7 +194,9 @@ def _corners_moved(trial: Trial, at: int | None, centre: Tensor, d: Tensor, back
     if trial.forces is None or at is None or trial.forces.plates[at].corners is None:
         return trial
     plates = list(trial.forces.plates)
-    plates[at] = replace(plates[at], corners=(plates[at].corners - centre) @ back.T + centre - d)
+    corners = plates[at].corners
+    assert corners is not None
+    plates[at] = replace(plates[at], corners=(corners - centre) @ back.T + centre - d)
     return replace(trial, forces=replace(trial.forces, plates=tuple(plates)))
 
 
@@ -317,7 +319,8 @@ def sideways(recorded: Recorded, plate: RealPlate) -> np.ndarray:
             trial.markers.time.numpy(), trial.forces.time.numpy(),
             trial.forces.wrench[:, at, 2].nan_to_num().numpy(),
         )  # fmt: skip
-        right, left = (_side(recorded, trial, end)[load > LOADED_N] for end in ("_r", "_l"))
+        loaded = torch.from_numpy(load > LOADED_N)
+        right, left = (_side(recorded, trial, end)[loaded] for end in ("_r", "_l"))
         found.append((right - left)[:, :2])
     mean = torch.cat(found).nanmean(0).numpy()
     return mean / np.linalg.norm(mean)
@@ -330,10 +333,8 @@ def _side(recorded: Recorded, trial: Trial, end: str) -> Tensor:
 
 def to_plate(frame: PlateFrame, wrench: Tensor) -> Tensor:
     """A wrench about the origin of W, about the plate's origin and in its axes [N, N m]."""
-    force, moment = (
-        wrench[:, :3],
-        wrench[:, 3:] - torch.linalg.cross(frame.p_WF.expand_as(wrench[:, :3]), wrench[:, :3]),
-    )
+    force = wrench[:, :3]
+    moment = wrench[:, 3:] - torch.linalg.cross(frame.p_WF.expand_as(force), force)
     return torch.cat([force @ frame.R_WF, moment @ frame.R_WF], 1)
 
 

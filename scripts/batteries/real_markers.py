@@ -144,9 +144,9 @@ def exchangeable(recorded: Recorded, k: int, frames: slice) -> list[tuple[str, s
     trial = recorded.trials[k]
     labels = [label for label in trial.markers.labels if label in recorded.segments]
     p = trial.markers.select(tuple(labels)).position[frames]
-    often = p.isfinite().all(2).double().mean(0) > 0.9
+    often = torch.gt(p.isfinite().all(2).double().mean(0), 0.9)
     apart = (p[:, :, None] - p[:, None]).norm(dim=3).nanmedian(0).values
-    near = (apart > PAIR_M[0]) & (apart < PAIR_M[1]) & often[:, None] & often
+    near = torch.gt(apart, PAIR_M[0]) & torch.lt(apart, PAIR_M[1]) & often[:, None] & often
     return [(labels[i], labels[j]) for i, j in near.nonzero().tolist() if i < j]
 
 
