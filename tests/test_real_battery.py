@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from batteries import real
 from batteries.real_files import Recorded, cropped, frames_kept, read_recorded, write_session
-from batteries.real_forces import plates_of
 from batteries.real_judge import judged, tables
 from batteries.real_kinds import KINDS, UNPLANTED, plant
+from batteries.real_plates import plates_of
 from batteries.real_sessions import ASIDE, SESSIONS, RealSession, sessions
 from batteries.real_truth import Answer, Inapplicable, Truth, truth_from
 from small_session import SEED

@@ -8,7 +8,8 @@
 Every session is run as recorded, with each trial left out in turn, and with one fault of a kind; the trial that is then
 left out is drawn too. What a run says is kept, a line in ``verdicts.jsonl``, so that a battery that was stopped goes on
 and other rules of judging need no other run; ``rows.jsonl`` has the judged rows, ``case`` the same for the same fault
-with any version of torchid. ``docs/real_battery.md`` says what is planted and what counts.
+with any version of torchid. ``docs/real_battery.md`` says what is planted and what counts. Ends with 1 where torchid
+crashed.
 """
 
 import argparse
@@ -17,6 +18,7 @@ import os
 import random
 import secrets
 import shutil
+import sys
 import time
 import zlib
 from collections.abc import Iterator, Sequence
@@ -29,7 +31,7 @@ from unittest.mock import patch
 import torch
 
 from batteries.real_files import frames_kept, read_recorded, write_session
-from batteries.real_judge import judged, tables
+from batteries.real_judge import differences, judged, tables
 from batteries.real_kinds import KINDS, UNPLANTED, plant
 from batteries.real_sessions import SESSIONS, RealSession, sessions
 from batteries.real_truth import Inapplicable, Truth
@@ -172,10 +174,19 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("out/real_battery"), help="folder of verdicts and rows")
     parser.add_argument("--small", action="store_true", help="two short sessions and three kinds: about two minutes")
     parser.add_argument("--aside", action="store_true", help="the sets kept aside, and no others")
-    parser.add_argument("--summary", type=Path, metavar="FOLDER", help="only tabulate what this folder keeps")
+    parser.add_argument(
+        "--summary",
+        nargs="+",
+        type=Path,
+        metavar="FOLDER",
+        help="only tabulate what a folder keeps; of two, differences",
+    )
     arguments = parser.parse_args(given)
-    if arguments.summary is not None:
-        print(summary(arguments.summary))
+    if arguments.summary:
+        print("\n\n".join(map(summary, arguments.summary)))
+        for other in arguments.summary[1:]:
+            first, second = (read_lines(folder / "rows.jsonl") for folder in (arguments.summary[0], other))
+            print("\n".join(["", *differences(first, second)]))
         return
     root = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))
     some = sessions(root, arguments.aside)
@@ -186,6 +197,7 @@ def main(given: Sequence[str] | None = None) -> None:
     print(f"seed {arguments.seed}", flush=True)
     _run(arguments, some, root)
     print(summary(arguments.out))
+    sys.exit(any(row["result"] == "crashed" for row in read_lines(arguments.out / "rows.jsonl")))
 
 
 def _run(arguments: argparse.Namespace, some: dict[str, RealSession], root: Path) -> None:

@@ -118,7 +118,7 @@ def _errors(kept: Mapping[str, Any]) -> dict[str, Any]:
     role = "heldout" if any(row["role"] == "heldout" for row in rows) else "fit"
     own = {row["label"]: [row["force_rmse_N"], row["moment_rmse_Nm"]] for row in rows if row["role"] == role}
     base = own.get("+ identified inertia")
-    if base is None:
+    if base is None or None in base:
         return {"base": None, "published": None, "times": None}
     published = own.get("+ named causes", base)
     times = max(b / a for a, b in zip(base, published, strict=True) if a > 0.0)
@@ -154,6 +154,23 @@ def tables(rows: Sequence[dict]) -> Iterator[str]:
     if cpu:
         each = f"{np.mean(cpu):.0f} s each, at most {max(cpu):.0f} s"
         yield f"cost: {len(cpu)} runs, {sum(cpu) / 60:.1f} min of CPU, {each}"
+
+
+def differences(rows: Sequence[dict], others: Sequence[dict]) -> Iterator[str]:
+    """Cases that two batteries share and judge differently: result, causes and worst error of each."""
+    before = {row["case"]: row for row in rows}
+    shared = [(before[row["case"]], row) for row in others if row["case"] in before]
+    changed = [(a, b) for a, b in shared if (a["result"], _short(a)) != (b["result"], _short(b))]
+    for a, b in changed:
+        yield f"{a['case']} [{a['told']}]"
+        yield from (f"    {row['result']}: {_short(row)}; {row['times']} times the base" for row in (a, b))
+    right = [sum(row["result"] == "right" for row in side) for side in zip(*shared, strict=True)]
+    yield f"{len(shared)} cases in both, {len(changed)} differ; right {' and '.join(map(str, right))}"
+
+
+def _short(row: dict) -> str:
+    told = [f"{n['effect']} ({', '.join(n['where'])}) {n['confidence']:.2f}" for n in row["named"]]
+    return "; ".join(told) or row["message"][:60] or "nothing"
 
 
 def _line(name: str, rows: Sequence[dict]) -> str:
@@ -198,7 +215,8 @@ def _confidence(rows: Sequence[dict]) -> Iterator[str]:
         right = sum(n["is"] == "right" for n in own)
         if own:
             said = f"{len(own)} causes, {right} right ({right / len(own):.0%})"
-            yield f"confidence {low:.1f}-{min(high, 1.0):.1f}: {said}"
+            alike = sum(n["is"] == "alike" for n in own)
+            yield f"confidence {low:.1f}-{min(high, 1.0):.1f}: {said}, {alike} that do the same"
 
 
 def _unplanted(rows: Sequence[dict]) -> Iterator[str]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from batteries import real_forces as forces
 from batteries import real_markers as markers
+from batteries import real_plates as plates
 from batteries.real_files import Recorded
 from batteries.real_forces import Draw
 from batteries.real_sessions import RealSession
@@ -34,7 +35,7 @@ def _gain(recorded: Recorded, session: RealSession, kept: Sequence[slice], draw:
 
 
 def _gains(recorded: Recorded, session: RealSession, kept: Sequence[slice], draw: Draw) -> Planted:
-    every = forces.plates_of(recorded)
+    every = plates.plates_of(recorded)
     if len(every) < 2:
         raise Inapplicable("the session has one plate")
     return forces.plant_gain(recorded, list(every), 1.0 + _signed(draw, 0.04, 0.04))
@@ -54,7 +55,7 @@ def _offset_zeroed(recorded: Recorded, session: RealSession, kept: Sequence[slic
 
 def _sideways(recorded: Recorded, session: RealSession, kept: Sequence[slice], draw: Draw) -> Planted:
     plate = _plate(recorded, draw)
-    shift = _signed(draw, 0.04, 0.04) * forces.sideways(recorded, plate)
+    shift = _signed(draw, 0.04, 0.04) * plates.sideways(recorded, plate)
     return forces.plant_pose(recorded, plate, shift.tolist(), 0.0)
 
 
@@ -114,7 +115,7 @@ def _mass(recorded: Recorded, session: RealSession, kept: Sequence[slice], draw:
     right = float(str(recorded.subject["mass_kg"]))
     excess = float(draw.choice([5.0, -4.0]))
     own = Answer("body_mass", ("session",), {"mass_kg": [session.weighs_kg or right], "recorded_kg": [right + excess]})
-    alike = (plates_answer("plate_gain", [plate.channels for plate in forces.used_plates(recorded)]),)
+    alike = (plates_answer("plate_gain", [one.channels for one in plates.used_plates(recorded)]),)
     planted = replace(recorded, subject={**recorded.subject, "mass_kg": right + excess})
     return planted, Truth((own,), f"{excess:+.0f} kg on record", alike)
 
@@ -163,8 +164,8 @@ def plant(kind: str, recorded: Recorded, session: RealSession, kept: Sequence[sl
     return KINDS[kind].plant(recorded, session, kept, np.random.default_rng(seed))
 
 
-def _plate(recorded: Recorded, draw: Draw) -> forces.RealPlate:
-    some = forces.used_plates(recorded)
+def _plate(recorded: Recorded, draw: Draw) -> plates.RealPlate:
+    some = plates.used_plates(recorded)
     return some[int(draw.integers(len(some)))]
 
 

@@ -146,7 +146,8 @@ def exchangeable(recorded: Recorded, k: int, frames: slice) -> list[tuple[str, s
     p = trial.markers.select(tuple(labels)).position[frames]
     often = torch.gt(p.isfinite().all(2).double().mean(0), 0.9)
     apart = (p[:, :, None] - p[:, None]).norm(dim=3).nanmedian(0).values
-    near = torch.gt(apart, PAIR_M[0]) & torch.lt(apart, PAIR_M[1]) & often[:, None] & often
+    near = torch.gt(apart, PAIR_M[0]) & torch.lt(apart, PAIR_M[1])
+    near &= often.unsqueeze(0) & often.unsqueeze(1)
     return [(labels[i], labels[j]) for i, j in near.nonzero().tolist() if i < j]
 
 
