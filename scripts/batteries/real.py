@@ -23,7 +23,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -80,13 +80,7 @@ def perform(case: Case, session: RealSession, root: Path, out: Path) -> dict[str
     torch.set_num_threads(1)
     keep_memory()
     folder, begun, spent = out / "scratch" / case.key, time.perf_counter(), time.process_time()
-    kept: dict[str, Any] = {
-        "case": case.key,
-        "session": case.session,
-        "way": case.way,
-        "kind": case.kind,
-        "seed": case.seed,
-    }
+    kept: dict[str, Any] = {"case": case.key, **asdict(case)}
     try:
         truth, path = planted(case, session, root, folder)
     except Inapplicable as why:
@@ -97,7 +91,7 @@ def perform(case: Case, session: RealSession, root: Path, out: Path) -> dict[str
         with patch("torchid.experiment.run.write_report"):
             run_experiment(load_config(path))
     except TorchidError as error:
-        kept |= {"exit": error.exit_code, "message": str(error)[:400]}
+        kept |= {"exit": error.exit_code, "message": f"{error.code}: {error.message}; {error.remedy}"[:400]}
     except Exception as error:  # a defect of torchid; the battery goes on, and the row says it
         kept |= {"exit": 1, "message": f"{type(error).__name__}: {error}"[:400]}
     kept |= _said(folder / "out")

@@ -20,7 +20,7 @@ from torchid.recording import Trial
 from torchid.regressor.rows import runs
 
 Draw = np.random.Generator
-STANCE_S = (0.25, 1.5)
+STANCE_S = (0.25, 2.5)
 """Choice. Shortest and longest contact that a plate may keep silent about [s]."""
 TILT_DEG = 1.0
 """The contract."""

@@ -147,6 +147,9 @@ def tables(rows: Sequence[dict]) -> Iterator[str]:
     yield from _by_session(rows)
     yield ""
     yield from _confidence(planted)
+    for row in rows:
+        if row["result"] in ("refused", "crashed"):
+            yield f"{row['result']}, exit {row['exit']}: {row['case']} [{row['told']}] {row['message'][:160]}"
     yield from _unplanted([r for r in rows if r["kind"] == UNPLANTED])
     for title, some in (("unplanted", [r for r in rows if r["kind"] == UNPLANTED]), ("planted", planted)):
         yield _worse(title, some)

@@ -112,7 +112,7 @@ def _shape(recorded: Recorded, cluster: Sequence[str]) -> np.ndarray:
 def _turns(trial: Trial, cluster: Sequence[str], shape: np.ndarray) -> np.ndarray:
     """Rotations (frames, 3, 3) of a segment against its shape; where under three markers are seen, the nearest one."""
     p = trial.markers.select(tuple(cluster)).position.numpy()
-    known = np.isfinite(p).all(2) & np.isfinite(shape).all(1)
+    known = np.asarray(np.isfinite(p).all(2) & np.isfinite(shape).all(1))
     whole = np.flatnonzero(known.sum(1) >= 3)
     if not len(whole):
         raise Inapplicable("fewer than three markers of the segment are seen together")
