@@ -1,0 +1,221 @@
+"""A battery on real recordings: faults that files can carry, planted at random, found from the files alone?
+
+    scripts/battery --real                              # every kind in every session once, and all as recorded
+    scripts/battery --real --cases 20 --kinds gain mass # a random part of it
+    scripts/battery --real --aside                      # the sets that nothing is tuned on
+    scripts/battery --real --summary out/real_battery   # tables of what was run
+
+Every session is run as recorded, with each trial left out in turn, and with one fault of a kind; the trial that is then
+left out is drawn too. What a run says is kept, a line in ``verdicts.jsonl``, so that a battery that was stopped goes on
+and other rules of judging need no other run; ``rows.jsonl`` has the judged rows, ``case`` the same for the same fault
+with any version of torchid. ``docs/real_battery.md`` says what is planted and what counts. Ends with 1 where torchid
+crashed.
+"""
+
+import argparse
+import json
+import os
+import random
+import secrets
+import shutil
+import sys
+import time
+import zlib
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import torch
+
+from batteries.real_files import frames_kept, read_recorded, write_session
+from batteries.real_judge import differences, judged, tables
+from batteries.real_kinds import KINDS, UNPLANTED, plant
+from batteries.real_sessions import SESSIONS, RealSession, sessions
+from batteries.real_truth import Inapplicable, Truth
+from torchid.allocator import keep_memory
+from torchid.config import load_config
+from torchid.config.sections import PROJECT_DATA
+from torchid.errors import TorchidError
+from torchid.experiment import run_experiment
+
+SMALL = ("opensim_gait2354", "btk_flatfoot")
+SMALL_KINDS = (UNPLANTED, "clock20", "gain", "mass")
+"""Choice. Sessions that take least, and kinds that a balance of momentum sees: about two minutes on two cores."""
+KEPT = ("causes", "plates", "baseline", "extended", "unexplained", "refuted", "nearest")
+"""Parts of ``diagnosis.json`` that are kept."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run: a fault in a session of which a trial is held out."""
+
+    session: str
+    way: str
+    kind: str
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Its name, the same for the same fault."""
+        return "-".join((self.session, self.way, self.kind, *([str(self.seed)] if self.kind != UNPLANTED else [])))
+
+
+def cases(some: Sequence[RealSession], kinds: Sequence[str], seed: int) -> Iterator[Case]:
+    """Every kind once in every session, with a trial left out by lot, and sessions as recorded with each left out."""
+    for session in some:
+        for kind in kinds:
+            if kind == UNPLANTED:
+                yield from (Case(session.name, way, kind, 0) for way in session.ways)
+            else:
+                # Of its own, so that leaving out a session or a kind changes no other case.
+                own = zlib.crc32(f"{seed} {session.name} {kind}".encode())
+                yield Case(session.name, random.Random(own).choice(session.ways), kind, own)  # noqa: S311 - a lot
+
+
+def perform(case: Case, session: RealSession, root: Path, out: Path) -> dict[str, Any]:
+    """Plant, run from the files alone, and keep what was said."""
+    torch.set_num_threads(1)
+    keep_memory()
+    folder, begun, spent = out / "scratch" / case.key, time.perf_counter(), time.process_time()
+    kept: dict[str, Any] = {"case": case.key, **asdict(case)}
+    try:
+        truth, path = planted(case, session, root, folder)
+    except Inapplicable as why:
+        return kept | {"inapplicable": str(why)}
+    kept |= {"truth": truth.table(), "exit": 0, "message": ""}
+    try:
+        # Nobody reads the reports, which are a fifth of a run.
+        with patch("torchid.experiment.run.write_report"):
+            run_experiment(load_config(path))
+    except TorchidError as error:
+        kept |= {"exit": error.exit_code, "message": f"{error.code}: {error.message}; {error.remedy}"[:400]}
+    except Exception as error:  # a defect of torchid; the battery goes on, and the row says it
+        kept |= {"exit": 1, "message": f"{type(error).__name__}: {error}"[:400]}
+    kept |= _said(folder / "out")
+    shutil.rmtree(folder, ignore_errors=True)
+    return kept | {"seconds": time.perf_counter() - begun, "cpu_s": time.process_time() - spent}
+
+
+def planted(case: Case, session: RealSession, root: Path, folder: Path) -> tuple[Truth, Path]:
+    """Write a case's files; what is wrong with them, and their config.
+
+    Raises:
+        Inapplicable: the session has no place for the fault.
+    """
+    recorded = read_recorded(session, case.way, root)
+    kept = [frames_kept(trial) for trial in recorded.trials]
+    faulty, truth = plant(case.kind, recorded, session, kept, case.seed)
+    shutil.rmtree(folder, ignore_errors=True)
+    return truth, write_session(faulty, session, folder, kept)
+
+
+def _said(out: Path) -> dict[str, Any]:
+    """What a run has written of diagnosis and residuals."""
+    found: dict[str, Any] = {}
+    if (out / "diagnosis.json").is_file():
+        said = json.loads((out / "diagnosis.json").read_text())
+        found["diagnosis"] = {key: said[key] for key in KEPT if key in said}
+    if (out / "inertia.json").is_file():
+        found["residuals"] = json.loads((out / "inertia.json").read_text())["residuals"]
+    return found
+
+
+def rows(verdicts: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Judged runs; each planted one beside its session as recorded."""
+    before = {(v["session"], v["way"]): v for v in verdicts if v["kind"] == UNPLANTED}
+    known = {one.name: one.known for one in SESSIONS}
+    return [
+        judged(v, known.get(v["session"], ()), before.get((v["session"], v["way"])))
+        for v in verdicts
+        if "inapplicable" not in v
+    ]
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """The lines of a file, none where it is absent."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+
+
+def summary(out: Path) -> str:
+    """Judge all that a folder keeps, write its rows, and return the tables."""
+    verdicts = read_lines(out / "verdicts.jsonl")
+    found = rows(verdicts)
+    (out / "rows.jsonl").write_text("".join(json.dumps(row) + "\n" for row in found))
+    left_out = [v for v in verdicts if "inapplicable" in v]
+    return "\n".join([*tables(found), f"no place for the fault: {len(left_out)} cases"])
+
+
+def planned(arguments: argparse.Namespace, some: dict[str, RealSession]) -> list[Case]:
+    """The cases that are asked for, in an order by lot: a battery that is stopped early has a little of everything."""
+    names = arguments.sessions or (SMALL if arguments.small else tuple(some))
+    kinds = arguments.kinds or (SMALL_KINDS if arguments.small else (UNPLANTED, *KINDS))
+    found = list(cases([some[name] for name in names if name in some], kinds, arguments.seed))
+    random.Random(arguments.seed).shuffle(found)  # noqa: S311 - a lot
+    return found[: arguments.cases]
+
+
+def main(given: Sequence[str] | None = None) -> None:
+    """Run what is missing, print tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, help="of places, sizes and trials left out (default: drawn)")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--kinds", nargs="+", choices=(UNPLANTED, *KINDS), metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("--sessions", nargs="+", metavar="NAME", help="only these")
+    parser.add_argument("--cases", type=int, help="only so many, by lot")
+    parser.add_argument("--out", type=Path, default=Path("out/real_battery"), help="folder of verdicts and rows")
+    parser.add_argument("--small", action="store_true", help="two short sessions and three kinds: about two minutes")
+    parser.add_argument("--aside", action="store_true", help="the sets kept aside, and no others")
+    parser.add_argument(
+        "--summary",
+        nargs="+",
+        type=Path,
+        metavar="FOLDER",
+        help="only tabulate what a folder keeps; of two, differences",
+    )
+    arguments = parser.parse_args(given)
+    if arguments.summary:
+        print("\n\n".join(map(summary, arguments.summary)))
+        for other in arguments.summary[1:]:
+            first, second = (read_lines(folder / "rows.jsonl") for folder in (arguments.summary[0], other))
+            print("\n".join(["", *differences(first, second)]))
+        return
+    root = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))
+    some = sessions(root, arguments.aside)
+    strange = [name for name in arguments.sessions or () if name not in some]
+    if strange or not some:
+        parser.error(f"no such session at {root}: {', '.join(strange)}; there are {', '.join(some) or 'none'}")
+    arguments.seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
+    print(f"seed {arguments.seed}", flush=True)
+    _run(arguments, some, root)
+    print(summary(arguments.out))
+    sys.exit(any(row["result"] == "crashed" for row in read_lines(arguments.out / "rows.jsonl")))
+
+
+def _run(arguments: argparse.Namespace, some: dict[str, RealSession], root: Path) -> None:
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    path, every = arguments.out / "verdicts.jsonl", planned(arguments, some)
+    done = {verdict["case"] for verdict in read_lines(path)}
+    waiting = [case for case in every if case.key not in done]
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        futures = [pool.submit(perform, case, some[case.session], root, arguments.out) for case in waiting]
+        for number, one in enumerate(as_completed(futures), len(every) - len(waiting) + 1):
+            kept = one.result()
+            with path.open("a") as file:
+                file.write(json.dumps(kept) + "\n")
+            print(f"{number:4d}/{len(every)} {_in_a_line(kept)}", flush=True)
+
+
+def _in_a_line(kept: dict[str, Any]) -> str:
+    if "inapplicable" in kept:
+        return f"{kept['case']}: no place ({kept['inapplicable']})"
+    (row,) = rows([kept])
+    causes = [f"{n['effect']} ({', '.join(n['where'])}) {n['confidence']:.2f} {n['is']}" for n in row["named"]]
+    said = "; ".join(causes) or row["message"] or "nothing of the laboratory"
+    return f"{row['case']} [{row['told']}] {row['result']}: {said}; {row['cpu_s']:.0f} s"
+
+
+if __name__ == "__main__":
+    main()
