@@ -1,6 +1,6 @@
 """The sequence of the diagnosis: search, eliminate, test on held-out motion, and assess what remains."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.model import Identification
@@ -47,6 +47,7 @@ def diagnose(
     limit: int,
     options: DiagnosisOptions = DiagnosisOptions(),
     panel: Panel | None = None,
+    told: Collection[str] = (),
 ) -> Diagnosis:
     """Return the causes of what the identified model gets wrong, with what remains and the trace of all decisions.
 
@@ -59,6 +60,7 @@ def diagnose(
         limit: number of causes at most of each kind (``stepwise.kind_of``).
         options: every threshold that decides.
         panel: witnesses that are asked before a name is given; None: nobody is.
+        told: markers that the distances to those beside them tell to be elsewhere.
     """
     found = search(observed, effects, known, limit, options, panel)
     if _remains(found, observed, len(heldout)).significant:
@@ -67,7 +69,7 @@ def diagnose(
     unseen = HeldOut(found, observed, heldout)
     upheld = uphold(unseen, unseen.acting(), options.heldout)
     found = settle(found.having(upheld.chosen, *upheld.trace), observed, AT_LAST)
-    return _verdict(found, unseen, upheld, observed, plates, panel)
+    return _verdict(found, unseen, upheld, observed, plates, panel, told)
 
 
 def _verdict(
@@ -77,6 +79,7 @@ def _verdict(
     observed: Sequence[TrialObservation],
     plates: tuple[SessionPlate, ...],
     panel: Panel | None,
+    told: Collection[str],
 ) -> Diagnosis:
     """Return the diagnosis that the chosen effects amount to."""
     rest, limits = _remains(found, observed, len(unseen.trials)), found.options
@@ -85,7 +88,7 @@ def _verdict(
     bent = [] if rest.alone else misfits(found, observed)
     causes, contradicted = discounted(found, observed, rest, causes_of(found, unseen, extended, names))
     causes, positions = bent_by_position(found, causes, bent)
-    causes, unheard = unwitnessed(causes, found, testimonies(panel, found, observed))
+    causes, unheard = unwitnessed(causes, found, testimonies(panel, found, observed), told) if panel else (causes, ())
     rest = with_misfits(with_vibration(rest, observed, limits.adequacy), found, bent)
     return Diagnosis(
         plates, unseen.fit(()).errors, extended.errors, _ordered(found, causes), rest,

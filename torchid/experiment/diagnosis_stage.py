@@ -65,10 +65,15 @@ def diagnose_outcome(
     left = [w for w in (set_aside(w, gone) for w in observed) if any(True for _ in w.rows.blocks())]
     observed = left or observed
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
-    found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel)
+    found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel, _told(outcome))
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
     exchanged = _exchanged(outcome) if EXCHANGE in effects else []
     return with_exchanged_markers(with_missing_weight(found, missing, options), exchanged)
+
+
+def _told(outcome: Outcome) -> frozenset[str]:
+    """Markers that the distances to those beside them tell to be elsewhere."""
+    return frozenset(label for one in outcome.session.tracking for label in one.labels)
 
 
 def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:

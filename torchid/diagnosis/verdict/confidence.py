@@ -1,6 +1,6 @@
 """Discounts on the confidence of causes in a model that the data contradict, or that nothing can check."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
@@ -95,19 +95,22 @@ def bent_by_position(found: SearchResult, causes: Sequence[Cause], bent: Sequenc
 
 
 def unwitnessed(
-    causes: Sequence[Cause], found: SearchResult, heard: Sequence[Testimony | None]
+    causes: Sequence[Cause], found: SearchResult, heard: Sequence[Testimony | None], told: Collection[str]
 ) -> tuple[list[Cause], Trace]:
     """Return causes, those of a laboratory that no witness supports at most possible, and those steps.
 
     Args:
         causes: causes of the chosen effects, in their order.
         found: result of the search.
-        heard: what witnesses say of each; None where they were not asked.
+        heard: what witnesses of forces say of each; None where they were not asked.
+        told: markers that the distances to those beside them tell to be elsewhere.
     """
-    causes, steps, limits = list(causes), [], found.options
+    causes, steps, most = list(causes), [], found.options.confidence.doubt
+    least, unheard = found.options.naming.alike_nats, Testimony(0.0, 0.0)
     for k, (one, said) in enumerate(zip(found.chosen, heard, strict=True)):
-        least, most = limits.naming.alike_nats, limits.confidence.doubt
-        if one.effect.bodily or said is None or said.nats > least or causes[k].confidence <= most:
+        said = said or unheard
+        borne_out = one.effect.bodily or said.nats > least or any(name in told for name in one.place.where)
+        if borne_out or causes[k].confidence <= most:
             continue
         factor = most / causes[k].confidence
         causes[k] = replace(causes[k].scaled(factor), doubted=True)
