@@ -1,6 +1,7 @@
 """The sequence of the diagnosis: search, eliminate, test on held-out motion, and assess what remains."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 
 from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.model import Identification
@@ -19,6 +20,7 @@ from torchid.diagnosis.verdict.confidence import bent_by_position, discounted, u
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
+from torchid.effects.traits import Proof
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
 from torchid.witnesses.panel import Panel
@@ -47,7 +49,7 @@ def diagnose(
     limit: int,
     options: DiagnosisOptions = DiagnosisOptions(),
     panel: Panel | None = None,
-    told: Collection[str] = (),
+    told: Mapping[Proof, Collection[str]] = MappingProxyType({}),
 ) -> Diagnosis:
     """Return the causes of what the identified model gets wrong, with what remains and the trace of all decisions.
 
@@ -60,7 +62,7 @@ def diagnose(
         limit: number of causes at most of each kind (``stepwise.kind_of``).
         options: every threshold that decides.
         panel: witnesses that are asked before a name is given; None: nobody is.
-        told: markers that the distances to those beside them tell to be elsewhere.
+        told: names of places that other proof than forces bears out.
     """
     found = search(observed, effects, known, limit, options, panel)
     if _remains(found, observed, len(heldout)).significant:
@@ -79,7 +81,7 @@ def _verdict(
     observed: Sequence[TrialObservation],
     plates: tuple[SessionPlate, ...],
     panel: Panel | None,
-    told: Collection[str],
+    told: Mapping[Proof, Collection[str]],
 ) -> Diagnosis:
     """Return the diagnosis that the chosen effects amount to."""
     rest, limits = _remains(found, observed, len(unseen.trials)), found.options

@@ -14,7 +14,7 @@ from torchid.effects.marker_scene import Sight, Slid, View
 from torchid.effects.parameter import Parameter
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.quantities import Finding
-from torchid.effects.traits import Correction, Occurrence, Site
+from torchid.effects.traits import Correction, Occurrence, Proof, Site
 from torchid.regressor.rows import runs
 
 SWAPPED = 5
@@ -31,6 +31,7 @@ class MarkerSwap(SlidingMarkers):
     """Two labels are exchanged for a while. The parameter is how much of the swap is there: one, or nothing."""
 
     name = "marker_swap"
+    proof = Proof.DISTANCES
     occurrence = Occurrence.INTERVALS
     correction = Correction.LABELS
     site = Site.MARKER

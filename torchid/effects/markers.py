@@ -21,7 +21,7 @@ from torchid.effects.place import Angle, Interval, Place, within
 from torchid.effects.place_words import motion_words
 from torchid.effects.quantities import BODY, Finding, length, of, vector
 from torchid.effects.scene import Scene
-from torchid.effects.traits import Occurrence, Origin, Site
+from torchid.effects.traits import Occurrence, Origin, Proof, Site
 from torchid.geometry.result import GeometryFit
 from torchid.kinematics.recursion import cross
 from torchid.wording import clean
@@ -32,6 +32,7 @@ class MarkerShift(SlidingMarkers):
     """A marker was knocked or stuck on again: in some trials it sits elsewhere on its segment."""
 
     name = "marker_shift"
+    proof = Proof.DISTANCES
     origin = Origin.IMITATED
     occurrence = Occurrence.SOME_RECORDINGS
     site = Site.MARKER

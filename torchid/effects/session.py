@@ -14,6 +14,7 @@ from torchid.effects.parameter import Parameter, value_of
 from torchid.effects.place import SESSION, Place
 from torchid.effects.quantities import DEGREES, Finding, length, much, of
 from torchid.effects.scene import Scene, at_origin
+from torchid.effects.traits import Proof
 from torchid.wording import number
 
 TILT = "a choice: one degree, the slope of a floor, or of a calibration frame that rests on one corner"
@@ -60,6 +61,7 @@ class MarkerScale(SlidingMarkers):
     """The cameras were calibrated with a wand of another length: all lengths and accelerations err by one factor."""
 
     name = "marker_scale"
+    proof = Proof.NOTHING
     parameters = (
         Parameter("excess", 0.02, source="a choice: a wand of another make, or its length typed wrong by a digit; a "
                   "sound calibration errs by far less (on such errors: Chiari et al., Gait & Posture 21 (2005))"),

@@ -18,7 +18,7 @@ from torchid.effects.parameter import Parameter, value_of
 from torchid.effects.place import SESSION, Place, covers
 from torchid.effects.quantities import Finding, of, size
 from torchid.effects.scene import Reading
-from torchid.effects.traits import Correction, Response, Site
+from torchid.effects.traits import Correction, Proof, Response, Site
 from torchid.filters import Smoother
 from torchid.wording import stated
 
@@ -82,6 +82,7 @@ class FilterLag(SlidingMarkers):
     """
 
     name = "filter_lag"
+    proof = Proof.SMOOTHNESS
     correction = Correction.WRENCH
     """No marker gives back what a filter took away."""
     site = Site.TRIAL

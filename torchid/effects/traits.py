@@ -73,6 +73,19 @@ class Correction(Enum):
     """The record takes the values that were found, see ``RecordEffect.entries``; no force is corrected."""
 
 
+class Proof(Enum):
+    """What can bear an effect out without a body model, besides the evidence that a search finds."""
+
+    FORCES = auto()
+    """What plates read, and where the centre of mass goes (``torchid.witnesses``)."""
+    DISTANCES = auto()
+    """Distances between the markers of a segment (``torchid.tracking``)."""
+    SMOOTHNESS = auto()
+    """What markers still show of quick motion."""
+    NOTHING = auto()
+    """Nothing that a session records."""
+
+
 class Site(Enum):
     """The kind of things that the names of an effect's places name; ``("session",)`` is a place of every kind."""
 
@@ -91,6 +104,7 @@ class Traits:
     occurrence: ClassVar[Occurrence] = Occurrence.THROUGHOUT
     response: ClassVar[Response] = Response.LINEAR
     column_noise: ClassVar[ColumnNoise] = ColumnNoise.NEGLECTED
+    proof: ClassVar[Proof] = Proof.FORCES
     witnessed: ClassVar[bool] = False
     """True if it is an error of measuring that acts throughout, which witnesses may name before any model is asked."""
     correction: ClassVar[Correction] = Correction.WRENCH

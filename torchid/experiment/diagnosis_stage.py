@@ -17,7 +17,9 @@ from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.verdict.causes import with_exchanged_markers, with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
+from torchid.effects.place import SESSION
 from torchid.effects.scene import PlateFrame
+from torchid.effects.traits import Proof
 from torchid.motion import Motion
 from torchid.observation.plate_registry import SessionPlate, recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, in_memory, observe_trial
@@ -26,6 +28,7 @@ from torchid.recording import Forces
 from torchid.regressor.rows import WrenchTrial, measured
 from torchid.tracking.statement import Kind
 from torchid.witnesses.panel import Panel
+from torchid.witnesses.smoothness import smooth
 from torchid.witnesses.watched import longest_stretch
 
 LONGEST_S = 40.0
@@ -71,9 +74,12 @@ def diagnose_outcome(
     return with_exchanged_markers(with_missing_weight(found, missing, options), exchanged)
 
 
-def _told(outcome: Outcome) -> frozenset[str]:
-    """Markers that the distances to those beside them tell to be elsewhere."""
-    return frozenset(label for one in outcome.session.tracking for label in one.labels)
+def _told(outcome: Outcome) -> dict[Proof, frozenset[str]]:
+    """Names of places that other proof than forces bears out."""
+    elsewhere = frozenset(label for one in outcome.session.tracking for label in one.labels)
+    moving = [trial.markers for trial in outcome.session.role("fit").values()]
+    filtered = bool(moving) and all(smooth(one) for one in moving)
+    return {Proof.DISTANCES: elsewhere, Proof.SMOOTHNESS: frozenset(SESSION.where if filtered else ())}
 
 
 def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:

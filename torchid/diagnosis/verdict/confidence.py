@@ -1,6 +1,6 @@
 """Discounts on the confidence of causes in a model that the data contradict, or that nothing can check."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
@@ -12,6 +12,7 @@ from torchid.diagnosis.testing.position_dependence import Misfit
 from torchid.diagnosis.trace import StepKind, Trace, step
 from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.session import SESSION
+from torchid.effects.traits import Proof
 from torchid.observation.trial import TrialObservation
 from torchid.witnesses.testimony import Testimony
 
@@ -95,7 +96,10 @@ def bent_by_position(found: SearchResult, causes: Sequence[Cause], bent: Sequenc
 
 
 def unwitnessed(
-    causes: Sequence[Cause], found: SearchResult, heard: Sequence[Testimony | None], told: Collection[str]
+    causes: Sequence[Cause],
+    found: SearchResult,
+    heard: Sequence[Testimony | None],
+    told: Mapping[Proof, Collection[str]],
 ) -> tuple[list[Cause], Trace]:
     """Return causes, those of a laboratory that no witness supports at most possible, and those steps.
 
@@ -103,13 +107,17 @@ def unwitnessed(
         causes: causes of the chosen effects, in their order.
         found: result of the search.
         heard: what witnesses of forces say of each; None where they were not asked.
-        told: markers that the distances to those beside them tell to be elsewhere.
+        told: names of places that other proof than forces bears out.
     """
     causes, steps, most = list(causes), [], found.options.confidence.doubt
     least, unheard = found.options.naming.alike_nats, Testimony(0.0, 0.0)
     for k, (one, said) in enumerate(zip(found.chosen, heard, strict=True)):
         said = said or unheard
-        borne_out = one.effect.bodily or said.nats > least or any(name in told for name in one.place.where)
+        borne_out = (
+            one.effect.bodily
+            or said.nats > least
+            or any(name in told.get(one.effect.proof, ()) for name in one.place.where)
+        )
         if borne_out or causes[k].confidence <= most:
             continue
         factor = most / causes[k].confidence
