@@ -11,7 +11,7 @@ BAND_HZ = 12.0, 20.0
 shows."""
 SMOOTH_MM = 0.01
 """Estimator. Content in that band below which markers of a moving person were low-passed [mm]: as recorded they had 0.03
-to 1.2 in four laboratories, 0.0016 to 0.0025 where the laboratory says that it filters, at most 0.008 after 4 Hz."""
+to 1.2 in four laboratories, 0.0016 to 0.0025 where filtered before they were published, at most 0.008 after 4 Hz."""
 MOVING_MM = 20.0
 """Estimator. Scatter of a marker's place from which on a person moves [mm]."""
 FEWEST_S = 0.5
