@@ -294,3 +294,29 @@ def test_frames_that_an_extension_leaves_out_win_nothing(tmp_path):
     aside = replace(base.diagnosis, aside=(Interval("squats", 0.0, 99.0),))
     kept = cut_blocks(replace(base, diagnosis=aside))
     assert not bool(kept.judged["squats"].any()) and kept.wrench == blocks.wrench
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_names_that_are_given_back_must_not_make_markers_worse(tmp_path, factor):
+    """Swaps are judged before everything else; if they are refuted, the recordings stay as they were."""
+    base = clean()
+    when = (Interval("squats", 1.0, 2.0),)
+    swap = replace(
+        cause(1), effect="marker_swap", where=("LHEE", "LTOE"), when=when, gain={"heldout_log_likelihood": 1.0}
+    )
+    assert base.diagnosis is not None
+    base = replace(base, diagnosis=replace(base.diagnosis, causes=(swap,)))
+    followed = {
+        name: replace(own, tracked=replace(own.tracked, error=factor * own.tracked.error))
+        for name, own in base.followed.items()
+    }
+    relabelled = replace(base, followed=followed, diagnosis=clean().diagnosis)
+    with OutputFolder(tmp_path) as folder:
+        found = publishable(base, relabelled, folder, "key", lambda stage, share: None)
+    assert found.diagnosis is not None
+    assert [own.effect for own in found.diagnosis.causes] == (["marker_swap"] if factor < 1.0 else [])
+    assert [own.effect for own in found.diagnosis.refuted] == ([] if factor < 1.0 else ["marker_swap"])
+    assert (found.base is None) == (factor > 1.0)
+    if found.base is not None:
+        assert found.base.diagnosis is found.diagnosis and found.tracked("squats").rmse < base.tracked("squats").rmse

@@ -101,7 +101,7 @@ class Attempts:
         self._models: dict[Chosen, tuple[Outcome, Mapping[Group, BlockErrors]] | None] = {}
         self._geometries: set[Chosen] = {frozenset()}
         self._before = self._errors(base, ())
-        if origin.fit is base.fit:
+        if origin.followed is base.followed:
             self._models[frozenset()] = base, self._before
 
     def affordable(self, chosen: Chosen) -> bool:
