@@ -10,6 +10,9 @@ from rich.text import Text
 from torchid.check_plates import PlateCheck, check_plate, moved_mass, plate_weight
 from torchid.errors import Note
 from torchid.recording import Trial
+from torchid.tracking.clusters import Clusters
+from torchid.tracking.session import look_at_trial
+from torchid.tracking.statement import notes_of
 
 WEIGHT_MISMATCH = 0.05
 """Relative difference of mean vertical force and recorded weight worth saying."""
@@ -17,6 +20,8 @@ OUTSIDE = 0.02
 """Share of a plate's loaded time that its centre of pressure may lie beside it."""
 MANY_GAPS = 40.0
 """Share of missing samples [%] above which a marker is worth naming."""
+MOST_MARKERS = 200
+"""Resolution. Labels above which tracks are not looked at without a marker set: such files hold points of programs."""
 LARGE_BASELINE = 5.0
 """Unloaded reading [N] above which an offset is worth a cure."""
 
@@ -108,7 +113,7 @@ def check_trial(trial: Trial, mass_kg: float | None = None, disagreements: tuple
         force_rate=forces.rate if forces and len(forces.time) > 1 else None, plates=plates, weight=weight,
         mass=moved,
         recorded_mass=mass, units=facts.get("units", ""), up=facts.get("up", ""), events=len(trial.events),
-        problems=tuple(found), notes=tuple(note for note in trial.notes if note.code not in CURES)
+        problems=tuple(found), notes=(*(note for note in trial.notes if note.code not in CURES), *_track_notes(trial))
     )  # fmt: skip
 
 
@@ -118,6 +123,13 @@ def stated_mass(trial: Trial) -> float | None:
         return float(trial.parameters.get("mass_kg", "")) or None
     except ValueError:
         return None
+
+
+def _track_notes(trial: Trial) -> tuple[Note, ...]:
+    """What is wrong with the tracks of its markers, as far as one trial without a marker set tells."""
+    if trial.role == "static" or len(trial.markers.labels) > MOST_MARKERS:
+        return ()
+    return notes_of(look_at_trial(trial, Clusters.unknown(trial.markers.labels), []))
 
 
 def _from_notes(trial: Trial) -> list[Note]:

@@ -9,7 +9,7 @@ from torchid.experiment.read import read_setup
 from torchid.experiment.tracks import look_at_session
 from torchid.geometry.assign import assign_markers
 from torchid.recording import Trial
-from torchid.tracking.statement import notes_of
+from torchid.tracking.statement import Kind, notes_of
 
 
 def check_session(config: Config) -> Iterator[Finding]:
@@ -31,6 +31,8 @@ def check_session(config: Config) -> Iterator[Finding]:
     try:
         assignment = assign_markers(model, markers, tuple(trials), config.unlisted_choice)
         wrong = look_at_session({trial.name: trial for trial in trials}, assignment)
-        yield from (*said, *assignment.notes, *notes_of(wrong))
+        # Leaps and frozen markers have been said of each recording.
+        between = [one for one in wrong if one.kind in (Kind.EXCHANGED, Kind.MOVED)]
+        yield from (*said, *assignment.notes, *notes_of(between))
     except TorchidError as error:
         yield Refusal.of(error)

@@ -18,7 +18,8 @@ UNDONE = 0.4
 """Calibrated. Part of the misfit of distances that may be left with the names exchanged. Toes that bend brought a wrong
 pair of eight recorded sessions to 0.4 for a tenth of a second; exchanged markers leave 0.1."""
 UNDONE_ALONE = 0.25
-"""Choice. The same where only one of the two markers is seen, and nothing else speaks for the exchange."""
+"""Choice. The same where only one of the two markers is seen, or all is told by one marker beside them, which may be
+the one that is wrong."""
 SAVED_M = 0.01
 """Calibrated. Mean misfit of distances that exchanging must take away [m]: three times what distances on one segment
 scatter by from trial to trial (3.5 mm)."""
@@ -39,13 +40,13 @@ class Misfit:
     """Mean misfit of distances as labelled [m]; NaN where nothing tells."""
     undone: Float[Tensor, " frames"]
     """The same with the names exchanged [m]."""
-    both: Bool[Tensor, " frames"]
-    """Both markers are seen."""
+    twice: Bool[Tensor, " frames"]
+    """Both markers are seen, and there are two beside them."""
 
     @property
     def exchanged(self) -> Bool[Tensor, " frames"]:
         """Return the frames that fit better the other way round."""
-        part = torch.where(self.both, UNDONE, UNDONE_ALONE)
+        part = torch.where(self.twice, UNDONE, UNDONE_ALONE)
         return (self.undone < part * self.now) & (self.now - self.undone > SAVED_M)
 
 
@@ -85,13 +86,15 @@ def misfit(
         pair: indices of the markers.
     """
     now, undone = [], []
+    around = set[int]()
     for own, other in (pair, pair[::-1]):
         beside = [k for k in together[own].nonzero()[:, 0].tolist() if k not in pair]
+        around.update(beside)
         to = position[:, beside]
         now.append(((position[:, own, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
         undone.append(((position[:, other, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
     both = torch.isfinite(position[:, list(pair)]).all(dim=2).all(dim=1)
-    return Misfit(_mean(torch.cat(now, dim=1)), _mean(torch.cat(undone, dim=1)), both)
+    return Misfit(_mean(torch.cat(now, dim=1)), _mean(torch.cat(undone, dim=1)), both & (len(around) > 1))
 
 
 def _mean(misfits: Float[Tensor, "frames distances"]) -> Float[Tensor, " frames"]:

@@ -44,15 +44,12 @@ def look_at_trial(trial: Trial, clusters: Clusters, others: list[Shape], own: Sh
         own: its own shape, if that is known already.
     """
     own = shape_of(trial.name, trial.markers, clusters.labels) if own is None else own
-    exchanged = find_exchanges(trial.name, trial.markers, clusters, others or [own])
-    exchanged += [] if exchanged else find_turned(own, clusters, others)
-    named = renamed(trial.markers, exchanged)
     near = beside(clusters, own)
-    return [
-        *exchanged,
-        *find_jumps(trial.name, named, clusters, others),
-        *find_frozen(trial.name, trial.markers, clusters.labels, near),
-    ]
+    frozen = find_frozen(trial.name, trial.markers, clusters.labels, near)
+    moving = without(trial.markers, frozen)
+    exchanged = find_exchanges(trial.name, moving, clusters, others or [own])
+    exchanged += [] if exchanged else find_turned(own, clusters, others)
+    return [*exchanged, *find_jumps(trial.name, renamed(moving, exchanged), clusters, others), *frozen]
 
 
 def readings_of(
