@@ -1,4 +1,4 @@
-"""Witnesses name what a laboratory did to its recordings, nothing where it did nothing, and contradict what is false."""
+"""Witnesses name what a laboratory did to its recordings, nothing where it did nothing, and contradict the rest."""
 
 import os
 import time as clock

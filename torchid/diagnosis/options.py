@@ -169,7 +169,7 @@ class DiagnosisOptions:
 
 SECTIONS = (
     ObservationOptions, NamingOptions, EliminationOptions, HeldOutOptions, AdequacyOptions, ConfidenceOptions,
-    MissingWeightOptions, NeverWorseOptions,
+    MissingWeightOptions, WitnessOptions, NeverWorseOptions,
 )  # fmt: skip
 """Sections of the options, in the order of the table in ``docs/diagnosis.md``."""
 

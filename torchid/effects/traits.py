@@ -74,14 +74,14 @@ class Correction(Enum):
 
 
 class Proof(Enum):
-    """What can bear an effect out without a body model, besides the evidence that a search finds."""
+    """The kind of measurement that can bear an effect out without a body model."""
 
     FORCES = auto()
-    """What plates read, and where the centre of mass goes (``torchid.witnesses``)."""
+    """Readings of plates, and the way of the centre of mass (``torchid.witnesses``)."""
     DISTANCES = auto()
     """Distances between the markers of a segment (``torchid.tracking``)."""
     SMOOTHNESS = auto()
-    """What markers still show of quick motion."""
+    """Quick motion that markers still show."""
     NOTHING = auto()
     """Nothing that a session records."""
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchid.conventions import GRAVITY, LOADED_N
 from torchid.regressor.rows import runs
-from torchid.witnesses.options import BalanceOptions
+from torchid.witnesses.options import WitnessOptions
 from torchid.witnesses.statements import Subject
 from torchid.witnesses.watched import Watched
 
@@ -55,7 +55,7 @@ class Balance:
         return _stated(watched, len(self.bearing), x)[0]
 
 
-def balance(watched: Watched, options: BalanceOptions) -> Balance | None:
+def balance(watched: Watched, options: WitnessOptions) -> Balance | None:
     """Return the witness of a trial's balance; None where no window is long enough.
 
     Args:
@@ -82,7 +82,7 @@ def _about(trial: str, plates: Sequence[str]) -> tuple[Subject, ...]:
     return (Subject("mass", trial), *gains, *clocks, *lean)
 
 
-def _bearing(watched: Watched, options: BalanceOptions) -> tuple[tuple[int, ...], ...]:
+def _bearing(watched: Watched, options: WitnessOptions) -> tuple[tuple[int, ...], ...]:
     """Return the plates that bear more than a little of the weight: each apart if weight moves between them, else all
     together, for which the first speaks."""
     vertical = watched.reading.wrench[watched.measured][..., 2].clamp(min=0.0)
@@ -95,7 +95,7 @@ def _bearing(watched: Watched, options: BalanceOptions) -> tuple[tuple[int, ...]
     return tuple((k,) for k in some)
 
 
-def _parts(watched: Watched, options: BalanceOptions) -> Iterator[slice]:
+def _parts(watched: Watched, options: WitnessOptions) -> Iterator[slice]:
     """Yield windows: runs of measured frames, cut evenly."""
     least, most = options.shortest_s * watched.rate, options.longest_s * watched.rate
     for start, stop in runs(watched.measured):
@@ -148,7 +148,7 @@ def _integral(x: Float[Tensor, "frames some"], dt: float) -> Float[Tensor, "fram
     return torch.nn.functional.pad(torch.cumulative_trapezoid(x, dx=dt, dim=0), (0, 0, 1, 0))
 
 
-def _closed(windows: Sequence[_Window], options: BalanceOptions) -> list[int]:
+def _closed(windows: Sequence[_Window], options: WitnessOptions) -> list[int]:
     """Return the windows that close as well as the others: one contact beside a plate spoils all the rest."""
     x = _solved(windows)
     left = torch.stack([(w.target - w.columns @ x).square().mean().sqrt() for w in windows])

@@ -152,7 +152,7 @@ def witnesses_of(trial: Watched, options: WitnessOptions) -> Iterator[Witness]:
         trial: the trial.
         options: thresholds.
     """
-    for one in (balance(trial, options.balance), zeros(trial), pressures(trial, options)):
+    for one in (balance(trial, options), zeros(trial), pressures(trial, options)):
         if one is not None:
             yield one
 

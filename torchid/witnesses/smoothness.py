@@ -10,8 +10,8 @@ BAND_HZ = 12.0, 20.0
 """Estimator. Frequencies that are looked at [Hz]: above what gait and exercises need, below what a camera's noise alone
 shows."""
 SMOOTH_MM = 0.01
-"""Estimator. Content in that band below which markers of a moving person were low-passed [mm]: as recorded they had 0.03
-to 1.2 in four laboratories, 0.0016 to 0.0025 where filtered before they were published, at most 0.008 after 4 Hz."""
+"""Estimator. Content in that band below which markers of a moving person were low-passed [mm]: as recorded they had
+0.03 to 1.2 in four laboratories, 0.0016 to 0.0025 where filtered before publication, 0.008 at most after 4 Hz."""
 MOVING_MM = 20.0
 """Estimator. Scatter of a marker's place from which on a person moves [mm]."""
 FEWEST_S = 0.5

@@ -24,7 +24,7 @@ class ExchangedMarkers:
     """Two labels of one trial."""
 
     statement: Statement
-    """What distances say of them."""
+    """Statement of distances about them."""
     place: Place
     """The labels, and when they are exchanged."""
 

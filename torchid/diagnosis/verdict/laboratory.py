@@ -17,10 +17,10 @@ RULE = "witnesses_name"
 def causes_of_faults(
     panel: Panel, faults: Sequence[Fault], trials: Sequence[str], options: DiagnosisOptions
 ) -> tuple[Cause, ...]:
-    """Return the faults as causes, without what they gain on held-out motion.
+    """Return the faults as causes, but for what they gain on held-out motion.
 
     Args:
-        panel: the statements that they were named by.
+        panel: the statements that name them.
         faults: the faults.
         trials: names of the fit trials and, behind them, of the held-out ones.
         options: limits of what a verdict may claim.
