@@ -2,7 +2,8 @@
 
 A verdict is found in a linear model; only fitting everything again shows what a cause does to geometry, inertia and
 motion. Causes are left out one by one until the model is no worse than the base model, nor than it would be without any
-single one, in forces, moments and markers, in every held-out trial and in blocks of the fit trials left out in turn.
+single one on forces, in forces, moments and markers, in every held-out trial and in blocks of the fit trials left out
+in turn.
 """
 
 import logging
@@ -149,7 +150,7 @@ class Attempts:
 
 
 def select(attempts: Attempts) -> tuple[Chosen, list[Refusal]]:
-    """Leave out causes until the model is no worse than the base model, nor than without any single one.
+    """Leave out causes until the model is no worse than the base model, nor than without any single one on forces.
 
     Where no more geometries are worth their time, causes on markers leave together.
 
@@ -162,9 +163,10 @@ def select(attempts: Attempts) -> tuple[Chosen, list[Refusal]]:
     kept, refused = frozenset(range(len(attempts.causes))), []
     while kept:
         whole = attempts.growth(kept)
-        grown = {some: attempts.growth(kept, kept - some) for some in _leavable(attempts, kept)}
+        worse = any(one.worse for one in whole)
+        grown = {some: attempts.growth(kept, kept - some) for some in _leavable(attempts, kept, worse)}
         harmful = {some: own for some, own in grown.items() if any(one.worse for one in own)}
-        if not harmful and not any(one.worse for one in whole):
+        if not harmful and not worse:
             break
         gone = max(harmful or grown, key=lambda some: _worst(grown[some]))
         numbers = worsening(whole, grown[gone], attempts.options)
@@ -174,8 +176,13 @@ def select(attempts: Attempts) -> tuple[Chosen, list[Refusal]]:
     return kept, refused
 
 
-def _leavable(attempts: Attempts, kept: Chosen) -> list[Chosen]:
-    """Single causes, those on markers from the least confident on; all on markers where not each can be left out."""
+def _leavable(attempts: Attempts, kept: Chosen, worse: bool) -> list[Chosen]:
+    """Single causes, those on markers from the least confident on; all on markers where not each can be left out.
+
+    While the whole is no worse than the base model, those on markers, of which each asks for another geometry, stay.
+    """
+    if not worse:
+        return [frozenset({k}) for k in sorted(kept - attempts.movers(kept))]
     order = sorted(kept, key=lambda k: attempts.causes[k].confidence)
     found = []
     for k in order:

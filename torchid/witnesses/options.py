@@ -12,8 +12,8 @@ class WitnessOptions:
     odds: Share = 0.1
     """Derived. Odds before any data that a session has a fault of one kind: one session in ten."""
     named_nats: Positive = 2.5
-    """Calibrated. Log odds from which a fault is named, those of ``NamingOptions.named_nats``: in eight public sessions as
-    recorded nothing was named that is not known to be wrong."""
+    """Calibrated. Log odds from which a fault is named, those of ``NamingOptions.named_nats``: in eight public sessions
+    as recorded nothing was named that is not known to be wrong."""
     most: Count = 6
     """Derived. Number of faults at most: more are no laboratory."""
     contradicted_nats: Positive = 4.5
