@@ -2,6 +2,7 @@
 
 import math
 
+from torchid.diagnosis.options import ConfidenceOptions
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import DataError
 from torchid.outcome import Outcome
@@ -28,6 +29,8 @@ READING = (
 """Notes about files that were read as they should be; the section on data handling has them all."""
 FAR_SD = 3.0
 """An identified mass this many prior standard deviations from the table is pointed out."""
+DOUBT = ConfidenceOptions().doubt
+"""A cause of no more confidence than this is only possible, and not what a page begins with."""
 LARGE_MM = 80.0
 """A marker this far from the model was probably swapped or mislabelled [mm]."""
 
@@ -53,12 +56,17 @@ def _named(found: Diagnosis | None) -> list[Block]:
     """What the diagnosis says, in a sentence or two; its section has the rest."""
     if found is None:
         return []
-    said = ["Nothing that the catalogue knows was found wrong with the recordings."]
-    if found.causes:
-        first, others = found.causes[0], len(found.causes) - 1
-        said = [told(first), f"That is {likely(first)}."]
-        if others:
-            said.append(f"{plural(others, 'more cause')} and all rivals: see “What the model gets wrong”.")
+    sure = [cause for cause in found.causes if cause.confidence > DOUBT]
+    others = len(found.causes) - bool(sure)
+    if sure:
+        said = [told(sure[0]), f"That is {likely(sure[0])}."]
+    elif found.causes or found.refuted:
+        said = ["Nothing that the catalogue knows is shown to be wrong with the recordings."]
+    else:
+        said = ["Nothing that the catalogue knows was found wrong with the recordings."]
+    if others:
+        more = "more cause" if sure else "possible cause"
+        said.append(f"{plural(others, more)} and all rivals: see “What the model gets wrong”.")
     if found.unexplained.significant:
         said.append("More remains in the forces than noise makes, and no named cause explains it.")
     return [Paragraph(" ".join(said))]
