@@ -24,6 +24,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,8 @@ SMALL_KINDS = (UNPLANTED, "clock20", "gain", "mass")
 """Choice. Sessions that take least, and kinds that a balance of momentum sees: about two minutes on two cores."""
 EACH = 6
 """Choice. Sessions in which each kind is planted, by lot: with all as recorded, an hour on two cores at 45 s a run."""
+TRIES = 3
+"""Choice. Times that a battery goes on after a worker was killed."""
 KEPT = ("causes", "plates", "baseline", "extended", "unexplained", "refuted", "nearest")
 """Parts of ``diagnosis.json`` that are kept."""
 
@@ -207,17 +210,25 @@ def main(given: Sequence[str] | None = None) -> None:
 
 
 def _run(arguments: argparse.Namespace, some: dict[str, RealSession], root: Path) -> None:
+    """Run what is missing; a worker that is killed, for want of memory say, does not end the battery."""
     arguments.out.mkdir(parents=True, exist_ok=True)
     path, every = arguments.out / "verdicts.jsonl", planned(arguments, some)
-    done = {verdict["case"] for verdict in read_lines(path)}
-    waiting = [case for case in every if case.key not in done]
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        futures = [pool.submit(perform, case, some[case.session], root, arguments.out) for case in waiting]
-        for number, one in enumerate(as_completed(futures), len(every) - len(waiting) + 1):
-            kept = one.result()
-            with path.open("a") as file:
-                file.write(json.dumps(kept) + "\n")
-            print(f"{number:4d}/{len(every)} {_in_a_line(kept)}", flush=True)
+    for left in reversed(range(TRIES)):
+        done = {verdict["case"] for verdict in read_lines(path)}
+        waiting = [case for case in every if case.key not in done]
+        try:
+            with ProcessPoolExecutor(arguments.jobs) as pool:
+                futures = [pool.submit(perform, case, some[case.session], root, arguments.out) for case in waiting]
+                for number, one in enumerate(as_completed(futures), len(every) - len(waiting) + 1):
+                    kept = one.result()
+                    with path.open("a") as file:
+                        file.write(json.dumps(kept) + "\n")
+                    print(f"{number:4d}/{len(every)} {_in_a_line(kept)}", flush=True)
+            return
+        except BrokenProcessPool:
+            if not left:
+                raise
+            print("a worker was killed; what it had begun is run again", flush=True)
 
 
 def _in_a_line(kept: dict[str, Any]) -> str:
