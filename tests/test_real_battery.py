@@ -2,6 +2,7 @@
 
 import json
 import sys
+from argparse import Namespace
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from batteries import real
 from batteries.real_files import Recorded, cropped, frames_kept, read_recorded, write_session
-from batteries.real_judge import judged, tables
+from batteries.real_judge import differences, judged, tables
 from batteries.real_kinds import KINDS, UNPLANTED, plant
 from batteries.real_plates import plates_of
 from batteries.real_sessions import ASIDE, SESSIONS, RealSession, sessions
@@ -333,7 +334,10 @@ def test_verdicts_are_judged_by_effect_place_and_size():
     refused = {k: v for k, v in verdict(truth=truth, exit=3).items() if k not in ("diagnosis", "residuals")}
     assert judged(refused, (), None)["result"] == "refused"
     lines = "\n".join(tables([told(gain), told(other, gain), judged(before, (), None), judged(refused, (), None)]))
-    assert "gain" in lines and "tether" in lines and "worse" in lines
+    assert "gain" in lines and "tether" in lines and "worse" in lines and "exit 3" in lines
+    changed = list(differences([told(gain)], [told(other, gain)]))
+    assert len(changed) == 4 and changed[-1] == "1 cases in both, 1 differ; right 1 and 0"
+    assert len(list(differences([told(gain)], [told(gain)]))) == 1
 
 
 def test_truths_pass_through_json():
@@ -361,6 +365,17 @@ def test_cases_do_not_hang_on_what_else_is_run():
     assert {case.way for case in every if case.kind == UNPLANTED and case.session == "HC030A"} == {
         "none", "straight", "turn"
     }  # fmt: skip
+
+
+def test_a_battery_of_an_hour_has_some_of_every_kind(data_dir):
+    """By lot, a few sessions a kind, the same ones for a seed; every way of leaving a trial out as recorded."""
+    some = sessions(data_dir, False)
+    asked = Namespace(sessions=None, kinds=None, small=False, each=2, cases=None, seed=SEED)
+    found = real.planned(asked, some)
+    assert found == real.planned(asked, some) and len({case.key for case in found}) == len(found)
+    assert {kind: sum(case.kind == kind for case in found) for kind in KINDS} == dict.fromkeys(KINDS, 2)
+    assert sum(case.kind == UNPLANTED for case in found) == sum(len(one.ways) for one in some.values())
+    assert len(real.planned(Namespace(**vars(asked) | {"cases": 5}), some)) == 5
 
 
 def test_a_battery_goes_on_where_it_was_stopped(tmp_path, monkeypatch, data_dir):

@@ -33,7 +33,9 @@ def judged(kept: Mapping[str, Any], known: Sequence[Sequence[str]], unplanted: M
         known: effect and place of what is wrong with the session as recorded.
         unplanted: the same of the session as recorded, run the same way; None where there is none.
     """
-    said, truth = kept.get("diagnosis"), truth_from(kept["truth"])
+    # A run that ends well without a verdict, where too little is on plates, names nothing.
+    nothing = None if kept["exit"] else {"causes": [], "plates": {}}
+    said, truth = kept.get("diagnosis", nothing), truth_from(kept["truth"])
     row = {key: kept[key] for key in ("case", "session", "way", "kind", "seed", "exit", "message", "cpu_s", "seconds")}
     row |= {"told": truth.told, "scored": kept["kind"] in KINDS and KINDS[kept["kind"]].scored}
     row |= _errors(kept)
