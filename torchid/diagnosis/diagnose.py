@@ -20,6 +20,7 @@ from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
+from torchid.snapshot import release
 
 
 def select_effects(include: Sequence[str], exclude: Sequence[str]) -> tuple[Effect, ...]:
@@ -57,6 +58,7 @@ def diagnose(
         options: every threshold that decides.
     """
     found = search(observed, effects, known, limit, options)
+    release()  # the catalogue's memory
     if _remains(found, observed, len(heldout)).significant:
         found = settle(eliminate(found, observed, VISIBLE), observed, SUPPORTED)
         found = restore_record(found, observed)

@@ -16,9 +16,10 @@ from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
 from torchid.motion import Motion
 from torchid.observation.plate_registry import recognise
-from torchid.observation.trial import BodyEstimate, TrialObservation, in_memory, observe_trial
+from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
 from torchid.outcome import Outcome
 from torchid.regressor.rows import WrenchTrial
+from torchid.snapshot import in_memory
 
 LONGEST_S = 40.0
 """Of a trial is searched at most: columns of the whole catalogue take 13 MB per second at 100 Hz."""
@@ -27,12 +28,13 @@ MOST = 12
 
 
 @keeping_large()
-def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_memory) -> Diagnosis | None:
+def diagnose_outcome(outcome: Outcome, room: Callable[[Sequence[int]], Tensor] = in_memory) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
 
     Args:
         outcome: up to the inertia; its config says what to try and by which thresholds.
-        aside: puts columns away until they are looked at (``OutputFolder.swap``); without it they stay in memory.
+        room: makes zeros of a shape, where columns lie until they are looked at (``OutputFolder.room``); without it
+            they lie in memory.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
@@ -44,7 +46,7 @@ def diagnose_outcome(outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_me
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
     parts = {role: searched(some) for role, some in trials.items()}
     observed, heldout = (
-        [replace(one, aside=aside) for one in observe_outcome(outcome, role, parts[role]).values()]
+        [replace(one, room=room) for one in observe_outcome(outcome, role, parts[role]).values()]
         for role in ("fit", "heldout")
     )
     if identified is None or not observed:

@@ -110,7 +110,7 @@ def _compute(
     if config.diagnosis.enabled:
         progress("diagnosis", 0.0)
         outcome = replace(
-            outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(outcome, folder.swap))
+            outcome, diagnosis=folder.stage("diagnosis", key, lambda: diagnose_outcome(outcome, folder.room))
         )
         progress("diagnosis", 1.0)
         if outcome.diagnosis is not None and outcome.diagnosis.causes:

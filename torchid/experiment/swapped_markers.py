@@ -46,7 +46,7 @@ def put_right(base: Outcome, folder: OutputFolder, key: str, progress: OnStage) 
     if not exchanged:
         return base, base
     again = fitted_anew(base, exchanged, folder, key, progress)
-    after = folder.stage("diagnosis_relabelled", key, lambda: diagnose_outcome(again, folder.swap))
+    after = folder.stage("diagnosis_relabelled", key, lambda: diagnose_outcome(again, folder.room))
     if after is None or any(_overlap(one, other) for one in exchanged for other in swap_causes(after.causes)):
         return base, base
     return replace(base, diagnosis=merged(base.diagnosis, after, exchanged, base.config.diagnosis.thresholds)), replace(

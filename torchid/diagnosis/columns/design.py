@@ -73,11 +73,6 @@ class Columns:
         """Columns behind those of the inertia, about the root's origin; a copy where some of many are kept."""
         return self.wide if self.kept is None else self._taken(self.kept)
 
-    @property
-    def alone(self) -> "Columns":
-        """The columns without those of the wider design, whose memory is freed when nothing else holds it."""
-        return replace(self, wide=self.extra, kept=None, fresh=None)
-
     def replaced(self, at: Int[Tensor, " some"], by: Float[Tensor, "6 some frames"]) -> "Columns":
         """Return the columns with others in the place of some, or behind all; the rest is not copied.
 
