@@ -103,6 +103,7 @@ def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source],
     if noise is not None and observed.noise_budget is not None:
         noise = noise.clone()
         noise[..., at] = noise_scores(observed, observed.noise_budget, others, inertia=False)
+    response.forget()
     return replace(own, terms=replace(terms, markers=statistics, noise_scores=noise))
 
 

@@ -1,6 +1,6 @@
 """Rows of forces of one trial in the frequency domain, and its columns."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -12,7 +12,7 @@ from torchid.diagnosis.columns.relinearise import without_beyond
 from torchid.observation.noise_budget import NoiseBudget
 from torchid.observation.reliability import Reliability
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.whitening import BlockSpectrum, Spectra, column_spectra
+from torchid.regressor.whitening import BlockSpectrum, block_spectrum, column_spectra
 from torchid.snapshot import unload
 
 
@@ -36,8 +36,8 @@ def trial_spectra(observed: TrialObservation, columns: Columns, noisy: Sequence[
         columns: columns of the trial.
         noisy: for every column behind the inertia's, True if it holds noise of accelerations that were found.
     """
-    found: Iterable[BlockSpectrum] = Spectra(without_beyond(observed.rows, columns), columns.extra)
-    budget, phi = observed.noise_budget, observed.phi.reshape(-1)
+    rows, budget, phi = without_beyond(observed.rows, columns), observed.noise_budget, observed.phi.reshape(-1)
+    found = (block_spectrum(rows, part, columns.during(part)) for part in rows.blocks())
     if budget is not None:
         known = [not noisy[k - len(phi)] for k in columns.terms.live[len(phi) :].tolist()]
         found = (_shrunk(block, budget.reliability, phi, known) for block in found)

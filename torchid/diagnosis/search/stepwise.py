@@ -223,6 +223,7 @@ def _relinearise(observed: Sequence[TrialObservation], model: LinearModel, chose
         for k, x in enumerate(theta):
             x[which] = less.prior.theta(posterior.z(len(less.prior.mean), k))
     design = relinearised(observed, design, [x[n:] for x in theta])
+    release()
     return LinearModel(spectra_of(observed, design), model.prior, design, noise)
 
 
