@@ -34,6 +34,6 @@ def test_replaced_columns_stand_where_others_did(tmp_path, stored):
         theta = torch.randn(wanted.shape[1], generator=draw, dtype=torch.float64)
         theta[torch.rand(len(theta), generator=draw) < 0.4] = 0.0
         assert_close(found.extra, wanted, rtol=0.0, atol=0.0)
+        assert_close(found.during(slice(1, 4)), wanted[:, :, 1:4], rtol=0.0, atol=0.0)
         assert_close(found.added(theta), torch.einsum("p,ipt->ti", theta, wanted))
-        assert_close(found.alone.wide, wanted, rtol=0.0, atol=0.0)
     assert found.wide.equal(wide)

@@ -1,7 +1,7 @@
 """What columns share with the total is what it is draw by draw, and sums are the same by a shorter way."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ import torchid.observation.trial as observed_trials
 from torchid.diagnosis.candidates.candidate import Source
 from torchid.diagnosis.columns.assemble import make_design, retaken, trial_columns
 from torchid.diagnosis.columns.corrected_scores import noise_scores
-from torchid.diagnosis.columns.design import Design, only
+from torchid.diagnosis.columns.design import Columns, Design, only
 from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.diagnosis.evidence.spectra import trial_spectra
 from torchid.dynamics import base_rows, body_rows, wrench_about
@@ -23,6 +23,7 @@ from torchid.effects.columns import columns
 from torchid.experiment.diagnosis_stage import observe_outcome
 from torchid.observation.trial import TrialObservation
 from torchid.regressor.whitening import BAND_EDGES_HZ, band_of, coefficients, column_spectra, cosine_matrix, frequencies
+from torchid.snapshot import in_memory
 
 pytestmark = pytest.mark.slow
 
@@ -96,7 +97,7 @@ def test_what_is_shared_is_what_every_draw_shares(observed, design):
 
 
 def test_a_design_of_some_columns_has_them_as_the_whole_has(design):
-    """Chosen from twice: columns, what they add with some parameters, and a copy without the others."""
+    """Chosen from twice: columns, and what they add with some parameters."""
     rng = np.random.default_rng([small.SEED, 21])
     some = [design.candidates[k] for k in sorted(rng.choice(len(design.candidates), 40, replace=False))]
     few, own, first = only(design, some)
@@ -106,8 +107,6 @@ def test_a_design_of_some_columns_has_them_as_the_whole_has(design):
     theta = torch.tensor(rng.normal(size=wanted.shape[1]))
     assert_close(found.extra, wanted, rtol=0.0, atol=0.0)
     assert_close(found.added(theta), torch.einsum("p,ipt->ti", theta, wanted))
-    assert found.alone.kept is None
-    assert_close(found.alone.wide, wanted, rtol=0.0, atol=0.0)
 
 
 def test_columns_taken_elsewhere_are_those_of_a_design_made_there(observed, design):
@@ -161,3 +160,24 @@ def test_only_what_accelerations_give_is_doubted(observed):
                 assert_close(own, (reliability if source.effect.noisy else 1.0) * plain[:, part])
                 doubted[source.effect.name].append(source.effect.noisy)
     assert not any(doubted["tether"]) and all(doubted["payload"]) and doubted["payload"]
+
+
+def test_what_grows_with_columns_lies_where_room_is_made(observed, design):
+    """Columns, Gram matrices of markers and spectra of forces lie in the room that was made, the same as in memory."""
+    made = []
+
+    def room(shape: Sequence[int]) -> torch.Tensor:
+        made.append(in_memory(shape))
+        return made[-1]
+
+    there = replace(observed, room=room)
+    found, plain = large(there, trial_columns(there, design.sources), design), large(observed, design.trials[0], design)
+    assert {x.data_ptr() for x in found} <= {x.data_ptr() for x in made}
+    for one, other in zip(found, plain, strict=True):
+        assert_close(one, other, rtol=0.0, atol=0.0)
+
+
+def large(observed: TrialObservation, columns: Columns, design: Design) -> list[torch.Tensor]:
+    """What a trial has of every column that may lie elsewhere than in memory."""
+    rows = trial_spectra(observed, columns, design.noisy)
+    return [columns.wide, columns.terms.markers.gram, *(block.Y for block in rows.forces)]

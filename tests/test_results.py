@@ -19,7 +19,7 @@ import xarray
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchid import files, results
+from torchid import files, results, snapshot
 from torchid.errors import DataError, InputError, Note
 from torchid.files import TEMPORARY, atomic_write, file_sha256, nameless_file, safe_name, write_json, write_text
 from torchid.io.storage import write_storage
@@ -193,18 +193,21 @@ def test_snapshots_hold_and_rebuild_nothing_foreign():
 
 def test_what_finds_no_room_on_disk_stays_in_memory(tmp_path, monkeypatch):
     """Columns are worth a file, not a run; what is as long as a recording says that the disk is full."""
-    value = torch.arange(5.0)
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     with OutputFolder(tmp_path / "out") as folder:
-        stored = folder.swap(value)
-        assert stored.equal(value) and stored is not value
-        monkeypatch.setattr(results, "swap_out", full)
-        assert folder.swap(value) is value
+        for lacking in (False, True):
+            if lacking:
+                monkeypatch.setattr(results, "make_room", full)
+                monkeypatch.setattr(results, "swap_out", full)
+            room = folder.room((2, 3))
+            room[:, 1:] = torch.ones(2, 2, dtype=torch.float64)
+            snapshot.unload()
+            assert room.tolist() == [[0.0, 1.0, 1.0]] * 2
         with pytest.raises(InputError, match="cannot be written"):
-            folder.aside(value)
+            folder.aside(room)
 
 
 def test_mapped_snapshots_hold_what_was_written(tmp_path, seed):

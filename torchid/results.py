@@ -2,19 +2,20 @@
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
+from torch import Tensor
 
 from torchid.errors import DataError, InputError
 from torchid.files import TEMPORARY, atomic_write, nameless_file, safe_name, unwritable, write_text, writing
 from torchid.provenance import StageTime, Stopwatch
 from torchid.publication import Publication
-from torchid.snapshot import SnapshotError, load_snapshot, release, swap_out, write_snapshot
+from torchid.snapshot import SnapshotError, in_memory, load_snapshot, make_room, release, swap_out, write_snapshot
 
 log = logging.getLogger(__name__)
 Result = TypeVar("Result")
@@ -142,17 +143,14 @@ class OutputFolder:
         finally:
             release()
 
-    def swap(self, value: Result) -> Result:
-        """The same value, its tensors in a file of this run where the disk has room, else in memory.
-
-        It is for what comes and goes many times: freed memory stays with the process.
-        """
+    def room(self, shape: Sequence[int]) -> Tensor:
+        """Zeros of a shape, to be filled in place, in a file of this run where the disk has room, else in memory."""
         try:
             with nameless_file(self.staging) as file:
-                return swap_out(value, file)
+                return make_room(file, shape)
         except OSError as error:
             log.warning("columns stay in memory: %s", error)
-            return value
+            return in_memory(shape)
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:

@@ -14,9 +14,10 @@ import io
 import json
 import math
 import mmap
+import os
 import sys
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -94,6 +95,32 @@ def swap_out(value: Value, file: BinaryIO) -> Value:
     return _rebuild(_map(file))
 
 
+def in_memory(shape: Sequence[int]) -> torch.Tensor:
+    """Zeros (float64) of a shape, as ``make_room`` makes them, without a file."""
+    return torch.zeros(*shape, dtype=torch.float64)
+
+
+def make_room(file: BinaryIO, shape: Sequence[int]) -> torch.Tensor:
+    """Zeros (float64) of a shape, mapped from ``file``, which was empty and may be closed.
+
+    What is written into them goes to the file, so that ``unload`` gives their memory back while they are filled.
+
+    Raises:
+        OSError: the file has no room for them.
+    """
+    size = math.prod(shape) * torch.float64.itemsize
+    if not size:
+        return in_memory(shape)
+    # All of it is taken at once: what the disk had no room for later would end the process.
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file.fileno(), 0, size)
+    else:
+        for start in range(0, size, PIECE):
+            file.write(bytes(min(PIECE, size - start)))
+        file.flush()
+    return torch.from_numpy(np.frombuffer(_map(file, mmap.ACCESS_WRITE), np.float64).reshape(*shape))
+
+
 def release() -> None:
     """Give back the memory of all mapped tensors; whoever looks at them again has them from the file.
 
@@ -110,9 +137,9 @@ def unload() -> None:
         mapped.madvise(mmap.MADV_DONTNEED)
 
 
-def _map(file: Any) -> mmap.mmap:
+def _map(file: Any, access: int = mmap.ACCESS_COPY) -> mmap.mmap:
     try:
-        mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+        mapped = mmap.mmap(file.fileno(), 0, access=access)
     except ValueError as error:
         raise SnapshotError("the stored file is empty") from error
     if hasattr(mmap, "MADV_DONTNEED"):  # not on Windows

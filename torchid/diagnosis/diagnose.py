@@ -23,6 +23,7 @@ from torchid.effects.effect import Effect
 from torchid.effects.traits import Proof
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
+from torchid.snapshot import release
 from torchid.witnesses.panel import Panel
 
 
@@ -65,6 +66,7 @@ def diagnose(
         told: names of places that other proof than forces bears out.
     """
     found = search(observed, effects, known, limit, options, panel)
+    release()  # the catalogue's memory
     if _remains(found, observed, len(heldout)).significant:
         found = settle(eliminate(found, observed, VISIBLE), observed, SUPPORTED)
         found = restore_record(found, observed)

@@ -22,10 +22,11 @@ from torchid.effects.scene import PlateFrame
 from torchid.effects.traits import Proof
 from torchid.motion import Motion
 from torchid.observation.plate_registry import SessionPlate, recognise
-from torchid.observation.trial import BodyEstimate, TrialObservation, in_memory, observe_trial
+from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
 from torchid.outcome import Outcome
 from torchid.recording import Forces
 from torchid.regressor.rows import WrenchTrial, measured
+from torchid.snapshot import in_memory
 from torchid.tracking.statement import Kind
 from torchid.witnesses.panel import Panel
 from torchid.witnesses.smoothness import smooth
@@ -39,13 +40,14 @@ MOST = 12
 
 @keeping_large()
 def diagnose_outcome(
-    outcome: Outcome, aside: Callable[[Tensor], Tensor] = in_memory, panel: Panel | None = None
+    outcome: Outcome, room: Callable[[Sequence[int]], Tensor] = in_memory, panel: Panel | None = None
 ) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
 
     Args:
         outcome: up to the inertia; its config says what to try and by which thresholds.
-        aside: puts columns away until they are looked at (``OutputFolder.swap``); without it they stay in memory.
+        room: makes zeros of a shape, where columns lie until they are looked at (``OutputFolder.room``); without it
+            they lie in memory.
         panel: witnesses that may contradict causes; None: nobody does.
 
     Raises:
@@ -58,7 +60,7 @@ def diagnose_outcome(
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
     parts = {role: searched(some) for role, some in trials.items()}
     observed, heldout = (
-        [replace(one, aside=aside) for one in observe_outcome(outcome, role, parts[role]).values()]
+        [replace(one, room=room) for one in observe_outcome(outcome, role, parts[role]).values()]
         for role in ("fit", "heldout")
     )
     if identified is None or not observed:

@@ -53,9 +53,9 @@ def diagnosed(outcome: Outcome, folder: OutputFolder, progress: OnStage) -> Diag
     panel = panel_of(outcome)
     first = examine(outcome, panel)
     if not first.causes:
-        return diagnose_outcome(outcome, folder.swap, panel)
+        return diagnose_outcome(outcome, folder.room, panel)
     right = read_right(outcome, first.causes, folder, progress)
-    found = diagnose_outcome(right, folder.swap, panel_of(right))
+    found = diagnose_outcome(right, folder.room, panel_of(right))
     return None if found is None else _together(outcome, right, first, found)
 
 

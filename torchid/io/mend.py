@@ -164,6 +164,8 @@ def mend(forces: Forces, file: ForcesAs, plates: PlatesAs, source: str = "") -> 
         return None
     index = {number_of(plate, k): k for k, plate in enumerate(forces.plates)}
     _refuse_unknown(plates, index, source)
+    if file == ForcesAs() and not plates:
+        return forces  # an hour's forces are not copied for nothing
     wrench = torch.stack([_mended(forces, k, plates.get(n), index, source) for n, k in index.items()], dim=1)
     wrench = _turned(_scaled(wrench, forces.plates, file), file)
     kept = [k for n, k in index.items() if plates.get(n, PlateAs()).use]

@@ -6,7 +6,7 @@ each band.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchid.regressor.equations import half_product
 from torchid.regressor.whitening import cosine_matrix
-from torchid.snapshot import unload
+from torchid.snapshot import in_memory, unload
 
 MARKER_EDGES_HZ = (0.15, 0.5, 1.5)
 """Resolution. Upper edges of the bands [Hz] behind the mean of a block, which is a band of its own."""
@@ -146,7 +146,7 @@ class MarkerStatistics:
     dimensionless."""
 
     gram: Float[Tensor, "bands columns columns"]
-    """Products of the columns with each other, per unit parameters."""
+    """Products of the columns with each other, per unit parameters; they may lie in a file."""
     moment: Float[Tensor, "bands columns"]
     """Products of the columns with the markers' error."""
     energy: Float[Tensor, " bands"]
@@ -188,27 +188,35 @@ def _some(gram: Float[Tensor, "bands all all"], some: Int[Tensor, " fewer"]) -> 
 
 
 def marker_statistics(
-    bands: MarkerBands, spectra: Sequence[Float[Tensor, "some kept rows"]], least: float
+    bands: MarkerBands,
+    spectra: Float[Tensor, "kept all rows"],
+    least: float,
+    room: Callable[[Sequence[int]], Tensor] = in_memory,
 ) -> MarkerStatistics:
     """Return Gram matrix and moment of the columns against the last one, which is the markers' error.
 
     Args:
         bands: averaged rows of the trial.
-        spectra: coefficients of what postures leave of the columns, some and then others, the error last, from
-            ``MarkerBands.spectrum``; they may lie in files.
+        spectra: coefficients of what postures leave of the columns, the error last, from ``MarkerBands.spectrum``;
+            they may lie in a file, in which those of one frequency stand together.
         least: as in ``MarkerStatistics``.
+        room: makes zeros of a shape, in which the Gram matrices will lie.
     """
-    n, rows, start = sum(len(some) for some in spectra) - 1, spectra[-1].shape[2], 0
-    gram, count = spectra[-1].new_zeros(BANDS, n + 1, n + 1), spectra[-1].new_zeros(BANDS)
+    n, rows, start = spectra.shape[1] - 1, spectra.shape[2], 0
+    gram, moment = room((BANDS, n, n)), spectra.new_zeros(BANDS, n)
+    energy, count = spectra.new_zeros(2, BANDS)
     # Coefficients rise in frequency: those of a band lie together.
     for b, rise in zip(*bands.band.unique_consecutive(return_counts=True), strict=True):
         stop = start + int(rise)
         for part in torch.arange(start, stop).split(max(1, TOGETHER // rows)):
-            gram[b] += half_product(torch.cat([some[:, part[0] : part[-1] + 1] for some in spectra]).flatten(1).T)
+            product = half_product(spectra[part[0] : part[-1] + 1].transpose(0, 1).flatten(1).T)
+            gram[b] += product[:n, :n]
+            moment[b] += product[:n, n]
+            energy[b] += product[n, n]
             unload()
         count[b] += int(rise) * rows * bands.free
         start = stop
-    return MarkerStatistics(gram[:, :n, :n].contiguous(), gram[:, :n, n].clone(), gram[:, n, n].clone(), count, least)
+    return MarkerStatistics(gram, moment, energy, count, least)
 
 
 def retaken_statistics(
@@ -217,6 +225,7 @@ def retaken_statistics(
     shifts: Iterable[Float[Tensor, "some bins rows"]],
     some: Int[Tensor, " few"],
     left: Float[Tensor, "few bins rows"],
+    room: Callable[[Sequence[int]], Tensor] = in_memory,
 ) -> MarkerStatistics:
     """Return the statistics after a few columns were taken at other parameters.
 
@@ -226,11 +235,13 @@ def retaken_statistics(
         shifts: displacements [m] of all columns as they are now, some at a time.
         some: indices of the columns that have changed.
         left: what postures leave of these, from ``MarkerBands.left``.
+        room: as in ``marker_statistics``.
     """
     asked = bands.asked(left).flatten(2)
     crossed = torch.cat([shift.flatten(1) @ asked.flatten(0, 1).T for shift in shifts])
     crossed = crossed.unflatten(1, asked.shape[:2]).transpose(0, 1)
-    gram, moment = own.gram.clone(), own.moment.clone()
+    gram, moment = room(own.gram.shape).copy_(own.gram), own.moment.clone()
     gram[:, :, some], gram[:, some] = crossed, crossed.mT
     moment[:, some] = asked @ bands.error.flatten()
+    unload()
     return replace(own, gram=gram, moment=moment)

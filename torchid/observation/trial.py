@@ -1,6 +1,6 @@
 """One trial as the diagnosis sees it: its rows, what effects can change in it, its markers, and their noise."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -26,19 +26,11 @@ from torchid.observation.unloaded_plates import UnloadedPlates, find_unloaded
 from torchid.recording import Forces, Markers
 from torchid.regressor.rows import WrenchTrial, measured, runs
 from torchid.regressor.whitening import white_scatter
+from torchid.snapshot import in_memory
 
 OVER_CUTOFF = 6.0
 """Resolution. Frames per second over the cut-off that are enough: products of a column, which has up to twice the
 motion's frequencies, with noise that has no more than 1.2 of the cut-off."""
-
-
-def in_memory(value: Tensor) -> Tensor:
-    """Return the value itself.
-
-    Args:
-        value: what else could be put away.
-    """
-    return value
 
 
 @dataclass(frozen=True)
@@ -70,8 +62,8 @@ class TrialObservation:
     """Total force of the plates before the filter [N]."""
     response: MarkerResponse | None = None
     """Markers of the trial; None where no camera is at hand."""
-    aside: Callable[[Tensor], Tensor] = in_memory
-    """Puts away what takes most memory, until it is looked at; by default it stays where it is."""
+    room: Callable[[Sequence[int]], Tensor] = in_memory
+    """Makes zeros of a shape for what takes most memory, to be filled; by default they lie in memory."""
 
     @cached_property
     def inertial(self) -> Float[Tensor, "6 params frames"]:

@@ -105,7 +105,11 @@ class Spectra:
     """Columns behind those of the inertial parameters, about the root's origin."""
 
     def __iter__(self) -> Iterator[BlockSpectrum]:
-        return (block_spectrum(self.trial, part, self.extra) for part in self.trial.blocks())
+        extra = self.extra
+        return (
+            block_spectrum(self.trial, part, None if extra is None else extra[:, :, part])
+            for part in self.trial.blocks()
+        )
 
 
 def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = None) -> Iterable[BlockSpectrum]:
@@ -114,15 +118,13 @@ def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = N
     return list(several) if len(trial.used) <= KEPT else several
 
 
-def block_spectrum(
-    trial: WrenchTrial, part: slice, extra: Float[Tensor, "6 more frames"] | None = None
-) -> BlockSpectrum:
-    """Some frames of a trial in the frequency domain, with more columns where ``extra`` has them for all frames."""
+def block_spectrum(trial: WrenchTrial, part: slice, extra: Float[Tensor, "6 more own"] | None = None) -> BlockSpectrum:
+    """One block in the frequency domain, with columns in its frames behind those of the inertial parameters."""
     Y, F = trial.rows(part)
     frames = part.stop - part.start
     kept = coefficients(trial, frames)
     C = cosine_matrix(frames, kept).to(F)
-    both = [own @ C.T for own in ((Y,) if extra is None else (Y, extra[:, :, part]))]
+    both = [own @ C.T for own in ((Y,) if extra is None else (Y, extra))]
     return BlockSpectrum(torch.cat(both, 1), F @ C.T, frequencies(frames, kept, trial.rate).to(F.device))
 
 

@@ -23,6 +23,7 @@ from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.response_cache import ResponseCache
 from torchid.observation.trial import TrialObservation
 from torchid.observation.unloaded_plates import zero_statistics
+from torchid.snapshot import unload
 
 TOGETHER = 64
 """Resolution. Number of columns whose momenta are turned into wrenches at once: all columns of a catalogue would fill
@@ -58,19 +59,21 @@ def trial_columns(observed: TrialObservation, sources: Sequence[Source]) -> Colu
     sources = [s for s in sources if s.trial in (None, observed.rows.name)]
     own, first = marker_columns(sources), observed.phi.numel()
     live = torch.cat([torch.arange(first), *(torch.arange(s.columns.start, s.columns.stop) for s in sources)])
-    extra, at, statistics = observed.rows.wrench.new_zeros(6, len(live) - first, len(observed.rows.used)), 0, None
+    extra, at, statistics = observed.room((6, len(live) - first, len(observed.rows.used))), 0, None
     for effect, some in groupby(sources, key=lambda s: s.effect):
         alike = list(some)
         part = slice(at, at + sum(len(s.scale) for s in alike))
         if not effect.moves_markers:
             extra[:, part] = about_root(observed, plate_columns(observed.view, alike))
+            unload()
         at = part.stop
     if observed.response is not None and own.stop > own.start:
         statistics = _of_cameras(observed, observed.response, sources, extra[:, own.start - first : own.stop - first])
     late = torch.tensor([s.effect.shifts_time for s in sources for _ in s.scale])
     extra[:, late] = calibrated(extra[:, late], observed.rows, observed.scatter)
+    unload()
     unloaded = zero_statistics(observed.unloaded, [(s.effect, s.place, s.columns) for s in sources])
-    found = Columns(observed.aside(extra), Terms(live, statistics, unloaded, _covariation(observed, sources, live)))
+    found = Columns(extra, Terms(live, statistics, unloaded, _covariation(observed, sources, live)))
     if observed.response is not None:
         observed.response.forget()
     return found
@@ -96,10 +99,11 @@ def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source],
     fixed = ResponseCache(response)
     shifts = (torch.cat([response_of(response, s, fixed=fixed).shift for s in some]) for some in every)
     left = response.bands.left(torch.cat([answer.shift for answer in fresh]))
-    statistics = retaken_statistics(response.bands, terms.markers, shifts, at - first, left)
+    statistics = retaken_statistics(response.bands, terms.markers, shifts, at - first, left, observed.room)
     if noise is not None and observed.noise_budget is not None:
         noise = noise.clone()
         noise[..., at] = noise_scores(observed, observed.noise_budget, others, inertia=False)
+    response.forget()
     return replace(own, terms=replace(terms, markers=statistics, noise_scores=noise))
 
 
@@ -108,14 +112,32 @@ def _of_cameras(
 ) -> MarkerStatistics:
     """Return statistics of what markers show of the columns; ``out`` takes the wrench about the root's origin that the
     motion needs by them [N, N m]."""
-    bands, fixed, spectra, at = response.bands, ResponseCache(response), [], 0
-    for some in _together([s for s in sources if s.effect.moves_markers]):
+    bands, own = response.bands, [s for s in sources if s.effect.moves_markers]
+    spectra = observed.room((len(bands.band), out.shape[1] + 1, bands.rows.shape[1]))
+    _respond(observed, response, own, spectra, out)
+    spectra[:, -1] = bands.spectrum(bands.left(bands.error[None]))[0]
+    return marker_statistics(bands, spectra, response.least, observed.room)
+
+
+def _respond(
+    observed: TrialObservation,
+    response: MarkerResponse,
+    sources: Sequence[Source],
+    spectra: Float[Tensor, "kept all rows"],
+    out: Float[Tensor, "6 own frames"],
+) -> None:
+    """Fill in what postures leave of the columns among the markers, and the wrench that the motion needs by them.
+
+    What columns share is freed with the end of this.
+    """
+    fixed, at = ResponseCache(response), 0
+    for some in _together(sources):
         answers, first = [response_of(response, s, fixed=fixed) for s in some], at
-        at += sum(len(s.scale) for s in some)
-        spectra.append(observed.aside(torch.cat([answer.spectrum(bands) for answer in answers])))
+        for source, answer in zip(some, answers, strict=True):
+            spectra[:, at : at + len(source.scale)] = answer.spectrum(response.bands).transpose(0, 1)
+            at += len(source.scale)
         out[:, first:at] = about_root(observed, response.wrench(answers))
-    spectra.append(bands.spectrum(bands.left(bands.error[None])))
-    return marker_statistics(bands, spectra, response.least)
+        unload()
 
 
 def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:

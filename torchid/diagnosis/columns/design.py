@@ -71,12 +71,15 @@ class Columns:
     @property
     def extra(self) -> Float[Tensor, "6 more frames"]:
         """Columns behind those of the inertia, about the root's origin; a copy where some of many are kept."""
-        return self.wide if self.kept is None else self._taken(self.kept)
+        return self.during(slice(None))
 
-    @property
-    def alone(self) -> "Columns":
-        """The columns without those of the wider design, whose memory is freed when nothing else holds it."""
-        return replace(self, wide=self.extra, kept=None, fresh=None)
+    def during(self, part: slice) -> Float[Tensor, "6 more own"]:
+        """Return ``extra`` in some frames, without a copy of the others.
+
+        Args:
+            part: the frames.
+        """
+        return self.wide[:, :, part] if self.kept is None else self._taken(self.kept, part)
 
     def replaced(self, at: Int[Tensor, " some"], by: Float[Tensor, "6 some frames"]) -> "Columns":
         """Return the columns with others in the place of some, or behind all; the rest is not copied.
@@ -92,13 +95,14 @@ class Columns:
         kept[at] = torch.arange(first, first + len(at))
         return replace(self, kept=kept, fresh=by if self.fresh is None else torch.cat([self.fresh, by], 1))
 
-    def _taken(self, which: Int[Tensor, " some"]) -> Float[Tensor, "6 some frames"]:
-        """Return a copy of some of ``wide`` and ``fresh``."""
+    def _taken(self, which: Int[Tensor, " some"], part: slice = slice(None)) -> Float[Tensor, "6 some own"]:
+        """Return a copy of some of ``wide`` and ``fresh`` in some frames."""
+        wide = self.wide[:, :, part]
         if self.fresh is None:
-            return self.wide[:, which]
-        found, first = self.wide.new_empty(6, len(which), self.wide.shape[2]), which >= self.wide.shape[1]
-        found[:, ~first] = self.wide[:, which[~first]]
-        found[:, first] = self.fresh[:, which[first] - self.wide.shape[1]]
+            return wide[:, which]
+        found, first = wide.new_empty(6, len(which), wide.shape[2]), which >= wide.shape[1]
+        found[:, ~first] = wide[:, which[~first]]
+        found[:, first] = self.fresh[:, which[first] - wide.shape[1], part]
         return found
 
     def only(self, some: "Selection", inertia: int) -> "Columns":

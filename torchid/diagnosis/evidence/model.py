@@ -30,6 +30,7 @@ from torchid.model.model import InertialPrior
 from torchid.observation.trial import TrialObservation
 from torchid.regressor.equations import NormalEquations
 from torchid.regressor.whitening import BlockSpectrum, Whitening, accumulate
+from torchid.snapshot import unload
 
 
 @dataclass(frozen=True)
@@ -114,9 +115,14 @@ class LinearModel:
             at = terms.unloaded.columns
             gram[at[:, None], at] += terms.unloaded.gram
             moment[at] += terms.unloaded.moment
+        unload()
         mean = self.prior.mean[terms.live]
         away = square - 2.0 * float(moment @ mean) + float(mean @ gram @ mean)
         return self.prior.standard(gram, moment, terms.live), -0.5 * (away + volume)
+
+    def forget(self) -> None:
+        """Drop the statistics; they are made again if they are asked for."""
+        self.__dict__.pop("statistics", None)
 
     def fit(self, chosen: Sequence[Candidate] = ()) -> Posterior:
         """Return the posterior of the model that has these effects and no others.
@@ -156,6 +162,7 @@ class LinearModel:
         columns = tuple(one.only(which, self.design.inertia) for one in self.design.trials)
         terms = [one.terms for one in columns] or [one.terms.only(which) for one in self.rows]
         rows = tuple(_cut(one, which, more) for one, more in zip(self.rows, terms, strict=True))
+        unload()
         design = replace(small, trials=columns)
         found = LinearModel(rows, self.prior.for_design(design), design, self.noise)
         if "statistics" in self.__dict__:

@@ -1,7 +1,7 @@
 """Rows of forces of one trial in the frequency domain, and its columns."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -12,7 +12,7 @@ from torchid.diagnosis.columns.relinearise import without_beyond
 from torchid.observation.noise_budget import NoiseBudget
 from torchid.observation.reliability import Reliability
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.whitening import BlockSpectrum, column_spectra, spectra
+from torchid.regressor.whitening import BlockSpectrum, block_spectrum, column_spectra
 from torchid.snapshot import unload
 
 
@@ -36,15 +36,19 @@ def trial_spectra(observed: TrialObservation, columns: Columns, noisy: Sequence[
         columns: columns of the trial.
         noisy: for every column behind the inertia's, True if it holds noise of accelerations that were found.
     """
-    found = tuple(spectra(without_beyond(observed.rows, columns), columns.extra))
+    rows, budget, phi = without_beyond(observed.rows, columns), observed.noise_budget, observed.phi.reshape(-1)
+    found = (block_spectrum(rows, part, columns.during(part)) for part in rows.blocks())
+    if budget is not None:
+        known = [not noisy[k - len(phi)] for k in columns.terms.live[len(phi) :].tolist()]
+        found = (_shrunk(block, budget.reliability, phi, known) for block in found)
+    return TrialSpectra(tuple(_away(block, observed.room) for block in found), columns.terms, budget)
+
+
+def _away(block: BlockSpectrum, room: Callable[[Sequence[int]], Tensor]) -> BlockSpectrum:
+    """Return a block whose columns have been put away: they are as many as those of a Gram matrix, in every trial."""
+    found = replace(block, Y=room(block.Y.shape).copy_(block.Y))
     unload()
-    if observed.noise_budget is None:
-        return TrialSpectra(found, columns.terms)
-    reliability, phi = observed.noise_budget.reliability, observed.phi.reshape(-1)
-    known = [not noisy[k - len(phi)] for k in columns.terms.live[len(phi) :].tolist()]
-    return TrialSpectra(
-        tuple(_shrunk(block, reliability, phi, known) for block in found), columns.terms, observed.noise_budget
-    )
+    return found
 
 
 def _shrunk(
@@ -77,5 +81,5 @@ def with_columns(
     for block, fresh in zip(rows.forces, column_spectra(observed.rows, more), strict=True):
         if noisy and observed.noise_budget is not None:
             fresh = observed.noise_budget.reliability(block.frequency).T[:, None] * fresh
-        blocks.append(BlockSpectrum(torch.cat([block.Y, fresh], 1), block.F, block.frequency))
+        blocks.append(_away(replace(block, Y=torch.cat([block.Y, fresh], 1)), observed.room))
     return TrialSpectra(tuple(blocks), terms, rows.noise_budget)

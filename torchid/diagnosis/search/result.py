@@ -64,10 +64,8 @@ def reduced(
     small, cut = model.restrict(some)
     own = {id(old): new for old, new in zip(some, cut, strict=True)}
     kept = tuple(own[id(c)] for c in chosen)
-    columns = tuple(one.alone for one in small.design.trials)
-    less = replace(small, design=replace(small.design, trials=columns)).with_statistics(small.statistics)
     return SearchResult(
-        less, kept, tuple(rounds), less.fit(kept), options,
+        small, kept, tuple(rounds), small.fit(kept), options,
         tuple(own[id(c)] for c in weigh), tuple(own[id(c)] for c in alike), trace,
     )  # fmt: skip
 

@@ -32,6 +32,7 @@ from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import Step, StepKind, Trace, step
 from torchid.effects.effect import Effect
 from torchid.observation.trial import TrialObservation
+from torchid.snapshot import release
 from torchid.witnesses.panel import Panel
 
 log = logging.getLogger(__name__)
@@ -113,7 +114,9 @@ def _begin(
     observed: Sequence[TrialObservation], effects: Sequence[Effect], known: Identification, naming: NamingOptions
 ) -> LinearModel:
     """Return the model of the whole catalogue, under the noise that the model without any of it leaves."""
-    model = with_slides(make_model(observed, make_design(observed, effects, known.geometry, naming), known))
+    design = make_design(observed, effects, known.geometry, naming)
+    release()  # pieces of all sizes, which the search has no use for
+    model = with_slides(make_model(observed, design, known))
     return _under_own_noise(model, ())
 
 
@@ -135,6 +138,8 @@ def _scan(
     if look is None:
         return scanned.round, state.model, None, silent
     model, looked = look
+    del scanned
+    state.model.forget()  # statistics under a noise that is no longer asked about
     return scan_all(model.statistics, some, state.chosen, naming).round, model, looked, silent
 
 
@@ -228,6 +233,7 @@ def _add(observed: Sequence[TrialObservation], state: _State, looked: Candidate 
 
 def _relinearise(observed: Sequence[TrialObservation], model: LinearModel, chosen: Sequence[Candidate]) -> LinearModel:
     """Return the model with effects that are not linear in their parameters linearised where they are."""
+    model.forget()  # statistics of columns that are taken anew
     design, noise, n = model.design, model.noise, model.design.inertia
     theta = [model.prior.mean.clone() for _ in model.rows]
     for newton in range(NEWTON):
@@ -241,6 +247,7 @@ def _relinearise(observed: Sequence[TrialObservation], model: LinearModel, chose
         for k, x in enumerate(theta):
             x[which] = less.prior.theta(posterior.z(len(less.prior.mean), k))
     design = relinearised(observed, design, [x[n:] for x in theta])
+    release()
     return LinearModel(spectra_of(observed, design), model.prior, design, noise)
 
 
