@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.conventions import LOADED_N
 from torchid.effects.scene import PlateFrame, plate_frame
-from torchid.recording import Forces
+from torchid.recording import Forces, Plate
 
 SAME_CORNERS = 0.02
 """Resolution. Distance of corners from which on they are another plate's [m]: more than files round, less than plates
@@ -43,7 +43,7 @@ def recognise(forces: Mapping[str, Forces]) -> tuple[tuple[SessionPlate, ...], d
         middle = own.centre_of_pressure(LOADED_N).nanmedian(dim=0).values
         found = []
         for k, plate in enumerate(own.plates):
-            known = _known(plates, plate.corners, middle[k], trial)
+            known = _known(plates, plate, middle[k], trial)
             if known is None:
                 name = f"plate_{len(plates) + 1}"
                 centre = torch.nan_to_num(middle[k])
@@ -57,16 +57,21 @@ def recognise(forces: Mapping[str, Forces]) -> tuple[tuple[SessionPlate, ...], d
     return tuple(plates), frames
 
 
-def _known(plates: list[SessionPlate], corners: Tensor | None, middle: Tensor, trial: str) -> SessionPlate | None:
-    """Return the plate of the list that has these corners or bears there; None where it is a new one."""
+def _known(plates: list[SessionPlate], plate: Plate, middle: Tensor, trial: str) -> SessionPlate | None:
+    """Return the plate of the list that has these corners or bears there; None where it is a new one.
+
+    Of several that bear there, as belts under both feet of a runner do, that is meant which other files call the same.
+    """
+    corners = plate.corners
     free = [p for p in plates if trial not in p.channels and (p.corners is None) == (corners is None)]
     if corners is not None:
         return next((p for p in free if p.corners is not None and _apart(p.corners, corners) < SAME_CORNERS), None)
     if not bool(torch.isfinite(middle[:2]).all()):
         return None
-    near = [(float((p.frame.p_WF - middle)[:2].norm()), k) for k, p in enumerate(free)]
-    distance, k = min(near, default=(torch.inf, -1))
-    return free[k] if distance < SAME_PRESSURE else None
+    away = [float((p.frame.p_WF - middle)[:2].norm()) for p in free]
+    near = [(plate.name not in p.channels.values(), d, k) for k, (p, d) in enumerate(zip(free, away, strict=True))]
+    *_, k = min((one for one in near if one[1] < SAME_PRESSURE), default=(False, torch.inf, -1))
+    return free[k] if k >= 0 else None
 
 
 def _apart(a: Tensor, b: Tensor) -> float:
