@@ -106,6 +106,9 @@ def shape_of(trial: str, markers: Markers, labels: tuple[str, ...]) -> Shape:
         markers: its markers.
         labels: markers to look at; those that the trial lacks have no distances.
     """
+    if not len(markers.time):
+        nothing = torch.full((len(labels), len(labels)), torch.nan, dtype=torch.float64)
+        return Shape(trial, nothing, nothing)
     distance = pair_distances(markers.frames(evenly(len(markers.time), SAMPLED)).select(labels).position)
     median = distance.nanmedian(dim=0).values
     sd = MAD_SD * (distance - median).abs().nanmedian(dim=0).values

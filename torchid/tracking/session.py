@@ -43,6 +43,8 @@ def look_at_trial(trial: Trial, clusters: Clusters, others: list[Shape], own: Sh
         others: shapes of trials that it is compared with.
         own: its own shape, if that is known already.
     """
+    if not len(trial.markers.time):
+        return []
     own = shape_of(trial.name, trial.markers, clusters.labels) if own is None else own
     near = beside(clusters, own)
     frozen = find_frozen(trial.name, trial.markers, clusters.labels, near)

@@ -1,7 +1,7 @@
 """What witnesses are asked, and what they are about."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -21,6 +21,7 @@ class Subject:
     """Plate that it is about; empty: all of them."""
 
 
+@runtime_checkable
 class Witness(Protocol):
     """Numbers about one trial, zero where nothing is wrong, that can be taken again of other readings of its plates."""
 
