@@ -29,6 +29,9 @@ STRONGEST = 20e3
 """Largest force [N] that a plate can have."""
 LARGEST_MOMENT = 20e3
 """Moment [N m] about the origin of 2 kN that act 10 m away; a laboratory has no more."""
+LOADED, BESIDE = 100.0, 0.2
+"""Vertical force [N] under which a centre of pressure counts, and how far [m] it may lie from its plate in the median:
+twice what readers must say."""
 PLACE_M, FORCE_N, PERIODS = 2e-5, 0.1, 0.1
 FEW = 0.5
 """Share of a marker's or plate's samples below which single samples changed, not their calibration."""
@@ -132,8 +135,30 @@ def _forces(old: Values, new: Values) -> set[str]:
         found.add("gap")
     if np.nanmax(np.abs(now - was), initial=0.0) <= FORCE_N:
         return found | {"rounding"}
-    if np.nanmax(np.abs(now[..., :3])) > STRONGEST or np.nanmax(np.abs(now[..., 3:])) > LARGEST_MOMENT:
-        found.add("!impossible force")
+    found |= _impossible(new)
     if (moved.mean(axis=0) > FEW).any():
         return found | {"calibration"}
     return found | {"sample"}
+
+
+def _impossible(values: Values) -> set[str]:
+    wrench = np.abs(values["wrench"])
+    if np.nanmax(wrench[..., :3]) > STRONGEST or np.nanmax(wrench[..., 3:]) > LARGEST_MOMENT:
+        return {"!impossible force"}
+    return {"!impossible pressure"} if _beside_its_plate(values) else set()
+
+
+def _beside_its_plate(values: Values) -> bool:
+    """Whether most of the pressure on some plate lies beside the box around its corners."""
+    for wrench, corners in zip(values["wrench"].transpose(1, 0, 2), values["corners"], strict=True):
+        loaded = wrench[np.abs(wrench[:, 2]) > LOADED]
+        if corners is None or not len(loaded):
+            continue
+        box = np.reshape(corners, (4, 3))
+        low, high, height = box[:, :2].min(axis=0), box[:, :2].max(axis=0), box[:, 2].mean()
+        x = (-loaded[:, 4] + height * loaded[:, 0]) / loaded[:, 2]
+        y = (loaded[:, 3] + height * loaded[:, 1]) / loaded[:, 2]
+        point = np.stack([x, y], axis=1)
+        if np.nanmedian(np.maximum(low - point, point - high).max(axis=1)) > BESIDE:
+            return True
+    return False
