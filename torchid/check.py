@@ -23,6 +23,7 @@ LARGE_BASELINE = 5.0
 CURES = {
     "markers.held": "check the marker in the recording system; torchid treats the run as a gap",
     "markers.duplicates": "rename them in the recording system, or leave the numbered ones out of the marker map",
+    "markers.order": "export the trial again; where it was put together by hand, put those frames in order",
     "markers.repeated": "check that no frame was lost while recording; export the trial again",
     "markers.never_seen": "leave them out of the marker map",
     "plates.sign": "reverse the plate's channels where they are recorded, or leave the plate out",

@@ -29,6 +29,8 @@ STRONGEST = 20e3
 """Largest force [N] that a plate can have."""
 LARGEST_MOMENT = 20e3
 """Moment [N m] about the origin of 2 kN that act 10 m away; a laboratory has no more."""
+TOGETHER, MARKERS = 1e-3, 5
+"""All of so many markers that move by so much [m] in one frame are no samples, but a frame in another's place."""
 LOADED, BESIDE = 100.0, 0.2
 """Vertical force [N] under which a centre of pressure counts, and how far [m] it may lie from its plate in the median:
 twice what readers must say."""
@@ -107,7 +109,15 @@ def _markers(old: Values, new: Values) -> set[str]:
         low, high = np.nanmin(was, axis=(0, 1)) - NEAR, np.nanmax(was, axis=(0, 1)) + NEAR
         possible = ((now >= low) & (now <= high)).all(axis=2) | ~moved | whole
         found.add("sample" if possible.all() else "!impossible sample")
+        if _whole_frame(far, still):
+            found.add("!whole frames")
     return found | ({"label"} if whole.any() and not any("!all" in one for one in found) else set())
+
+
+def _whole_frame(far: np.ndarray, seen: np.ndarray) -> bool:
+    """Whether every marker seen in some frame is elsewhere in it, by ``far`` (frames, markers)."""
+    moved = ((far > 0.0) & seen).sum(axis=1)
+    return bool(((moved >= MARKERS) & (moved == seen.sum(axis=1)) & (np.median(far, axis=1) > TOGETHER)).any())
 
 
 def _renamed(was: np.ndarray, now: np.ndarray) -> bool:

@@ -10,6 +10,7 @@ from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
 from torchid.io.computed import left_out_as_computed
 from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
+from torchid.io.frame_order import exchanged_frames
 from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
@@ -62,17 +63,7 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
         position, raw.forces if same_axes else None, raw.up, raw.customary, options, raw.source,
         raw.beside if same_axes else None,
     )  # fmt: skip
-    held: list[Note] = []
-    leaping: list[Note] = []
-    if len(raw.time) > 1:
-        rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
-        mask, leaping = marker_spikes(position, rate, raw.labels, raw.source, raw.lines)
-        position[mask] = np.nan
-        if role != "static":
-            repeats = frame_repeats(position, raw.source)
-            mask, held = held_samples(position, rate, raw.labels, raw.source)
-            held = [*repeats, *held]
-            position[mask] = np.nan
+    odd = _doubted_markers(position, raw, role)
     world = turn_to_world(torch.from_numpy(position), axis)
     markers = Markers(raw.labels, torch.from_numpy(np.ascontiguousarray(raw.time, dtype=float)), world)
     forces, turned = raw.forces, []
@@ -84,9 +75,25 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
         forces = mend(forces, *_left_to_mend(options), raw.source)
     forces, doubted = _doubted(forces, raw)
     said = [*said, *turned, *_as_asked(options, raw.source)]
-    notes = (*raw.notes, *missing, *left_out, *said, *leaping, *held, *doubted)
+    notes = (*raw.notes, *missing, *left_out, *said, *odd, *doubted)
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
     return Trial(name, markers, forces, role, raw.events, notes, parameters, computed)
+
+
+def _doubted_markers(position: np.ndarray, raw: RawTrial, role: str) -> list[Note]:
+    """What is odd about the motion of the markers; samples that leap or are held become NaN in place."""
+    if len(raw.time) < 2:
+        return []
+    rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
+    mask, leaping = marker_spikes(position, rate, raw.labels, raw.source, raw.lines)
+    position[mask] = np.nan
+    order = exchanged_frames(position, raw.source)
+    if role == "static":
+        return [*leaping, *order]
+    repeats = frame_repeats(position, raw.source)
+    mask, held = held_samples(position, rate, raw.labels, raw.source)
+    position[mask] = np.nan
+    return [*leaping, *order, *repeats, *held]
 
 
 def _left_to_mend(options: ReadOptions) -> tuple[ForcesAs, dict[int, PlateAs]]:

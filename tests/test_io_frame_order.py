@@ -1,0 +1,48 @@
+"""Tests of torchid.io.frame_order: pairs of frames in each other's place are said, and nothing else is."""
+
+import numpy as np
+import pytest
+
+from torchid.io import read_trial
+from torchid.io.frame_order import exchanged_frames
+
+FRAMES, MARKERS = 300, 9
+
+
+def walking(random: np.random.Generator) -> np.ndarray:
+    """Markers (frames, markers, 3) [m] that go at 1 m/s and swing, at 100 Hz, with the noise of cameras and gaps."""
+    time = np.arange(FRAMES)[:, None, None] / 100.0
+    swing = 0.2 * np.sin(5.0 * time + random.uniform(0.0, 6.0, (1, MARKERS, 3)))
+    position = swing + time * [1.0, 0.0, 0.0] + 2e-4 * random.normal(size=(FRAMES, MARKERS, 3))
+    position[4:-4][random.random((FRAMES - 8, MARKERS)) < 0.02] = np.nan
+    return position
+
+
+@pytest.mark.parametrize("where", ["first", "middle", "last"])
+def test_exchanged_frames_are_said(seed: int, where: str) -> None:
+    """Two neighbouring frames that are exchanged, at the ends too, are named; the recording as it was is not."""
+    random = np.random.default_rng(seed)
+    position = walking(random)
+    assert exchanged_frames(position, "x") == []
+    frame = {"first": 0, "middle": int(random.integers(1, FRAMES - 2)), "last": FRAMES - 2}[where]
+    position[[frame, frame + 1]] = position[[frame + 1, frame]]
+    (note,) = exchanged_frames(position, "x")
+    assert note.code == "markers.order" and f"({frame + 1} and {frame + 2})" in note.message
+
+
+def test_noise_and_few_markers_say_nothing(seed: int) -> None:
+    """Standing still, where nothing but noise moves, and four markers."""
+    random = np.random.default_rng(seed)
+    still = random.uniform(-1.0, 1.0, (1, MARKERS, 3)) + 1e-3 * random.normal(size=(2000, MARKERS, 3))
+    assert exchanged_frames(still, "x") == []
+    position = walking(random)[:, :4]
+    position[[50, 51]] = position[[51, 50]]
+    assert exchanged_frames(position, "x") == []
+
+
+def test_no_public_recording_is_accused(data_dir) -> None:
+    """Walks, runs, jumps and squats at 50 to 200 Hz are in order, none steps, none repeats a frame."""
+    paths = [*data_dir.rglob("*.trc"), *(path for path in data_dir.rglob("*.c3d") if path.stat().st_size < 2e6)]
+    for path in paths:
+        codes = {note.code for note in read_trial("a", path).notes}
+        assert not codes & {"markers.order", "markers.steps", "markers.repeated", "plates.load", "plates.force"}, path
