@@ -10,7 +10,7 @@ from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
 from torchid.io.computed import left_out_as_computed
 from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
-from torchid.io.frame_order import exchanged_frames
+from torchid.io.frame_order import frames_out_of_order
 from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
@@ -87,7 +87,7 @@ def _doubted_markers(position: np.ndarray, raw: RawTrial, role: str) -> list[Not
     rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
     mask, leaping = marker_spikes(position, rate, raw.labels, raw.source, raw.lines)
     position[mask] = np.nan
-    order = exchanged_frames(position, raw.source)
+    order = frames_out_of_order(position, raw.source)
     if role == "static":
         return [*leaping, *order]
     repeats = frame_repeats(position, raw.source)
