@@ -9,7 +9,7 @@ from small_session import outcome as small_outcome
 
 from torchid.errors import InputError
 from torchid.experiment.acceptance import impossible
-from torchid.io.repeats import refuse_repeats
+from torchid.io.repeats import frame_repeats
 from torchid.outcome import Outcome
 from torchid.report.page import render_report
 
@@ -65,15 +65,15 @@ def test_copied_frames_are_refused(seed):
     """Every frame twice, and a trial of motion in which nothing moves; noise alone is motion enough."""
     random = np.random.default_rng(seed)
     position = random.normal(size=(60, 8, 3)).cumsum(axis=0)
-    refuse_repeats(position, "right")
+    frame_repeats(position, "right")
     gaps = np.where(random.uniform(size=(60, 8, 1)) < 0.2, np.nan, position)
-    refuse_repeats(gaps, "right, with gaps")
+    frame_repeats(gaps, "right, with gaps")
     for copied, code in (
         (np.repeat(position, 2, axis=0), "markers.doubled"),
         (position[:1].repeat(60, 0), "markers.still"),
     ):
         with pytest.raises(InputError) as caught:
-            refuse_repeats(copied, "x")
+            frame_repeats(copied, "x")
         assert caught.value.code == code
 
 
@@ -81,11 +81,23 @@ def test_a_lost_frame_now_and_then_is_no_doubling(seed):
     """A system that holds one frame in ten is left alone."""
     position = torch.randn(100, 8, 3, dtype=torch.float64).numpy().cumsum(axis=0)
     position[10::10] = position[9:-1:10]
-    refuse_repeats(position, "x")
+    frame_repeats(position, "x")
+
+
+def test_single_copies_amid_motion_are_said(seed):
+    """One to three frames that repeat the one before are named; in slow whole numbers they may be right."""
+    random = np.random.default_rng(seed)
+    position = np.sin(np.arange(100)[:, None, None] / 20.0 + random.uniform(0.0, 6.0, (1, 8, 3)))
+    frames = sorted(random.choice(np.arange(4, 96, 4), int(random.integers(1, 4)), replace=False).tolist())
+    for frame in frames:
+        position[frame] = position[frame - 1]
+    (note,) = frame_repeats(position, "x")
+    assert note.code == "markers.repeated" and f"({', '.join(str(k + 1) for k in frames)})" in note.message
+    assert frame_repeats(np.round(position, 1), "coarse") == []
 
 
 def test_a_walk_through_that_is_seen_for_half_the_time_is_no_copy(seed):
     """Frames without any marker say nothing about the others."""
     position = torch.randn(200, 8, 3, dtype=torch.float64).numpy().cumsum(axis=0)
     position[:100] = np.nan
-    refuse_repeats(position, "x")
+    frame_repeats(position, "x")

@@ -261,6 +261,40 @@ def test_a_lying_dimension_does_not_allocate(tmp_path: Path) -> None:
     assert "c3d.parameters" in codes(read_c3d(path))
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, None),
+        ({"CONTEXTS": None}, None),
+        ({"LABELS": None}, "events.count"),
+        ({"TIMES": np.array([[0.0], [0.05]])}, "events.count"),
+        ({"USED": np.array([3])}, "events.count"),
+        ({"TIMES": np.array([[0.0, 0.0], [0.05, np.nan]])}, "events.invalid"),
+    ],
+)
+def test_events_that_are_miscounted_are_said(tmp_path: Path, change: dict, said: str | None) -> None:
+    """Labels, times and number of two events agree, or it is said; contexts may be absent."""
+    event = {"USED": np.array([2]), "LABELS": ["Foot Strike", "Foot Off"], "CONTEXTS": ["Left", "Right"],
+             "TIMES": np.array([[0.0, 0.0], [0.05, 0.1]])}  # fmt: skip
+    found = codes(read_c3d(with_parameters(EVENT=event | change).save(tmp_path / "a.c3d")))
+    assert {code for code in found if code.startswith("events.")} == ({said} if said else set())
+
+
+def test_parameters_that_stand_twice_are_said(tmp_path: Path) -> None:
+    """A record that occurs again with another value is named; the same value again says nothing new."""
+    plain = small().build()
+    at, stop = plain.index(b"\4\1RATE"), BLOCK + plain[BLOCK + 2] * BLOCK
+    end = at + 6 + struct.unpack("<H", plain[at + 6 : at + 8])[0]
+    path = tmp_path / "a.c3d"
+    for rate, expected in ((100.0, False), (50.0, True)):
+        again = plain[at : end - 5] + struct.pack("<f", rate) + b"\0"
+        section = plain[:at] + again + plain[at:stop]
+        assert not section[stop:].strip(b"\0")
+        path.write_bytes(section[:stop] + plain[stop:])
+        told = [note for note in read_c3d(path).notes if note.code == "c3d.parameters"]
+        assert bool(told) == expected and all("POINT:RATE" in note.message for note in told)
+
+
 def test_subject_and_mass_are_stated(tmp_path: Path) -> None:
     """What the file says about the subject reaches the trial's parameters in SI units."""
     extra = {"PROCESSING": {"Bodymass": np.array([70.5]), "Height": np.array([1750.0])}, "SUBJECTS": {"NAMES": ["S 1"]}}

@@ -201,3 +201,24 @@ def test_two_scales_of_integers_are_refused(tmp_path: Path) -> None:
                 read_c3d(path)
         else:
             assert_allclose(read_c3d(path).markers.position, standing(FRAMES, MARKERS) / 1000.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["put in", "lost", "whole block"])
+def test_bytes_that_shift_the_data_are_said(tmp_path: Path, seed: int, kind: str) -> None:
+    """Bytes put in or lost amid the data leave the file with other than whole blocks, or with one too many."""
+    random = np.random.default_rng(seed)
+    data = bytearray(sound().build())
+    begin = len(data) - 4 * FRAMES * (4 * MARKERS + CHANNELS * RATIO)
+    at = int(random.integers(begin // BLOCK * BLOCK, len(data) - 2 * BLOCK))
+    if kind == "lost":
+        padding = len(data) - begin - len(data[begin:].rstrip(b"\0"))
+        del data[at : at + int(random.integers(1, max(2, min(60, padding))))]
+    else:
+        data[at:at] = random.integers(0, 256, BLOCK if kind == "whole block" else int(random.integers(1, 200))).tolist()
+    path = tmp_path / "a.c3d"
+    path.write_bytes(data)
+    try:
+        said = {note.code for note in read_c3d(path).notes}
+    except InputError as error:
+        said = {error.code}
+    assert said & {"c3d.trailing", "c3d.truncated", "c3d.contradiction"}

@@ -1,5 +1,7 @@
 """Tests of torchid.io.computed and output_names: what a program computed is told from markers, whatever its name."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -166,3 +168,13 @@ def test_outputs_are_told_by_their_names(others: list[str]) -> None:
 def test_estimated_markers_stay_where_nothing_else_was_measured() -> None:
     """OpenCap's ``_study`` markers are all that a recording by video has."""
     assert select_markers(["r_knee_study", "r_ankle_study"], "x").labels == ("r_knee_study", "r_ankle_study")
+
+
+def test_many_points_take_little_room() -> None:
+    """Three hundred points, as many as a file of all outputs has, are compared within 80 MB."""
+    position = np.random.default_rng(0).normal(size=(400, 300, 3)).cumsum(axis=0)
+    tracemalloc.start()
+    computed_points(tuple(f"P{k}" for k in range(300)), position)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 80e6

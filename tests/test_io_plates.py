@@ -8,6 +8,8 @@ from c3d_bytes import C3dBuilder, labels, standing
 from numpy.testing import assert_allclose
 
 from torchid.io.c3d import read_c3d
+from torchid.io.mend import PlateAs
+from torchid.io.options import ReadOptions
 from torchid.io.plates import baseline, plate_frame
 
 FRAMES, RATIO = 10, 4
@@ -278,6 +280,68 @@ def test_a_reversed_plate_is_said_and_left(tmp_path: Path) -> None:
     assert trial.forces is not None
     assert_allclose(trial.forces.wrench, -truth, atol=2e-3, rtol=1e-5)
     assert "plates.sign" in codes(trial)
+
+
+def on_the_plate(seed: int) -> tuple[C3dBuilder, np.ndarray]:
+    """Plates of types 2 and 4 that bear somebody on their middles, and the wrenches behind their channels."""
+    built, truth = setup([2, 4], seed)
+    random = np.random.default_rng(seed)
+    for k, kind in enumerate((2, 4)):
+        R_WF, p_WF = plate_frame(corners(seed + k) / 1000.0)
+        force = random.normal(size=(SAMPLES, 3)) * [40.0, 40.0, 80.0] + [0.0, 0.0, 700.0]
+        point = p_WF + (random.uniform(-0.1, 0.1, (SAMPLES, 3)) * [1, 1, 0]) @ R_WF.T
+        truth[:, k] = np.concatenate([force, np.cross(point, force)], axis=1)
+        matrix = built.parameters["FORCE_PLATFORM"]["CAL_MATRIX"][:, :, k]
+        built.analogs[:, 6 * k : 6 * k + 6] = channels(kind, corners(seed + k), truth[:, k], matrix)
+    return built, truth
+
+
+def test_forces_that_nobody_bears_leave_the_plate_out(tmp_path: Path, seed: int) -> None:
+    """A scale that makes meganewtons of one plate: it is left out and said, unless the config gives its gain."""
+    built, truth = on_the_plate(seed % 1000)
+    number, factor = seed % 2 + 1, 10.0 ** np.random.default_rng(seed).uniform(3.0, 20.0)
+    built.parameters["ANALOG"]["SCALE"] = np.where(np.arange(12) // 6 == number - 1, factor, 1.0)
+    path = built.save(tmp_path / "a.c3d")
+    trial = read_c3d(path)
+    assert trial.forces is not None and [plate.name for plate in trial.forces.plates] == [f"plate {3 - number}"]
+    assert [note for note in trial.notes if note.code == "plates.force" and f"plate {number}" in note.message]
+    told = read_c3d(path, options=ReadOptions(plates={number: PlateAs(gain=1.0 / factor)})).forces
+    assert told is not None
+    assert_allclose(told.wrench, truth, atol=2e-3, rtol=1e-4)
+
+
+def test_single_samples_that_nobody_bears_are_gaps(tmp_path: Path, seed: int) -> None:
+    """Two samples of 30 kN beside each other, which are no spike, become gaps and are said."""
+    built, _ = on_the_plate(seed % 1000)
+    at = int(np.random.default_rng(seed).integers(4, SAMPLES - 4))
+    built.analogs[at : at + 2, 2] = -30e3
+    trial = read_c3d(built.save(tmp_path / "a.c3d"))
+    assert trial.forces is not None
+    assert np.flatnonzero(np.isnan(trial.forces.wrench[:, 0, 2].numpy())).tolist() == [at, at + 1]
+    assert [note for note in trial.notes if note.code == "plates.force" and "2 samples" in note.message]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda built: built.parameters["ANALOG"]["UNITS"].__setitem__(slice(3, 5), ["Nm"] * 2), "pressure lies"),
+        (lambda built: built.parameters["ANALOG"]["UNITS"].__setitem__(5, "Nm"), "free moment is"),
+        (lambda built: built.parameters["ANALOG"].update(SCALE=np.array([60.0, *[1.0] * 11])), "pushed sideways"),
+        (lambda built: built.parameters["FORCE_PLATFORM"]["ORIGIN"].__setitem__((0, 0), 3000.0), "pressure lies"),
+    ],
+)
+def test_a_load_that_no_contact_gives_is_said(tmp_path: Path, seed: int, change, said: str) -> None:
+    """Units of the moments, one channel's scale, an origin metres off: said of that plate alone, whose load is kept."""
+    built, _ = on_the_plate(seed % 1000)
+    built.analogs[:, 0] += 30.0
+    built.analogs[:, 5] += 3000.0
+    path = tmp_path / "a.c3d"
+    assert "plates.load" not in codes(read_c3d(built.save(path)))
+    change(built)
+    trial = read_c3d(built.save(path))
+    assert trial.forces is not None and len(trial.forces.plates) == 2
+    (note,) = [note for note in trial.notes if note.code == "plates.load"]
+    assert note.message.startswith("plate 1") and said in note.message
 
 
 def test_offsets_stay_and_are_reported(tmp_path: Path) -> None:

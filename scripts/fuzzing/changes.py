@@ -29,6 +29,11 @@ STRONGEST = 20e3
 """Largest force [N] that a plate can have."""
 LARGEST_MOMENT = 20e3
 """Moment [N m] about the origin of 2 kN that act 10 m away; a laboratory has no more."""
+TOGETHER, MARKERS = 1e-3, 5
+"""All of so many markers that move by so much [m] in one frame are no samples, but a frame in another's place."""
+LOADED, BESIDE = 100.0, 0.2
+"""Vertical force [N] under which a centre of pressure counts, and how far [m] it may lie from its plate in the median:
+twice what readers must say."""
 PLACE_M, FORCE_N, PERIODS = 2e-5, 0.1, 0.1
 FEW = 0.5
 """Share of a marker's or plate's samples below which single samples changed, not their calibration."""
@@ -104,7 +109,15 @@ def _markers(old: Values, new: Values) -> set[str]:
         low, high = np.nanmin(was, axis=(0, 1)) - NEAR, np.nanmax(was, axis=(0, 1)) + NEAR
         possible = ((now >= low) & (now <= high)).all(axis=2) | ~moved | whole
         found.add("sample" if possible.all() else "!impossible sample")
+        if _whole_frame(far, still):
+            found.add("!whole frames")
     return found | ({"label"} if whole.any() and not any("!all" in one for one in found) else set())
+
+
+def _whole_frame(far: np.ndarray, seen: np.ndarray) -> bool:
+    """Whether every marker seen in some frame is elsewhere in it, by ``far`` (frames, markers)."""
+    moved = ((far > 0.0) & seen).sum(axis=1)
+    return bool(((moved >= MARKERS) & (moved == seen.sum(axis=1)) & (np.median(far, axis=1) > TOGETHER)).any())
 
 
 def _renamed(was: np.ndarray, now: np.ndarray) -> bool:
@@ -132,8 +145,30 @@ def _forces(old: Values, new: Values) -> set[str]:
         found.add("gap")
     if np.nanmax(np.abs(now - was), initial=0.0) <= FORCE_N:
         return found | {"rounding"}
-    if np.nanmax(np.abs(now[..., :3])) > STRONGEST or np.nanmax(np.abs(now[..., 3:])) > LARGEST_MOMENT:
-        found.add("!impossible force")
+    found |= _impossible(new)
     if (moved.mean(axis=0) > FEW).any():
         return found | {"calibration"}
     return found | {"sample"}
+
+
+def _impossible(values: Values) -> set[str]:
+    wrench = np.abs(values["wrench"])
+    if np.nanmax(wrench[..., :3]) > STRONGEST or np.nanmax(wrench[..., 3:]) > LARGEST_MOMENT:
+        return {"!impossible force"}
+    return {"!impossible pressure"} if _beside_its_plate(values) else set()
+
+
+def _beside_its_plate(values: Values) -> bool:
+    """Whether most of the pressure on some plate lies beside the box around its corners."""
+    for wrench, corners in zip(values["wrench"].transpose(1, 0, 2), values["corners"], strict=True):
+        loaded = wrench[np.abs(wrench[:, 2]) > LOADED]
+        if corners is None or not len(loaded):
+            continue
+        box = np.reshape(corners, (4, 3))
+        low, high, height = box[:, :2].min(axis=0), box[:, :2].max(axis=0), box[:, 2].mean()
+        x = (-loaded[:, 4] + height * loaded[:, 0]) / loaded[:, 2]
+        y = (loaded[:, 3] + height * loaded[:, 1]) / loaded[:, 2]
+        point = np.stack([x, y], axis=1)
+        if np.nanmedian(np.maximum(low - point, point - high).max(axis=1)) > BESIDE:
+            return True
+    return False

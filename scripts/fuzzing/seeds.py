@@ -17,7 +17,6 @@ from torchid.model.urdf import read_urdf, write_urdf
 from torchid.recording import Markers
 
 KINDS = ("c3d", "trc", "mot", "sto", "config", "marker_set", "urdf", "mjcf")
-SUFFIX = {"c3d": ".c3d", "trc": ".trc", "mot": ".mot", "sto": ".sto", "urdf": ".urdf", "mjcf": ".xml"}
 FRAMES, MARKERS_SEEN, RATE = 24, 6, 100.0
 REAL_BYTES = 400_000
 """Larger real files are left out: reading them would take most of the time."""

@@ -22,6 +22,10 @@ from mishaps.bench import Attempt, Bench
 from mishaps.injection import Calls
 
 MIB = 1 << 20
+IN_A_ROW = 3
+"""Kills before a run may end. A choice: more would mostly fall on late stages."""
+SHORTEST = 0.1
+"""Share of an undisturbed run in which the last kills fall: something is always left to do."""
 
 
 def main() -> int:
@@ -100,14 +104,29 @@ def _system(*command: str) -> bool:
 
 
 def kills(bench: Bench, count: int, draw: random.Random) -> Iterator[tuple[int, list[str]]]:
-    """kill -9 at any moment of a run with no stage stored."""
+    """kill -9 at any moment of a run with no stage stored, then at any moment of the runs that take it up.
+
+    The folder is judged after every kill, the results once a run may end: up to ``IN_A_ROW`` kills share the time that
+    the undisturbed rest takes.
+    """
     bench.report = True
-    for _ in range(count):
-        moment = bench.seconds * draw.random()
+    while count > 0:
         bench.lay_out(set())
-        ended = bench.run(kill_after=moment)
-        faults = [] if ended.code in (-9, 0) else [f"exit {ended.code}: {ended.said[-300:]}"]
-        yield _judged(bench, f"killed after {moment:.1f} s", ended, faults + bench.faults_now())
+        rest, left = bench.seconds, min(IN_A_ROW, count)
+        while left:
+            left, count = left - 1, count - 1
+            moment = rest * draw.random()
+            ended = bench.run(kill_after=moment)
+            rest = max(rest - moment, SHORTEST * bench.seconds)
+            faults = [] if ended.code in (-9, 0) else [f"exit {ended.code}: {ended.said[-300:]}"]
+            faults += bench.faults_now()
+            what = f"killed after {moment:.1f} s"
+            if left and ended.code == -9:
+                print(f"{what}: exit -9, taken up again; {'; '.join(faults) or 'right'}", flush=True)
+                yield ended.code, faults
+            else:
+                left = 0
+                yield _judged(bench, what, ended, faults)
 
 
 def _wrong_end(bench: Bench, ended: Attempt, allowed: tuple[int, ...]) -> list[str]:

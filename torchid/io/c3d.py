@@ -130,6 +130,17 @@ def _invalid(wrench: torch.Tensor, source: str) -> list[Note]:
     return [Note("plates.invalid", f"{count} plate samples are not numbers", source)] if count else []
 
 
+def _miscounted(header: C3dHeader, held: dict[str, int]) -> list[Note]:
+    """A note where EVENT:USED and the lists of the group do not count alike; contexts may be absent."""
+    used = header.number("EVENT", "USED")
+    counts = {name: count for name, count in held.items() if count or name != "contexts"}
+    stated = counts if used is None else {"used": int(used), **counts}
+    if len(set(stated.values())) < 2:
+        return []
+    text = f"the group EVENT counts {', '.join(f'{count} {name}' for name, count in stated.items())}"
+    return [Note("events.count", f"{text}; {min(counts['labels'], counts['times'])} read", header.source)]
+
+
 def _facts(header: C3dHeader, layout: Layout, unit: str) -> dict[str, str]:
     facts = {
         "format": "C3D",
@@ -162,10 +173,13 @@ def _events(header: C3dHeader, layout: Layout, begin: float) -> tuple[tuple[Even
     times = header.numbers("EVENT", "TIMES")
     times = times[: len(times) // 2 * 2].reshape(-1, 2) @ np.array([60.0, 1.0])
     count = min(len(labels), len(times))
+    notes = _miscounted(header, {"labels": len(labels), "times": len(times), "contexts": len(sides)})
     times = times[:count]
-    if not count or not np.isfinite(times).all():
-        return (), []
-    end, slack, notes = begin + layout.frames / layout.rate, 2.0 / layout.rate, []
+    if not np.isfinite(times).all():
+        return (), [*notes, Note("events.invalid", "events whose times are no numbers are left out", header.source)]
+    if not count:
+        return (), notes
+    end, slack = begin + layout.frames / layout.rate, 2.0 / layout.rate
     inside = (times >= begin - slack) & (times <= end + slack)
     shifted = (times + begin >= begin - slack) & (times + begin <= end + slack)
     if shifted.all() and not inside.any():

@@ -221,6 +221,9 @@ def _walk(
         position = end
     if cut and not closed:
         raise _truncated(source, "parameter section", len(section))
+    if not closed:
+        text = "the parameter section ends without a last record; some may be missing"
+        notes.append(Note("c3d.parameters", text, str(source)))
     if beyond:
         text = f"the parameter section is said to end after {stated} bytes; {beyond} records beyond it read as well"
         notes.append(Note("c3d.parameters", text, str(source)))
@@ -235,18 +238,23 @@ def _collect(
     notes: list[Note],
 ) -> dict[str, dict[str, Parameter]]:
     groups: dict[str, dict[str, Parameter]] = {name: {} for name in names.values()}
-    unusable = []
+    unusable, twice = [], []
     for group, name, body in records:
         parameter = _parameter(body, processor)
         if parameter is None or group not in names:
             unusable.append(name)
         else:
+            if groups[names[group]].setdefault(name, parameter) != parameter:
+                twice.append(f"{names[group]}:{name}")
             groups[names[group]][name] = parameter
     if unusable:
         listed = ", ".join(unusable[:5]) + (", ..." if len(unusable) > 5 else "")
         notes.append(
             Note("c3d.parameters", f"{len(unusable)} unusable parameter records ignored: {listed}", str(source))
         )
+    if twice:
+        text = f"parameters stand twice with different values, the last is read: {', '.join(twice[:5])}"
+        notes.append(Note("c3d.parameters", text, str(source)))
     return groups
 
 

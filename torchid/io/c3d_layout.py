@@ -186,10 +186,19 @@ def _frames(header: C3dHeader, layout: Layout, available: int, allow_truncated: 
         notes.append(Note("c3d.frames", text, header.source))
     if not fitting:
         _refuse_truncated(header, min(declared), present, allow_truncated, notes)
-    elif available - frames * size > BLOCK and available - frames * size >= size:
-        text = f"{available - frames * size} bytes follow the data and are not read"
-        notes.append(Note("c3d.trailing", text, header.source))
+    else:
+        _say_trailing(available - frames * size, available % BLOCK == 0, header.source, notes)
     return frames
+
+
+def _say_trailing(left: int, whole: bool, source: str, notes: list[Note]) -> None:
+    """Bytes after the data that do not just fill the last of a file's whole blocks: where some were put in or lost
+    before them, all numbers from there on stand in other places."""
+    if 0 < left < BLOCK and not whole:
+        text = f"{left} bytes follow the data without filling a block: some were put in or lost, here or before"
+        notes.append(Note("c3d.trailing", text, source))
+    elif left >= BLOCK:
+        notes.append(Note("c3d.trailing", f"{left} bytes follow the data and are not read", source))
 
 
 def _refuse_truncated(header: C3dHeader, declared: int, present: int, allow_truncated: bool, notes: list[Note]) -> None:

@@ -51,7 +51,7 @@ def computed_points(labels: tuple[str, ...], position: Float[np.ndarray, "frames
     x = _sample(position)
     found = dict.fromkeys(_no_places(x), "no place in a room")
     with np.errstate(invalid="ignore", divide="ignore"):
-        length = np.linalg.norm(x[:, :, None] - x[:, None], axis=-1)
+        length = _lengths(x)
         found |= dict.fromkeys(_frames(x, length, _free(found, labels)), "axis of a frame")
         found |= {k: f"copy of {labels[other]}" for k, other in _copies(length, _free(found, labels))}
         ordered = _between(x, length, _free(found, labels))
@@ -77,6 +77,16 @@ def left_out_as_computed(
 def _sample(position: Float[np.ndarray, "frames points 3"]) -> Float[np.ndarray, "some points 3"]:
     count = max(SEVERAL, min(FRAMES, CELLS // position.shape[1] ** 2))
     return position[np.unique(np.linspace(0, len(position) - 1, count).astype(int))]
+
+
+def _lengths(x: Float[np.ndarray, "frames points 3"]) -> Float[np.ndarray, "frames points points"]:
+    """Distances of all points from each other, without an array of differences three times as large."""
+    square = np.zeros((len(x), x.shape[1], x.shape[1]))
+    for axis in range(3):
+        off = x[:, :, None, axis] - x[:, None, :, axis]
+        off *= off
+        square += off
+    return np.sqrt(square, out=square)
 
 
 def _free(found: dict[int, str], labels: tuple[str, ...]) -> list[int]:

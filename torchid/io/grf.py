@@ -11,6 +11,7 @@ from torchid.conventions import LOADED_N, SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
 from torchid.io.clock import uniform_clock
 from torchid.io.force_names import force_columns
+from torchid.io.plate_limits import MOST_FORCE
 from torchid.io.spikes import force_bound, spikes
 from torchid.io.storage import Storage
 from torchid.recording import Forces, Plate
@@ -26,8 +27,6 @@ POINT_LEAP = (0.1, 0.5)
 the second it leaves any foot; in between it is what the column shows elsewhere that decides."""
 TORQUE_LEAP = (10.0, 50.0)
 """The same for a free moment [N m]: feet reach 20 in gait and runs."""
-MOST_FORCE = 20e3
-"""Force [N] on one plate that nobody bears for two rows; plates are built for less."""
 MANY_GAPS = 0.5
 """Share of a plate's rows that may be missing: forces with more holes than values are no record of a contact."""
 LISTED = 5

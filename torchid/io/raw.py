@@ -10,11 +10,13 @@ from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
 from torchid.io.computed import left_out_as_computed
 from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
+from torchid.io.frame_order import frames_out_of_order
 from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
+from torchid.io.plate_limits import within_limits
 from torchid.io.plates import baseline
-from torchid.io.repeats import refuse_repeats
+from torchid.io.repeats import frame_repeats
 from torchid.io.spikes import marker_spikes, plate_spikes
 from torchid.recording import Event, Forces, Markers, Trial
 
@@ -61,16 +63,7 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
         position, raw.forces if same_axes else None, raw.up, raw.customary, options, raw.source,
         raw.beside if same_axes else None,
     )  # fmt: skip
-    held: list[Note] = []
-    leaping: list[Note] = []
-    if len(raw.time) > 1:
-        rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
-        mask, leaping = marker_spikes(position, rate, raw.labels, raw.source, raw.lines)
-        position[mask] = np.nan
-        if role != "static":
-            refuse_repeats(position, raw.source)
-            mask, held = held_samples(position, rate, raw.labels, raw.source)
-            position[mask] = np.nan
+    odd = _doubted_markers(position, raw, role)
     world = turn_to_world(torch.from_numpy(position), axis)
     markers = Markers(raw.labels, torch.from_numpy(np.ascontiguousarray(raw.time, dtype=float)), world)
     forces, turned = raw.forces, []
@@ -80,10 +73,27 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
         forces = _forces_in_world(turned_up(forces, options.forces_as, axis), axis)
     if forces is not None:
         forces = mend(forces, *_left_to_mend(options), raw.source)
+    forces, doubted = _doubted(forces, raw)
     said = [*said, *turned, *_as_asked(options, raw.source)]
-    notes = (*raw.notes, *missing, *left_out, *said, *leaping, *held, *_force_notes(forces, raw))
+    notes = (*raw.notes, *missing, *left_out, *said, *odd, *doubted)
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
     return Trial(name, markers, forces, role, raw.events, notes, parameters, computed)
+
+
+def _doubted_markers(position: np.ndarray, raw: RawTrial, role: str) -> list[Note]:
+    """What is odd about the motion of the markers; samples that leap or are held become NaN in place."""
+    if len(raw.time) < 2:
+        return []
+    rate = (len(raw.time) - 1) / (raw.time[-1] - raw.time[0])
+    mask, leaping = marker_spikes(position, rate, raw.labels, raw.source, raw.lines)
+    position[mask] = np.nan
+    order = frames_out_of_order(position, raw.source)
+    if role == "static":
+        return [*leaping, *order]
+    repeats = frame_repeats(position, raw.source)
+    mask, held = held_samples(position, rate, raw.labels, raw.source)
+    position[mask] = np.nan
+    return [*leaping, *order, *repeats, *held]
 
 
 def _left_to_mend(options: ReadOptions) -> tuple[ForcesAs, dict[int, PlateAs]]:
@@ -134,23 +144,34 @@ def _forces_in_world(forces: Forces, axis: str) -> Forces:
     return Forces(forces.time, turn_to_world(forces.wrench, axis), plates)
 
 
-def _force_notes(forces: Forces | None, raw: RawTrial) -> list[Note]:
-    """Samples that leap away once (made NaN), sign of every plate, its unloaded reading, and overlap of the clocks."""
+def _doubted(forces: Forces | None, raw: RawTrial) -> tuple[Forces | None, list[Note]]:
+    """Forces without samples that leap away once (made NaN) and without plates that bear more than anybody can.
+
+    What is odd about them is said: loads, sign and unloaded reading of every plate, and overlap of the clocks.
+    """
     if forces is None:
-        return []
-    mask, notes = plate_spikes(forces, raw.source)
+        return None, []
+    mask, leaping = plate_spikes(forces, raw.source)
     forces.wrench[torch.from_numpy(mask)] = torch.nan
+    forces, said = within_limits(forces, raw.source)
+    told = [] if forces is None else [*_levels(forces, raw.source), *_overlap(forces, raw)]
+    return forces, [*leaping, *said, *told]
+
+
+def _levels(forces: Forces, source: str) -> list[Note]:
+    """Plates that pull, and what they read with nobody on them."""
+    notes = []
     for k, plate in enumerate(forces.plates):
         vertical = forces.wrench[:: max(1, len(forces.wrench) // SAMPLES), k, 2].numpy()
         loaded = vertical[np.abs(vertical) > SAMPLE_LOADED_N]
         if len(loaded) and loaded.mean() < 0:
             text = f"{plate.name} pulls the subject down ({loaded.mean():.0f} N while loaded): its sign is reversed"
-            notes.append(Note("plates.sign", text, raw.source))
+            notes.append(Note("plates.sign", text, source))
         offset = baseline(vertical)
         if offset is not None and abs(offset) > SMALL_BASELINE:
             text = f"{plate.name} reads {offset:.1f} N with nobody on it; left as it is"
-            notes.append(Note("plates.baseline", text, raw.source))
-    return notes + _overlap(forces, raw)
+            notes.append(Note("plates.baseline", text, source))
+    return notes
 
 
 def _overlap(forces: Forces, raw: RawTrial) -> list[Note]:

@@ -5,6 +5,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from torchid.errors import Note
+from torchid.io.steps import marker_steps
 from torchid.recording import Forces
 
 ACCELERATION = 2000.0
@@ -41,7 +42,10 @@ def force_bound(rate: float) -> float:
 
 
 def spikes(
-    values: Float[np.ndarray, "frames streams components"], bound: float, floor: float | None = None
+    values: Float[np.ndarray, "frames streams components"],
+    bound: float,
+    floor: float | None = None,
+    among: Bool[np.ndarray, " streams"] | None = None,
 ) -> tuple[Bool[np.ndarray, "frames streams"], Bool[np.ndarray, " streams"]]:
     """Which samples deviate by more than can be from where their neighbours put them, and which streams do throughout.
 
@@ -55,11 +59,12 @@ def spikes(
         bound: deviation that is always too large.
         floor: deviation that never is; between the two it is where it exceeds ``STANDS_OUT`` times all others of its
             stream. By default the bound alone counts.
+        among: streams to look at, where the caller knows the others to bend too little (``bent``).
     """
     floor = bound if floor is None else min(floor, bound)
     found = np.zeros(values.shape[:2], bool)
     with np.errstate(over="ignore", invalid="ignore"):
-        for k in np.flatnonzero(_suspect(values, floor)):
+        for k in np.flatnonzero(bent(values, floor) if among is None else among):
             stream = values[:, k].copy()
             found[:, k] = _between(stream, bound, floor)
             stream[found[:, k]] = np.nan
@@ -69,8 +74,8 @@ def spikes(
     return found, throughout
 
 
-def _suspect(values: np.ndarray, floor: float) -> np.ndarray:
-    """Streams with a second difference that a spike must have: every other is done with."""
+def bent(values: Float[np.ndarray, "frames streams components"], floor: float) -> Bool[np.ndarray, " streams"]:
+    """Streams with a second difference that a leap of more than ``floor`` must have: every other is done with."""
     frames, streams, components = values.shape
     bend = _largest_bends(values.reshape(frames, streams * components))
     return (bend.reshape(streams, components) > 2.0 * floor / np.sqrt(components)).any(axis=1)
@@ -128,7 +133,7 @@ def marker_spikes(
     source: str,
     lines: Int[np.ndarray, " frames"] | None = None,
 ) -> tuple[Bool[np.ndarray, "frames markers"], list[Note]]:
-    """Mask of marker samples [m] that leap away for one frame, and what to say of them.
+    """Mask of marker samples [m] that leap away for one frame, and what to say of them and of steps that last.
 
     Args:
         position: NaN where missing.
@@ -137,8 +142,13 @@ def marker_spikes(
         source: the file.
         lines: of the file, by frame; None where it has none.
     """
-    found, throughout = spikes(position, leap_bound(rate), FLICKER)
-    frames, notes = np.flatnonzero(found.any(axis=1)), []
+    bound = leap_bound(rate)
+    with np.errstate(over="ignore", invalid="ignore"):
+        among = bent(position, min(FLICKER, bound))
+    found, throughout = spikes(position, bound, FLICKER, among)
+    frames = np.flatnonzero(found.any(axis=1))
+    # The middle of two neighbours is half a second difference away, which a lasting step has in full.
+    notes = marker_steps(position, found, among & ~throughout, 2.0 * bound, labels, source)
     if throughout.any():
         names = [label for label, hit in zip(labels, throughout, strict=True) if hit]
         text = f"leap between places in over {MANY:.0%} of their frames, as no body moves: {', '.join(names[:12])}"

@@ -1,0 +1,63 @@
+"""Tests of torchid.io.frame_order: pairs of frames in each other's place are said, and nothing else is."""
+
+import numpy as np
+import pytest
+
+from torchid.io import read_trial
+from torchid.io.frame_order import frames_out_of_order
+
+FRAMES, MARKERS = 300, 9
+
+
+def walking(random: np.random.Generator) -> np.ndarray:
+    """Markers (frames, markers, 3) [m] that go at 1 m/s and swing, at 100 Hz, with the noise of cameras and gaps."""
+    time = np.arange(FRAMES)[:, None, None] / 100.0
+    swing = 0.2 * np.sin(5.0 * time + random.uniform(0.0, 6.0, (1, MARKERS, 3)))
+    position = swing + time * [1.0, 0.0, 0.0] + 2e-4 * random.normal(size=(FRAMES, MARKERS, 3))
+    position[4:-4][random.random((FRAMES - 8, MARKERS)) < 0.02] = np.nan
+    return position
+
+
+@pytest.mark.parametrize("where", ["first", "middle", "last"])
+def test_exchanged_frames_are_said(seed: int, where: str) -> None:
+    """Two neighbouring frames that are exchanged, at the ends too, are named; the recording as it was is not."""
+    random = np.random.default_rng(seed)
+    position = walking(random)
+    assert frames_out_of_order(position, "x") == []
+    frame = {"first": 0, "middle": int(random.integers(1, FRAMES - 2)), "last": FRAMES - 2}[where]
+    position[[frame, frame + 1]] = position[[frame + 1, frame]]
+    (note,) = frames_out_of_order(position, "x")
+    assert note.code == "markers.order" and f"({frame + 1} and {frame + 2})" in note.message
+
+
+@pytest.mark.parametrize("kind", ["lost", "elsewhere"])
+def test_missing_and_moved_frames_are_said(seed: int, kind: str) -> None:
+    """A few frames taken out, or a block of two to five that changes place with the next, show in all markers."""
+    random = np.random.default_rng(seed)
+    position, size, frame = walking(random), int(random.integers(2, 6)), int(random.integers(20, FRAMES - 30))
+    if kind == "lost":
+        position = np.delete(position, slice(frame, frame + size), axis=0)
+    else:
+        block, after = position[frame : frame + size].copy(), position[frame + size : frame + 2 * size].copy()
+        position[frame : frame + 2 * size] = np.concatenate([after, block])
+    (note,) = frames_out_of_order(position, "x")
+    assert note.code == "markers.order" and "leap on together" in note.message
+    assert f"{frame if kind == 'lost' else frame + size} and" in note.message
+
+
+def test_noise_and_few_markers_say_nothing(seed: int) -> None:
+    """Standing still, where nothing but noise moves, and four markers."""
+    random = np.random.default_rng(seed)
+    still = random.uniform(-1.0, 1.0, (1, MARKERS, 3)) + 1e-3 * random.normal(size=(2000, MARKERS, 3))
+    assert frames_out_of_order(still, "x") == []
+    position = walking(random)[:, :4]
+    position[[50, 51]] = position[[51, 50]]
+    assert frames_out_of_order(position, "x") == []
+
+
+def test_no_public_recording_is_accused(data_dir) -> None:
+    """Walks, runs, jumps and squats at 50 to 200 Hz are in order, none steps, none repeats a frame."""
+    paths = [*data_dir.rglob("*.trc"), *(path for path in data_dir.rglob("*.c3d") if path.stat().st_size < 2e6)]
+    for path in paths:
+        codes = {note.code for note in read_trial("a", path).notes}
+        assert not codes & {"markers.order", "markers.steps", "markers.repeated", "plates.load", "plates.force"}, path
