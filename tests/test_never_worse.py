@@ -158,7 +158,7 @@ class Table(Attempts):
         return (Growth("x", "force", log, log, 3, log > MARGIN),)
 
     def _log(self, chosen: frozenset[int]) -> float:
-        return sum(own for some, own in self._harm.items() if some <= chosen)
+        return sum((own for some, own in self._harm.items() if some <= chosen), start=0.0)
 
 
 def cause(k: int) -> Cause:
