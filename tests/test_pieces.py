@@ -19,6 +19,7 @@ from torchid.experiment.correction import effect_wrenches, extend_session
 from torchid.experiment.diagnosis_stage import searched, spans
 from torchid.observation import trial
 from torchid.outcome import Outcome
+from torchid.recording import Trial
 from torchid.regressor.whitening import QUIET, cosine_matrix, white_scatter
 from torchid.results import OutputFolder
 from torchid.simulate.planting import planted
@@ -76,6 +77,13 @@ def verdict(name: str, outcome: Outcome) -> Diagnosis:
     return Diagnosis((), Errors(1.0, 1.0), Errors(1.0, 1.0), (cause,), Adequacy(False, 0.5, 0.1, ""))
 
 
+def recorded(name: str, trials: dict[str, Trial]) -> dict[str, torch.Tensor]:
+    """What of recordings an effect changes: forces, or places of markers."""
+    if CATALOGUE[name].correction is Correction.READING:
+        return {n: one.forces.wrench for n, one in trials.items() if one.forces is not None}
+    return {n: one.markers.position for n, one in trials.items()}
+
+
 @pytest.mark.parametrize("name", sorted(LOCAL))
 def test_what_a_cause_does_is_the_same_in_pieces(tmp_path, monkeypatch, name):
     """Forces and markers as if each recording were looked at as a whole, wherever the search had looked."""
@@ -93,26 +101,29 @@ def test_what_a_cause_does_is_the_same_in_pieces(tmp_path, monkeypatch, name):
             if CATALOGUE[name].correction is Correction.WRENCH:
                 found.append(effect_wrenches(outcome))
             else:
-                session = extend_session(outcome, folder)
-                found.append({n: one.markers.position for n, one in session.trials.items()})
+                found.append(recorded(name, extend_session(outcome, folder).trials))
     whole, parts = found
-    assert scenes and max(scenes) <= 371, "no scene is longer than a piece and what is beside it"
-    forceful = CATALOGUE[name].correction is Correction.WRENCH
-    sizes = {}
+    reads, forceful = (CATALOGUE[name].correction is one for one in (Correction.READING, Correction.WRENCH))
+    assert reads or (scenes and max(scenes) <= 371), "no scene is longer than a piece and what is beside it"
+    sizes, as_read = {}, recorded(name, outcome.session.trials)
     for n, own in whole.items():
-        before = torch.zeros(()) if forceful else outcome.session.trials[n].markers.position
+        before = torch.zeros(()) if forceful else as_read[n]
         sizes[n] = float((own - before).nan_to_num().norm())
         assert float((own - parts[n]).nan_to_num().norm()) <= 1e-5 * sizes[n] + 1e-12
     assert max(sizes.values()) > 0.0
 
 
-def test_a_drift_counts_from_where_it_was_found(monkeypatch):
+def test_a_drift_counts_from_where_it_was_found(tmp_path, monkeypatch):
     """The part that was searched had no more of it at its first frame than a recording that begins there."""
     outcome = replace(small_session.outcome(), diagnosis=verdict("plate_drift", small_session.outcome()))
     monkeypatch.setattr(diagnosis_stage, "LONGEST_S", 2.4)
     monkeypatch.setattr(pieces, "PIECE_S", 1.3)
-    known, found = spans(outcome), effect_wrenches(outcome)
-    for name, added in found.items():
+    known, before = spans(outcome), recorded("plate_drift", outcome.session.trials)
+    with OutputFolder(tmp_path) as folder:
+        found = recorded("plate_drift", extend_session(outcome, folder).trials)
+    assert found.keys() == before.keys() and len(found) > 1
+    for name, wrench in found.items():
+        added = before[name] - wrench
         assert float(added[known[name].start].norm()) < 1e-9
         assert float(added[known[name].stop - 1].norm()) > 0.1
 

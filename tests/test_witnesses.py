@@ -38,7 +38,8 @@ def drawn(name: str, rng: np.random.Generator, base: Outcome) -> tuple[Place, to
     if name == "time_offset":
         return SESSION, torch.tensor([0.03 * sign * size]).double()
     if name == "plate_gain":
-        return Place(plates(base)), torch.tensor([0.06 * sign * size]).double()
+        # Much more of it would rather be a wrong record of the mass, which does the same.
+        return Place(plates(base)), torch.tensor([0.04 * sign * size**0.5]).double()
     angle = rng.uniform(0.0, 2.0 * np.pi)
     return SESSION, 0.025 * size * torch.tensor([np.cos(angle), np.sin(angle)]).double()
 

@@ -6,7 +6,8 @@ from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.trace import Step, StepKind
 from torchid.diagnosis.verdict.causes import LISTED, parameter_table
 from torchid.diagnosis.verdict.records import Alternative, Cause, Twin
-from torchid.effects.place import covers
+from torchid.effects.place import SESSION, covers
+from torchid.effects.traits import Site
 from torchid.witnesses.faults import Fault, Scored, instead
 from torchid.witnesses.panel import Panel
 
@@ -51,7 +52,7 @@ def _cause(panel: Panel, faults: Sequence[Fault], k: int, trials: Sequence[str],
     twins = tuple(_twin(panel, faults, k, one) for one in alike)
     listed = tuple(Alternative(*_named(one), one.probability) for one in rivals if one.probability > LISTED)
     confidence = min(1.0, faults[k].scan[0].probability + sum(one.probability for one in alike))
-    everywhere = own.effect.site.name != "TRIAL" or "session" in own.place.where
+    everywhere = own.effect.site is not Site.TRIAL or own.place.where == SESSION.where
     acting = tuple(name for name in trials if everywhere or covers(own.place, name))
     parameters = parameter_table(own.effect.estimated(own.place, size.mean, size.covariance))
     return Cause(
