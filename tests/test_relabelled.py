@@ -13,7 +13,6 @@ from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
 from torchid.effects.place import Interval, Place
-from torchid.experiment import swapped_markers
 from torchid.experiment.diagnosis_stage import diagnose_outcome
 from torchid.experiment.swapped_markers import fitted_anew, merged, put_right, relabel
 from torchid.outcome import Outcome
@@ -81,7 +80,7 @@ def fits(swap, tmp_path_factory) -> dict[str, Outcome]:
         found = {"clean": clean, "bent": fitted_anew(clean, [swap], folder, "bent", _silent)}
     with OutputFolder(tmp_path_factory.mktemp("right")) as folder:
         bent = replace(found["bent"], diagnosis=diagnose_outcome(found["bent"]))
-        found["whole"], found["right"] = put_right(bent, folder, "right", _silent)
+        found["whole"], found["right"] = put_right(bent, diagnose_outcome, folder, "right", _silent)
     return found
 
 
@@ -107,11 +106,13 @@ def test_a_fit_with_the_names_put_right_is_that_of_clean_recordings(fits):
 
 
 @pytest.mark.slow
-def test_a_swap_that_is_taken_back_changes_nothing(swap, fits, monkeypatch, tmp_path):
+def test_a_swap_that_is_taken_back_changes_nothing(fits, tmp_path):
     """The verdict stays the first."""
-    monkeypatch.setattr(swapped_markers, "diagnose_outcome", lambda *_: fits["whole"].diagnosis)
     with OutputFolder(tmp_path) as folder:
-        assert put_right(fits["whole"], folder, "back", _silent) == (fits["whole"], fits["whole"])
+        assert put_right(fits["whole"], lambda _: fits["whole"].diagnosis, folder, "back", _silent) == (
+            fits["whole"],
+            fits["whole"],
+        )
 
 
 def test_doubt_is_that_of_what_is_contradicted_now(swap):
