@@ -14,9 +14,12 @@ from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.catalogue import effect
 from torchid.effects.place import SESSION, Place
 from torchid.effects.scene import reading
+from torchid.experiment.correction import extend_outcome
 from torchid.experiment.diagnosis_stage import plate_frames
-from torchid.experiment.laboratory import examine, panel_of
+from torchid.experiment.laboratory import examine, panel_of, verdict_of
+from torchid.experiment.standing import follow_each
 from torchid.outcome import Outcome
+from torchid.results import OutputFolder
 from torchid.witnesses.panel import Panel
 from torchid.witnesses.testimony import Claim, hear
 
@@ -107,3 +110,20 @@ def test_a_load_that_no_plate_bore_is_contradicted(claimed: str) -> None:
 
 def acting(theta: torch.Tensor) -> Callable[[str], torch.Tensor]:
     return lambda trial: theta
+
+
+def test_a_plate_that_is_put_right_weighs_right(tmp_path) -> None:
+    """Extended by a gain of all plates, the body weighs what it does with plates that have none, standing included."""
+    base, rng = outcome(), np.random.default_rng(SEED)
+    place, theta = drawn("plate_gain", rng, base)
+    wrong = planted(base, "plate_gain", place, theta)
+    trials = tuple(base.session.trials)
+    cause = Cause("plate_gain", place.where, None, {}, 1.0, (), (), {}, place, theta[None], trials, True)
+    with OutputFolder(tmp_path) as folder:
+        followed = {
+            one.name: one for one in follow_each(base.fit, wrong.session, base.tracked, base.cutoff_hz, base.config)
+        }
+        wrong = replace(wrong, followed=followed, diagnosis=verdict_of((cause,)))
+        right = extend_outcome(wrong, wrong, folder, "key", lambda stage, fraction: None)
+    true, found = (float(one.phi[:, 0].sum()) for one in (base, right))
+    assert abs(found / true - 1.0) < 0.1 * abs(float(theta[0])), (theta, true, found)

@@ -120,7 +120,7 @@ def read_right(outcome: Outcome, causes: Sequence[Cause], folder: OutputFolder, 
     Raises:
         DataError: as ``identify``.
     """
-    config, named = corrected_config(outcome.config, tuple(causes)), replace(outcome, diagnosis=_only(causes))
+    config, named = corrected_config(outcome.config, tuple(causes)), replace(outcome, diagnosis=verdict_of(causes))
     session, tracked = extend_session(named, folder), {n: item.tracked for n, item in outcome.followed.items()}
     followed = follow_extended(config, named, session, outcome.fit, tracked, effect_wrenches(named), folder)
     prior = subject_prior(config, outcome.fit)
@@ -132,8 +132,12 @@ UNASKED = Adequacy(False, torch.nan, torch.nan, "")
 """Of what remains where nobody has looked."""
 
 
-def _only(causes: Sequence[Cause]) -> Diagnosis:
-    """A verdict of these causes and nothing else."""
+def verdict_of(causes: Sequence[Cause]) -> Diagnosis:
+    """A verdict of these causes and nothing else.
+
+    Args:
+        causes: the causes.
+    """
     nothing = Errors(torch.nan, torch.nan)
     return Diagnosis((), nothing, nothing, tuple(causes), UNASKED)
 

@@ -61,12 +61,13 @@ def _weight(levels: dict[str, float]) -> Weight | None:
 
 def _level(one: Followed, session: Session, config: Config) -> float | None:
     """Mass [kg] that a static trial reads, None where it does not stand on plates that can be believed."""
-    trial, recorded = session.trials[one.name], config.subject.mass_kg
-    if trial.role != "static" or not session.files[one.name].inertia or trial.forces is None:
+    recorded = config.subject.mass_kg
+    if session.trials[one.name].role != "static" or not session.files[one.name].inertia or one.wrench is None:
         return None
     if one.contact is None or not one.contact.feet:
         return None
-    vertical = trial.forces.total[one.contact.measured, 2]
+    # Not the recording's: an extended model stands on plates that are put right.
+    vertical = one.wrench.wrench[one.contact.measured, 2]
     if not (len(vertical) and float(vertical.median()) > STANDS * float(vertical.max()) > SAMPLE_LOADED_N):
         return None
     mass = float(vertical.mean()) / GRAVITY
