@@ -17,7 +17,7 @@ from torchid.effects.scene import reading
 from torchid.experiment.correction import extend_outcome
 from torchid.experiment.diagnosis_stage import plate_frames
 from torchid.experiment.laboratory import examine, panel_of, verdict_of
-from torchid.experiment.standing import follow_each
+from torchid.experiment.standing import follow_each, standing_weight
 from torchid.outcome import Outcome
 from torchid.results import OutputFolder
 from torchid.witnesses.panel import Panel
@@ -113,7 +113,7 @@ def acting(theta: torch.Tensor) -> Callable[[str], torch.Tensor]:
 
 
 def test_a_plate_that_is_put_right_weighs_right(tmp_path) -> None:
-    """Extended by a gain of all plates, the body weighs what it does with plates that have none, standing included."""
+    """Extended by a gain of all plates, the inertial fit is held to the weight that standing tells without it."""
     base, rng = outcome(), np.random.default_rng(SEED)
     place, theta = drawn("plate_gain", rng, base)
     wrong = planted(base, "plate_gain", place, theta)
@@ -125,5 +125,6 @@ def test_a_plate_that_is_put_right_weighs_right(tmp_path) -> None:
         }
         wrong = replace(wrong, followed=followed, diagnosis=verdict_of((cause,)))
         right = extend_outcome(wrong, wrong, folder, "key", lambda stage, fraction: None)
-    true, found = (float(one.phi[:, 0].sum()) for one in (base, right))
-    assert abs(found / true - 1.0) < 0.1 * abs(float(theta[0])), (theta, true, found)
+    true, found = (standing_weight(one.followed.values(), one.session, one.config) for one in (base, right))
+    assert true is not None and found is not None
+    assert abs(found.mass / true.mass - 1.0) < 0.1 * abs(float(theta[0])), (theta, true, found)
