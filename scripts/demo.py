@@ -17,6 +17,7 @@ from torchid.experiment import run_experiment, run_simulation
 from torchid.outcome import Outcome
 from torchid.report.cause_sentences import chance, told
 from torchid.report.effect_words import called
+from torchid.report.summary import DOUBT
 from torchid.simulate.hiding import draw_hidden, judge
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "demo.yaml"
@@ -35,7 +36,7 @@ def main(arguments: list[str]) -> None:
     print("\n".join(verdict(outcome)), flush=True)
     truth = json.loads((recordings.parent / "truth" / "subject.json").read_text())["options"]["effects"]
     causes = json.loads((config.out / "diagnosis.json").read_text())["causes"]
-    print("\n".join(compared(truth, causes)))
+    print("\n".join(compared(truth, [cause for cause in causes if cause["confidence"] > DOUBT])))
     print(f"Report: {config.out / 'report.html'}")
 
 
@@ -58,18 +59,19 @@ def blind(config: Config, recordings: Path) -> Config:
 def verdict(outcome: Outcome) -> list[str]:
     """The diagnosis in plain lines."""
     found = outcome.diagnosis
-    if found is None or not found.causes:
-        lines = ["Verdict: no effect of the catalogue is supported by the recordings."]
-    else:
-        lines = [_named(cause) for cause in found.causes]
+    causes = () if found is None else found.causes
+    believed = [cause for cause in causes if cause.confidence > DOUBT]
+    lines = [_named("Verdict", cause) for cause in believed]
+    lines = lines or ["Verdict: no effect of the catalogue is supported by the recordings."]
+    lines += [_named("Possible", cause) for cause in causes if cause not in believed]
     if found is not None and found.unexplained.significant:
         lines.append(f"Something else remains: {found.unexplained.description}.")
     return lines
 
 
-def _named(cause: Cause) -> str:
+def _named(said: str, cause: Cause) -> str:
     twins = " or ".join(called(twin) for twin in cause.indistinguishable)
-    return f"Verdict: {told(cause)[:-1]} ({chance(cause.confidence)}{f'; or {twins}' if twins else ''})."
+    return f"{said}: {told(cause)[:-1]} ({chance(cause.confidence)}{f'; or {twins}' if twins else ''})."
 
 
 def compared(truth: list[dict], causes: list[dict]) -> list[str]:

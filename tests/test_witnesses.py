@@ -16,7 +16,7 @@ from torchid.effects.place import SESSION, Place
 from torchid.effects.scene import reading
 from torchid.experiment.correction import extend_outcome
 from torchid.experiment.diagnosis_stage import plate_frames
-from torchid.experiment.laboratory import examine, panel_of, verdict_of
+from torchid.experiment.laboratory import examine, panel_of, read_right, verdict_of
 from torchid.experiment.standing import follow_each, standing_weight
 from torchid.outcome import Outcome
 from torchid.results import OutputFolder
@@ -68,8 +68,12 @@ def panel(base: Outcome) -> Panel:
     return found
 
 
+def both(base: Outcome) -> tuple[Outcome, Panel]:
+    return base, panel(base)
+
+
 def causes(base: Outcome) -> tuple[Cause, ...]:
-    return examine(base, panel(base)).causes
+    return examine(*both(base)).causes
 
 
 def names(cause: Cause) -> set[str]:
@@ -128,3 +132,49 @@ def test_a_plate_that_is_put_right_weighs_right(tmp_path) -> None:
     true, found = (standing_weight(one.followed.values(), one.session, one.config) for one in (base, right))
     assert true is not None and found is not None
     assert abs(found.mass / true.mass - 1.0) < 0.1 * abs(float(theta[0])), (theta, true, found)
+
+
+def claim(name: str, place: Place, theta: torch.Tensor) -> Claim:
+    return Claim(effect(name), place, acting(theta))
+
+
+def exchanged(base: Outcome) -> tuple[Place, torch.Tensor]:
+    """The two plates whose exchanged cables witnesses hear most of: those under the feet."""
+    own, heard = effect("plate_assignment"), panel(base)
+    places = own.places([one.view for one in heard.trials])
+    return max(places, key=lambda one: float(heard.signature(own, one).norm())), torch.ones(1).double()
+
+
+@pytest.mark.parametrize("name", ["time_offset", "plate_gain", "gravity_tilt"])
+def test_witnesses_bear_out_what_is_there_and_contradict_its_opposite(name: str) -> None:
+    base, rng = outcome(), np.random.default_rng(SEED)
+    place, theta = drawn(name, rng, base)
+    faulty = panel(planted(base, name, place, theta))
+    assert hear(faulty, [claim(name, place, theta)])[0].nats > 3.0, (place, theta)
+    assert hear(faulty, [claim(name, place, -theta)])[0].nats < -4.5, (place, theta)
+
+
+def test_witnesses_bear_out_exchanged_cables() -> None:
+    base = outcome()
+    place, theta = exchanged(base)
+    faulty = panel(planted(base, "plate_assignment", place, theta))
+    assert hear(faulty, [claim("plate_assignment", place, theta)])[0].nats > 30.0, place
+
+
+@pytest.mark.parametrize("name", ["time_offset", "plate_gain", "gravity_tilt"])
+def test_nothing_is_left_to_name_once_a_fault_is_put_right(tmp_path, name: str) -> None:
+    base, rng = outcome(), np.random.default_rng(SEED)
+    faulty = planted(base, name, *drawn(name, rng, base))
+    first = causes(faulty)
+    with OutputFolder(tmp_path) as folder:
+        right = read_right(faulty, first, folder, lambda stage, fraction: None)
+    again = panel_of(right, first)
+    assert first and again is not None and examine(right, again).causes == ()
+
+
+def test_no_pair_of_faults_is_named_for_exchanged_cables() -> None:
+    """Which no fault of one plate describes: large ones that nearly cancel leave more than chance does."""
+    base = outcome()
+    place, theta = exchanged(base)
+    found = examine(*both(planted(base, "plate_assignment", place, theta)))
+    assert found.causes == () and found.trace and {one.rule for one in found.trace} == {"witnesses_disagree"}, place

@@ -44,11 +44,16 @@ def judged(truth: Sequence[dict], said: dict) -> dict:
         "unexplained": said.get("unexplained", {}).get("significant"),
         "heldout": [said["baseline"]["heldout"]["force_rmse_N"], said["extended"]["heldout"]["force_rmse_N"]],
         "nearest": [[n["effect"], n["where"], round(n["evidence_nats"], 2)] for n in said["nearest"]],
-        "refuted": [[r["effect"], r["where"], round(r["heldout_log_likelihood"], 2)] for r in said["refuted"]],
+        "refuted": [[r["effect"], r["where"], _rounded(r["heldout_log_likelihood"])] for r in said["refuted"]],
         "gain": [c["gain"]["heldout_log_likelihood"] for c in causes],
         "told": f"{'+'.join(t['effect'] + '@' + ','.join(t['where']) for t in truth) or 'nothing'} -> "
         + ("; ".join(f"{c['effect']}@{','.join(c['where'])}" for c in causes) or "nothing"),
     }
+
+
+def _rounded(nats: float | None) -> float | None:
+    """A log likelihood to hundredths; None where no held-out trial could tell it."""
+    return None if nats is None else round(nats, 2)
 
 
 def matches(planted: dict, cause: dict) -> bool:

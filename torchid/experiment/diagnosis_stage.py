@@ -78,7 +78,8 @@ def diagnose_outcome(
 
 def _told(outcome: Outcome) -> dict[Proof, frozenset[str]]:
     """Names of places that other proof than forces bears out."""
-    elsewhere = frozenset(label for one in outcome.session.tracking for label in one.labels)
+    fits = outcome.session.role("fit").keys() | outcome.session.role("static").keys()
+    elsewhere = frozenset(label for one in outcome.session.tracking if one.trial in fits for label in one.labels)
     moving = [trial.markers for trial in outcome.session.role("fit").values()]
     filtered = bool(moving) and all(smooth(one) for one in moving)
     return {Proof.DISTANCES: elsewhere, Proof.SMOOTHNESS: frozenset(SESSION.where if filtered else ())}

@@ -1,5 +1,6 @@
 """The laboratory first: faults that witnesses name are put right before a body model is asked for the rest."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,19 +13,29 @@ from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.testing.heldout import Errors, HeldOutFit
 from torchid.diagnosis.trace import Trace
 from torchid.diagnosis.verdict.causes import after_forces
-from torchid.diagnosis.verdict.laboratory import causes_of_faults, steps_of
+from torchid.diagnosis.verdict.laboratory import causes_of_faults, refusals_of, steps_of
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
-from torchid.effects.scene import make_scene, reading
-from torchid.experiment.correction import corrected_config, effect_wrenches, extend_session, follow_extended
-from torchid.experiment.diagnosis_stage import LONGEST_S, MOST, diagnose_outcome, plate_frames
+from torchid.effects.scene import PlateFrame, make_scene, reading
+from torchid.effects.traits import Correction
+from torchid.errors import DataError
+from torchid.experiment.correction import (
+    corrected_config,
+    correction,
+    effect_wrenches,
+    extend_session,
+    follow_extended,
+)
+from torchid.experiment.diagnosis_stage import MOST, diagnose_outcome, plate_frames, spans
 from torchid.experiment.fits import OnStage, identify
 from torchid.experiment.stages import soles, subject_prior
 from torchid.outcome import Outcome
 from torchid.regressor.rows import residual_rms
 from torchid.results import OutputFolder
-from torchid.witnesses.faults import name_faults, suspects_of
+from torchid.witnesses.faults import left_by, name_faults, suspects_of
 from torchid.witnesses.panel import Panel, make_panel
-from torchid.witnesses.watched import Watched, longest_stretch, watch
+from torchid.witnesses.watched import Watched, watch
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -48,14 +59,19 @@ def diagnosed(outcome: Outcome, folder: OutputFolder, progress: OnStage) -> Diag
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
-        DataError: as ``identify``.
     """
     panel = panel_of(outcome)
     first = examine(outcome, panel)
     if not first.causes:
-        return diagnose_outcome(outcome, folder.room, panel)
-    right = read_right(outcome, first.causes, folder, progress)
-    found = diagnose_outcome(right, folder.room, panel_of(right))
+        found = diagnose_outcome(outcome, folder.room, panel)
+        return None if found is None else replace(found, trace=(*first.trace, *found.trace))
+    try:
+        right = read_right(outcome, first.causes, folder, progress)
+    except DataError as failure:
+        # No inertia fits what is put right: all else is looked for as recorded, and no model is extended by the faults.
+        log.info("%s", failure)
+        right = outcome
+    found = diagnose_outcome(right, folder.room, panel_of(right, () if right is outcome else first.causes))
     return None if found is None else _together(outcome, right, first, found)
 
 
@@ -69,29 +85,51 @@ def examine(outcome: Outcome, panel: Panel | None) -> Laboratory:
     wanted = outcome.config.diagnosis
     if panel is None:
         return Laboratory()
-    faults = name_faults(panel, suspects_of(panel, select_effects(wanted.include, wanted.exclude)))
+    effects = select_effects(wanted.include, wanted.exclude)
+    if outcome.config.model != "whole_body":
+        effects = tuple(one for one in effects if not one.on_record)  # a model's file has its masses from elsewhere
+    faults = name_faults(panel, suspects_of(panel, effects))
+    if (chance := left_by(panel, faults)) < wanted.thresholds.witnesses.p_value:
+        return Laboratory((), refusals_of(faults, chance, wanted.thresholds))
     trials = [name for role in ("fit", "heldout") for name in outcome.session.part(role, "inertia")]
     causes = causes_of_faults(panel, faults, trials, wanted.thresholds)
     return Laboratory(causes, steps_of(faults, wanted.thresholds))
 
 
-def panel_of(outcome: Outcome) -> Panel | None:
-    """The statements of witnesses on static and fit trials; None where there are none."""
-    recorded = float(outcome.prior.mean[:, 0].sum())
+def panel_of(outcome: Outcome, taken_off: Sequence[Cause] = ()) -> Panel | None:
+    """The statements of witnesses on static and fit trials; None where there are none.
+
+    Args:
+        outcome: up to the inertia.
+        taken_off: causes that it is put right for; what is no correction of readings is taken off the trials here.
+    """
+    recorded, limits = float(outcome.prior.mean[:, 0].sum()), outcome.config.diagnosis.thresholds
     trials = [name for role in ("static", "fit") for name in outcome.session.part(role, "inertia")][:MOST]
-    frames = plate_frames(outcome)[1]
-    seen = [_watched(outcome, name, frames[name], recorded) for name in trials if name in frames]
-    part = (outcome.config.subject.mass_sd_kg or 0.0) / recorded
-    return make_panel([one for one in seen if one is not None], part, outcome.config.diagnosis.thresholds.witnesses)
+    frames, parts = plate_frames(outcome)[1], spans(outcome)
+    seen = [_watched(outcome, name, frames[name], recorded, parts[name]) for name in trials if name in frames]
+    loads = [cause for cause in taken_off if correction(cause) is Correction.WRENCH]
+    right = [_unloaded(one, loads) for one in seen if one is not None]
+    return make_panel(
+        right, (outcome.config.subject.mass_sd_kg or 0.0) / recorded, limits.witnesses, limits.observation
+    )
 
 
-def _watched(outcome: Outcome, name: str, frames: tuple, recorded_kg: float) -> Watched | None:
-    """A trial as witnesses see it, in the stretch that is measured most; None where no contact is known."""
+def _unloaded(watched: Watched, causes: Sequence[Cause]) -> Watched:
+    """A trial without the loads of causes."""
+    for cause in causes:
+        if (planted := cause.on(watched.name)) is not None:
+            watched = watched.without(planted.effect, planted.place, planted.theta)
+    return watched
+
+
+def _watched(
+    outcome: Outcome, name: str, frames: tuple[PlateFrame, ...], recorded_kg: float, part: slice
+) -> Watched | None:
+    """Part of a trial as witnesses see it; None where no contact is known."""
     item, trial = outcome.followed[name], outcome.session.trials[name]
     if item.contact is None or trial.forces is None:
         return None
     measured = _known(outcome, name)
-    part = longest_stretch(measured, round(LONGEST_S * trial.markers.rate))
     scene = make_scene(
         name, outcome.fit.model.tree, outcome.fit.geometry, item.motion.frames(part), outcome.prior.mean
     )  # fmt: skip

@@ -80,6 +80,8 @@ def _joints(position: np.ndarray, asked: np.ndarray) -> list[int]:
         found = []
         for k in np.flatnonzero(leaps > LEAP[0]).tolist():
             sides = [off[max(0, k - BESIDE[1]) : max(0, k - BESIDE[0])], off[k + BESIDE[0] + 1 : k + BESIDE[1] + 1]]
+            if not any(map(len, sides)):
+                continue  # too short to tell a leap from the rest
             beside = np.fmax.reduce([np.nanmedian(side, axis=0) for side in sides if len(side)])
             largest = leaps[k] >= leaps[max(0, k - 1) : k + 2].max()
             if largest and _of_most((off[k] / beside)[None])[0] > LEAP[1]:

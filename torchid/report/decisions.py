@@ -132,6 +132,10 @@ RULES: dict[str, Callable[[Numbers], str]] = {
         f"enters before any body model is asked: what needs none says so with {odds(n['witness_nats'])} "
         f"({odds(n['least_nats'])} are asked)"
     ),
+    "witnesses_disagree": lambda n: (
+        f"is not named: what needs no body model says so with {odds(n['witness_nats'])}, but disagrees in itself by "
+        f"more than chance (probability {number(n['p_value'])}, {number(n['least_p_value'])} is asked)"
+    ),
     "witnesses_contradict": lambda n: (
         f"is not named: of what needs no body model, it would change something by {number(n['heard_sd'], 1)} standard "
         f"deviations, which is {odds(n['witness_nats'])}"

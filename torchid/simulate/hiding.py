@@ -97,7 +97,7 @@ def judge(truth: Sequence[Mapping[str, Any]], causes: Sequence[Mapping[str, Any]
 
     Args:
         truth: of ``truth/subject.json``, ``options.effects``.
-        causes: of ``diagnosis.json``.
+        causes: of ``diagnosis.json``, those that are believed.
     """
     causes = [cause for cause in causes if not effect(cause["effect"]).bodily]
     if not truth or not causes:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import scipy.stats
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -94,12 +95,27 @@ def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[Fault, ...]:
     scans: list[tuple[Scored, ...]] = []
     while len(chosen) < panel.options.most:
         found = scan(panel, chosen, suspects)
-        if not found or found[0].nats < panel.options.named_nats:
+        if not found or not found[0].nats >= panel.options.named_nats:
             break
         chosen.append(found[0].suspect)
         scans.append(found)
     both = zip(chosen, sizes(panel, chosen), scans, strict=True)
     return tuple(Fault(one, size, found) for one, size, found in both)
+
+
+def left_by(panel: Panel, faults: Sequence[Fault]) -> float:
+    """Return the chance of what the statements say beyond faults of any size, by their chi-square.
+
+    Errors that no fault describes, such as exchanged cables, are explained by several large ones that nearly cancel,
+    and leave much.
+
+    Args:
+        panel: the statements.
+        faults: what is named.
+    """
+    more = _covariance([one.suspect for one in faults])
+    off = torch.linalg.solve(panel.likeliest(more) + more, panel.value)
+    return float(scipy.stats.chi2.sf(float(panel.value @ off), len(panel.value)))
 
 
 def scan(panel: Panel, chosen: Sequence[Suspect], suspects: Sequence[Suspect]) -> tuple[Scored, ...]:

@@ -16,6 +16,9 @@ class WitnessOptions:
     as recorded nothing was named that is not known to be wrong."""
     most: Count = 6
     """Derived. Number of faults at most: more are no laboratory."""
+    p_value: Share = 0.01
+    """Calibrated. Chance of what the statements say beyond the faults below which none is named: planted faults left
+    0.97 and more, what several faults had to explain together 0.005 and less."""
     contradicted_nats: Positive = 4.5
     """Derived. Log likelihood by which statements must speak against a cause to refute it: three standard deviations,
     3^2 / 2."""

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
+from torchid.observation.options import ObservationOptions
 from torchid.witnesses.balance import balance
 from torchid.witnesses.options import WitnessOptions
 from torchid.witnesses.pressure import pressures
@@ -96,7 +97,8 @@ class Panel:
         return torch.stack(found, 1)
 
     def change(self, trials: Sequence[Watched]) -> Float[Tensor, " some"]:
-        """Return what other readings of the same trials change in what witnesses say.
+        """Return what other readings of the same trials change in what witnesses say; what they cannot say of these is
+        not changed.
 
         Args:
             trials: the same trials, those that are as they were the very same.
@@ -105,7 +107,7 @@ class Panel:
         for own, one, some in zip(self.trials, trials, self.witnesses, strict=True):
             stop = first + sum(len(witness.about) for witness in some)
             if one is not own:
-                found[first:stop] = self.of(one, some) - self.value[first:stop]
+                found[first:stop] = (self.of(one, some) - self.value[first:stop]).nan_to_num()
             first = stop
         return found
 
@@ -120,15 +122,21 @@ class Panel:
         return torch.cat([one.value(trial) for one in some])
 
 
-def make_panel(trials: Sequence[Watched], record_part: float, options: WitnessOptions) -> Panel | None:
+def make_panel(
+    trials: Sequence[Watched],
+    record_part: float,
+    options: WitnessOptions,
+    observation: ObservationOptions = ObservationOptions(),
+) -> Panel | None:
     """Return the statements of a session; None where no witness has any.
 
     Args:
         trials: trials that are asked.
         record_part: relative standard deviation of the recorded mass.
         options: thresholds.
+        observation: thresholds by which a plate bears nothing.
     """
-    some = [tuple(witnesses_of(one, options)) for one in trials]
+    some = [tuple(witnesses_of(one, options, observation)) for one in trials]
     asked = [(trial, own) for trial, own in zip(trials, some, strict=True) if own]
     if not asked:
         return None
@@ -145,14 +153,15 @@ def make_panel(trials: Sequence[Watched], record_part: float, options: WitnessOp
     return Panel(*heard, value, torch.stack(ways), own.new_tensor(log_odds), options)
 
 
-def witnesses_of(trial: Watched, options: WitnessOptions) -> Iterator[Witness]:
+def witnesses_of(trial: Watched, options: WitnessOptions, observation: ObservationOptions) -> Iterator[Witness]:
     """Yield all that can be asked about a trial.
 
     Args:
         trial: the trial.
         options: thresholds.
+        observation: thresholds by which a plate bears nothing.
     """
-    for one in (balance(trial, options), zeros(trial), pressures(trial, options)):
+    for one in (balance(trial, options), zeros(trial, observation), pressures(trial, options)):
         if one is not None:
             yield one
 

@@ -1,5 +1,6 @@
 """Where under a sole the pressure is: beside its axis, and along it."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -68,7 +69,11 @@ def pressures(watched: Watched, options: WitnessOptions) -> Pressures | None:
 
 
 def _off(stand: _Stand, wrench: Float[Tensor, "stood 6"]) -> Float[Tensor, " 2"]:
-    """Mean distance of the pressure to the outside of a sole's axis and to the front of its middle, by load [m]."""
+    """Mean distance of the pressure to the outside of a sole's axis and to the front of its middle, by load [m].
+
+    NaN where the plate bears nothing, as another reading may have it."""
+    if float(wrench[:, 2].mean()) <= LOADED_N:
+        return wrench.new_full((2,), math.nan)
     heel, toe, force, moment = stand.sole[:, 0], stand.sole[:, 1], wrench[:, :3], wrench[:, 3:]
     height = stand.sole[..., 2].min()
     centre = torch.stack([height * force[:, 0] - moment[:, 1], height * force[:, 1] + moment[:, 0]], 1) / force[:, 2:]

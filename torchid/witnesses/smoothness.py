@@ -14,6 +14,8 @@ SMOOTH_MM = 0.01
 0.03 to 1.2 in four laboratories, 0.0016 to 0.0025 where filtered before publication, 0.008 at most after 4 Hz."""
 MOVING_MM = 20.0
 """Estimator. Scatter of a marker's place from which on a person moves [mm]."""
+LONGEST_S = 40.0
+"""Resolution. Seconds from the beginning that are looked at."""
 FEWEST_S = 0.5
 """Choice. Seconds that all markers of a trial must be seen together."""
 
@@ -35,6 +37,7 @@ def quickness(markers: Markers) -> tuple[float, float]:
     Args:
         markers: of one trial; those that are seen throughout are looked at.
     """
+    markers = markers.frames(slice(0, round(LONGEST_S * markers.rate)))
     whole = torch.isfinite(markers.position).all(2).all(0)
     x, rate = markers.position[:, whole].flatten(1), markers.rate
     low, high = BAND_HZ[0], min(BAND_HZ[1], 0.45 * rate)

@@ -51,7 +51,6 @@ def hear(panel: Panel, claims: Sequence[Claim]) -> list[Testimony]:
 
 
 def _said(panel: Panel, one: Claim) -> Float[Tensor, " some"]:
-    """Return the change that a claim makes to the statements."""
+    """Return the change that a claim made to the statements: what they are, less what they would be without it."""
     acting = [(trial, one.theta(trial.name)) for trial in panel.trials]
-    changed = [t if x is None else t.under(one.effect, one.place, x) for t, x in acting]
-    return panel.change(changed)
+    return -panel.change([t if x is None else t.without(one.effect, one.place, x) for t, x in acting])

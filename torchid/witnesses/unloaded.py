@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.plate_map import to_plate
+from torchid.observation.options import ObservationOptions
 from torchid.observation.unloaded_plates import find_unloaded
 from torchid.witnesses.statements import Subject
 from torchid.witnesses.watched import Watched
@@ -33,13 +34,14 @@ class Zeros:
         return torch.cat([to_plate(reading.frames[k], reading.wrench[part, k]).mean(0) for k, part in self.runs])
 
 
-def zeros(watched: Watched) -> Zeros | None:
+def zeros(watched: Watched, observation: ObservationOptions) -> Zeros | None:
     """Return the witness of a trial's zeros; None where no plate is unloaded.
 
     Args:
         watched: the trial.
+        observation: thresholds by which a plate bears nothing.
     """
-    found = find_unloaded(watched.reading, watched.rate).runs
+    found = find_unloaded(watched.reading, watched.rate, observation).runs
     if not found:
         return None
     names = [watched.reading.frames[k].name for k, *_ in found]

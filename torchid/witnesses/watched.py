@@ -62,6 +62,17 @@ class Watched:
         read = effect.read(self._loaded(effect.load(self.scene, place, theta)), place, theta)
         return self if read is self.reading else replace(self, reading=read)
 
+    def without(self, effect: Effect, place: Place, theta: Float[Tensor, " params"]) -> "Watched":
+        """Return the trial as its plates would have read it, had an effect not been there.
+
+        Args:
+            effect: one that acts on loads or readings.
+            place: where it sits.
+            theta: internal parameters.
+        """
+        right = replace(self, reading=effect.undone(self.reading, place, theta))
+        return replace(right, reading=right._loaded(-effect.load(self.scene, place, theta)))
+
     def _loaded(self, load: Float[Tensor, "6 frames"]) -> Reading:
         """Return the reading with a further load shared by the plates."""
         if not bool(load.any()):

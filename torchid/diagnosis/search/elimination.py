@@ -165,7 +165,8 @@ def restore_record(found: SearchResult, observed: Sequence[TrialObservation]) ->
         observed: fit trials; not asked.
     """
     del observed
-    left = [c for c in found.scales if c not in found.chosen]
+    barred = {one.effect for one in found.trace if one.rule == "witnesses_contradict"}
+    left = [c for c in found.scales if c not in found.chosen and c.effect.name not in barred]
     if not left or not any(one.rule in ("opposed", "no_residual_gain") for one in found.trace):
         return found
     scan = scan_all(found.model.statistics, left, found.chosen, found.options.naming).round

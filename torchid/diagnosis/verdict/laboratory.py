@@ -13,6 +13,8 @@ from torchid.witnesses.panel import Panel
 
 RULE = "witnesses_name"
 """Rule by which witnesses name a fault, as in ``docs/diagnosis.md``."""
+DISAGREE = "witnesses_disagree"
+"""Rule by which a fault is not named that leaves too much of what they state."""
 
 
 def causes_of_faults(
@@ -39,6 +41,21 @@ def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, 
     return tuple(
         Step(StepKind.ENTER, one.suspect.effect.name, one.suspect.place.where, RULE,
              {"witness_nats": one.scan[0].nats, "least_nats": options.witnesses.named_nats})
+        for one in faults
+    )  # fmt: skip
+
+
+def refusals_of(faults: Sequence[Fault], chance: float, options: DiagnosisOptions) -> tuple[Step, ...]:
+    """Return the refusal of each fault, where together they do not describe what the witnesses state.
+
+    Args:
+        faults: the faults.
+        chance: of what they leave.
+        options: thresholds.
+    """
+    return tuple(
+        Step(StepKind.REFUSE, one.suspect.effect.name, one.suspect.place.where, DISAGREE,
+             {"witness_nats": one.scan[0].nats, "p_value": chance, "least_p_value": options.witnesses.p_value})
         for one in faults
     )  # fmt: skip
 
