@@ -370,7 +370,7 @@ def test_cases_do_not_hang_on_what_else_is_run():
 def test_a_battery_of_an_hour_has_some_of_every_kind(data_dir):
     """By lot, a few sessions a kind, the same ones for a seed; every way of leaving a trial out as recorded."""
     some = sessions(data_dir, False)
-    asked = Namespace(sessions=None, kinds=None, small=False, each=2, cases=None, seed=SEED)
+    asked = Namespace(sessions=None, kinds=None, small=False, witnesses=False, each=2, cases=None, seed=SEED)
     found = real.planned(asked, some)
     assert found == real.planned(asked, some) and len({case.key for case in found}) == len(found)
     assert {kind: sum(case.kind == kind for case in found) for kind in KINDS} == dict.fromkeys(KINDS, 2)
@@ -389,7 +389,7 @@ def test_a_battery_goes_on_where_it_was_stopped(tmp_path, monkeypatch, data_dir)
     monkeypatch.setattr(real, "run_experiment", refuse)
     session = sessions(data_dir, False)["opensim_gait2354"]
     case = next(real.cases([session], ("gain",), SEED))
-    kept = real.perform(case, session, data_dir, tmp_path)
+    kept = real.perform(case, session, data_dir, tmp_path, real.whole)
     assert kept["exit"] == 3 and len(runs) == 1 and not any((tmp_path / "scratch").iterdir())
     (tmp_path / "verdicts.jsonl").write_text(json.dumps(kept) + "\n")
     assert "refused" in real.summary(tmp_path)

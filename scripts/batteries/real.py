@@ -4,6 +4,8 @@
     scripts/battery --real --each 0                     # every kind in every session
     scripts/battery --real --cases 20 --kinds gain mass # a random part of it
     scripts/battery --real --aside                      # the sets that nothing is tuned on
+    scripts/battery --real --witnesses                  # what witnesses name before any body model is asked: a quarter
+                                                        # of the time, and the kinds that they can see
     scripts/battery --real --summary out/real_battery   # tables of what was run
 
 Every session is run as recorded, with each trial left out in turn, and with one fault of a kind; the trial that is then
@@ -22,7 +24,7 @@ import shutil
 import sys
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
@@ -40,9 +42,15 @@ from batteries.real_truth import Inapplicable, Truth
 from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.config.sections import PROJECT_DATA
+from torchid.diagnosis.verdict.table import cause_table, plates_table
 from torchid.errors import TorchidError
 from torchid.experiment import run_experiment
+from torchid.experiment.diagnosis_stage import plate_frames
+from torchid.experiment.laboratory import examine, panel_of
+from torchid.files import plain
 
+Said = dict[str, Any]
+"""What is kept of a run."""
 SMALL = ("opensim_gait2354", "btk_flatfoot")
 SMALL_KINDS = (UNPLANTED, "clock20", "gain", "mass")
 """Choice. Sessions that take least, and kinds that a balance of momentum sees: about two minutes on two cores."""
@@ -50,6 +58,11 @@ EACH = 6
 """Choice. Sessions in which each kind is planted, by lot: with all as recorded, an hour on two cores at 45 s a run."""
 TRIES = 3
 """Choice. Times that a battery goes on after a worker was killed."""
+WITNESSED = (
+    UNPLANTED, "clock12", "clock20", "gain", "all_gains", "mass", "offset", "crosstalk", "tilt", "sideways",
+    "clock8", "offset_zeroed", "shift15", "turn",
+)  # fmt: skip
+"""Kinds that ``--witnesses`` plants: what readings of plates and the record of a mass get wrong."""
 KEPT = ("causes", "plates", "baseline", "extended", "unexplained", "refuted", "nearest")
 """Parts of ``diagnosis.json`` that are kept."""
 
@@ -81,7 +94,7 @@ def cases(some: Sequence[RealSession], kinds: Sequence[str], seed: int) -> Itera
                 yield Case(session.name, random.Random(own).choice(session.ways), kind, own)  # noqa: S311 - a lot
 
 
-def perform(case: Case, session: RealSession, root: Path, out: Path) -> dict[str, Any]:
+def perform(case: Case, session: RealSession, root: Path, out: Path, run: Callable[[Path], Said]) -> Said:
     """Plant, run from the files alone, and keep what was said."""
     torch.set_num_threads(1)
     keep_memory()
@@ -95,12 +108,13 @@ def perform(case: Case, session: RealSession, root: Path, out: Path) -> dict[str
     try:
         # Nobody reads the reports, which are a fifth of a run.
         with patch("torchid.experiment.run.write_report"):
-            run_experiment(load_config(path))
+            more = run(path)
+        kept |= _said(folder / "out") | more
     except TorchidError as error:
-        kept |= {"exit": error.exit_code, "message": f"{error.code}: {error.message}; {error.remedy}"[:400]}
+        message = f"{error.code}: {error.message}; {error.remedy}"[:400]
+        kept |= _said(folder / "out") | {"exit": error.exit_code, "message": message}
     except Exception as error:  # a defect of torchid; the battery goes on, and the row says it
         kept |= {"exit": 1, "message": f"{type(error).__name__}: {error}"[:400]}
-    kept |= _said(folder / "out")
     shutil.rmtree(folder, ignore_errors=True)
     return kept | {"seconds": time.perf_counter() - begun, "cpu_s": time.process_time() - spent}
 
@@ -118,9 +132,22 @@ def planted(case: Case, session: RealSession, root: Path, folder: Path) -> tuple
     return truth, write_session(faulty, session, folder, kept)
 
 
-def _said(out: Path) -> dict[str, Any]:
+def whole(config: Path) -> Said:
+    """All that a user would run; its files say what was found."""
+    run_experiment(load_config(config))
+    return {}
+
+
+def witnesses_only(config: Path) -> Said:
+    """What witnesses name, and no body model is asked."""
+    outcome = run_experiment(load_config(config, ["inertia.enabled=false", "diagnosis.enabled=false"]))
+    causes = [cause_table(cause) for cause in examine(outcome, panel_of(outcome)).causes]
+    return {"diagnosis": plain({"causes": causes, "plates": plates_table(plate_frames(outcome)[0])})}
+
+
+def _said(out: Path) -> Said:
     """What a run has written of diagnosis and residuals."""
-    found: dict[str, Any] = {}
+    found: Said = {}
     if (out / "diagnosis.json").is_file():
         said = json.loads((out / "diagnosis.json").read_text())
         found["diagnosis"] = {key: said[key] for key in KEPT if key in said}
@@ -157,7 +184,8 @@ def summary(out: Path) -> str:
 def planned(arguments: argparse.Namespace, some: dict[str, RealSession]) -> list[Case]:
     """The cases that are asked for, in an order by lot: a battery that is stopped early has a little of everything."""
     names = arguments.sessions or (SMALL if arguments.small else tuple(some))
-    kinds = arguments.kinds or (SMALL_KINDS if arguments.small else (UNPLANTED, *KINDS))
+    every = WITNESSED if arguments.witnesses else (UNPLANTED, *KINDS)
+    kinds = arguments.kinds or (SMALL_KINDS if arguments.small else every)
     found = list(cases([some[name] for name in names if name in some], kinds, arguments.seed))
     found = found if arguments.sessions or arguments.each == 0 else list(_each(found, arguments.each))
     random.Random(arguments.seed).shuffle(found)  # noqa: S311 - a lot
@@ -182,6 +210,7 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--cases", type=int, help="only so many of all, by lot")
     parser.add_argument("--out", type=Path, default=Path("out/real_battery"), help="folder of verdicts and rows")
     parser.add_argument("--small", action="store_true", help="two short sessions and three kinds: about two minutes")
+    parser.add_argument("--witnesses", action="store_true", help="ask witnesses alone, and no body model")
     parser.add_argument("--aside", action="store_true", help="the sets kept aside, and no others")
     parser.add_argument(
         "--summary",
@@ -213,12 +242,13 @@ def _run(arguments: argparse.Namespace, some: dict[str, RealSession], root: Path
     """Run what is missing; a worker that is killed, for want of memory say, does not end the battery."""
     arguments.out.mkdir(parents=True, exist_ok=True)
     path, every = arguments.out / "verdicts.jsonl", planned(arguments, some)
+    run = witnesses_only if arguments.witnesses else whole
     for left in reversed(range(TRIES)):
         done = {verdict["case"] for verdict in read_lines(path)}
         waiting = [case for case in every if case.key not in done]
         try:
             with ProcessPoolExecutor(arguments.jobs) as pool:
-                futures = [pool.submit(perform, case, some[case.session], root, arguments.out) for case in waiting]
+                futures = [pool.submit(perform, case, some[case.session], root, arguments.out, run) for case in waiting]
                 for number, one in enumerate(as_completed(futures), len(every) - len(waiting) + 1):
                     kept = one.result()
                     with path.open("a") as file:

@@ -154,7 +154,8 @@ def tables(rows: Sequence[dict]) -> Iterator[str]:
             yield f"{row['result']}, exit {row['exit']}: {row['case']} [{row['told']}] {row['message'][:160]}"
     yield from _unplanted([r for r in rows if r["kind"] == UNPLANTED])
     for title, some in (("unplanted", [r for r in rows if r["kind"] == UNPLANTED]), ("planted", planted)):
-        yield _worse(title, some)
+        if any(r["times"] is not None for r in some):
+            yield _worse(title, some)
     cpu = [r["cpu_s"] for r in rows]
     if cpu:
         each = f"{np.mean(cpu):.0f} s each, at most {max(cpu):.0f} s"

@@ -1,12 +1,14 @@
 """The content of ``diagnosis.json``."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 from torchid.diagnosis.trace import Step
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
 from torchid.effects.place import Place
 from torchid.effects.recommendations import tell_apart
+from torchid.observation.plate_registry import SessionPlate
 
 
 def verdict_table(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -17,15 +19,24 @@ def verdict_table(diagnosis: Diagnosis) -> dict[str, Any]:
     """
     return {
         "baseline": {"heldout": dataclasses.asdict(diagnosis.baseline)},
-        "causes": [_listed(cause) for cause in diagnosis.causes],
+        "causes": [cause_table(cause) for cause in diagnosis.causes],
         "unexplained": diagnosis.unexplained,
         "extended": {"heldout": dataclasses.asdict(diagnosis.extended)},
         "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
         "nearest": [dataclasses.asdict(near) for near in diagnosis.nearest],
         "refuted": [dataclasses.asdict(one) for one in diagnosis.refuted],
         "trace": [_step(k, one) for k, one in enumerate(diagnosis.trace, 1)],
-        "plates": {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in diagnosis.plates},
+        "plates": plates_table(diagnosis.plates),
     }
+
+
+def plates_table(plates: Sequence[SessionPlate]) -> dict[str, Any]:
+    """Return a session's plates by name: their channels in each trial, and where they are [m].
+
+    Args:
+        plates: as the trials' plates were recognised.
+    """
+    return {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in plates}
 
 
 def _step(number: int, one: Step) -> dict[str, Any]:
@@ -34,8 +45,12 @@ def _step(number: int, one: Step) -> dict[str, Any]:
             "numbers": dict(one.numbers)}  # fmt: skip
 
 
-def _listed(cause: Cause) -> dict[str, Any]:
-    """Return one cause."""
+def cause_table(cause: Cause) -> dict[str, Any]:
+    """Return one cause with its parameters, rivals and gains.
+
+    Args:
+        cause: as a verdict names it.
+    """
     names = ("effect", "where", "when", "parameters", "confidence", "alternatives", "indistinguishable", "gain")
     found = {name: getattr(cause, name) for name in names}
     found["indistinguishable"] = [_twin(cause, twin) for twin in cause.indistinguishable]
