@@ -16,8 +16,8 @@ from torchid.geometry.options import GeometryOptions
 from torchid.geometry.posture import gap_filling
 from torchid.geometry.posture import initial_posture as start_module
 from torchid.geometry.posture.angle_wrapping import turned_back
+from torchid.geometry.posture.continuity import breaks, continuous
 from torchid.geometry.posture.initial_posture import settle
-from torchid.geometry.posture.leap_repair import leaps, regained, steadied
 from torchid.geometry.result import parameters
 from torchid.geometry.tracking import modelled, track
 from torchid.geometry.trial_problem import posture_prior, settled, trial_problem
@@ -211,20 +211,37 @@ def test_a_trial_that_starts_anywhere_is_followed(seed: int, blank: float) -> No
     assert sum(shares) / len(shares) < 0.02, shares
 
 
-def test_a_run_of_frames_that_leaps_away_is_followed_from_before_it():
-    """Postures that turn the pelvis by half a radian within a frame and back go; all others stay as they are."""
+def broken(problem, q, fit) -> list[int]:
+    return breaks(problem, q, fit.xi).nonzero()[:, 0].tolist()
+
+
+def test_a_run_of_frames_that_leaps_away_is_followed_from_around_it():
+    """Postures that turn the pelvis by half a radian within a frame and back go."""
     fit, held = small.fit(), small.markers("heldout")["sway_steps"]
     problem = trial_problem(fit, held, posture_prior(fit))
     q = settled(fit, problem)
-    assert steadied(problem, q, fit.xi, held.rate) is q and not len(leaps(problem, q, fit.xi))
+    assert continuous(problem, q, fit.xi, held.rate) is q and not broken(problem, q, fit)
     astray, row = q.clone(), fit.model.tree.dof_names.index("pelvis_ry")
     astray[row, 40:48] += 0.5
-    assert leaps(problem, astray, fit.xi).tolist() == [39, 47]
-    found = steadied(problem, astray, fit.xi, held.rate)
-    assert not len(leaps(problem, found, fit.xi))
+    assert broken(problem, astray, fit) == [39, 47]
+    found = continuous(problem, astray, fit.xi, held.rate)
+    assert not broken(problem, found, fit)
     assert float((found - q).abs().amax()) < 1e-3
-    assert_close(found[:, 48:], q[:, 48:], atol=0, rtol=0)
-    assert_close(steadied(problem, astray, fit.xi, held.rate, near=q), found, atol=1e-3, rtol=0)
+    assert_close(continuous(problem, astray, fit.xi, held.rate, near=q), found, atol=1e-3, rtol=0)
+
+
+def test_frames_that_take_turns_between_two_postures_come_to_one():
+    """An upper arm whose markers lie on its axis may turn about it by anything: it turns as the frames around it do."""
+    fit, held = small.fit(), small.markers("heldout")["sway_steps"]
+    problem = trial_problem(fit, held, posture_prior(fit))
+    q, names = settled(fit, problem), fit.model.tree.dof_names
+    astray, own = q.clone(), [k for k, name in enumerate(names) if name.startswith("shoulder_r")]
+    alternating = torch.arange(q.shape[1]) % 3 == 0
+    alternating[[0, -1]] = False
+    astray[own[0], alternating] += 1.0
+    found = continuous(problem, astray, fit.xi, held.rate)
+    assert len(broken(problem, astray, fit)) > 50 and not broken(problem, found, fit)
+    assert float((found - q).abs().amax()) < 0.02
 
 
 @pytest.mark.parametrize("lost", [True, False])
@@ -233,19 +250,18 @@ def test_an_arm_that_turned_about_while_it_was_lost_is_taken_back(lost):
     fit, held = small.fit(), small.markers("heldout")["sway_steps"]
     problem = trial_problem(fit, held, posture_prior(fit))
     q, names = settled(fit, problem), fit.model.tree.dof_names
-    assert_close(regained(problem, q, fit.xi, held.rate), q, atol=0, rtol=0)
     arm = torch.tensor([fit.model.tree.bodies[k].name == "upper_arm_r" for k in fit.attachment.body.tolist()])
     weight, astray = problem.weight.clone(), q.clone()
     weight[arm, 40:50] *= 0.0 if lost else 1.0
     problem = replace(problem, weight=weight)
     astray[[k for k, name in enumerate(names) if name.startswith("shoulder_r")], 40:50] += 1.5
-    found, run = regained(problem, astray, fit.xi, held.rate), problem.frames(slice(40, 50))
+    found, run = continuous(problem, astray, fit.xi, held.rate), problem.frames(slice(40, 50))
     before, after = (problem.residual(x, fit.xi)[1][arm].diff(dim=2).norm(dim=1).amax() for x in (astray, found))
     assert float(after) < 0.5 * float(before)
     assert float(run.frame_cost(found[:, 40:50], fit.xi).sum()) < float(run.frame_cost(astray[:, 40:50], fit.xi).sum())
     assert lost or float((found - q).abs().amax()) < 0.05
     rest = [k for k in range(q.shape[1]) if not 40 <= k < 50]
-    assert_close(found[:, rest], q[:, rest], atol=0, rtol=0)
+    assert_close(found[:, rest], q[:, rest], atol=2e-3, rtol=0)
 
 
 def test_markers_that_leap_themselves_are_followed():
@@ -255,8 +271,7 @@ def test_markers_that_leap_themselves_are_followed():
     position[40:48] += 0.1
     problem = trial_problem(fit, replace(held, position=position), posture_prior(fit))
     q = settled(fit, problem)
-    assert not len(leaps(problem, q, fit.xi))
-    assert steadied(problem, q, fit.xi, held.rate) is q
+    assert continuous(problem, q, fit.xi, held.rate) is q
 
 
 def test_tracking_a_part_is_tracking_the_whole():

@@ -48,6 +48,13 @@ class Contact:
         return int((~self.supported.all(dim=1)).sum())
 
     @property
+    def unread(self) -> Bool[Tensor, "frames feet"]:
+        """Feet that stand on plates, none of which reads them."""
+        feet = torch.arange(len(self.feet), device=self.plate.device)
+        read = (self.plate[..., None] == feet).any(dim=1) | (self.plate == -2).any(dim=1, keepdim=True)
+        return self.touching & self.supported & ~read
+
+    @property
     def short(self) -> int:
         """Number of frames taken out for a lack of weight alone."""
         return 0 if self.lacking is None else int((self.supported.all(dim=1) & self.lacking).sum())

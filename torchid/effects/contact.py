@@ -92,7 +92,7 @@ class CoursedForce(LoadEffect):
 
 @final
 class UnmeasuredContact(CoursedForce):
-    """A contact that no plate sees for a while: a rail, a seat, a box, a foot beside the plate."""
+    """A contact that no plate sees for a while: a rail, a seat, a box, a foot beside the plates or on a silent one."""
 
     name = "unmeasured_contact"
     parameters = (
@@ -106,7 +106,7 @@ class UnmeasuredContact(CoursedForce):
     def sentence(self, finding: Finding) -> str:
         impulse = length(*of(finding, "impulse_Ns"), "N s") if "impulse_Ns" in finding.parameters else ""
         force = vector(finding, "force_N", "N", 1.0, ROOM)
-        said = f"{self.located(finding.where)} touches something beside the plates, with {force}"
+        said = f"{self.located(finding.where)} touches something that no plate measures, with {force}"
         return f"{said}; impulse {impulse}" if impulse else said
 
 

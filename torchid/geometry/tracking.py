@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.geometry.posture.continuity import continuous
 from torchid.geometry.posture.gap_filling import bridge_gaps, typical_variance
 from torchid.geometry.posture.initial_posture import evenly
-from torchid.geometry.posture.leap_repair import regained, steadied
 from torchid.geometry.problem import MarkerProblem
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.trial_problem import posture_prior, settled, trial_problem
@@ -95,7 +95,7 @@ def _track_piece(
     problem = trial_problem(fit, markers, posture_prior(fit))
     q = settled(fit, problem, near)
     if q.shape[1] > 2:
-        q = steadied(problem, regained(problem, q, fit.xi, markers.rate), fit.xi, markers.rate, near)
+        q = continuous(problem, q, fit.xi, markers.rate, near)
     if bridge and not bool((problem.weight > 0).all()):
         q = bridge_gaps(problem, q, fit.xi, typical)
     _, _, residual = problem.residual(q, fit.xi)

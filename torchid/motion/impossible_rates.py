@@ -21,7 +21,7 @@ LEAST_RAD = 0.35
 """Choice. Turn between two frames that noise of markers may feign where these are close in time [rad]: of a forearm
 whose markers lie 60 mm apart, one of them off by 20 mm."""
 TOGETHER_S = 0.4
-"""Choice. Time between two such steps of one joint for which it is wrong meanwhile [s], as in ``leap_repair``."""
+"""Choice. Time between two such steps of one joint for which it is wrong meanwhile [s]."""
 
 
 @dataclass(frozen=True)

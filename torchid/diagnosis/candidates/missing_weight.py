@@ -85,9 +85,13 @@ def find_missing_weight(
     read = rows.motion.smoother(torch.nan_to_num(forces.total), known.to(torch.float64))
     missing = wrench_about(predict(rows, observed.phi), -rows.motion.q[:, :3]) - read
     weight = 9.81 * float(observed.phi[:, 0].sum())
-    plain = _clear(known, round(SPREAD_S * rows.rate)) & ~_underfoot(observed, contact, missing, options)
-    lack = torch.where(torch.isfinite(forces.total).all(1), missing[:, 2] / weight, 0.0)
-    when = _lacking(lack, plain, observed, options)
+    # Beside the plates the floor bears it; a plate that reads some of what stands on it reads too little.
+    floor, read_some = (
+        _underfoot(observed, contact, stands, missing, options)
+        for stands in (contact.touching & ~contact.supported, contact.touching & ~contact.unread)
+    )
+    lack = torch.where(torch.isfinite(forces.total).all(1) & ~floor, missing[:, 2] / weight, 0.0)
+    when = _lacking(lack, _clear(known, round(SPREAD_S * rows.rate)) & ~read_some, observed, options)
     if not when:
         return None
     inside = inside_any(when, rows.name, scene.time)
@@ -139,15 +143,13 @@ def _clear(flag: Bool[Tensor, " frames"], frames: int) -> Bool[Tensor, " frames"
 
 
 def _underfoot(
-    observed: TrialObservation, contact: Contact, missing: Float[Tensor, "frames 6"], options: MissingWeightOptions
-) -> Bool[Tensor, " frames"]:
-    """Return frames in which the missing force goes through feet on the floor, or between them.
-
-    Beside the plates the floor bears it; on a plate, the plate reads too little.
-    """
+    observed: TrialObservation, contact: Contact, stands: Bool[Tensor, "frames feet"],
+    missing: Float[Tensor, "frames 6"], options: MissingWeightOptions,
+) -> Bool[Tensor, " frames"]:  # fmt: skip
+    """Return frames in which the missing force goes through feet that stand on the floor, or between them."""
     centre = torch.stack([-missing[:, 4], missing[:, 3]], 1) / missing[:, 2:3]
     at = torch.stack([centre_of(observed, foot) for foot in contact.feet])
-    stands = contact.touching.T & ~torch.stack([raised(one, options) for one in at])
+    stands = stands.T & ~torch.stack([raised(one, options) for one in at])
     found = torch.zeros_like(stands[0])
     for a, b in combinations_with_replacement(range(len(at)), 2):
         start, along = at[a, :2].T, (at[b, :2] - at[a, :2]).T

@@ -39,7 +39,7 @@ def touched(
     """Return posterior probabilities of the segments, and the point at which each is touched, in its axes [m].
 
     For a wrench F, M at a point p + R d of a segment, M - p x F is linear in d, whatever the force is. A foot that
-    rests on something above the floor needs no search.
+    rests on something above the floor, or on a plate that does not read it, needs no search.
     """
     scene, step = observed.view.scene, max(1, round(BLOCK_S * observed.rows.rate))
     some = inside.nonzero()[::step, 0]
@@ -56,8 +56,9 @@ def touched(
 def _on_something(
     observed: TrialObservation, contact: Contact, foot: int, options: MissingWeightOptions
 ) -> Bool[Tensor, " frames"]:
-    """Return frames in which a foot touches something that is no floor."""
-    return contact.touching[:, foot] & raised(centre_of(observed, contact.feet[foot]), options)
+    """Return frames in which a foot touches something that is no floor, or a plate that does not read it."""
+    high = raised(centre_of(observed, contact.feet[foot]), options)
+    return (contact.touching[:, foot] & high) | contact.unread[:, foot]
 
 
 def _levers(

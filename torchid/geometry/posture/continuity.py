@@ -1,0 +1,144 @@
+"""This module chooses between the postures that explain a frame about alike the ones that a body can run through.
+
+A frame by itself may have several: few markers near the axis of a forearm allow two turns about it, an arm whose upper
+half is lost two elbows, and where a model lacks a freedom (shoulders that rise with the arms), giving up the markers of
+the shoulders or those of the pelvis can cost about the same. Each frame near a break is solved again from the postures
+of frames around it, and of all that is found the sequence with the least sum of costs and breaks is taken (Viterbi,
+IEEE Trans Inf Theory 13:260 (1967)).
+"""
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.geometry.arrow.inverse_kinematics import solve_poses
+from torchid.geometry.problem import MarkerProblem
+from torchid.kinematics.recursion import Poses
+
+TURN = 0.35
+"""A segment that turns by more than this from one frame to the next breaks off [rad]; chosen, as markers 60 mm apart
+may feign as much when one is off by 20 mm."""
+LEAP = 0.03
+"""So does a modelled marker whose way from the measured one changes by more than this [m]; chosen. A label that jumps
+does the same to all postures of a frame."""
+APART_S = (0.01, 0.04, 0.16, 0.64)
+"""Frames are solved again from those so long before and after them; chosen. With 0.27 s at most, two thirds of the
+breaks of a child's arm stayed."""
+ROUNDS = 3
+"""Times that this is done; chosen. What was found in one is where the next begins."""
+BREAK = 1.0
+"""A break costs as much as a typical frame of the trial, times this; chosen."""
+
+
+def continuous(
+    problem: MarkerProblem,
+    q: Float[Tensor, "dofs frames"],
+    xi: Float[Tensor, " xi"],
+    rate_hz: float,
+    near: Float[Tensor, "dofs frames"] | None = None,
+) -> Float[Tensor, "dofs frames"]:
+    """Return postures without breaks, as far as the markers let them.
+
+    Args:
+        problem: consecutive frames of one trial.
+        q: postures of all frames, each found by itself.
+        xi: geometry and marker places.
+        rate_hz: frame rate [Hz].
+        near: other postures to begin from too.
+
+    Returns:
+        The postures of all frames; those far from any break are as given.
+    """
+    price = BREAK * float(problem.frame_cost(q, xi).median())
+    apart = sorted({max(1, round(s * rate_hz)) for s in APART_S})
+    for _ in range(ROUNDS):
+        around = _around(breaks(problem, q, xi), max(apart))
+        if not bool(around.any()):
+            break
+        q = _chosen(problem, q, xi, around, apart, price, near)
+    return q
+
+
+def _chosen(
+    problem: MarkerProblem, q: Tensor, xi: Tensor, around: Tensor, apart: list[int], price: float, near: Tensor | None
+) -> Float[Tensor, "dofs frames"]:
+    """Return postures in which frames around breaks follow the cheapest sequence of all that is found for them."""
+    some, found = around.nonzero()[:, 0], q.clone()
+    last = q.shape[1] - 1
+    starts = [q[:, (some + k).clamp(0, last)] for d in apart for k in (-d, d)]
+    starts += [] if near is None else [near[:, some]]
+    part = problem.frames(some)
+    solved = [(q[:, some], part.frame_cost(q[:, some], xi)), *(solve_poses(part, start, xi) for start in starts)]
+    for run in _runs(some):
+        ways = torch.stack([way[:, run] for way, _ in solved])
+        cost = torch.stack([cost[run] for _, cost in solved])
+        at = some[run]
+        # What goes on unbroken before and behind is tied to it.
+        cost[1:, [k for k in (0, len(at) - 1) if 0 < at[k] < last]] = torch.inf
+        best = _cheapest(cost, price, _broken(problem.frames(at), ways, xi))
+        found[:, at] = ways[best, :, torch.arange(len(at))].T
+    return found
+
+
+def breaks(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]) -> Bool[Tensor, " steps"]:
+    """Return the steps from one frame to the next in which the model breaks off.
+
+    Args:
+        problem: consecutive frames of one trial.
+        q: postures of all frames.
+        xi: geometry and marker places.
+    """
+    at, _, residual = problem.residual(q, xi)
+    seen = problem.weight > 0
+    return _breaks(at.R[..., :-1], at.R[..., 1:], residual[..., :-1], residual[..., 1:], seen[:, :-1] & seen[:, 1:])
+
+
+def _breaks(R: Tensor, then: Tensor, residual: Tensor, later: Tensor, seen: Tensor) -> Bool[Tensor, " steps"]:
+    """Return where rotations (bodies, 3, 3, steps) or residuals (markers, 3, steps) change too much."""
+    turned = ((R * then).sum((1, 2)) < 1.0 + 2.0 * np.cos(TURN)).any(0)
+    return turned | (((later - residual).norm(dim=1) > LEAP) & seen).any(0)
+
+
+def _around(broken: Bool[Tensor, " steps"], frames: int) -> Bool[Tensor, " frames"]:
+    """Return frames within so many of a break, and one more on either side."""
+    beside = torch.nn.functional.pad(broken, (1, 0)) | torch.nn.functional.pad(broken, (0, 1))
+    n = 2 * (frames + 1) + 1
+    wide = torch.nn.functional.max_pool1d(beside.double()[None, None], n, stride=1, padding=frames + 1)
+    return wide[0, 0] > 0.0
+
+
+def _runs(some: Tensor) -> list[slice]:
+    """Return the parts of ascending frame numbers that follow each other."""
+    edges = [0, *((some.diff() > 1).nonzero()[:, 0] + 1).tolist(), len(some)]
+    return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+
+
+def _broken(
+    problem: MarkerProblem, ways: Float[Tensor, "ways dofs frames"], xi: Float[Tensor, " xi"]
+) -> Bool[Tensor, "ways ways steps"]:
+    """Return whether the step from one way of a frame to another way of the next is a break."""
+    each: list[tuple[Poses, Tensor]] = []
+    for way in ways:
+        at, _, residual = problem.residual(way, xi)
+        each.append((at, residual))
+    seen = problem.weight > 0
+    both = seen[:, :-1] & seen[:, 1:]
+    return torch.stack([
+        torch.stack([_breaks(a.R[..., :-1], b.R[..., 1:], r[..., :-1], s[..., 1:], both) for b, s in each])
+        for a, r in each
+    ])  # fmt: skip
+
+
+def _cheapest(cost: Float[Tensor, "ways frames"], price: float, broken: Bool[Tensor, "ways ways steps"]) -> Tensor:
+    """Return the way of each frame in the sequence with the least sum of costs and of breaks, each at its price."""
+    own, step = cost.cpu().numpy(), price * broken.double().cpu().numpy()
+    total, came = own[:, 0], []
+    for k in range(step.shape[2]):
+        sums = total[:, None] + step[:, :, k]
+        came.append(sums.argmin(0))
+        total = sums.min(0) + own[:, k + 1]
+    best = [int(total.argmin())]
+    for before in reversed(came):
+        best.append(int(before[best[-1]]))
+    return torch.tensor(best[::-1], device=cost.device)
