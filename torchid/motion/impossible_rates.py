@@ -20,8 +20,9 @@ SHOULDERS = ("upper_arm",)
 LEAST_RAD = 0.35
 """Choice. Turn between two frames that noise of markers may feign where these are close in time [rad]: of a forearm
 whose markers lie 60 mm apart, one of them off by 20 mm."""
-TOGETHER_S = 0.4
-"""Choice. Time between two such steps of one joint for which it is wrong meanwhile [s]."""
+TOGETHER_S = 0.1
+"""Choice. Time between two such steps of one joint for which it is wrong meanwhile [s]. What lasts longer explains the
+markers otherwise, and was kept because nothing that goes on unbroken does (``geometry.posture.continuity``)."""
 
 
 @dataclass(frozen=True)
