@@ -315,6 +315,14 @@ def test_mjcf_means_what_mujoco_reads(angle: str, sequence: str, seed: int, tmp_
             assert limits[name] == (-np.inf, np.inf)
 
 
+def test_a_capsule_too_thin_for_a_volume_is_a_rod(tmp_path: Path) -> None:
+    path = tmp_path / "a.xml"
+    geom = '<geom type="capsule" fromto="0 0 0 0 0 0.4" size="1e-320" mass="0.3"/>'
+    path.write_text(f'<mujoco><worldbody><body name="a"><freejoint/>{geom}</body></worldbody></mujoco>')
+    phi = _read(path)[0].inertia.mean[0]
+    assert_close(phi, phi.new_tensor([0.3, 0.0, 0.0, 0.06, 0.016, 0.0, 0.016, 0.0, 0.0, 0.0]), rtol=0.0, atol=1e-6)
+
+
 LINK = '<inertial><mass value="2"/><inertia ixx="0.02" iyy="0.02" izz="0.01"/></inertial>'
 POINT = LINK.replace("0.02", "0").replace("0.01", "0")
 JOINT = '<joint name="j" type="{}"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>{}</joint>'

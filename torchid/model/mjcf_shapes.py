@@ -94,7 +94,7 @@ def _cylinder(r: float, h: float) -> _Unit:
 def _capsule(r: float, h: float) -> _Unit:
     """A cylinder and two half spheres, whose centres lie 3/8 r beyond its ends."""
     tube, caps = 2.0 * math.pi * r * r * h, 4.0 / 3.0 * math.pi * r**3
-    share = tube / (tube + caps)
+    share = h / (h + 2.0 / 3.0 * r)  # of the tube in the volume, also where that is too small for a number
     across = share * r * r / 4.0 + (1.0 - share) * r * r / 5.0
     along = share * h * h / 3.0 + (1.0 - share) * (r * r / 5.0 + h * h + 0.75 * r * h)
     return tube + caps, (across, across, along)
