@@ -20,13 +20,13 @@ TURN = 0.35
 """A segment that turns by more than this from one frame to the next breaks off [rad]; chosen, as markers 60 mm apart
 may feign as much when one is off by 20 mm."""
 LEAP = 0.03
-"""So does a modelled marker whose way from the measured one changes by more than this [m]; chosen. A label that jumps
-does the same to all postures of a frame."""
+"""A modelled marker breaks off whose way from the measured one changes by more than this [m]; chosen. A label that
+jumps does the same to all postures of a frame."""
 APART_S = (0.01, 0.04, 0.16, 0.64)
 """Frames are solved again from those so long before and after them; chosen. With 0.27 s at most, two thirds of the
 breaks of a child's arm stayed."""
 ROUNDS = 3
-"""Times that this is done; chosen. What was found in one is where the next begins."""
+"""Times that this is done, each beginning from the postures of the one before; chosen."""
 BREAK = 1.0
 """A break costs as much as a typical frame of the trial, times this; chosen."""
 
