@@ -169,8 +169,8 @@ def _tests(*nodes: str) -> Figure:
 GOALS: dict[str, tuple[str, Callable[[Measuring], Figure] | str]] = {
     "G1": ("mutated C3D", g1), "G2": ("mutated text, configs, models", g2), "G3": ("two readers agree", g3),
     "G4": ("silent truncation", g4), "G5": ("rates times ratios", g5), "G6": ("six encodings", g6),
-    "G7": ("catalogue of bad inputs", g7), "G8": ("kill -9", "scripts/faults --record"),
-    "G9": ("failing writes, full disks", "scripts/faults --record"),
+    "G7": ("catalogue of bad inputs", g7), "G8": ("kill -9", "scripts/faults --kills 50"),
+    "G9": ("failing writes, full disks", "scripts/faults --kills 50"),
     "G14": ("planted plate faults", "scripts/plate_faults --record"), "G19": ("batches, repeated runs", g19),
     "G20": ("memory of an hour", "scripts/hour --record"), "G24": ("no foreign code", g24), "G25": ("report", g25),
     "G26": ("paths", g26), "G28": ("errors", g28),
