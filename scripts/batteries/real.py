@@ -4,8 +4,8 @@
     scripts/battery --real --each 0                     # every kind in every session
     scripts/battery --real --cases 20 --kinds gain mass # a random part of it
     scripts/battery --real --aside                      # the sets that nothing is tuned on
-    scripts/battery --real --witnesses                  # what witnesses name before any body model is asked: a quarter
-                                                        # of the time, and the kinds that they can see
+    scripts/battery --real --witnesses                  # what witnesses name before any body model is asked, of the
+                                                        # kinds that they can see
     scripts/battery --real --summary out/real_battery   # tables of what was run
 
 Every session is run as recorded, with each trial left out in turn, and with one fault of a kind; the trial that is then
@@ -108,13 +108,12 @@ def perform(case: Case, session: RealSession, root: Path, out: Path, run: Callab
     try:
         # Nobody reads the reports, which are a fifth of a run.
         with patch("torchid.experiment.run.write_report"):
-            more = run(path)
-        kept |= _said(folder / "out") | more
+            kept |= run(path)
     except TorchidError as error:
-        message = f"{error.code}: {error.message}; {error.remedy}"[:400]
-        kept |= _said(folder / "out") | {"exit": error.exit_code, "message": message}
+        kept |= {"exit": error.exit_code, "message": f"{error.code}: {error.message}; {error.remedy}"[:400]}
     except Exception as error:  # a defect of torchid; the battery goes on, and the row says it
         kept |= {"exit": 1, "message": f"{type(error).__name__}: {error}"[:400]}
+    kept |= _said(folder / "out")
     shutil.rmtree(folder, ignore_errors=True)
     return kept | {"seconds": time.perf_counter() - begun, "cpu_s": time.process_time() - spent}
 

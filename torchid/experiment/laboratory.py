@@ -108,13 +108,13 @@ def panel_of(outcome: Outcome, taken_off: Sequence[Cause] = ()) -> Panel | None:
     frames, parts = plate_frames(outcome)[1], spans(outcome)
     seen = [_watched(outcome, name, frames[name], recorded, parts[name]) for name in trials if name in frames]
     loads = [cause for cause in taken_off if correction(cause) is Correction.WRENCH]
-    right = [_unloaded(one, loads) for one in seen if one is not None]
+    right = [_without(one, loads) for one in seen if one is not None]
     return make_panel(
         right, (outcome.config.subject.mass_sd_kg or 0.0) / recorded, limits.witnesses, limits.observation
     )
 
 
-def _unloaded(watched: Watched, causes: Sequence[Cause]) -> Watched:
+def _without(watched: Watched, causes: Sequence[Cause]) -> Watched:
     """A trial without the loads of causes."""
     for cause in causes:
         if (planted := cause.on(watched.name)) is not None:

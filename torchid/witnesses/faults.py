@@ -95,7 +95,7 @@ def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[Fault, ...]:
     scans: list[tuple[Scored, ...]] = []
     while len(chosen) < panel.options.most:
         found = scan(panel, chosen, suspects)
-        if not found or not found[0].nats >= panel.options.named_nats:
+        if not found or not found[0].nats >= panel.options.named_nats:  # also of what is no number
             break
         chosen.append(found[0].suspect)
         scans.append(found)

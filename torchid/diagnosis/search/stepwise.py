@@ -97,7 +97,7 @@ def _denied(panel: Panel | None, observed: Sequence[TrialObservation], state: _S
     """Return the refusal of the last effect, if witnesses contradict it beside the others; else None."""
     found = SearchResult(state.model, state.chosen, state.rounds, state.model.fit(state.chosen), state.options)
     said, least = testimonies(panel, found, observed)[-1], state.options.witnesses.contradicted_nats
-    if said is None or not said.nats <= -least:
+    if said is None or not said.nats <= -least:  # also of what is no number
         return None
     numbers = {"witness_nats": said.nats, "least_nats": -least, "heard_sd": said.loudness_sd}
     return step(StepKind.REFUSE, state.chosen[-1], "witnesses_contradict", **numbers)

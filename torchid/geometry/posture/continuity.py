@@ -23,12 +23,10 @@ LEAP = 0.03
 """A modelled marker breaks off whose way from the measured one changes by more than this [m]; chosen. A label that
 jumps does the same to all postures of a frame."""
 APART_S = (0.01, 0.04, 0.16, 0.64)
-"""Frames are solved again from those so long before and after them; chosen. With 0.27 s at most, two thirds of the
-breaks of a child's arm stayed."""
+"""Frames are solved again from those so long before and after them; chosen. With 0.27 s at most, most breaks
+of a child's arm stayed."""
 ROUNDS = 3
 """Times that this is done, each beginning from the postures of the one before; chosen."""
-BREAK = 1.0
-"""A break costs as much as a typical frame of the trial, times this; chosen."""
 
 
 def continuous(
@@ -50,7 +48,8 @@ def continuous(
     Returns:
         The postures of all frames; those far from any break are as given.
     """
-    price = BREAK * float(problem.frame_cost(q, xi).median())
+    # Chosen: with three and ten times as much, five trials of two children kept nearly the same breaks.
+    price = float(problem.frame_cost(q, xi).median())
     apart = sorted({max(1, round(s * rate_hz)) for s in APART_S})
     for _ in range(ROUNDS):
         around = _around(breaks(problem, q, xi), max(apart))
@@ -76,7 +75,7 @@ def _chosen(
         at = some[run]
         # What goes on unbroken before and behind is tied to it.
         cost[1:, [k for k in (0, len(at) - 1) if 0 < at[k] < last]] = torch.inf
-        best = _cheapest(cost, price, _broken(problem.frames(at), ways, xi))
+        best = _cheapest(cost, price, _breaks_between(problem.frames(at), ways, xi))
         found[:, at] = ways[best, :, torch.arange(len(at))].T
     return found
 
@@ -91,10 +90,10 @@ def breaks(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Te
     """
     at, _, residual = problem.residual(q, xi)
     seen = problem.weight > 0
-    return _breaks(at.R[..., :-1], at.R[..., 1:], residual[..., :-1], residual[..., 1:], seen[:, :-1] & seen[:, 1:])
+    return _breaks_off(at.R[..., :-1], at.R[..., 1:], residual[..., :-1], residual[..., 1:], seen[:, :-1] & seen[:, 1:])
 
 
-def _breaks(R: Tensor, then: Tensor, residual: Tensor, later: Tensor, seen: Tensor) -> Bool[Tensor, " steps"]:
+def _breaks_off(R: Tensor, then: Tensor, residual: Tensor, later: Tensor, seen: Tensor) -> Bool[Tensor, " steps"]:
     """Return where rotations (bodies, 3, 3, steps) or residuals (markers, 3, steps) change too much."""
     turned = ((R * then).sum((1, 2)) < 1.0 + 2.0 * np.cos(TURN)).any(0)
     return turned | (((later - residual).norm(dim=1) > LEAP) & seen).any(0)
@@ -114,7 +113,7 @@ def _runs(some: Tensor) -> list[slice]:
     return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
 
 
-def _broken(
+def _breaks_between(
     problem: MarkerProblem, ways: Float[Tensor, "ways dofs frames"], xi: Float[Tensor, " xi"]
 ) -> Bool[Tensor, "ways ways steps"]:
     """Return whether the step from one way of a frame to another way of the next is a break."""
@@ -125,7 +124,7 @@ def _broken(
     seen = problem.weight > 0
     both = seen[:, :-1] & seen[:, 1:]
     return torch.stack([
-        torch.stack([_breaks(a.R[..., :-1], b.R[..., 1:], r[..., :-1], s[..., 1:], both) for b, s in each])
+        torch.stack([_breaks_off(a.R[..., :-1], b.R[..., 1:], r[..., :-1], s[..., 1:], both) for b, s in each])
         for a, r in each
     ])  # fmt: skip
 
