@@ -39,6 +39,7 @@ from batteries.real_judge import differences, judged, tables
 from batteries.real_kinds import KINDS, UNPLANTED, plant
 from batteries.real_sessions import SESSIONS, RealSession, sessions
 from batteries.real_truth import Inapplicable, Truth
+from batteries.remembered import remembering
 from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.config.sections import PROJECT_DATA
@@ -107,7 +108,7 @@ def perform(case: Case, session: RealSession, root: Path, out: Path, run: Callab
     kept |= {"truth": truth.table(), "exit": 0, "message": ""}
     try:
         # Nobody reads the reports, which are a fifth of a run.
-        with patch("torchid.experiment.run.write_report"):
+        with patch("torchid.experiment.run.write_report"), remembering(out / "fits"):
             kept |= run(path)
     except TorchidError as error:
         kept |= {"exit": error.exit_code, "message": f"{error.code}: {error.message}; {error.remedy}"[:400]}
