@@ -44,14 +44,15 @@ def test_a_force_that_goes_another_way_with_its_place_is_told(strange, tmp_path,
     monkeypatch.setitem(CATALOGUE, "magnet", Magnet())
     rng = np.random.default_rng([SEED, 31])
     name = "magnet" if strange else str(rng.choice(["external_force", "tether"]))
-    away = [float(rng.uniform(0.4, 0.7)), float(rng.uniform(-0.4, 0.4)), float(rng.uniform(0.8, 1.4))]
+    where, side = [("hand_l", 1.0), ("hand_r", -1.0)][rng.integers(2)] if strange else ("thorax", 1.0)
+    # Before the body and at its other side: at half a metre from the hand it would pull as hard as no foot can hold.
+    away = [float(rng.uniform(0.4, 0.7)), float(side * rng.uniform(-0.4, 0.1)), float(rng.uniform(0.8, 1.2))]
     way = rng.normal(size=3)
     parameters = {
-        "magnet": {"force_N": float(rng.uniform(25.0, 40.0)), "centre_m": away},
+        "magnet": {"force_N": float(rng.uniform(30.0, 40.0)), "centre_m": away},
         "external_force": {"force_N": (20.0 * way / np.linalg.norm(way)).tolist()},
         "tether": {"stiffness_N_m": float(rng.uniform(20.0, 40.0)), "anchor_m": [2.0 * x for x in away]},
     }[name]
-    where = str(rng.choice(["hand_l", "hand_r"])) if name == "magnet" else "thorax"
     hidden = PlantedOptions(name, (where,), None, parameters)
     options = SimulateOptions(
         fit=("squats", "arms", "trunk"), heldout=("sway_steps",), duration_s=6.0, effects=(hidden,), skin_motion_mm=0.0

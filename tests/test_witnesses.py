@@ -22,6 +22,7 @@ from torchid.outcome import Outcome
 from torchid.results import OutputFolder
 from torchid.witnesses.panel import Panel
 from torchid.witnesses.testimony import Claim, hear
+from torchid.witnesses.watched import loaded
 
 SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
 
@@ -134,6 +135,25 @@ def test_a_plate_that_is_put_right_weighs_right(tmp_path) -> None:
     assert abs(found.mass / true.mass - 1.0) < 0.1 * abs(float(theta[0])), (theta, true, found)
 
 
+def test_feet_answer_a_pull_as_they_can() -> None:
+    """All of a pull is borne, by who bears; a tipping moment goes over from foot to foot and moves no pressure."""
+    rng = np.random.default_rng(SEED)
+    own, other = 1.0 + rng.random(), 1.0 + rng.random()
+    middle = torch.tensor([[0.1, 0.15, 0.0], [0.1, -0.15, 0.0], [1.0, 0.0, 0.0]]).double()
+    force = torch.tensor([[0.0, 0.0, 300.0 * own], [0.0, 0.0, 300.0 * other], [0.0, 0.0, 0.0]]).double()
+    both = torch.cat([force, torch.linalg.cross(middle, force)], 1)
+    alone = torch.stack([both[0], both[2], both[2]])
+    first = panel(outcome()).trials[0].reading
+    read = replace(first, time=first.time[:2], wrench=torch.stack([both, alone]), frames=first.frames[:3])
+    roll = 12.0 * float(rng.uniform(-1.0, 1.0))
+    shared = loaded(read, torch.tensor([0.0, 0.0, 0.0, roll, 0.0, 0.0]).double()[:, None].expand(6, 2)).wrench
+    torch.testing.assert_close((shared - read.wrench).sum(1)[:, 3], torch.full((2,), roll).double())
+    torch.testing.assert_close(shared[1, 1:], read.wrench[1, 1:])
+    moved = shared[0, :2, 3] / shared[0, :2, 2] - middle[:2, 1]
+    assert moved.abs().max() < 0.3 * abs(roll) / (300.0 * (own + other))
+    assert abs(float(shared[0, 0, 2] - both[0, 2]) - roll / 0.3) < 0.2 * abs(roll) / 0.3
+
+
 def claim(name: str, place: Place, theta: torch.Tensor) -> Claim:
     return Claim(effect(name), place, acting(theta))
 
@@ -177,4 +197,4 @@ def test_no_pair_of_faults_is_named_for_exchanged_cables() -> None:
     base = outcome()
     place, theta = exchanged(base)
     found = examine(*both(planted(base, "plate_assignment", place, theta)))
-    assert found.causes == () and found.trace and {one.rule for one in found.trace} == {"witnesses_disagree"}, place
+    assert found.causes == () and {one.rule for one in found.trace} <= {"witnesses_disagree"}, place

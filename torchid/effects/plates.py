@@ -135,19 +135,16 @@ class PlateCrosstalk(PlateMap):
 
     name = "plate_crosstalk"
     parameters = (
-        Parameter("matrix_plate", 0.01, 30, source="a choice: one part in a hundred of what a channel may bear, about "
-                  "what makers of plates allow; times the lever of a fifth of a metre, see ``scale``"),
+        Parameter("matrix_plate", 0.02, 30, source="two parts in a hundred, the most that makers of plates state of any "
+                  "pair of channels; times the lever of a fifth of a metre, see ``scale``"),
     )  # fmt: skip
     noun = "channels that leak"
     advice = "a known weight at the centre and at the corners of the plate, and a pole pressed slantwise"
 
     def scale(self, place: Place) -> tuple[float, ...]:
-        """One part in a hundred of what a channel may bear: moments a fifth of a metre times forces.
-
-        A leak of 0.01 m from the vertical force into moments would be a plate that lies 10 mm elsewhere.
-        """
-        bears = (1.0,) * 3 + (0.2,) * 3
-        return tuple(0.01 * bears[i] / bears[j] for i, j in CROSSTALK)
+        """Two parts in a hundred of what a channel may bear: moments a fifth of a metre times forces."""
+        bears, part = (1.0,) * 3 + (0.2,) * 3, self.parameters[0].scale
+        return tuple(part * bears[i] / bears[j] for i, j in CROSSTALK)
 
     def map(
         self,

@@ -36,6 +36,8 @@ from torchid.witnesses.panel import Panel, make_panel
 from torchid.witnesses.watched import Watched, watch
 
 log = logging.getLogger(__name__)
+UNRECORDED = 1.0
+"""Resolution. Relative standard deviation of a mass that nobody has recorded: the template's says nothing."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def examine(outcome: Outcome, panel: Panel | None) -> Laboratory:
     if panel is None:
         return Laboratory()
     effects = select_effects(wanted.include, wanted.exclude)
-    if outcome.config.model != "whole_body":
+    if outcome.config.model != "whole_body" or outcome.config.subject.mass_kg is None:
         effects = tuple(one for one in effects if not one.on_record)  # a model's file has its masses from elsewhere
     faults = name_faults(panel, suspects_of(panel, effects))
     if (chance := left_by(panel, faults)) < wanted.thresholds.witnesses.p_value:
@@ -109,9 +111,9 @@ def panel_of(outcome: Outcome, taken_off: Sequence[Cause] = ()) -> Panel | None:
     seen = [_watched(outcome, name, frames[name], recorded, parts[name]) for name in trials if name in frames]
     loads = [cause for cause in taken_off if correction(cause) is Correction.WRENCH]
     right = [_without(one, loads) for one in seen if one is not None]
-    return make_panel(
-        right, (outcome.config.subject.mass_sd_kg or 0.0) / recorded, limits.witnesses, limits.observation
-    )
+    who = outcome.config.subject
+    part = UNRECORDED if who.mass_kg is None else (who.mass_sd_kg or 0.0) / recorded
+    return make_panel(right, part, limits.witnesses, limits.observation)
 
 
 def _without(watched: Watched, causes: Sequence[Cause]) -> Watched:

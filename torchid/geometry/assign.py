@@ -1,12 +1,13 @@
 """This module turns the labels of a session into markers of a model, labels that no marker set lists included."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
 
 from torchid.errors import DataError, Note
-from torchid.geometry.attachment import Attachment, rigid_segment
+from torchid.geometry.attachment import Attachment, rigid_scatter
 from torchid.model.marker_set import MarkerSet, MarkerSpec, marker_prior
 from torchid.model.model import Model
 from torchid.model.whole_body import lock_bodies
@@ -118,14 +119,19 @@ def _visible_labels(trials: tuple[Trial, ...]) -> tuple[str, ...]:
 def _most_rigid_segment(
     label: str, known: dict[str, MarkerSpec], model: Model, trials: tuple[Trial, ...]
 ) -> tuple[str | None, float]:
-    """Return the segment with which an unlisted label moves most rigidly, and the scatter of its distances [m]."""
-    best: tuple[str | None, float] = (None, float("inf"))
+    """Return the segment with which an unlisted label moves most rigidly, and the scatter of its distances [m].
+
+    All trials that move are asked together: in one alone the joint between two segments may hardly turn.
+    """
+    squares: dict[int, list[tuple[float, int]]] = {}
     moving = [t for t in trials if t.role != "static"] or list(trials)
-    longest = max((t.markers for t in moving if label in t.markers.labels), key=lambda m: len(m.time), default=None)
-    if longest is None:
-        return best
-    body, scatter = rigid_segment(longest.select((label,)).position[:, 0], _clusters(longest, known, model))
-    return (model.tree.names[body], scatter) if body >= 0 else best
+    for markers in (t.markers for t in moving if label in t.markers.labels):
+        path = markers.select((label,)).position[:, 0]
+        for body, found in rigid_scatter(path, _clusters(markers, known, model)).items():
+            squares.setdefault(body, []).append(found)
+    scatter = {k: math.sqrt(sum(v * n for v, n in each) / sum(n for _, n in each)) for k, each in squares.items()}
+    best = min(scatter, key=scatter.__getitem__, default=None)
+    return (None, math.inf) if best is None else (model.tree.names[best], scatter[best])
 
 
 def _clusters(markers: Markers, known: dict[str, MarkerSpec], model: Model) -> dict[int, torch.Tensor]:

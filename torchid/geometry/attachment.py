@@ -27,31 +27,27 @@ class Attachment:
         return torch.tensor([name is not None for name in self.landmark], device=self.body.device)
 
 
-def rigid_segment(
+def rigid_scatter(
     position: Float[Tensor, "frames 3"],
     clusters: dict[int, Float[Tensor, "frames markers 3"]],
-) -> tuple[int, float]:
-    """Find the body with whose markers an unassigned marker moves most rigidly.
+) -> dict[int, tuple[float, int]]:
+    """Tell how rigidly an unassigned marker moves with the markers of each body.
 
-    The criterion is the mean standard deviation of the distances to the body's markers, which needs neither a fit nor
-    axes. Bodies with fewer than two markers, or fewer than ten common frames, are passed over.
+    The criterion is the mean variance of the distances to the body's markers, which needs neither a fit nor axes.
+    Bodies with fewer than two markers, or fewer than ten common frames, are passed over.
 
     Args:
         position: path of the unassigned marker, NaN where missing [m].
         clusters: paths of the markers of each body, by the body's index in the tree, NaN where missing [m].
 
     Returns:
-        The body's index, -1 if no body qualifies, and the criterion [m], infinite if no body qualifies.
+        By the body's index, the criterion [m^2] and the common frames.
     """
-    best, scatter = -1, float("inf")
+    found = {}
     for body, markers in clusters.items():
-        if markers.shape[1] < 2:
-            continue
         distance = (markers - position[:, None]).norm(dim=2)
         common = torch.isfinite(distance).all(dim=1)
-        if int(common.sum()) < 10:
-            continue
-        found = float(distance[common].std(dim=0).mean())
-        if found < scatter:
-            best, scatter = body, found
-    return best, scatter
+        frames = int(common.sum())
+        if markers.shape[1] >= 2 and frames >= 10:
+            found[body] = float(distance[common].var(dim=0).mean()), frames
+    return found

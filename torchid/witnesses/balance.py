@@ -25,10 +25,9 @@ from torchid.witnesses.watched import Watched
 
 UNSEEN = 1e-12
 """Resolution. Part of the largest eigenvalue below which a combination of columns is not there."""
-UNDERSTATED = 2.0
+UNDERSTATED = 1.4
 """Calibrated. Standard deviations of least squares are multiplied by it: errors of a centre of mass move as the body
-does, and columns take part of them. Statements of clean simulated sessions scatter by 1.4 of it, one in thirty
-by 3 and more; twice leaves all below 3."""
+does, and columns take part of them. Statements of clean simulated sessions scatter by 1.4 of it."""
 
 
 @dataclass(frozen=True)

@@ -66,6 +66,26 @@ class Fault:
     """The search that named it, the best first."""
 
 
+def alike(scan: Sequence[Scored], least_nats: float) -> tuple[Scored, ...]:
+    """Return the rivals of a search that cannot be told from its best.
+
+    Args:
+        scan: the search, the best first.
+        least_nats: log odds within which two cannot be told apart.
+    """
+    return tuple(one for one in scan[1:] if one.nats > scan[0].nats - least_nats)
+
+
+def probability(scan: Sequence[Scored], least_nats: float) -> float:
+    """Return the probability that the best of a search is there, or what cannot be told from it; 0 without any.
+
+    Args:
+        scan: the search, the best first.
+        least_nats: log odds within which two cannot be told apart.
+    """
+    return min(1.0, sum(one.probability for one in (*scan[:1], *alike(scan, least_nats))))
+
+
 def suspects_of(panel: Panel, effects: Sequence[Effect]) -> tuple[Suspect, ...]:
     """Return what witnesses can be asked about: errors of measuring that would change what they say.
 
@@ -95,7 +115,7 @@ def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[Fault, ...]:
     scans: list[tuple[Scored, ...]] = []
     while len(chosen) < panel.options.most:
         found = scan(panel, chosen, suspects)
-        if not found or not found[0].nats >= panel.options.named_nats:  # also of what is no number
+        if not probability(found, panel.options.alike_nats) >= panel.options.named_probability:
             break
         chosen.append(found[0].suspect)
         scans.append(found)

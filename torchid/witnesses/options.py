@@ -11,9 +11,11 @@ class WitnessOptions:
 
     odds: Share = 0.1
     """Derived. Odds before any data that a session has a fault of one kind: one session in ten."""
-    named_nats: Positive = 2.5
-    """Calibrated. Log odds from which a fault is named, those of ``NamingOptions.named_nats``: in eight public sessions
-    as recorded nothing was named that is not known to be wrong."""
+    named_probability: Share = 0.5
+    """Derived. Probability from which a fault is named, with all that cannot be told from it: that it is there is
+    likelier than that it is not. What is said of it is how likely."""
+    alike_nats: Positive = 3.0
+    """Cited. As ``NamingOptions.alike_nats``: log odds within which a rival cannot be told from the best."""
     most: Count = 6
     """Derived. Number of faults at most: more are no laboratory."""
     p_value: Share = 0.01

@@ -46,7 +46,7 @@ class Panel:
     witnesses: tuple[tuple[Witness, ...], ...]
     """Witnesses of each."""
     value: Float[Tensor, " some"]
-    """What they say."""
+    """What they say, beyond what they say of any body."""
     covariances: Float[Tensor, "ways some some"]
     """Of the statements where nothing is wrong: within trials, between sessions and between laboratories; and where one
     trial is bad."""
@@ -113,13 +113,14 @@ class Panel:
 
     @staticmethod
     def of(trial: Watched, some: Sequence[Witness]) -> Float[Tensor, " some"]:
-        """Return what witnesses of a trial say.
+        """Return what witnesses of a trial say, beyond what they say of any body.
 
         Args:
             trial: the trial.
             some: its witnesses.
         """
-        return torch.cat([one.value(trial) for one in some])
+        said = torch.cat([one.value(trial) for one in some])
+        return said - said.new_tensor([SCATTER[about.kind].usual for one in some for about in one.about])
 
 
 def make_panel(

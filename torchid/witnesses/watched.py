@@ -14,6 +14,10 @@ from torchid.effects.marker_scene import View
 from torchid.effects.place import Place
 from torchid.effects.scene import Reading, Scene
 
+STRETCH_M = 0.05
+"""Estimator. How far a pressure moves under a sole as easily as its force changes by all that it bears [m]: a quarter
+of a sole's length, a choice."""
+
 
 @dataclass(frozen=True)
 class Watched:
@@ -75,11 +79,31 @@ class Watched:
 
     def _loaded(self, load: Float[Tensor, "6 frames"]) -> Reading:
         """Return the reading with a further load shared by the plates."""
-        if not bool(load.any()):
-            return self.reading
-        borne = self.reading.wrench[..., 2] * (self.reading.wrench[..., 2] > LOADED_N)
-        share = borne / borne.sum(1, keepdim=True).clamp(min=LOADED_N)
-        return replace(self.reading, wrench=self.reading.wrench + share[..., None] * load.T[:, None])
+        return self.reading if not bool(load.any()) else loaded(self.reading, load)
+
+
+def loaded(reading: Reading, load: Float[Tensor, "6 frames"]) -> Reading:
+    """Return the reading of plates that share a further load.
+
+    How legs share it cannot be known; it is shared as springs would that yield in proportion to what each plate bears:
+    two feet answer a moment that tips the body by their vertical forces, not by rolling over their edges.
+
+    Args:
+        reading: of the plates as it was.
+        load: what the ground must supply besides, force [N] and moment about the origin [N m] in W.
+    """
+    wrench = reading.wrench
+    borne = wrench[..., 2] * (wrench[..., 2] > LOADED_N)
+    force = borne.clamp(min=LOADED_N)
+    px, py = -wrench[..., 4] / force, wrench[..., 3] / force
+    zero = torch.zeros_like(px)
+    arm = torch.stack([zero, zero, py, zero, zero, -px, -py, px, zero], -1).unflatten(-1, (3, 3))
+    eye = torch.eye(3, dtype=wrench.dtype, device=wrench.device).expand_as(arm)
+    moment = arm @ arm.mT + STRETCH_M**2 * eye
+    yields = torch.cat([torch.cat([eye, arm.mT], -1), torch.cat([arm, moment], -1)], -2) * borne[..., None, None]
+    whole = yields.sum(1) + torch.diag_embed((borne.sum(1, keepdim=True) == 0.0).to(wrench).expand(-1, 6))
+    share = yields @ torch.linalg.solve(whole, load.T)[:, None, :, None]
+    return replace(reading, wrench=wrench + share[..., 0])
 
 
 def watch(

@@ -8,7 +8,7 @@ from torchid.diagnosis.verdict.causes import LISTED, parameter_table
 from torchid.diagnosis.verdict.records import Alternative, Cause, Twin
 from torchid.effects.place import SESSION, covers
 from torchid.effects.traits import Site
-from torchid.witnesses.faults import Fault, Scored, instead
+from torchid.witnesses.faults import Fault, Scored, alike, instead, probability
 from torchid.witnesses.panel import Panel
 
 RULE = "witnesses_name"
@@ -40,7 +40,8 @@ def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, 
     """
     return tuple(
         Step(StepKind.ENTER, one.suspect.effect.name, one.suspect.place.where, RULE,
-             {"witness_nats": one.scan[0].nats, "least_nats": options.witnesses.named_nats})
+             {"witness_nats": one.scan[0].nats, "probability": probability(one.scan, options.witnesses.alike_nats),
+              "least_probability": options.witnesses.named_probability})
         for one in faults
     )  # fmt: skip
 
@@ -62,13 +63,11 @@ def refusals_of(faults: Sequence[Fault], chance: float, options: DiagnosisOption
 
 def _cause(panel: Panel, faults: Sequence[Fault], k: int, trials: Sequence[str], options: DiagnosisOptions) -> Cause:
     """Return the k-th fault as a cause."""
-    own, size, limits = faults[k].suspect, faults[k].size, options.confidence
-    rivals = [one for one in faults[k].scan[1:] if one.suspect is not own]
-    least = faults[k].scan[0].nats - options.naming.alike_nats
-    alike = [one for one in rivals if one.nats > least][: limits.twins]
-    twins = tuple(_twin(panel, faults, k, one) for one in alike)
-    listed = tuple(Alternative(*_named(one), one.probability) for one in rivals if one.probability > LISTED)
-    confidence = min(1.0, faults[k].scan[0].probability + sum(one.probability for one in alike))
+    own, size, scan, limits = faults[k].suspect, faults[k].size, faults[k].scan, options.confidence
+    told = alike(scan, options.witnesses.alike_nats)[: limits.twins]
+    twins = tuple(_twin(panel, faults, k, one) for one in told)
+    confidence = min(1.0, sum(one.probability for one in (scan[0], *told)))
+    listed = tuple(Alternative(*_named(one), one.probability) for one in scan[1:] if one.probability > LISTED)
     everywhere = own.effect.site is not Site.TRIAL or own.place.where == SESSION.where
     acting = tuple(name for name in trials if everywhere or covers(own.place, name))
     parameters = parameter_table(own.effect.estimated(own.place, size.mean, size.covariance))
