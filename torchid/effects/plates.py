@@ -135,8 +135,8 @@ class PlateCrosstalk(PlateMap):
 
     name = "plate_crosstalk"
     parameters = (
-        Parameter("matrix_plate", 0.02, 30, source="two parts in a hundred, the most that makers of plates state of any "
-                  "pair of channels; times the lever of a fifth of a metre, see ``scale``"),
+        Parameter("matrix_plate", 0.02, 30, source="two parts in a hundred, the most that makers of plates state of "
+                  "any pair of channels; times the lever of a fifth of a metre, see ``scale``"),
     )  # fmt: skip
     noun = "channels that leak"
     advice = "a known weight at the centre and at the corners of the plate, and a pole pressed slantwise"
