@@ -110,17 +110,21 @@ def _compute(
     with folder.timed("residuals"):
         outcome = replace(outcome, residuals=contributions(outcome))
     if config.diagnosis.enabled:
-        progress("diagnosis", 0.0)
-
-        def judged(some: Outcome) -> Diagnosis | None:
-            return diagnosed(some, folder, progress)
-
-        outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: judged(outcome)))
-        progress("diagnosis", 1.0)
-        if outcome.diagnosis is not None and outcome.diagnosis.causes:
-            outcome, relabelled = put_right(outcome, judged, folder, key, progress)
-            outcome = publishable(outcome, relabelled, folder, key, progress)
+        outcome = _diagnosed(outcome, folder, key, progress)
     return _with_torques(outcome, folder), None
+
+
+def _diagnosed(outcome: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> Outcome:
+    def judged(some: Outcome) -> Diagnosis | None:
+        return diagnosed(some, folder, progress)
+
+    progress("diagnosis", 0.0)
+    outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: judged(outcome)))
+    progress("diagnosis", 1.0)
+    if outcome.diagnosis is None or not outcome.diagnosis.causes:
+        return outcome
+    outcome, relabelled = put_right(outcome, judged, folder, key, progress)
+    return publishable(outcome, relabelled, folder, key, progress)
 
 
 def _geometry(

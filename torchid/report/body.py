@@ -123,23 +123,21 @@ def _draw_body(outcome: Outcome) -> Markup:
         panel.set_xlabel("left [m]")
         panel.set_ylabel("height [m]")
         tidy(panel)
-        steps = [
-            Line2D(
-                [],
-                [],
-                marker="o",
-                linestyle="none",
-                markersize=9,
-                markerfacecolor=PROGRESS(share),
-                markeredgecolor=IDENTIFIED,
-                label=f"{share:.0%}",
-            )
-            for share in (0.0, 0.25, 0.5, 0.75, 1.0)
-        ]
-        canvas.legend(handles=steps, loc="outside lower center", ncols=5, title="progress of a segment's mass")
+        canvas.legend(
+            handles=_progress_steps(), loc="outside lower center", ncols=5, title="progress of a segment's mass"
+        )
         _paint_masses(masses, outcome)
 
     return draw("body", (7.5, 6.6), "Masses and centres of mass of all segments on a front view of the body", paint)
+
+
+def _progress_steps() -> list[Line2D]:
+    """Balls of the legend, from nothing identified to all."""
+    ball = {"marker": "o", "linestyle": "none", "markersize": 9, "markeredgecolor": IDENTIFIED}
+    return [
+        Line2D([], [], markerfacecolor=PROGRESS(share), label=f"{share:.0%}", **ball)
+        for share in (0.0, 0.25, 0.5, 0.75, 1.0)
+    ]
 
 
 def _frame(axes: Axes, points: Tensor) -> None:

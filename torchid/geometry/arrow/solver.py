@@ -252,8 +252,7 @@ def _step(
         missed, size = new - predicted, curvature.abs() + 1e-5 * new.mean()
         # Where the other frames together are as predicted, only those that went astray are at fault. Frames rated
         # each alone would be damped ever more and hold xi back.
-        eta = missed / size
-        sound = eta <= 1.0
+        eta, sound = missed / size, missed <= size
         fine = missed[sound].sum().abs() < 0.25 * size[sound].sum()
         return torch.where(sound & fine, 0.0, eta)
 
