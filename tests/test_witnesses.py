@@ -55,7 +55,7 @@ def planted(base: Outcome, name: str, place: Place, theta: torch.Tensor) -> Outc
         forces = trials[trial].forces
         assert forces is not None
         watched = next((w for w in panel(base).trials if w.name == trial), None)
-        if name == "gravity_tilt" and watched is not None:
+        if name in ("gravity_tilt", "body_weight_support") and watched is not None:
             wrench = watched.under(effect(name), place, theta).reading.wrench
         else:
             wrench = effect(name).read(reading(trial, forces, own), place, theta).wrench
@@ -100,6 +100,15 @@ def test_a_wrong_record_is_named() -> None:
     off = rng.choice([-1.0, 1.0]) * rng.uniform(0.08, 0.15)
     found = causes(replace(base, prior=replace(base.prior, mean=(1.0 + off) * base.prior.mean)))
     assert found and "body_mass" in names(found[0]), (off, found)
+
+
+def test_a_harness_is_no_wrong_record() -> None:
+    """Plates miss a quarter of the weight: no record is so wrong, and where it hangs a body model must tell."""
+    base, rng = outcome(), np.random.default_rng(SEED)
+    place = effect("body_weight_support").places([one.view for one in panel(base).trials])[0]
+    force = float(rng.uniform(150.0, 250.0))
+    found = causes(planted(base, "body_weight_support", place, torch.tensor([force]).double()))
+    assert not {cause.effect for cause in found} & {"body_mass", "plate_gain"}, (force, found)
 
 
 @pytest.mark.parametrize("claimed", ["payload", "body_weight_support"])

@@ -107,6 +107,8 @@ class Traits:
     proof: ClassVar[Proof] = Proof.FORCES
     witnessed: ClassVar[bool] = False
     """True if it is an error of measuring that acts throughout, which witnesses may name before any model is asked."""
+    lifts: ClassVar[bool] = False
+    """True if it bears part of the weight throughout: to witnesses, plates or a record that are as much off."""
     correction: ClassVar[Correction] = Correction.WRENCH
 
     @final

@@ -87,14 +87,16 @@ def probability(scan: Sequence[Scored], least_nats: float) -> float:
 
 
 def suspects_of(panel: Panel, effects: Sequence[Effect]) -> tuple[Suspect, ...]:
-    """Return what witnesses can be asked about: errors of measuring that would change what they say.
+    """Return what witnesses can be asked about: what would change what they say.
+
+    These are errors of measuring, and what they would take for one: a harness that lifts.
 
     Args:
         panel: the statements.
         effects: effects to try.
     """
     found, views = [], [one.view for one in panel.trials]
-    for effect in (one for one in effects if one.witnessed):
+    for effect in (one for one in effects if one.witnessed or one.lifts):
         places = effect.places(views)
         total = sum(place.odds for place in places)
         for place in places:
@@ -106,6 +108,8 @@ def suspects_of(panel: Panel, effects: Sequence[Effect]) -> tuple[Suspect, ...]:
 
 def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[Fault, ...]:
     """Return the faults that the statements need, in the order in which they are found.
+
+    One that lifts is among them, and names none: a body model must tell where.
 
     Args:
         panel: the statements.
@@ -146,12 +150,19 @@ def scan(panel: Panel, chosen: Sequence[Suspect], suspects: Sequence[Suspect]) -
         chosen: faults that are named.
         suspects: what could be there.
     """
-    base, some = _covariance(chosen), [one for one in suspects if not any(one is other for other in chosen)]
+    others = (one for one in suspects if not any(one is other for other in chosen))
+    base, some = _covariance(chosen), [one for one in others if _possible(panel, chosen, one)]
     before = panel.log_density(more=base)
     gains = [panel.log_density(more=base + one.covariance) - before + math.log(one.odds) for one in some]
     weights = torch.softmax(panel.value.new_tensor([0.0, *gains]), 0)[1:].tolist()
     scored = [Scored(*both) for both in zip(some, gains, weights, strict=True)]
     return tuple(sorted(scored, key=lambda one: -one.nats))
+
+
+def _possible(panel: Panel, chosen: Sequence[Suspect], one: Suspect) -> bool:
+    """Return whether a suspect that can only push one way would push that way."""
+    ways = one.effect.positives(one.place)
+    return not ways or bool((sizes(panel, [*chosen, one])[-1].mean[:ways] > 0.0).all())
 
 
 def sizes(panel: Panel, chosen: Sequence[Suspect]) -> list[Size]:

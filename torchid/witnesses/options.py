@@ -15,7 +15,8 @@ class WitnessOptions:
     """Derived. Probability from which a fault is named, with all that cannot be told from it: that it is there is
     likelier than that it is not. What is said of it is how likely."""
     alike_nats: Positive = 3.0
-    """Cited. As ``NamingOptions.alike_nats``: log odds within which a rival cannot be told from the best."""
+    """Cited. Log odds within which a rival cannot be told from the best: below 20 to one, evidence is not strong
+    (Kass & Raftery, JASA 90:773 (1995))."""
     most: Count = 6
     """Derived. Number of faults at most: more are no laboratory."""
     p_value: Share = 0.01

@@ -20,7 +20,7 @@ DISAGREE = "witnesses_disagree"
 def causes_of_faults(
     panel: Panel, faults: Sequence[Fault], trials: Sequence[str], options: DiagnosisOptions
 ) -> tuple[Cause, ...]:
-    """Return the faults as causes, but for what they gain on held-out motion.
+    """Return the errors of measuring as causes, but for what they gain on held-out motion.
 
     Args:
         panel: the statements that name them.
@@ -28,11 +28,12 @@ def causes_of_faults(
         trials: names of the fit trials and, behind them, of the held-out ones.
         options: limits of what a verdict may claim.
     """
-    return tuple(_cause(panel, faults, k, trials, options) for k in range(len(faults)))
+    measuring = [k for k, one in enumerate(faults) if one.suspect.effect.witnessed]
+    return tuple(_cause(panel, faults, k, trials, options) for k in measuring)
 
 
 def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, ...]:
-    """Return the entry of each fault.
+    """Return the entry of each fault that is an error of measuring.
 
     Args:
         faults: the faults.
@@ -43,6 +44,7 @@ def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, 
              {"witness_nats": one.scan[0].nats, "probability": probability(one.scan, options.witnesses.alike_nats),
               "least_probability": options.witnesses.named_probability})
         for one in faults
+        if one.suspect.effect.witnessed
     )  # fmt: skip
 
 
