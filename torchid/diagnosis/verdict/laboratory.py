@@ -66,7 +66,7 @@ def refusals_of(faults: Sequence[Fault], chance: float, options: DiagnosisOption
 def _cause(panel: Panel, faults: Sequence[Fault], k: int, trials: Sequence[str], options: DiagnosisOptions) -> Cause:
     """Return the k-th fault as a cause."""
     own, size, scan, limits = faults[k].suspect, faults[k].size, faults[k].scan, options.confidence
-    told = alike(scan, options.witnesses.alike_nats)[: limits.twins]
+    told = _one_each(alike(scan, options.witnesses.alike_nats))[: limits.twins]
     twins = tuple(_twin(panel, faults, k, one) for one in told)
     confidence = min(1.0, sum(one.probability for one in (scan[0], *told)))
     listed = tuple(Alternative(*_named(one), one.probability) for one in scan[1:] if one.probability > LISTED)
@@ -77,6 +77,14 @@ def _cause(panel: Panel, faults: Sequence[Fault], k: int, trials: Sequence[str],
         own.effect.name, own.place.where, None, parameters, confidence, listed[: limits.rivals], twins, {},
         own.place, size.mean[None], acting, everywhere,
     )  # fmt: skip
+
+
+def _one_each(rivals: Sequence[Scored]) -> tuple[Scored, ...]:
+    """Return the best of every effect: where else it may be says less than what else it may be."""
+    first: dict[str, Scored] = {}
+    for one in rivals:
+        first.setdefault(one.suspect.effect.name, one)
+    return tuple(first.values())
 
 
 def _twin(panel: Panel, faults: Sequence[Fault], k: int, one: Scored) -> Twin:
