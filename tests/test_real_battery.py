@@ -24,6 +24,7 @@ from batteries.real_kinds import KINDS, UNPLANTED, plant
 from batteries.real_plates import plates_of
 from batteries.real_sessions import ASIDE, SESSIONS, RealSession, sessions
 from batteries.real_truth import Answer, Inapplicable, Truth, truth_from
+from batteries.remembered import remembered
 from small_session import SEED
 
 from torchid.conventions import GRAVITY
@@ -413,3 +414,17 @@ def test_a_real_session_carries_what_was_planted(tmp_path, data_dir):
         assert_close(ratio[at], torch.tensor(gain).double(), rtol=1e-4, atol=0.0)
         assert_close(ratio[1 - at], torch.tensor(1.0).double(), rtol=1e-4, atol=0.0)
         assert float(back.forces.wrench.abs().max()) < 10.0 * GRAVITY * 27.7
+
+
+def test_what_was_fitted_is_taken_up_for_the_same_and_nothing_else(tmp_path: Path) -> None:
+    """Callbacks are no part of what is asked; another number is."""
+    asked: list[Tensor] = []
+
+    def doubled(given: Tensor, said: object = None) -> dict[str, Tensor]:
+        asked.append(given)
+        return {"twice": 2.0 * given}
+
+    kept, one, other = remembered(doubled, tmp_path), torch.ones(3), torch.tensor([1.0, 1.0, 1.0 + 1e-6])
+    for given, said in ((one, print), (one.clone(), repr), (other, print)):
+        assert_close(kept(given, said)["twice"], 2.0 * given, rtol=0.0, atol=0.0)
+    assert [given is one or given is other for given in asked] == [True, True]

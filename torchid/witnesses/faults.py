@@ -65,6 +65,11 @@ class Fault:
     scan: tuple[Scored, ...]
     """The search that named it, the best first."""
 
+    @property
+    def of_measuring(self) -> bool:
+        """True if it is an error of measuring; one that lifts is not, and a body model must tell where it is."""
+        return self.suspect.effect.witnessed
+
 
 def alike(scan: Sequence[Scored], least_nats: float) -> tuple[Scored, ...]:
     """Return the rivals of a search that cannot be told from its best.
@@ -108,8 +113,6 @@ def suspects_of(panel: Panel, effects: Sequence[Effect]) -> tuple[Suspect, ...]:
 
 def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[Fault, ...]:
     """Return the faults that the statements need, in the order in which they are found.
-
-    One that lifts is among them, and names none: a body model must tell where.
 
     Args:
         panel: the statements.

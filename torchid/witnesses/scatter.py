@@ -1,7 +1,8 @@
 """How statements of witnesses scatter where nothing is wrong: by themselves, and all of a kind in a session together.
 
 Estimator. Robust scatter between eight public sessions of five laboratories, of which none is quoted in a figure
-(`docs/decisions.md`); what is alike in a session stands for what bodies and tables of inertia share in all its trials.
+(`docs/decisions.md`); clocks by seven sessions that the real battery is tuned on, none of them kept aside. What is
+alike in a session stands for what bodies and tables of inertia share in all its trials.
 """
 
 from typing import NamedTuple

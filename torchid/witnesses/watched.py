@@ -79,10 +79,10 @@ class Watched:
 
     def _loaded(self, load: Float[Tensor, "6 frames"]) -> Reading:
         """Return the reading with a further load shared by the plates."""
-        return self.reading if not bool(load.any()) else loaded(self.reading, load)
+        return self.reading if not bool(load.any()) else share_load(self.reading, load)
 
 
-def loaded(reading: Reading, load: Float[Tensor, "6 frames"]) -> Reading:
+def share_load(reading: Reading, load: Float[Tensor, "6 frames"]) -> Reading:
     """Return the reading of plates that share a further load.
 
     How legs share it cannot be known; it is shared as springs would that yield in proportion to what each plate bears:

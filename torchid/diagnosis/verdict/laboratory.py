@@ -28,8 +28,7 @@ def causes_of_faults(
         trials: names of the fit trials and, behind them, of the held-out ones.
         options: limits of what a verdict may claim.
     """
-    measuring = [k for k, one in enumerate(faults) if one.suspect.effect.witnessed]
-    return tuple(_cause(panel, faults, k, trials, options) for k in measuring)
+    return tuple(_cause(panel, faults, k, trials, options) for k, one in enumerate(faults) if one.of_measuring)
 
 
 def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, ...]:
@@ -44,7 +43,7 @@ def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, 
              {"witness_nats": one.scan[0].nats, "probability": probability(one.scan, options.witnesses.alike_nats),
               "least_probability": options.witnesses.named_probability})
         for one in faults
-        if one.suspect.effect.witnessed
+        if one.of_measuring
     )  # fmt: skip
 
 
@@ -60,6 +59,7 @@ def refusals_of(faults: Sequence[Fault], chance: float, options: DiagnosisOption
         Step(StepKind.REFUSE, one.suspect.effect.name, one.suspect.place.where, DISAGREE,
              {"witness_nats": one.scan[0].nats, "p_value": chance, "least_p_value": options.witnesses.p_value})
         for one in faults
+        if one.of_measuring
     )  # fmt: skip
 
 
