@@ -19,6 +19,7 @@ from torchid.experiment.diagnosis_stage import plate_frames
 from torchid.experiment.laboratory import examine, panel_of, read_right, verdict_of
 from torchid.experiment.standing import follow_each, standing_weight
 from torchid.outcome import Outcome
+from torchid.report.decisions import sentence
 from torchid.results import OutputFolder
 from torchid.witnesses.panel import Panel
 from torchid.witnesses.testimony import Claim, hear
@@ -89,8 +90,10 @@ def test_nothing_is_named_in_a_clean_session() -> None:
 def test_a_fault_of_the_laboratory_is_named_with_its_size(name: str) -> None:
     base, rng = outcome(), np.random.default_rng(SEED)
     place, theta = drawn(name, rng, base)
-    found = causes(planted(base, name, place, theta))
+    verdict = examine(*both(planted(base, name, place, theta)))
+    found = verdict.causes
     assert found and name in names(found[0]), (place, theta, [(c.effect, c.where) for c in found])
+    assert len([sentence(step) for step in verdict.trace]) == len(found)  # with numbers that each step has
     if found[0].effect == name:
         torch.testing.assert_close(found[0].theta[0], theta, rtol=0.3, atol=float(0.2 * theta.norm()))
 

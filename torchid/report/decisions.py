@@ -129,8 +129,9 @@ RULES: dict[str, Callable[[Numbers], str]] = {
     ),
     "position_dependence": _field,
     "witnesses_name": lambda n: (
-        f"enters before any body model is asked: what needs none says so with {odds(n['witness_nats'])} "
-        f"({odds(n['least_nats'])} are asked)"
+        f"enters before any body model is asked: by what needs none it is there, or what looks like it, with a "
+        f"probability of {percent(n['probability'])} (over {percent(n['least_probability'])} are asked); alone it has "
+        f"{odds(n['witness_nats'])}"
     ),
     "witnesses_disagree": lambda n: (
         f"is not named: what needs no body model says so with {odds(n['witness_nats'])}, but disagrees in itself by "
