@@ -88,7 +88,7 @@ def probability(scan: Sequence[Scored], least_nats: float) -> float:
         scan: the search, the best first.
         least_nats: log odds within which two cannot be told apart.
     """
-    return min(1.0, sum(one.probability for one in (*scan[:1], *alike(scan, least_nats))))
+    return min(1.0, math.fsum(one.probability for one in (*scan[:1], *alike(scan, least_nats))))
 
 
 def suspects_of(panel: Panel, effects: Sequence[Effect]) -> tuple[Suspect, ...]:
