@@ -7,6 +7,8 @@ alike in a session stands for what bodies and tables of inertia share in all its
 
 from typing import NamedTuple
 
+from torchid.effects.timing import USUAL_LAG_S
+
 
 class Scatter(NamedTuple):
     """Standard deviations of one kind of statement, and about what."""
@@ -24,9 +26,8 @@ RECORD_PART = 0.01
 SCATTER = {
     "mass": Scatter(0.004, 0.0),  # what is alike is the record's
     "gain": Scatter(0.008, 0.0),
-    # A living body's forces seem late, for its soft parts follow the bones late: of seven sessions of four laboratories
-    # six lay at 1 to 8 ms in the vertical and at 3 to 13 ms in the horizontal, one at -6 and -3 ms.
-    "clock_vertical": Scatter(0.002, 0.004, 0.004), "clock_horizontal": Scatter(0.003, 0.005, 0.005),  # [s]
+    "clock_vertical": Scatter(0.002, *reversed(USUAL_LAG_S["vertical"])),  # [s]
+    "clock_horizontal": Scatter(0.003, *reversed(USUAL_LAG_S["horizontal"])),  # [s]
     "lean_x": Scatter(0.005, 0.003), "lean_y": Scatter(0.005, 0.003),
     "zero_fx": Scatter(1.5, 0.0), "zero_fy": Scatter(1.5, 0.0), "zero_fz": Scatter(1.5, 0.0),  # [N]
     "zero_mx": Scatter(0.5, 0.0), "zero_my": Scatter(0.5, 0.0), "zero_mz": Scatter(0.5, 0.0),  # [N m]
