@@ -55,6 +55,7 @@ MATRIX = [[0.01 * (i != j) * (-1) ** (i + j) for j in range(6)] for i in range(6
 MIDDLE = (Interval("squats", 1.0, 2.0),)
 SIZES: dict[str, tuple[tuple[str, ...], dict]] = {
     "time_offset": (("session",), {"lag_s": 0.004}),
+    "body_lag": (("session",), {"lag_s": 0.004}),
     "plate_gain": (("plate_1",), {"gain": 1.02}),
     "plate_offset": (("plate_2",), {"force_plate_N": [3.0, -2.0, 5.0], "moment_plate_Nm": [0.5, 1.0, -0.4]}),
     "plate_drift": (("plate_1",), {"rate_plate": [0.2, -0.3, 0.5, 0.1, 0.05, -0.1]}),

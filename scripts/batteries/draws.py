@@ -234,6 +234,7 @@ def _hysteresis(rng: np.random.Generator, size: dict) -> Drawn:
 
 DRAWS: dict[str, Callable[..., Drawn]] = {
     "time_offset": _time_offset,
+    "body_lag": _scalar("lag_s", _one_of("session")),
     "filter_lag": _scalar("cutoff_hz", _one_of("session")),
     "plate_gain": _near_one("gain", _plates_of_gain),
     "plate_offset": _pair("force_plate_N", "moment_plate_Nm"),

@@ -18,7 +18,7 @@ KNEE = 15.0
 
 def lag(effects: list[Entry], trial: str) -> float:
     """By how much forces come late in a trial [s]."""
-    own = [e for e in effects if e["effect"] == "time_offset" and {"session", trial} & set(e["where"])]
+    own = [e for e in effects if e["effect"] in ("time_offset", "body_lag") and {"session", trial} & set(e["where"])]
     return sum(e["parameters"]["lag_s"] for e in own)
 
 

@@ -206,7 +206,9 @@ def main(given: Sequence[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--kinds", nargs="+", choices=(UNPLANTED, *KINDS), metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("--sessions", nargs="+", metavar="NAME", help="only these")
-    parser.add_argument("--each", type=int, default=EACH, help=f"sessions per kind, by lot; 0: every one (default: {EACH})")
+    parser.add_argument(
+        "--each", type=int, default=EACH, help=f"sessions per kind, by lot; 0: every one (default: {EACH})"
+    )
     parser.add_argument("--cases", type=int, help="only so many of all, by lot")
     parser.add_argument("--out", type=Path, default=Path("out/real_battery"), help="folder of verdicts and rows")
     parser.add_argument("--small", action="store_true", help="two short sessions and three kinds: about two minutes")

@@ -41,7 +41,8 @@ def judged(kept: Mapping[str, Any], known: Sequence[Sequence[str]], unplanted: M
     row |= _errors(kept)
     if said is None:
         return row | {"result": "crashed" if kept["exit"] == 1 else "refused", "named": [], "wrong": []}
-    causes, plates = [c for c in said["causes"] if c["effect"] not in BODILY], said["plates"]
+    plates = said["plates"]
+    causes = [c for c in said["causes"] if c["effect"] not in BODILY or _right(c, truth, plates)]
     before = [] if unplanted is None or not unplanted.get("diagnosis") else unplanted["diagnosis"]["causes"]
     named = [_named(cause, truth, known, before, plates) for cause in causes]
     counted = [(cause, one) for cause, one in zip(causes, named, strict=True) if one["is"] != "known"]
@@ -59,8 +60,7 @@ def _named(
     cause: Mapping[str, Any], truth: Truth, known: Sequence[Sequence[str]], before: Sequence[Mapping], plates: Mapping
 ) -> dict[str, Any]:
     """A cause in short: what, where, how sure, and whether it is right, alike, known, elsewhere or wrong."""
-    said = [cause, *cause["indistinguishable"]]
-    if any(_is(answer, one, plates) for answer in truth.right for one in said):
+    if _right(cause, truth, plates):
         verdict = "right"
     elif any(e == cause["effect"] and (p == ANYWHERE or p in cause["where"]) for e, p in known):
         verdict = "known"
@@ -71,6 +71,11 @@ def _named(
     new = not any(b["effect"] == cause["effect"] and set(b["where"]) == set(cause["where"]) for b in before)
     return {"effect": cause["effect"], "where": cause["where"], "confidence": round(cause["confidence"], 3),
             "is": verdict, "new": new}  # fmt: skip
+
+
+def _right(cause: Mapping[str, Any], truth: Truth, plates: Mapping[str, Any]) -> bool:
+    said = [cause, *cause["indistinguishable"]]
+    return any(_is(answer, one, plates) for answer in truth.right for one in said)
 
 
 def _is(answer: Answer, cause: Mapping[str, Any], plates: Mapping[str, Any]) -> bool:

@@ -8,6 +8,7 @@ LEVELS = {"small": 0.0, "medium": 0.5, "large": 1.0}
 FIT, HELDOUT = ("squats", "arms", "trunk", "sway", "pushes"), ("mix", "lively")
 SIZES: dict[str, dict[str, tuple[float, float]]] = {
     "time_offset": {"lag_s": (0.001, 0.015)},
+    "body_lag": {"lag_s": (0.001, 0.008)},
     "filter_lag": {"cutoff_hz": (8.0, 2.5)},
     "plate_gain": {"gain": (0.0015, 0.03)},
     "plate_offset": {"force_plate_N": (1.0, 20.0), "moment_plate_Nm": (0.2, 4.0)},

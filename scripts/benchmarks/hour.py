@@ -1,8 +1,8 @@
 """Peak memory and time of ``torchid run`` on a session with one long trial: `scripts/hour --minutes 60 --against 10`.
 
-With ``--diagnosis`` each length is run with the diagnosis as well. A simulated minute is played forwards and backwards
-until the trial is long enough. Reversed in time, a motion needs the same forces, so the recording stays one that a
-person could have made; it turns where the subject is slowest.
+With ``--diagnosis`` each length is run with the diagnosis as well, with ``--diagnosis alone`` only so. A simulated
+minute is played forwards and backwards until the trial is long enough. Reversed in time, a motion needs the same
+forces, so the recording stays one that a person could have made; it turns where the subject is slowest.
 """
 
 import argparse
@@ -31,6 +31,8 @@ HIDDEN = (
     PlantedOptions("marker_shift", ("LTHI",), (Interval("squats", 0.0, 1e5),), {"shift_seg_m": [0.02, -0.02, 0.02]}),
 )
 """A load and a knocked marker, which act backwards as they do forwards: the model is extended in both ways."""
+WITH = {"beside": (False, True), "alone": (True,)}
+"""Runs without and with the diagnosis that are asked for."""
 
 
 def main() -> None:
@@ -41,13 +43,19 @@ def main() -> None:
     parser.add_argument("--trial", default="squats", help="the trial that is made long: squats, arms, sway_steps, ...")
     parser.add_argument("--folder", help="keep recordings and results here")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--diagnosis", action="store_true", help="with the diagnosis and the extended model too")
+    parser.add_argument(
+        "--diagnosis",
+        nargs="?",
+        const="beside",
+        choices=tuple(WITH),
+        help="with the diagnosis and the extended model too",
+    )
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(args.folder or temporary)
         config = make_session(folder)
         lengths = [x for x in (args.against, args.minutes) if x]
-        for diagnosis in (False, True) if args.diagnosis else (False,):
+        for diagnosis in WITH.get(args.diagnosis, (False,)):
             rows = [measure(config, args.trial, minutes, args.threads, diagnosis) for minutes in lengths]
             if len(rows) > 1:
                 slope = (rows[1]["peak_MiB"] - rows[0]["peak_MiB"]) * 1024.0 / (rows[1]["frames"] - rows[0]["frames"])

@@ -26,6 +26,7 @@ ENTRIES = (
     "forces:BodyWeightSupport",
     "forces:Tether",
     "forces:Drag",
+    "timing:BodyLag",
     "timing:FilterLag",
     "markers:MarkerShift",
     "marker_swap:MarkerSwap",
