@@ -20,6 +20,7 @@ from torchid.errors import InputError
 from torchid.io import ReadOptions, read_trial
 from torchid.io.grf import forces_from_storage
 from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, from_plate, in_plate, mend, ordered_corners, reframed
+from torchid.io.plate_limits import within_limits
 from torchid.io.resample import synchronise
 from torchid.io.storage import Storage
 from torchid.recording import Forces, Plate, Trial
@@ -191,6 +192,29 @@ def recording(trial: Trial, options: ReadOptions | None = None) -> tuple[Trial, 
     """A trial that is read by ``read_as``, as its options have it."""
     again = Recording(lambda o: read_as(trial, o), options or ReadOptions(), MASS)
     return read_as(trial, again.options), again
+
+
+@pytest.mark.parametrize("force", ["fx", "fy", "fz"])
+def test_channels_that_overload_a_plate_are_named(seed, force):
+    """A moment in N mm that is read as a force leaves the plate out: the line brings it back."""
+    right, number = walking_trial(seed), seed % 2 + 1
+    faulty = channels(right, number - 1, swapped(force, "my"))
+
+    def read(options: ReadOptions) -> Trial:
+        trial = read_as(faulty, options)
+        assert trial.forces is not None
+        forces, _ = within_limits(trial.forces, "walk.c3d")
+        assert forces is not None
+        out = {"plates overloaded": str(number)} if len(forces.plates) < 2 else {}
+        return replace(trial, forces=forces, parameters=out)
+
+    assert read(ReadOptions()).parameters, "the plate is not left out"
+    again = Recording(read, ReadOptions(), MASS)
+    (finding,) = judge_recording(read(ReadOptions()), again)
+    mended = read(options_of(finding.lines()[0]))
+    assert not judge_recording(mended, Recording(read, options_of(finding.lines()[0]), MASS))
+    error = (mended.forces.wrench - right.forces.wrench).nan_to_num().square().mean().sqrt()
+    assert float(error / right.forces.wrench.square().mean().sqrt()) < 0.03, finding.lines()
 
 
 def test_a_wrong_word_of_the_user_is_taken_back(seed):

@@ -4,13 +4,12 @@ Every change on a finite list is tried on the recording itself and judged by the
 helps; reading then applies it by the same functions (``torchid.io.mend``).
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
-from torchid.agreement.changes import Change, corner_changes, file_changes, pair_changes, plate_changes
+from torchid.agreement.changes import file_changes, pair_changes, plate_changes
 from torchid.agreement.clock import clock_findings
-from torchid.agreement.evidence import carries_foot
 from torchid.agreement.finding import Finding, in_figures, together, without
+from torchid.agreement.left_out import Reread, left_out_plates
 from torchid.agreement.readings import Scene, Tried, scene_of, shared_changes, tried
 from torchid.agreement.units import unit_findings
 from torchid.agreement.worlds import off_the_floor, other_size, other_up, upside_down
@@ -23,8 +22,6 @@ ON_ITS_HEAD = (
     "export it upright"
 )
 
-Reread = Callable[[Change], Trial | None]
-
 
 def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = None) -> tuple[Finding, ...]:
     """What is wrong with the forces of a trial; empty where they agree with the feet or nothing can tell.
@@ -34,7 +31,7 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
         mass_kg: of the subject, on record.
         reread: reads the trial again with a change, None where it refuses; for what cannot be tried without.
     """
-    scene, refused = scene_of(trial), () if reread is None else _refused_plates(trial, reread)
+    scene, refused = scene_of(trial), () if reread is None else left_out_plates(trial, reread)
     if upside_down(trial):
         return (Finding(ON_ITS_HEAD),)
     lying = _lying(trial, reread) if scene is None or off_the_floor(trial) else ()
@@ -105,23 +102,3 @@ def _of_plate(scene: Scene, k: int, plate: Tried) -> Finding:
 def _said(scene: Scene, each: dict[int, Tried], bad: list[int]) -> str:
     seen = [f"{scene.forces.plates[k].name}: {in_figures(each[k].evidence, 0)}" for k in bad]
     return f"forces do not agree with the feet ({'; '.join(seen)})"
-
-
-def _refused_plates(trial: Trial, reread: Reread) -> tuple[Finding, ...]:
-    """Plates that reading refused and that carry a foot once their corners are put right."""
-    found = []
-    for number in map(int, trial.parameters.get("plates refused", "").split()):
-        changes = [change for change in corner_changes(number) if _carries(reread(change), number)]
-        if changes:
-            said = f"plate {number} is refused for its corners, yet somebody stands on it"
-            found.append(Finding(said, tuple(changes), without(number)))
-    return tuple(found)
-
-
-def _carries(trial: Trial | None, number: int) -> bool:
-    scene = None if trial is None else scene_of(trial)
-    if scene is None:
-        return False
-    numbers = [number_of(plate, k) for k, plate in enumerate(scene.forces.plates)]
-    k = numbers.index(number) if number in numbers else -1
-    return k >= 0 and carries_foot(scene.feet, scene.forces.wrench[:, k], scene.heights[k])
