@@ -37,6 +37,7 @@ def test_verdicts_are_judged_by_effect_and_place():
     skin = dict(other, effect="soft_tissue", where=["thigh_r"])
     right, sizes = judge(truth, [skin, drag, other])
     assert right and sizes == ["coefficient_Ns_m: 28 ± 2, in truth 30"]
+    assert judge(truth, [dict(skin, indistinguishable=twin["indistinguishable"]), other])[0]
     assert judge(truth, [other, drag]) == (False, sizes)
     assert judge(truth, [twin]) == (True, [])
     assert judge(truth, [dict(drag, where=["head"])]) == (False, [])

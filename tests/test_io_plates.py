@@ -305,6 +305,7 @@ def test_forces_that_nobody_bears_leave_the_plate_out(tmp_path: Path, seed: int)
     trial = read_c3d(path)
     assert trial.forces is not None and [plate.name for plate in trial.forces.plates] == [f"plate {3 - number}"]
     assert [note for note in trial.notes if note.code == "plates.force" and f"plate {number}" in note.message]
+    assert trial.parameters["plates overloaded"] == str(number)
     told = read_c3d(path, options=ReadOptions(plates={number: PlateAs(gain=1.0 / factor)})).forces
     assert told is not None
     assert_allclose(told.wrench, truth, atol=2e-3, rtol=1e-4)

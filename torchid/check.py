@@ -33,7 +33,7 @@ CURES = {
     "markers.never_seen": "leave them out of the marker map",
     "plates.sign": "reverse the plate's channels where they are recorded, or leave the plate out",
     "plates.refused": "correct FORCE_PLATFORM in the file, or leave the plate out",
-    "plates.force": "correct the scale of the plate's channels, or say it: plates: {N: {gain: ...}}",
+    "plates.force": "correct scale or wiring of its channels, or say it: plates: {N: {gain: ...}} or {exchange: ...}",
     "plates.used": "correct FORCE_PLATFORM:USED in the file",
     "plates.invalid": "export the analog channels again",
     "plates.none": "give forces: beside a TRC, or use the trial for geometry only",

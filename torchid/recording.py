@@ -50,6 +50,8 @@ class Plate:
     """From the transducer to the centre of the surface, in the plate's axes [m]; None where the file tells none."""
     moment_length: float = 1.0
     """Length in which the file's moments are stored: 0.001 for N mm [m]."""
+    number: int | None = None
+    """Number by which a config names it; None before reading has counted all plates of the file."""
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ def outcome(recording: Recording, fault: Fault, seed: int) -> dict[str, object]:
             mended = recording.read(faulty, options_of(lines[0]))
         except TorchidError as error:
             return row | {"result": "unreadable", "said": f"{said[:300]} -> {error}"}
-        helps = not judge(mended, mass)
+        helps = not judge(mended, mass, lambda change: _again(recording, faulty, change))
         same = _same(mended, right)
         alone = all(len(f.changes) == 1 for f in found)
         among = same or any(_same(recording.read(faulty, options_of(c.line)), right) for c in found[0].changes[1:])

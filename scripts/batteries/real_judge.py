@@ -220,7 +220,7 @@ def _by_session(rows: Sequence[dict]) -> Iterator[str]:
 
 def _confidence(rows: Sequence[dict]) -> Iterator[str]:
     """How often laboratory causes are right, by stated confidence; those of the session as recorded are left out."""
-    every = [n for r in rows for n in r["named"] if n["is"] != "known"]
+    every = [n for r in rows for n in r["named"] if n["is"] != "known" and n["effect"] not in BODILY]
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.01)):
         own = [n for n in every if low <= n["confidence"] < high]
         right = sum(n["is"] == "right" for n in own)

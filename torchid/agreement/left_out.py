@@ -1,6 +1,6 @@
 """Plates that reading has left out, and the change of reading under which a foot stands on them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -15,8 +15,7 @@ from torchid.recording import Trial
 Reread = Callable[[Change], Trial | None]
 """Reads the trial again with a change; None where reading refuses."""
 SMALLER = 1e-3
-"""Resolution. Gain with which an overloaded plate is read again, so that it is kept, and which is then taken back: of
-N mm taken for N and the like."""
+"""Resolution. Gain with which an overloaded plate is read again, so that reading keeps it; it is then taken back."""
 
 
 def left_out_plates(trial: Trial, reread: Reread) -> tuple[Finding, ...]:
@@ -26,39 +25,38 @@ def left_out_plates(trial: Trial, reread: Reread) -> tuple[Finding, ...]:
         trial: as read; its parameters name the plates.
         reread: reads it again with a change.
     """
-    return tuple(
-        [
-            *_found(
-                trial, "plates refused", "is refused for its corners, yet somebody stands on it", reread, _cornered
-            ),
-            *_found(trial, "plates overloaded", "reads what nobody bears as it is read", reread, _rewired),
-        ]
-    )
+    found = [_cornered(number, reread) for number in _numbers(trial, "plates refused")]
+    found += [_rewired(number, reread) for number in _numbers(trial, "plates overloaded")]
+    return tuple(one for one in found if one is not None)
 
 
-def _found(
-    trial: Trial, kind: str, said: str, reread: Reread, ways: Callable[[int, Reread], list[Change]]
-) -> Iterator[Finding]:
-    for number in map(int, trial.parameters.get(kind, "").split()):
-        if changes := ways(number, reread):
-            yield Finding(f"plate {number} {said}", tuple(changes), without(number))
+def _numbers(trial: Trial, key: str) -> list[int]:
+    return [int(number) for number in trial.parameters.get(key, "").split()]
 
 
-def _cornered(number: int, reread: Reread) -> list[Change]:
-    """Return the changes of its corners under which a plate carries a foot."""
-    return [change for change in corner_changes(number) if _carries(reread(change), number)]
+def _cornered(number: int, reread: Reread) -> Finding | None:
+    """Return what is wrong with a plate that carries a foot once its corners are changed."""
+    changes = tuple(change for change in corner_changes(number) if _carries(reread(change), number))
+    said = f"plate {number} is refused for its corners, yet somebody stands on it"
+    return Finding(said, changes, without(number)) if changes else None
 
 
-def _rewired(number: int, reread: Reread) -> list[Change]:
-    """Return the changes of its channels under which a plate that nobody could load so carries a foot best."""
+def _rewired(number: int, reread: Reread) -> Finding | None:
+    """Return what is wrong with an overloaded plate that carries a foot once its channels are changed, or
+    once nothing is said of it."""
     trial = reread(Change("", plates={number: PlateAs(gain=SMALLER)}))
     k = -1 if trial is None else _index(trial, number)
     if trial is None or trial.forces is None or k < 0:
-        return []
+        return None
     gain = torch.ones(len(trial.forces.plates), 1, dtype=trial.forces.wrench.dtype)
     gain[k] /= SMALLER
     scene = scene_of(replace(trial, forces=replace(trial.forces, wrench=trial.forces.wrench * gain)))
-    return [] if scene is None else tried(scene, k, plate_changes(scene.forces.plates, k)).right
+    if scene is None:
+        return None
+    plate = tried(scene, k, plate_changes(scene.forces.plates, k))
+    right = () if plate.agrees(0) else tuple(plate.right)
+    said = f"plate {number} reads what nobody bears"
+    return Finding(said, right, without(number)) if right or plate.agrees(0) else None
 
 
 def _carries(trial: Trial | None, number: int) -> bool:

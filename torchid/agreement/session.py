@@ -79,7 +79,7 @@ def holds_everywhere(change: Change, trials: Mapping[str, tuple[Trial, Recording
     """Whether every trial agrees once the change is made in all of them."""
     for trial, recording in trials.values():
         other = recording.again(change)
-        if trial.forces is not None and (other is None or judge(other, recording.mass_kg)):
+        if trial.forces is not None and (other is None or judge(other, recording.mass_kg, recording.again)):
             return False
     return True
 

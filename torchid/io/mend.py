@@ -90,7 +90,14 @@ def _value(value: object) -> str:
 
 
 def number_of(plate: Plate, index: int) -> int:
-    """The number by which a config names a plate: the one in its name (``plate 2``), else its place in the file."""
+    """The number by which a config names a plate: the one in its name (``plate 2``), else its place in the file.
+
+    Args:
+        plate: the plate.
+        index: its place among the plates, for one that reading has not counted.
+    """
+    if plate.number is not None:
+        return plate.number
     match = re.fullmatch(r"plate (\d+)", plate.name)
     return int(match[1]) if match else index + 1
 
@@ -162,6 +169,8 @@ def mend(forces: Forces, file: ForcesAs, plates: PlatesAs, source: str = "") -> 
     """
     if not file.use or not forces.plates:
         return None
+    counted = tuple(replace(plate, number=number_of(plate, k)) for k, plate in enumerate(forces.plates))
+    forces = replace(forces, plates=counted)
     index = {number_of(plate, k): k for k, plate in enumerate(forces.plates)}
     _refuse_unknown(plates, index, source)
     if file == ForcesAs() and not plates:

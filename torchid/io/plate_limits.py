@@ -31,7 +31,7 @@ SAMPLES = 20_000
 """Of a long recording so many show where pressure lies."""
 
 
-def within_limits(forces: Forces, source: str) -> tuple[Forces | None, list[Note]]:
+def within_limits(forces: Forces, source: str) -> tuple[Forces | None, list[Note], list[int]]:
     """Forces without plates whose forces nobody bears, and a note for each that cannot be what was measured.
 
     Single samples beyond become NaN in place. Loads that no contact gives are said and left: a change of their unit or
@@ -40,14 +40,18 @@ def within_limits(forces: Forces, source: str) -> tuple[Forces | None, list[Note
     Args:
         forces: in W, as the user says that they are.
         source: the file, for the notes.
+
+    Returns:
+        Forces, None where no plate is left; notes; and the numbers of the plates that are left out.
     """
-    kept, notes = [], []
+    kept, notes, left_out = [], [], []
     for k, plate in enumerate(forces.plates):
         beyond = _beyond(forces.wrench[:, k])
         if beyond.mean() > MANY:
             text = f"{plate.name} reads what nobody bears, over {LIMITS}, in {beyond.mean():.0%} of its samples: left"
             remedy = f"out; if its scale is known, give plates: {{{number_of(plate, k)}: {{gain: ...}}}}"
             notes.append(Note("plates.force", f"{text} {remedy}", source))
+            left_out.append(number_of(plate, k))
             continue
         kept.append(k)
         if beyond.any():
@@ -56,9 +60,9 @@ def within_limits(forces: Forces, source: str) -> tuple[Forces | None, list[Note
             notes.append(Note("plates.force", text, source))
         notes += _impossible_load(forces.wrench[:, k], plate, source)
     if len(kept) == len(forces.plates):
-        return forces, notes
+        return forces, notes, left_out
     left = replace(forces, wrench=forces.wrench[:, kept], plates=tuple(forces.plates[k] for k in kept))
-    return left if kept else None, notes
+    return left if kept else None, notes, left_out
 
 
 def _beyond(wrench: Float[Tensor, "samples 6"]) -> Bool[np.ndarray, " samples"]:

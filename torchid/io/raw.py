@@ -11,7 +11,7 @@ from torchid.errors import InputError, Note
 from torchid.io.computed import left_out_as_computed
 from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
 from torchid.io.frame_order import frames_out_of_order
-from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, number_of, turned_up
+from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
 from torchid.io.missing import held_samples, missing_samples
 from torchid.io.options import ReadOptions
 from torchid.io.plate_limits import within_limits
@@ -73,12 +73,12 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
         forces = _forces_in_world(turned_up(forces, options.forces_as, axis), axis)
     if forces is not None:
         forces = mend(forces, *_left_to_mend(options), raw.source)
-    as_read, (forces, doubted) = forces, _doubted(forces, raw)
+    forces, doubted, overloaded = _doubted(forces, raw)
     said = [*said, *turned, *_as_asked(options, raw.source)]
     notes = (*raw.notes, *missing, *left_out, *said, *odd, *doubted)
     parameters = {**dict(raw.parameters), "file": raw.source, "up": axis}
-    if overloaded := _left_out(as_read, forces):
-        parameters["plates overloaded"] = overloaded
+    if overloaded:
+        parameters["plates overloaded"] = " ".join(map(str, overloaded))
     return Trial(name, markers, forces, role, raw.events, notes, parameters, computed)
 
 
@@ -146,25 +146,19 @@ def _forces_in_world(forces: Forces, axis: str) -> Forces:
     return Forces(forces.time, turn_to_world(forces.wrench, axis), plates)
 
 
-def _left_out(as_read: Forces | None, forces: Forces | None) -> str:
-    """Numbers of the plates that doubts have left out."""
-    before, after = (() if one is None else one.plates for one in (as_read, forces))
-    kept = {plate.name for plate in after}
-    return " ".join(str(number_of(plate, k)) for k, plate in enumerate(before) if plate.name not in kept)
-
-
-def _doubted(forces: Forces | None, raw: RawTrial) -> tuple[Forces | None, list[Note]]:
-    """Forces without samples that leap away once (made NaN) and without plates that bear more than anybody can.
+def _doubted(forces: Forces | None, raw: RawTrial) -> tuple[Forces | None, list[Note], list[int]]:
+    """Forces without samples that leap away once (made NaN) and without plates that bear more than anybody can, whose
+    numbers come last.
 
     What is odd about them is said: loads, sign and unloaded reading of every plate, and overlap of the clocks.
     """
     if forces is None:
-        return None, []
+        return None, [], []
     mask, leaping = plate_spikes(forces, raw.source)
     forces.wrench[torch.from_numpy(mask)] = torch.nan
-    forces, said = within_limits(forces, raw.source)
+    forces, said, left_out = within_limits(forces, raw.source)
     told = [] if forces is None else [*_levels(forces, raw.source), *_overlap(forces, raw)]
-    return forces, [*leaping, *said, *told]
+    return forces, [*leaping, *said, *told], left_out
 
 
 def _levels(forces: Forces, source: str) -> list[Note]:

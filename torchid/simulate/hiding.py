@@ -93,19 +93,24 @@ def _plate(rng: Generator) -> tuple[str]:
 def judge(truth: Sequence[Mapping[str, Any]], causes: Sequence[Mapping[str, Any]]) -> tuple[bool, list[str]]:
     """Whether the first named cause, or one that it says it cannot be told from, is what was hidden; and the sizes.
 
-    What every living body has some of, such as skin that moves, is no answer to what was hidden: it is there besides.
+    What every living body has some of, such as skin that moves, is no answer to what was hidden, unless it says that it
+    cannot be told from it: it is there besides.
 
     Args:
         truth: of ``truth/subject.json``, ``options.effects``.
         causes: of ``diagnosis.json``, those that are believed.
     """
-    causes = [cause for cause in causes if not effect(cause["effect"]).bodily]
+    hidden = truth[0] if truth else None
+    causes = [cause for cause in causes if not effect(cause["effect"]).bodily or _says(hidden, cause)]
     if not truth or not causes:
         return not truth and not causes, []
-    planted, first = truth[0], causes[0]
-    right = any(_same(planted, one) for one in (first, *first["indistinguishable"]))
+    planted, right = truth[0], _says(hidden, causes[0])
     named = next((cause for cause in causes if _same(planted, cause)), None)
     return right, [] if named is None else _sizes(planted["parameters"], named["parameters"])
+
+
+def _says(planted: Mapping[str, Any] | None, cause: Mapping[str, Any]) -> bool:
+    return planted is not None and any(_same(planted, one) for one in (cause, *cause["indistinguishable"]))
 
 
 def _same(planted: Mapping[str, Any], named: Mapping[str, Any]) -> bool:

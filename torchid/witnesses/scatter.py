@@ -26,8 +26,8 @@ RECORD_PART = 0.01
 SCATTER = {
     "mass": Scatter(0.004, 0.0),  # what is alike is the record's
     "gain": Scatter(0.008, 0.0),
-    "clock_vertical": Scatter(0.002, *reversed(USUAL_LAG_S["vertical"])),  # [s]
-    "clock_horizontal": Scatter(0.003, *reversed(USUAL_LAG_S["horizontal"])),  # [s]
+    "clock_vertical": Scatter(0.002, USUAL_LAG_S["vertical"], USUAL_LAG_S["vertical"]),  # [s]
+    "clock_horizontal": Scatter(0.003, USUAL_LAG_S["horizontal"], USUAL_LAG_S["horizontal"]),  # [s]
     "lean_x": Scatter(0.005, 0.003), "lean_y": Scatter(0.005, 0.003),
     "zero_fx": Scatter(1.5, 0.0), "zero_fy": Scatter(1.5, 0.0), "zero_fz": Scatter(1.5, 0.0),  # [N]
     "zero_mx": Scatter(0.5, 0.0), "zero_my": Scatter(0.5, 0.0), "zero_mz": Scatter(0.5, 0.0),  # [N m]

@@ -281,7 +281,10 @@ def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> 
         limit: number of effects at most of each kind.
     """
     kinds = [kind_of(c.effect) for c in chosen]
-    return [c for c in design.candidates if c not in chosen and kinds.count(kind_of(c.effect)) < limit]
+    late = {c.place.where for c in chosen if c.effect.shifts_time}
+    left = [c for c in design.candidates if c not in chosen and kinds.count(kind_of(c.effect)) < limit]
+    # Of two lags of one thing only the sum shows; taken at two lags, their difference would sharpen what plates read.
+    return [c for c in left if not (c.effect.shifts_time and c.place.where in late)]
 
 
 def kind_of(effect: Effect) -> tuple[bool, ...]:
