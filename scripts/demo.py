@@ -63,7 +63,7 @@ def verdict(outcome: Outcome) -> list[str]:
     believed = [cause for cause in causes if cause.confidence > DOUBT]
     lines = [_named("Verdict", cause) for cause in believed]
     lines = lines or ["Verdict: no effect of the catalogue is supported by the recordings."]
-    lines += [_named("Possible", cause) for cause in causes if cause not in believed]
+    lines += [_named("Possible", cause) for cause in causes if cause.confidence <= DOUBT]
     if found is not None and found.unexplained.significant:
         lines.append(f"Something else remains: {found.unexplained.description}.")
     return lines
