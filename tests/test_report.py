@@ -354,6 +354,9 @@ def test_the_page_begins_with_what_is_named_and_how_sure_that_is():
 
     two = said(causes, loud)
     assert two.startswith(told(causes[0])) and "more likely than not (55 %)" in two and "1 more cause" in two
+    twin = replace(causes[0], indistinguishable=(Twin("body_lag", ("session",), 0.3),))
+    alone = replace(causes[0], indistinguishable=())
+    assert "it may as well be" in said((twin,), quiet) and "may as well" not in said((alone,), quiet)
     assert "More remains" in two and "More remains" not in said(causes, quiet)
     assert said((), quiet).startswith("Nothing") and "more cause" not in said(causes[:1], quiet)
 

@@ -10,6 +10,7 @@ from torchid.outcome.tables import largest
 from torchid.report.blocks import Block, Items, Paragraph, Section, Table
 from torchid.report.cause_sentences import likely, told
 from torchid.report.data_handling import grouped
+from torchid.report.effect_words import called
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
 from torchid.wording import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
 
@@ -59,7 +60,9 @@ def _named(found: Diagnosis | None) -> list[Block]:
     sure = [cause for cause in found.causes if cause.confidence > DOUBT]
     others = len(found.causes) - bool(sure)
     if sure:
-        said = [told(sure[0]), f"That is {likely(sure[0])}."]
+        twins = " or ".join(map(called, sure[0].indistinguishable))
+        apart = f"; it may as well be {twins}, which the recordings do not tell apart" if twins else ""
+        said = [told(sure[0]), f"That is {likely(sure[0])}{apart}."]
     elif found.causes or found.refuted:
         said = ["Nothing that the catalogue knows is shown to be wrong with the recordings."]
     else:
