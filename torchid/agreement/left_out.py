@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-import torch
-
 from torchid.agreement.changes import Change, corner_changes, plate_changes
 from torchid.agreement.evidence import carries_foot
 from torchid.agreement.finding import Finding, without
@@ -42,13 +40,13 @@ def _cornered(number: int, reread: Reread) -> Finding | None:
 
 
 def _rewired(number: int, reread: Reread) -> Finding | None:
-    """Return what is wrong with an overloaded plate that carries a foot once its channels are changed, or
-    once nothing is said of it."""
+    """Return what is wrong with an overloaded plate that carries a foot once its channels are changed, or once nothing is
+    said of it."""
     trial = reread(Change("", plates={number: PlateAs(gain=SMALLER)}))
     k = -1 if trial is None else _index(trial, number)
     if trial is None or trial.forces is None or k < 0:
         return None
-    gain = torch.ones(len(trial.forces.plates), 1, dtype=trial.forces.wrench.dtype)
+    gain = trial.forces.wrench.new_ones(len(trial.forces.plates), 1)
     gain[k] /= SMALLER
     scene = scene_of(replace(trial, forces=replace(trial.forces, wrench=trial.forces.wrench * gain)))
     if scene is None:
