@@ -40,8 +40,8 @@ def _cornered(number: int, reread: Reread) -> Finding | None:
 
 
 def _rewired(number: int, reread: Reread) -> Finding | None:
-    """Return what is wrong with an overloaded plate that carries a foot once its channels are changed, or once nothing is
-    said of it."""
+    """Return what is wrong with an overloaded plate that carries a foot once its channels are changed, or once the
+    config says nothing of it."""
     trial = reread(Change("", plates={number: PlateAs(gain=SMALLER)}))
     k = -1 if trial is None else _index(trial, number)
     if trial is None or trial.forces is None or k < 0:
