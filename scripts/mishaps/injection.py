@@ -11,6 +11,8 @@ from torchid import files
 
 NAMED = ("open", "replace", "mkdir", "unlink")
 """Functions of ``os`` whose first argument is the path."""
+IDLE = {"mkdir": True, "unlink": False}
+"""Those that write nothing, and are not counted, where the path is there already (or is not)."""
 
 
 class Calls:
@@ -39,7 +41,7 @@ class Calls:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
         for name in NAMED:
-            setattr(os, name, _watched(getattr(os, name), next_call))
+            setattr(os, name, _watched(getattr(os, name), next_call, IDLE.get(name)))
         os.fsync = _watched(os.fsync, lambda descriptor: next_call(_path_of(descriptor)))
         real_init, real_write = files.NewFile.__init__, files.NewFile.write
 
@@ -54,9 +56,12 @@ class Calls:
         files.NewFile.__init__, files.NewFile.write = init, write  # type: ignore[method-assign]
 
 
-def _watched(real: Callable[..., Any], before: Callable[[Any], None]) -> Callable[..., Any]:
+def _watched(
+    real: Callable[..., Any], before: Callable[[Any], None], idle_if_there: bool | None = None
+) -> Callable[..., Any]:
     def call(first: Any, *args: Any, **kwargs: Any) -> Any:
-        if "dir_fd" not in kwargs:  # relative to another folder: the sweeping of what nobody needs any more
+        aside = "dir_fd" in kwargs  # relative to another folder: the sweeping of what nobody needs any more
+        if not aside and (idle_if_there is None or os.path.lexists(first) != idle_if_there):
             before(first)
         return real(first, *args, **kwargs)
 
