@@ -162,9 +162,23 @@ def test_unknown_sex_is_between_the_tables_and_wider():
 
 
 @pytest.mark.parametrize(
-    ("mass", "mass_sd"), [(1.0, None), (70.0, 0.0), (70.0, -1.0), (70.0, 80.0), (float("nan"), None)]
+    ("mass", "mass_sd", "key"),
+    [
+        (1.0, None, "mass"),
+        (float("nan"), None, "mass"),
+        (70.0, 0.0, "mass_sd"),
+        (70.0, -1.0, "mass_sd"),
+        (70.0, 80.0, "mass_sd"),
+        (70.0, float("nan"), "mass_sd"),
+    ],
 )
-def test_impossible_masses_are_refused(mass, mass_sd):
-    """Masses and scatters that no person has raise a ConfigError."""
-    with pytest.raises(ConfigError):
+def test_impossible_masses_are_refused(mass, mass_sd, key):
+    """Masses and scatters that no person has raise a ConfigError that names the key and what it holds."""
+    with pytest.raises(ConfigError) as caught:
         body_mass(1.75, mass, mass_sd)
+    error = caught.value
+    assert (error.code, error.place) == {
+        "mass": ("subject.mass", "mass_kg"),
+        "mass_sd": ("subject.mass_sd", "mass_sd_kg"),
+    }[key]
+    assert error.found == f"{mass if key == 'mass' else mass_sd:g}" and error.remedy

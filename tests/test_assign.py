@@ -88,6 +88,17 @@ def test_bodies_without_markers_are_locked():
     assert [note.code for note in found.notes] == ["model.locked"] and "head" in found.notes[0].message
 
 
+def test_a_body_without_markers_between_marked_ones_keeps_its_joint_near_rest():
+    """Without markers on a shank its knee still moves, held to a firm prior about rest, and the result says so."""
+    subject = session().subject
+    kept = tuple(x for x, s in zip(subject.labels, subject.segments, strict=True) if s != "shank_l")
+    found = assign_markers(template(), marker_set(), tuple(cut(trial, kept) for trial in trials()))
+    assert found.model.tree.dof_names == template().tree.dof_names
+    held = [new.name for new, old in zip(found.model.tree.dofs, template().tree.dofs, strict=True) if new.sd != old.sd]
+    assert held and all("knee_l" in name for name in held)
+    assert [note.code for note in found.notes] == ["model.between"] and "shank_l" in found.notes[0].message
+
+
 def test_a_pelvis_without_markers_is_refused():
     """Without the root's markers there is an error that names what was found and what to do."""
     subject = session().subject

@@ -108,6 +108,17 @@ def test_hostile_documents_are_refused_with_a_code(write, text, code):
     assert caught.value.source
 
 
+@pytest.mark.parametrize("name", [f"{'x' * 300}.yaml", "/proc/self/mem"])
+def test_a_config_that_the_system_does_not_hand_over_is_refused(name):
+    """A name longer than a file may have, or a file that cannot be read, is told with the system's own words."""
+    if name.startswith("/proc") and not Path(name).exists():
+        pytest.skip("no such file on this system")
+    with pytest.raises(ConfigError) as caught:
+        load_config(Path(name))
+    error = caught.value
+    assert error.code == "config.unreadable" and error.source == name and "Errno" in error.found and error.remedy
+
+
 def test_more_than_anybody_writes_is_refused_in_bounded_time(write):
     """Ten thousand keys of YAML are too many, and of thousands of wrong keys in JSON the first are explained."""
     many = "\n".join(f"k{k}: {k}" for k in range(6000))

@@ -7,6 +7,11 @@ from torchid.contact.balance import Weight, falls_short
 from torchid.contact.contact import find_contact
 from torchid.contact.options import ContactOptions
 from torchid.conventions import GRAVITY
+from torchid.experiment.run import _contact_notes
+from torchid.filters import Smoother
+from torchid.geometry.tracking import Tracked
+from torchid.motion import Motion
+from torchid.outcome import Followed
 from torchid.recording import Forces, Plate
 
 FRAMES, RATE = 100, 100.0
@@ -142,6 +147,27 @@ def test_a_lack_of_weight_takes_frames_out():
     short[30:50] = True
     found = find_contact(BOTH, Forces(TIME, LOADED, two_plates()), ALL, RATE, 0.0, short=short)
     assert bool((found.used == ~short).all()) and found.excluded == 0 and found.short == 20
+
+
+def test_frames_that_contact_takes_out_are_told_with_their_number():
+    """By trial and by reason; a trial whose feet are all on plates, or that has none, says nothing."""
+    short = torch.zeros(FRAMES, dtype=torch.bool)
+    short[30:50] = True
+    feet = {"foot_l": foot(0.0, 0.15), "foot_r": foot(1.2, -0.15, slice(0, 60))}
+    forces = Forces(TIME, LOADED, two_plates())
+    contacts = {
+        "sound": judge(BOTH, LOADED, two_plates()),
+        "none": None,
+        "beside": find_contact(feet, forces, ALL, RATE, 0.0),
+        "short": find_contact(BOTH, forces, ALL, RATE, 0.0, short=short),
+    }
+    row = torch.zeros(FRAMES, 6, dtype=torch.float64)
+    tracked, motion = Tracked(TIME, row, row, ALL), Motion(TIME, row, row, row, Smoother(10.0, RATE))
+    notes = _contact_notes({name: Followed(name, tracked, motion, contact) for name, contact in contacts.items()})
+    assert [(note.code, note.source) for note in notes] == [("contact.beside", "beside"), ("contact.short", "short")]
+    beside = contacts["beside"]
+    assert beside is not None and 0 < beside.excluded < FRAMES
+    assert notes[0].message.startswith(f"{beside.excluded} of {FRAMES} frames") and notes[1].message.startswith("20 ")
 
 
 def test_a_foot_over_an_edge_counts_while_the_weight_is_there():

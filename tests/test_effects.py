@@ -521,10 +521,33 @@ def test_intervals_bound_an_effect():
 
 def test_unknown_effects_and_missing_parameters_are_refused():
     """The message names the effect, what it needs and what it got."""
-    with pytest.raises(ConfigError, match="plate_gain"):
+    with pytest.raises(ConfigError, match=r"plate_gain.*effect\.unknown") as caught:
         effect("plate_gian")
-    with pytest.raises(ConfigError, match="needs mass_kg with 1 value"):
-        planted(PlantedOptions("grasped_object", ("hand_r",), None, {"point_seg_m": [0.0, 0.0, 0.0]}))
+    assert caught.value.place == "plate_gian"
+    cases: tuple[tuple[dict[str, float | list], str], ...] = (
+        ({}, "no parameters"),
+        ({"point_seg_m": [0.0, 0.0, 0.0]}, "point_seg_m"),
+    )
+    for given, said in cases:
+        with pytest.raises(ConfigError, match=r"needs mass_kg with 1 value.*effect\.parameters") as caught:
+            planted(PlantedOptions("grasped_object", ("hand_r",), None, given))
+        assert (caught.value.place, caught.value.found) == ("grasped_object", said) and caught.value.remedy
+
+
+@pytest.mark.parametrize("name", ["joint_centre_shift", "missing_dof"])
+def test_a_joint_that_the_model_lacks_is_refused(subject, name):
+    """Where an effect is at a joint, a segment or a misspelt name is none; the message lists those there are."""
+    tree, time = subject.model.tree, torch.arange(0.0, 0.5, 0.01, dtype=torch.float64)
+    q = torch.zeros(len(time), len(tree.dofs), dtype=torch.float64)
+    scene = make_scene(
+        "squats", tree, subject.geometry, smooth_motion(tree, time, q, Smoother(10.0, 100.0)), subject.phi
+    )
+    own = planted(options(name))
+    own.effect.move(scene, own.place, own.theta)
+    for joint in ("thorax", "knee"):
+        with pytest.raises(ConfigError, match=r"effect\.joint") as caught:
+            own.effect.move(scene, dataclasses.replace(own.place, where=(joint,)), own.theta)
+        assert caught.value.place == joint and "knee_r" in caught.value.remedy
 
 
 def bodies_of(subject, scene):

@@ -225,8 +225,10 @@ def test_centre_of_mass_stays_in_its_box(seed: int, kind: str) -> None:
     fit = fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), options, com_box=box)
     np.testing.assert_allclose(float(fit.com[2, 0]), float(box[2, 1, 0]), atol=1e-6)
     assert fit.certificate.optimality.dual < 1e-6
-    with pytest.raises(ConfigError, match="box"):
-        fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), options, com_box=box.flip(1))
+    for bad in (box.flip(1), box[:3]):
+        with pytest.raises(ConfigError, match=r"inertia\.com_box") as caught:
+            fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), options, com_box=bad)
+        assert caught.value.found == str(tuple(bad.shape)) and "(4, 2, 3)" in caught.value.remedy
 
 
 def judged(Y: Tensor, F: Tensor, given: InertialPrior) -> InertiaFit:
@@ -238,10 +240,12 @@ def test_pathological_data_are_named(seed: int) -> None:
     """Empty, sign-flipped, mis-scaled and unrelated wrenches get their status, and an error by default."""
     Y, F, given, _ = problem(seed)
     conflict, accepted = InertiaStatus.PRIOR_CONFLICT, InertiaStatus.ACCEPTED
-    assert judged(Y, F, given).status is accepted
+    sound = judged(Y, F, given)
+    assert sound.status is accepted and "inertia.mass_conflict" not in {note.code for note in sound.notes}
     assert judged(0 * Y, 0 * F, given).status is InertiaStatus.NO_INFORMATION
     for wrench in (-F, 1e-6 * F, 0 * F, 9.81 * F):
-        assert judged(Y, wrench, given).status is conflict
+        found = judged(Y, wrench, given)
+        assert found.status is conflict and "inertia.mass_conflict" in {note.code for note in found.notes}
         with pytest.raises(DataError, match="prior_conflict"):
             fit_inertia(NormalEquations.from_rows(Y, wrench), given, names(4))
     mixed = F.reshape(-1, 6)[:, [1, 2, 0, 4, 5, 3]].flatten()
@@ -293,10 +297,13 @@ def test_impossible_priors_and_masses_are_config_errors(seed: int) -> None:
     ghost[0, 0] = -1
     singular = given.covariance.clone()
     singular[0], singular[:, 0] = 0, 0
-    for bad in (InertialPrior(ghost, given.covariance), InertialPrior(given.mean, singular)):
-        with pytest.raises(ConfigError, match="prior"):
-            fit_inertia(equations, bad, names(4))
-    with pytest.raises(ConfigError, match="shape"):
-        fit_inertia(equations, given, names(3))
-    with pytest.raises(ConfigError, match="mass"):
-        fit_inertia(equations, given, names(4), mass=(70.0, 0.0))
+    cases = [
+        ("prior.not_physical", InertialPrior(ghost, given.covariance), 4, None, ""),
+        ("prior.covariance", InertialPrior(given.mean, singular), 4, None, ""),
+        ("inertia.shape", given, 3, None, "40 of 30"),
+        *(("inertia.mass", given, 4, mass, str(mass)) for mass in ((70.0, 0.0), (-70.0, 1.0), (70.0, float("inf")))),
+    ]
+    for code, bad, count, mass, found in cases:
+        with pytest.raises(ConfigError) as caught:
+            fit_inertia(equations, bad, names(count), mass=mass)
+        assert caught.value.code == code and found in caught.value.found and caught.value.remedy

@@ -335,6 +335,7 @@ def option_cases() -> dict[str, tuple[dict[str, Any], str, str]]:
         "sign": ({"data": (p.Y, -p.F)}, "rows.prior_conflict", "negative total mass"),
         "too little": ({"data": (p.Y, 0.3 * p.F), "weight": 1e9}, "rows.unexplained", "-[0-9]+ % of F' F"),
         "mass": ({"limits": Limits(total_mass=-70.0)}, "rows.total_mass", "-70"),
+        "below the floor": ({"limits": Limits(total_mass=1e-6)}, "inertia.solver", "PrimalInfeasible"),
         "mass sd": ({"limits": Limits(total_mass=(70.0, 0.0))}, "rows.total_mass", "70.0, 0.0"),
         "box": ({"limits": Limits(com_box=box[:, ::-1])}, "rows.com_box", "body_0"),
         "box shape": ({"limits": Limits(com_box=box[:2])}, "rows.shape", r"\(2, 2, 3\)"),
@@ -379,6 +380,15 @@ def test_a_solver_that_lies_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("torchid.inertia.cone.project", dishonest)
     refused("rows.not_optimal", "residuals")
     assert small_fit(refuse=False).status is InertiaStatus.NOT_OPTIMAL
+
+
+def test_rows_beyond_what_rounding_carries_are_not_called_fitted() -> None:
+    """A weight that drowns the prior leaves the solver short of its tolerance, and that is told."""
+    fit = small_fit(weight=1e13, limits=one_tight(), refuse=False)
+    assert fit.status is InertiaStatus.NOT_OPTIMAL
+    (said,) = [note.message for note in fit.notes if note.code == "inertia.solver_retry"]
+    assert "3 settings" in said and "AlmostSolved" in said
+    refused("rows.not_optimal", "residuals", weight=1e13, limits=one_tight())
 
 
 def one_tight() -> Limits:

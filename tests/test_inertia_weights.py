@@ -87,5 +87,17 @@ def test_cross_validation_trusts_a_right_prior_more_than_a_wrong_one(seed: int) 
         chosen = [fit_inertia(total, given, names(3), options, trials=trials).omega_2 for given in (right, wrong)]
         ratio.append(chosen[0] / chosen[1])
     assert float(np.exp(np.mean(np.log(ratio)))) > 5
-    with pytest.raises(ConfigError, match="two fit trials"):
+    with pytest.raises(ConfigError, match=r"two fit trials.*found: 1\).*inertia\.cross_validation"):
         fit_inertia(total, right, names(3), options, trials=trials[:1])
+
+
+@pytest.mark.parametrize(("scale", "end"), [(1.0001, 1e2), (3.0, 1e-2)])
+def test_a_weight_at_an_end_of_its_range_is_said(seed: int, scale: float, end: float) -> None:
+    """Data of the prior's own mean ask for any weight, data far off for none: the range decides, and is named."""
+    given, Y = prior(bodies(3), 0.1), chain_rows(3, 30, seed)
+    equations = NormalEquations.from_rows(Y, scale * Y @ given.mean.flatten())
+    options = InertiaOptions(noise="known", prior_weight_range=(1e-2, 1e2), refuse=False, base_parameters=False)
+    fit = fit_inertia(equations, given, names(3), options)
+    np.testing.assert_allclose(fit.omega_2, end, rtol=1e-3)
+    (said,) = [note.message for note in fit.notes if note.code == "inertia.prior_weight_at_bound"]
+    assert f"{end:.3g} lies at an end" in said and "(0.01, 100.0)" in said

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from torchid.errors import InputError, TorchidError
 from torchid.io.c3d import read_c3d
+from torchid.io.mend import ForcesAs, PlateAs
 from torchid.io.options import ReadOptions
 
 FRAMES = 20
@@ -106,10 +107,13 @@ def test_missing_in_all_disguises_is_nan(tmp_path: Path) -> None:
     built.points[3, 1] = 0.0
     built.points[4, 2] = 9999999.0
     built.points[5, 3] = -16512.0
-    position = read_c3d(built.save(tmp_path / "a.c3d")).markers.position
+    built.points[:, 6] = np.nan
+    trial = read_c3d(built.save(tmp_path / "a.c3d"))
+    position, never = trial.markers.position[:, :6], trial.markers.position[:, 6]
     missing = np.argwhere(position.isnan().any(dim=-1).numpy())
     assert_array_equal(missing, [[2, 0], [3, 1], [4, 2], [5, 3]])
-    assert {"markers.zeros", "markers.codes"} <= codes(read_c3d(tmp_path / "a.c3d"))
+    assert {"markers.zeros", "markers.codes"} <= codes(trial) and never.isnan().all()
+    assert [note.message[:2] for note in trial.notes if note.code == "markers.never_seen"] == ["1 "]
 
 
 def test_first_frame_and_events_share_a_clock(tmp_path: Path) -> None:
@@ -235,8 +239,57 @@ def test_analog_rate_missing_or_contradicting(tmp_path: Path) -> None:
 
 def test_rotations_are_refused_by_name(tmp_path: Path) -> None:
     """Rotation data are not markers."""
-    with pytest.raises(InputError, match=r"ROTATION"):
+    with pytest.raises(InputError, match=r"ROTATION:USED.*3 rotations.*c3d\.rotations"):
         read_c3d(with_parameters(ROTATION={"USED": np.array([3])}).save(tmp_path / "a.c3d"))
+
+
+@pytest.mark.parametrize(("rate", "found"), [(0.0, "0"), (-100.0, "-100"), (np.nan, ""), (1e7, "1e+07")])
+def test_a_rate_that_neither_header_nor_parameter_knows_is_refused(tmp_path: Path, rate: float, found: str) -> None:
+    """Without a possible camera rate in either place nothing can be differentiated."""
+    with pytest.raises(InputError, match=r"c3d\.rate") as caught:
+        read_c3d(small(rate=rate).save(tmp_path / "a.c3d"))
+    assert caught.value.place == "POINT:RATE" and found in caught.value.found and caught.value.remedy
+
+
+@pytest.mark.parametrize("block", [0, 1])
+def test_data_that_begin_nowhere_are_refused(tmp_path: Path, block: int) -> None:
+    """Without POINT:DATA_START, and with a header whose word 9 names no block behind it, the data cannot be found."""
+    data = bytearray(with_parameters(POINT={"DATA_START": None}).build())
+    data[16:18] = struct.pack("<H", block)
+    path = tmp_path / "a.c3d"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"c3d\.data_start") as caught:
+        read_c3d(path)
+    assert (caught.value.place, caught.value.found) == ("header word 9", str(block)) and caught.value.remedy
+
+
+def test_frames_that_count_from_zero_begin_at_zero_seconds(tmp_path: Path) -> None:
+    """Time does not start one frame before the recording, and that is said."""
+    trial = read_c3d(small(first_frame=0).save(tmp_path / "a.c3d"))
+    assert_allclose(trial.markers.time, np.arange(FRAMES) / 100.0)
+    assert "c3d.first_frame" in codes(trial)
+
+
+def test_a_sample_of_a_plate_that_is_no_number_is_a_gap(tmp_path: Path) -> None:
+    """Its wrench is NaN, the others stay, and it is said how many there are."""
+    built = small()
+    built.analogs[5, 2] = np.nan
+    trial = read_c3d(built.save(tmp_path / "a.c3d"))
+    assert trial.forces is not None
+    assert_array_equal(np.flatnonzero(trial.forces.wrench.isnan().any(dim=-1)), [5])
+    assert [note.message[:2] for note in trial.notes if note.code == "plates.invalid"] == ["1 "]
+
+
+def test_a_plate_is_read_as_asked_or_named_where_it_is_not_there(tmp_path: Path) -> None:
+    """What the user says of forces and plates is repeated; a number that no plate has is refused with those known."""
+    path = small().save(tmp_path / "a.c3d")
+    asked = ReadOptions(forces_as=ForcesAs(turn_deg=90), plates={1: PlateAs(gain=2.0)})
+    said = {note.code: note.message for note in read_c3d(path, options=asked).notes}
+    assert "{turn_deg: 90}" in said["forces.as_asked"] and "plate 1" in said["plates.as_asked"]
+    for plates in ({3: PlateAs(gain=2.0)}, {1: PlateAs(reads=3)}):
+        with pytest.raises(InputError, match=r"plates\.number") as caught:
+            read_c3d(path, options=ReadOptions(plates=plates))
+        assert caught.value.found == "3" and caught.value.remedy == "Known: 1"
 
 
 def test_markers_only_and_plates_only_files_are_readable(tmp_path: Path) -> None:
@@ -270,10 +323,11 @@ def test_a_lying_dimension_does_not_allocate(tmp_path: Path) -> None:
         ({"TIMES": np.array([[0.0], [0.05]])}, "events.count"),
         ({"USED": np.array([3])}, "events.count"),
         ({"TIMES": np.array([[0.0, 0.0], [0.05, np.nan]])}, "events.invalid"),
+        ({"TIMES": np.array([[0.0, 0.0], [0.05, 9.0]])}, "events.outside"),
     ],
 )
 def test_events_that_are_miscounted_are_said(tmp_path: Path, change: dict, said: str | None) -> None:
-    """Labels, times and number of two events agree, or it is said; contexts may be absent."""
+    """Labels, times and number of two events agree and lie in the trial, or it is said; contexts may be absent."""
     event = {"USED": np.array([2]), "LABELS": ["Foot Strike", "Foot Off"], "CONTEXTS": ["Left", "Right"],
              "TIMES": np.array([[0.0, 0.0], [0.05, 0.1]])}  # fmt: skip
     found = codes(read_c3d(with_parameters(EVENT=event | change).save(tmp_path / "a.c3d")))

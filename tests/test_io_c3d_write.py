@@ -75,20 +75,23 @@ def test_markers_alone(tmp_path: Path) -> None:
     assert read_c3d(tmp_path / "a.c3d").forces is None
 
 
-def test_forces_that_do_not_fit_are_refused(tmp_path: Path) -> None:
-    """Too few samples, another start, NaN and plates without corners are refused, and nothing is left behind."""
+def test_trials_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    """Too few samples, another start, NaN, plates without corners and half frames are refused; nothing is left."""
     trial = example()
     forces = trial.forces
     assert forces is not None
+    late = replace(trial.markers, time=trial.markers.time + 0.004)
     bad = [
-        replace(forces, time=forces.time[:-9], wrench=forces.wrench[:-9]),
-        replace(forces, time=forces.time + 0.05),
-        replace(forces, wrench=forces.wrench * torch.nan),
-        replace(forces, plates=(Plate("a"), Plate("b"))),
+        ("write.forces", "trial t", {"forces": replace(forces, time=forces.time[:-9], wrench=forces.wrench[:-9])}),
+        ("write.forces", "trial t", {"forces": replace(forces, time=forces.time + 0.05)}),
+        ("write.forces", "trial t", {"forces": replace(forces, wrench=forces.wrench * torch.nan)}),
+        ("write.corners", "b", {"forces": replace(forces, plates=(forces.plates[0], Plate("b")))}),
+        ("write.time", "", {"markers": late}),
     ]
-    for case in bad:
-        with pytest.raises(InputError, match=r"write\.(forces|corners)"):
-            write_c3d(tmp_path / "a.c3d", replace(trial, forces=case))
+    for code, place, change in bad:
+        with pytest.raises(InputError) as caught:
+            write_c3d(tmp_path / "a.c3d", replace(trial, **change))
+        assert (caught.value.code, caught.value.place) == (code, place) and caught.value.remedy
     assert not list(tmp_path.iterdir())
 
 

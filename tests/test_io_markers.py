@@ -42,8 +42,10 @@ def test_unlabelled_points_are_counted_out() -> None:
 
 
 def test_one_prefix_is_stripped_and_several_ask() -> None:
-    """One subject's prefix goes; of several, one must be chosen and the others are counted out."""
-    assert select_markers(["Sub:LASI", "Sub:RASI"], "x").labels == ("LASI", "RASI")
+    """One subject's prefix goes, which is said; of several, one must be chosen and the others are counted out."""
+    alone = select_markers(["Sub:LASI", "Sub:RASI"], "x")
+    assert alone.labels == ("LASI", "RASI")
+    assert [note.code for note in alone.notes] == ["markers.prefix"] and "Sub" in alone.notes[0].message
     several = ["A:LASI", "A:RASI", "B:LASI", "wand"]
     with pytest.raises(InputError, match=r"A \(2: LASI, RASI\), B \(1: LASI\).*subject: A \[markers\.subjects"):
         select_markers(several, "x")
@@ -133,6 +135,12 @@ def test_evidence_for_the_vertical_axis(force: int | None, stated: str, markers:
     measured = None if force is None else forces(force)
     axis, notes = vertical_axis(cloud(markers), measured, stated, "z", ReadOptions(), "x")
     assert axis == expected and notes[0].code == "axes.up"
+    against = [note.message for note in notes if note.code == "axes.markers"]
+    assert against == (
+        []
+        if "xyz"[markers] == expected
+        else [f"the marker cloud is tallest along {'XYZ'[markers]}, not {expected.upper()}"]
+    )
 
 
 def test_a_vertical_axis_that_nothing_shows_is_asked_for() -> None:

@@ -78,7 +78,8 @@ def test_synchronise_says_how_many_frames_have_forces() -> None:
     """A partial overlap is said, a full one is not, a trial without forces passes, none at all is refused."""
     partial = synchronise(trial(sampled(torch.ones_like, 1000.0, 1.0, 2.0)))
     assert partial.forces is not None and len(partial.forces.time) == 301
-    assert [note.message for note in partial.notes] == ["101 of 301 frames have forces; only they are used"]
+    (said,) = partial.notes
+    assert (said.code, said.message) == ("trial.frames", "101 of 301 frames have forces; only they are used")
     assert synchronise(trial(sampled(torch.ones_like, 1000.0))).notes == ()
     assert synchronise(trial(None)).forces is None
     with pytest.raises(InputError, match=r"trial\.no_overlap"):

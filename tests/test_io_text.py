@@ -9,6 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from torchid.errors import InputError, TorchidError
 from torchid.io import ReadOptions, read_trial
+from torchid.io.mend import PlateAs
+from torchid.io.resample import synchronise
 from torchid.io.storage import read_storage, write_storage
 from torchid.io.trc import read_trc, write_trc
 from torchid.recording import Markers
@@ -117,6 +119,8 @@ def test_spellings_of_missing(tmp_path: Path, spelling: str) -> None:
         (lambda lines: lines[:8] + [lines[9], lines[8]] + lines[10:], "time.order", "line 10, column time"),
         (lambda lines: [lines[k] for k in (*range(8), *range(8, 18, 3))], "time.irregular", "line "),
         (lambda lines: ["hello"] + lines[1:], "trc.signature", "line 1"),
+        (lambda lines: [*lines[:3], lines[3].replace("Frame#\t", ""), *lines[4:]], "trc.columns", "line 4"),
+        (lambda lines: [*lines[:3], "", *lines[3:]], "trc.columns", "line 4"),
         (lambda lines: lines[:6], "trc.empty", ""),
         (lambda lines: lines[:3], "trc.header", "line 3, the last"),
         (lambda lines: [lines[0], lines[1][:40], ""], "trc.header", "line 2, the last"),
@@ -128,7 +132,7 @@ def test_broken_trc_is_refused_with_its_place(tmp_path: Path, change, code: str,
     path = save(tmp_path / "a.trc", "\n".join(change(trc_text(cloud()).rstrip("\n").split("\n"))))
     with pytest.raises(InputError) as caught:
         read_trc(path)
-    assert caught.value.code == code
+    assert caught.value.code == code and caught.value.remedy
     assert place in caught.value.place
 
 
@@ -217,10 +221,13 @@ def test_units_from_header_data_or_user(tmp_path: Path) -> None:
     for units, factor in (("mm", 1e3), ("in", 1 / 0.0254), ("Meters", 1.0), ("", 1e3)):
         trial = read_trial("a", save(tmp_path / "b.trc", trc_text(position * factor, units)))
         assert_allclose(trial.markers.position, reference, atol=1e-6)
+        assert ("units.assumed" in codes(trial.notes)) == (not units)
     lying = save(tmp_path / "c.trc", trc_text(position, "mm"))
     with pytest.raises(InputError, match=r"units\.implausible"):
         read_trial("a", lying)
-    assert_allclose(read_trial("a", lying, options=ReadOptions(units="m")).markers.position, reference, atol=1e-7)
+    told = read_trial("a", lying, options=ReadOptions(units="m"))
+    assert_allclose(told.markers.position, reference, atol=1e-7)
+    assert "units.override" in codes(told.notes)
 
 
 def test_rounded_times_become_uniform(tmp_path: Path) -> None:
@@ -249,6 +256,16 @@ def test_trc_round_trip(tmp_path: Path, y_up: bool) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.trc"]
 
 
+def test_a_rate_that_the_times_contradict_is_said(tmp_path: Path) -> None:
+    """The time column stands above DataRate, and both are named."""
+    lines = trc_text(cloud()).split("\n")
+    lines[2] = lines[2].replace("100.0", "250.0", 1)
+    trc = read_trc(save(tmp_path / "a.trc", "\n".join(lines)))
+    assert_allclose(trc.time, np.arange(FRAMES) / 100.0)
+    (said,) = [note.message for note in trc.notes if note.code == "trc.rate"]
+    assert "250 Hz" in said and "100 Hz" in said
+
+
 def test_storage_round_trip_and_header_styles(tmp_path: Path) -> None:
     """MOT written by us, with SIMM keys, padded endheader and blank lines reads back exactly."""
     values = np.random.default_rng(1).normal(size=(9, 3))
@@ -261,6 +278,33 @@ def test_storage_round_trip_and_header_styles(tmp_path: Path) -> None:
     assert_array_equal(read_storage(save(tmp_path / "b.mot", text)).values, storage.values)
     unknown = read_storage(save(tmp_path / "c.mot", text.replace("inDegrees=yes", "note here")))
     assert unknown.in_degrees is None
+
+
+def test_a_header_that_counts_otherwise_is_said(tmp_path: Path) -> None:
+    """Rows and columns are those that are there; a header that states others is repeated beside them."""
+    text = mot_text(["a", "b"], np.zeros((9, 2)), header="nRows=7\nnColumns=4")
+    storage = read_storage(save(tmp_path / "a.mot", text))
+    assert storage.values.shape == (9, 2)
+    said = [note.message for note in storage.notes if note.code == "storage.counts"]
+    assert len(said) == 2 and "is 7" in said[0] and "holds 9" in said[0] and "is 4" in said[1] and "holds 3" in said[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "found"),
+    [
+        (lambda text: text.replace("endheader", ""), "header", "forces"),
+        (lambda text: text.split("endheader")[0] + "endheader\n", "header", "forces"),
+        (lambda text: text.replace("time\ta", "frame\ta"), "line 5", "frame, a, b"),
+        (lambda text: "", "header", "''"),
+    ],
+)
+def test_what_is_no_storage_is_refused_with_its_place(tmp_path: Path, change, place: str, found: str) -> None:
+    """Without endheader, names of columns or a first column of times nothing is read."""
+    path = save(tmp_path / "a.sto", change(mot_text(["a", "b"], np.zeros((9, 2)))))
+    with pytest.raises(InputError) as caught:
+        read_storage(path)
+    assert caught.value.code == "storage.header" and caught.value.source == str(path) and caught.value.remedy
+    assert caught.value.place == place and found in caught.value.found
 
 
 def pair(folder: Path, values: np.ndarray, names: list[str] | None = None):
@@ -394,6 +438,35 @@ def test_forces_that_cannot_be_are_refused(tmp_path: Path, change, code: str, pl
     assert caught.value.code == code and place in caught.value.place
 
 
+def test_forces_that_leap_throughout_are_left_and_said(tmp_path: Path) -> None:
+    """Free moments of hundreds of N m to and fro are no single spikes: nothing is taken out, the columns are named."""
+    values = standing()
+    values[:, 7] = 300.0 * (-1.0) ** np.arange(FRAMES)
+    trial = pair(tmp_path, values)
+    assert trial.forces is not None
+    assert_allclose(trial.forces.wrench[:, 0], wrench_of(values), atol=1e-6)
+    (said,) = [note for note in trial.notes if note.code == "mot.leaping"]
+    assert "ground_force_1_my" in said.message and said.source.endswith("a.mot")
+
+
+def test_too_few_forces_for_a_clock_are_refused(tmp_path: Path) -> None:
+    """No row is refused where it is read, one where it would have to be put on the clock of the markers."""
+    with pytest.raises(InputError, match=r"a\.mot.*mot\.empty"):
+        pair(tmp_path, standing()[:0])
+    with pytest.raises(InputError, match=r"found: 1\).*forces\.short"):
+        synchronise(pair(tmp_path, standing()[:1]))
+
+
+def test_a_change_of_a_plate_that_needs_corners_is_refused_without(tmp_path: Path) -> None:
+    """A MOT has no corners in which an axis of the plate could be reversed; its gain needs none."""
+    pair(tmp_path, standing())
+    for change in (PlateAs(mirror="x"), PlateAs(exchange=("fx", "fy")), PlateAs(reads=1)):
+        with pytest.raises(InputError, match=r"plates\.corners") as caught:
+            read_trial("a", tmp_path / "a.trc", tmp_path / "a.mot", options=ReadOptions(plates={1: change}))
+        assert caught.value.place == "ground_force_1" and "forces_as" in caught.value.remedy
+    read_trial("a", tmp_path / "a.trc", tmp_path / "a.mot", options=ReadOptions(plates={1: PlateAs(gain=1.1)}))
+
+
 def test_missing_rows_of_forces_are_gaps(tmp_path: Path) -> None:
     """Rows taken out of a MOT leave NaN at their times."""
     lines = mot_text(force_columns(), standing()).split("\n")
@@ -463,12 +536,15 @@ def test_clocks_without_overlap_are_refused_and_partial_overlap_said(tmp_path: P
         read_trial("a", trc, save(tmp_path / "b.mot", moved))
 
 
-@pytest.mark.parametrize(("name", "forces"), [("a.csv", None), ("a.c3d", "b.txt")])
-def test_unknown_combinations_are_refused(tmp_path: Path, name: str, forces: str | None) -> None:
+@pytest.mark.parametrize(
+    ("name", "forces", "found"), [("a.csv", None, ".csv"), ("a", None, "no suffix"), ("a.c3d", "b.txt", ".txt")]
+)
+def test_unknown_combinations_are_refused(tmp_path: Path, name: str, forces: str | None, found: str) -> None:
     """Formats that carry no markers, or no forces, are refused with a remedy."""
     with pytest.raises(InputError) as caught:
         read_trial("a", tmp_path / name, forces)
-    assert caught.value.remedy
+    assert (caught.value.code, caught.value.found) == ("trial.format", found) and caught.value.remedy
+    assert caught.value.source == (forces or str(tmp_path / name))
 
 
 @pytest.mark.parametrize("suffix", [".trc", ".mot"])

@@ -7,7 +7,9 @@ import pytest
 from c3d_bytes import C3dBuilder, labels, standing
 from numpy.testing import assert_allclose
 
-from torchid.errors import InputError
+from torchid.config import load_config
+from torchid.errors import DataError, InputError
+from torchid.experiment.read import read_session
 from torchid.io import ReadOptions, read_trial
 
 FRAMES, RATE, FIRST = 60, 100.0, 251
@@ -83,3 +85,13 @@ def test_forces_tell_the_axis_that_the_c3d_does_not_show(tmp_path: Path) -> None
     assert_allclose(asked.markers.position[..., 2], points[..., 2] / 1000.0, atol=1e-6)
     assert asked.forces is not None
     assert_allclose(asked.forces.wrench[:, 0, 2], 700.0)
+
+
+def test_a_trial_too_short_for_accelerations_is_refused(tmp_path):
+    """Five frames may stand still; that they move is refused with the file and their number."""
+    (tmp_path / "static.c3d").write_bytes(C3dBuilder(standing(5), labels(8)).build())
+    text = "subject: {name: S, mass_kg: 70}\nmarkers: plug_in_gait\ntrials: [{name: a, file: static.c3d, role: fit}]\n"
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(DataError, match=r"static\.c3d.*found: 5 frames.*trial\.short") as caught:
+        read_session(load_config(tmp_path / "config.yaml"))
+    assert "static" in caught.value.remedy

@@ -123,26 +123,29 @@ def test_an_own_set_may_extend_a_built_in_one(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("code", "place", "text", "said"),
     [
-        ("A: thihg_l\n", "did you mean thigh_l"),
-        ("A: {segment: thigh_l, landmark: knee_latral_l}\n", "did you mean knee_lateral_l"),
-        ("A: {segment: thigh_l, landmrk: knee_lateral_l}\n", "an entry is a segment"),
-        ("A: {landmark: knee_lateral_l}\n", "an entry is a segment"),
-        ("A: [thigh_l]\n", "an entry is a segment"),
-        ("A: thigh_l\nA: thigh_r\n", "stands twice"),
-        ("ab: thigh_l\nA.B: thigh_r\n", "differ only in case"),
-        ("1.5: thigh_l\n", "in quotes"),
-        ("A: thigh_l\naliases: {B: [C]}\n", "alias of a label that the set lacks"),
-        ("A: thigh_l\naliases: {A: C}\n", "not a list"),
-        ("A: thigh_l\ncomputed: 3\n", "list of patterns"),
-        ("extends: plug_in_gate\n", "did you mean plug_in_gait"),
+        ("markers.segment", "A", "A: thihg_l\n", "did you mean thigh_l"),
+        ("markers.landmark", "A", "A: {segment: thigh_l, landmark: knee_latral_l}\n", "did you mean knee_lateral_l"),
+        ("markers.entry", "A", "A: {segment: thigh_l, landmrk: knee_lateral_l}\n", "an entry is a segment"),
+        ("markers.entry", "A", "A: {landmark: knee_lateral_l}\n", "an entry is a segment"),
+        ("markers.entry", "A", "A: [thigh_l]\n", "an entry is a segment"),
+        ("config.duplicate_key", "line 2, column 1", "A: thigh_l\nA: thigh_r\n", "stands twice"),
+        ("markers.ambiguous", "ab, A.B", "ab: thigh_l\nA.B: thigh_r\n", "differ only in case"),
+        ("config.key", "line 1, column 1", "1.5: thigh_l\n", "in quotes"),
+        ("markers.aliases", "aliases", "A: thigh_l\naliases: [B, C]\n", "aliases are label"),
+        ("markers.alias", "aliases.B", "A: thigh_l\naliases: {B: [C]}\n", "alias of a label that the set lacks"),
+        ("markers.alias", "aliases.A", "A: thigh_l\naliases: {A: C}\n", "not a list"),
+        ("markers.computed", "computed", "A: thigh_l\ncomputed: 3\n", "list of patterns"),
+        ("markers.extends", "extends", "extends: plug_in_gate\n", "did you mean plug_in_gait"),
     ],
 )
-def test_mistakes_in_a_set_are_named_with_the_remedy(tmp_path, text, said):
-    """Unknown names, wrong forms and contradictions raise a ConfigError that says which."""
-    with pytest.raises(ConfigError, match=said):
+def test_mistakes_in_a_set_are_named_with_the_remedy(tmp_path, code, place, text, said):
+    """Unknown names, wrong forms and contradictions raise a ConfigError that says which and where."""
+    with pytest.raises(ConfigError, match=said) as caught:
         load_marker_set(write(tmp_path, text))
+    assert (caught.value.code, caught.value.place) == (code, place)
+    assert caught.value.source.endswith("own.yaml") and caught.value.remedy
 
 
 BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -152,19 +155,29 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
 
 
 @pytest.mark.parametrize(
-    "text", ["A: [", "just text", "- A\n- B\n", "", "!!python/object/apply:os.getcwd []\n", BOMB, "A: " + 99 * "["]
+    ("code", "text"),
+    [
+        ("config.yaml", "A: ["),
+        ("markers.not_a_mapping", "just text"),
+        ("markers.not_a_mapping", "- A\n- B\n"),
+        ("markers.not_a_mapping", ""),
+        ("config.tag", "!!python/object/apply:os.getcwd []\n"),
+        ("config.too_large", BOMB),
+        ("config.too_deep", "A: " + 99 * "["),
+    ],
 )
-def test_files_that_are_no_sets_are_refused(tmp_path, text):
+def test_files_that_are_no_sets_are_refused(tmp_path, code, text):
     """Broken YAML, lists, text, empty files, tagged objects, alias bombs and towers are refused; nothing of it runs."""
     with pytest.raises(ConfigError) as caught:
         load_marker_set(write(tmp_path, text))
-    assert "own.yaml" in caught.value.source
+    assert caught.value.code == code and "own.yaml" in caught.value.source and caught.value.remedy
 
 
 def test_an_unknown_set_names_the_nearest():
     """A misspelt name of a built-in set is answered with the nearest; a missing file is named."""
-    with pytest.raises(ConfigError, match="did you mean hamner2013"):
+    with pytest.raises(ConfigError, match=r"did you mean hamner2013.*markers\.unknown_set") as caught:
         load_marker_set("hamner2031")
+    assert caught.value.source == "hamner2031"
     with pytest.raises(ConfigError, match="no such file"):
         load_marker_set("no/such/file.yaml")
 
@@ -182,12 +195,19 @@ def test_free_markers_are_wide_about_the_segment_and_landmarks_narrow():
 
 
 @pytest.mark.parametrize(
-    "spec", [MarkerSpec("tail"), MarkerSpec("shank_l", "knee_lateral_l"), MarkerSpec("shank_l", "knee_lateral")]
+    ("spec", "code", "said"),
+    [
+        (MarkerSpec("tail"), "markers.segment", ""),
+        (MarkerSpec("shank_l", "knee_lateral_l"), "markers.landmark", "knee_lateral_l; it lies on thigh_l"),
+        (MarkerSpec("shank_l", "knee_lateral"), "markers.landmark", "knee_lateral"),
+    ],
 )
-def test_places_that_the_model_lacks_are_refused(spec):
+def test_places_that_the_model_lacks_are_refused(spec, code, said):
     """A segment or landmark that is not in the model, or lies on another segment, raises a ConfigError."""
-    with pytest.raises(ConfigError):
+    with pytest.raises(ConfigError) as caught:
         marker_prior(whole_body(1.75, 70.0, "male"), [spec])
+    error = caught.value
+    assert (error.code, error.place, error.found) == (code, spec.segment, said) and error.remedy
 
 
 def test_landmark_names_are_those_of_the_template():

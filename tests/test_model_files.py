@@ -14,7 +14,9 @@ from torchid.conventions import Inertial
 from torchid.dynamics import inverse_dynamics
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.kinematics.chain import chain_points, chain_poses
+from torchid.model.assembly import Link, assemble
 from torchid.model.files import load_model
+from torchid.model.markup import MAX_BYTES
 from torchid.model.mechanics import axis_rotation, matrix_to_rpy, rpy_to_matrix
 from torchid.model.mjcf_words import WORDS
 from torchid.model.model import Geometry, Model
@@ -339,15 +341,18 @@ def _urdf(*parts: str, a: str = LINK, b: str = LINK) -> str:
         ("xml.root", "<sdf/>"),
         ("xml.doctype", '<!DOCTYPE robot [<!ENTITY a "b">]><robot name="&a;"/>'),
         ("xml.doctype", '<!DOCTYPE robot SYSTEM "http://localhost/x.dtd"><robot/>'),
+        ("urdf.name", '<robot name="r"><link/></robot>'),
         ("urdf.xacro", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro/></robot>'),
         ("model.root", "<robot/>"),
         ("model.root", _urdf()),
+        ("model.name_twice", _urdf('<link name="a"/>')),
         ("model.loop", _urdf(JOINT.format("revolute", ""), JOINT.format("fixed", ""))),
         ("urdf.mimic", _urdf(JOINT.format("revolute", '<mimic joint="x"/>'))),
         ("urdf.joint", _urdf(JOINT.format("planar", ""))),
         ("urdf.joint", _urdf(JOINT.format("floating", ""))),
         ("urdf.link", _urdf('<joint name="j" type="fixed"><parent link="a"/><child link="c"/></joint>')),
         ("urdf.limit", _urdf(JOINT.format("revolute", '<limit lower="1" upper="0"/>'))),
+        ("urdf.inertial", _urdf(JOINT.format("revolute", ""), b='<inertial><mass value="2"/></inertial>')),
         ("urdf.axis", _urdf(JOINT.format("revolute", "").replace("0 1 0", "0 0 0"))),
         ("xml.number", _urdf(JOINT.format("revolute", "").replace("0 1 0", "0 nan 0"))),
         ("xml.number", _urdf(JOINT.format("revolute", '<origin xyz="1 2"/>'))),
@@ -363,12 +368,18 @@ def test_bad_urdf_is_refused(code: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "bad.urdf").write_text(text)
     with pytest.raises(InputError) as caught:
         load_model(tmp_path / "bad.urdf")
-    assert caught.value.code == code and caught.value.source.endswith("bad.urdf")
+    assert caught.value.code == code and caught.value.source.endswith("bad.urdf") and caught.value.remedy
 
 
 def _mjcf(inside: str, before: str = "", root: str = "<freejoint/>") -> str:
     shape = '<geom size="0.1"/>'
     return f'<mujoco>{before}<worldbody><body name="a">{root}{shape}{inside}</body></worldbody></mujoco>'
+
+
+HIPS = (
+    '<body name="b"><joint type="{}" name="{}"/><geom size="1"/>'
+    '<body name="c"><joint name="{}"/><geom size="1"/></body></body>'
+)
 
 
 @pytest.mark.parametrize(
@@ -380,14 +391,21 @@ def _mjcf(inside: str, before: str = "", root: str = "<freejoint/>") -> str:
         ("mjcf.equality", _mjcf("", '<equality><weld body1="a"/></equality>')),
         ("mjcf.up", _mjcf("", '<option gravity="0 -9.81 0"/>')),
         ("mjcf.compiler", _mjcf("", '<compiler settotalmass="70"/>')),
+        ("mjcf.default", _mjcf("", '<default><default><geom density="1"/></default></default>')),
         ("mjcf.class", _mjcf('<body><joint class="x"/></body>')),
         ("mjcf.shape", _mjcf('<body><joint/><geom type="mesh" mesh="m"/></body>')),
         ("mjcf.size", _mjcf('<body><joint/><geom type="box" size="1 1"/></body>')),
+        ("mjcf.fromto", _mjcf('<body><joint/><geom type="capsule" size="1" fromto="0 0 1 0 0 1"/></body>')),
         ("mjcf.ref", _mjcf('<body><joint ref="1"/><geom size="1"/></body>')),
         ("mjcf.free", _mjcf('<body><freejoint/><geom size="1"/></body>')),
         ("mjcf.joint", _mjcf('<body><joint type="screw"/><geom size="1"/></body>')),
+        ("mjcf.axis", _mjcf('<body><joint axis="0 0 0"/><geom size="1"/></body>')),
+        ("mjcf.range", _mjcf('<body><joint range="30 -60"/><geom size="1"/></body>')),
         ("mjcf.anchor", _mjcf('<body><joint/><joint pos="0 0 1" axis="1 0 0"/><geom size="1"/></body>')),
         ("mjcf.orientation", _mjcf('<body quat="0 0 0 0"><geom size="1"/></body>')),
+        ("mjcf.eulerseq", _mjcf('<body euler="0 0 1"><geom size="1"/></body>', '<compiler eulerseq="xyw"/>')),
+        ("model.name_twice", _mjcf('<body name="a"><joint/><geom size="1"/></body>')),
+        ("model.name_twice", _mjcf(HIPS.format("ball", "hip", "hip_x"))),
         ("model.slide_after_turn", _mjcf('<body><joint/><joint type="slide"/><geom size="1"/></body>')),
         ("model.slides", _mjcf('<body><joint type="slide"/><joint type="slide" axis="0 1 1"/><geom size="1"/></body>')),
         ("model.massless", _mjcf("<body><joint/></body>")),
@@ -399,7 +417,7 @@ def test_bad_mjcf_is_refused(code: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "bad.xml").write_text(text)
     with pytest.raises(InputError) as caught:
         load_model(tmp_path / "bad.xml")
-    assert caught.value.code == code and caught.value.source.endswith("bad.xml")
+    assert caught.value.code == code and caught.value.source.endswith("bad.xml") and caught.value.remedy
 
 
 def test_mjcf_root_without_free_joint_floats_and_says_so(tmp_path: Path) -> None:
@@ -448,9 +466,28 @@ def test_bodies_without_mass_are_not_written(seed: int, tmp_path: Path) -> None:
             write(tree, geometry, phi, tmp_path / "a")
 
 
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+    """No file, a folder and a file larger than any model end before anything is parsed."""
+    (tmp_path / "folder.xml").mkdir()
+    with (tmp_path / "large.urdf").open("wb") as file:
+        file.truncate(MAX_BYTES + 1)
+    names = {"none.urdf": "xml.unreadable", "folder.xml": "xml.unreadable", "large.urdf": "xml.too_large"}
+    for name, code in names.items():
+        with pytest.raises(InputError) as caught:
+            load_model(tmp_path / name)
+        assert (caught.value.code, caught.value.source) == (code, str(tmp_path / name)) and caught.value.remedy
+
+
+def test_a_link_whose_parent_is_not_there_is_refused() -> None:
+    """A reader's links are checked where they are put together: the link is named by its place in the file."""
+    links = [Link("a", None, np.eye(4)), Link("b", "c", np.eye(4), place="line 7, <body name='b'>")]
+    with pytest.raises(InputError, match=r"a\.xml, line 7.*found: c\).*model\.parent"):
+        assemble(links, "a.xml", {}, FileScatter())
+
+
 def test_other_suffixes_are_refused(tmp_path: Path) -> None:
     """A suffix without reader is an error that says what there is."""
-    with pytest.raises(ConfigError, match=r"\.urdf"):
+    with pytest.raises(ConfigError, match=r"found: \.sdf.*\.urdf.*model\.suffix"):
         load_model(tmp_path / "a.sdf")
     with pytest.raises(InputError, match="model.osim"):
         load_model(tmp_path / "a.osim")

@@ -13,9 +13,11 @@ import torch
 import yaml
 from torch.testing import assert_close
 
+from torchid.config import load_config
 from torchid.conventions import GRAVITY
 from torchid.dynamics import inverse_dynamics, wrench_about
 from torchid.errors import ConfigError
+from torchid.experiment import run_simulation
 from torchid.filters import differentiate
 from torchid.inertia.pseudo import params_to_pseudo
 from torchid.io import read_trial
@@ -26,10 +28,10 @@ from torchid.simulate.ground import force_plates
 from torchid.simulate.legs import foot_pose
 from torchid.simulate.motions import MOTIONS, make_script
 from torchid.simulate.noise import lose_markers, noisy_plates
-from torchid.simulate.options import SimulateOptions
+from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import simulate_session
 from torchid.simulate.signals import passages, wander
-from torchid.simulate.subject import simulate_subject
+from torchid.simulate.subject import draw_inertia, simulate_subject
 from torchid.simulate.trial import simulate_trial
 
 CLEAN = SimulateOptions(duration_s=4.0, marker_noise_mm=0.0, force_noise_n=0.0)
@@ -288,3 +290,35 @@ def test_impossible_options_are_refused(subject):
         simulate_trial(subject, "moonwalk", CLEAN, SEED)
     with pytest.raises(ConfigError, match="plates"):
         SimulateOptions(plates=9)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "found"),
+    [
+        (PlantedOptions("drag", ("tail",), None, {"coefficient_Ns_m": 12.0}), "tail"),
+        (PlantedOptions("plate_gain", ("plate_3",), None, {"gain": 1.02}), "plate_3"),
+        (PlantedOptions("marker_swap", ("LTHI", "LTHX")), "LTHX"),
+    ],
+)
+def test_nothing_is_hidden_where_nothing_is(hidden, found):
+    """A segment, a plate or a marker that the session lacks is named before anything is simulated."""
+    with pytest.raises(ConfigError) as caught:
+        simulate_session(SimulateOptions(plates=2, effects=(hidden,)), SEED)
+    assert (caught.value.code, caught.value.place, caught.value.found) == ("effect.place", hidden.effect, found)
+    assert "plate_2" in caught.value.remedy and "thorax" in caught.value.remedy
+
+
+def test_a_prior_of_which_no_body_can_be_drawn_is_refused(subject):
+    """So wide that some segment of every draw has no mass: it ends, and the key is named."""
+    with pytest.raises(ConfigError, match=r"simulate\.scatter.*simulate\.inertia"):
+        draw_inertia(np.random.default_rng(SEED), subject.model, 1e3)
+
+
+def test_a_config_that_asks_for_no_simulation_is_not_simulated(tmp_path):
+    """The section that is missing is named, and nothing is written."""
+    (tmp_path / "a.c3d").write_bytes(b"")
+    text = "subject: {name: S, mass_kg: 70}\nmarkers: plug_in_gait\ntrials: [{name: a, file: a.c3d}]\n"
+    (tmp_path / "config.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=r"simulate: \{\}.*simulate\.missing"):
+        run_simulation(load_config(tmp_path / "config.yaml"))
+    assert not (tmp_path / "out").exists()

@@ -11,11 +11,17 @@ import torch
 from torch import Tensor
 
 from torchid.diagnosis.candidates.exchanged_markers import exchanged_markers
+from torchid.experiment.run import _rate_notes
 from torchid.experiment.tracks import look_at_session, session_clusters, taken_out
+from torchid.filters import Smoother
+from torchid.geometry.options import GeometryOptions
+from torchid.geometry.result import GeometryFit
+from torchid.geometry.tracking import Tracked
 from torchid.io import ReadOptions, read_trial
 from torchid.model.marker_set import load_marker_set
+from torchid.motion import smooth_motion
 from torchid.motion.impossible_rates import frames_of, impossible_steps
-from torchid.outcome import Session
+from torchid.outcome import Followed, Session
 from torchid.recording import Trial
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
@@ -256,6 +262,24 @@ def test_joints_that_no_body_turns_so_fast_are_marked(seed):
     assert [(one.body, one.frame) for one in steps] == [("upper_arm_l", 49), ("upper_arm_l", 59), ("shank_r", 79)]
     marked = frames_of(steps, len(q), 100.0).nonzero()[:, 0].tolist()
     assert marked == [*range(49, 61), 79, 80]
+
+
+def test_frames_whose_joints_turn_too_fast_are_told(seed):
+    """With their number, and the joint that is furthest beyond what a body can; a sound trial says nothing."""
+    given = small_session.assignment()
+    prior = given.model.geometry
+    fit = GeometryFit(given.model, given.attachment, prior, prior.mean, torch.zeros(0), GeometryOptions())
+    tree, time = given.model.tree, torch.arange(100, dtype=torch.float64) / 100.0
+    sound = torch.zeros(100, len(tree.dofs), dtype=torch.float64)
+    wild = sound.clone()
+    wild[80:, tree.dof_names.index("knee_r_flexion")] += 2.0
+    followed = {}
+    for name, q in (("sound", sound), ("wild", wild)):
+        tracked = Tracked(time, q, torch.zeros(100, 1), torch.ones(100, dtype=torch.bool))
+        followed[name] = Followed(name, tracked, smooth_motion(tree, time, q, Smoother(10.0, 100.0)))
+    (said,) = _rate_notes(fit, followed)
+    assert (said.code, said.source) == ("tracking.rates", "wild")
+    assert said.message.startswith("2 of 100 frames") and "shank_r by 200 rad/s at 0.79 s" in said.message
 
 
 def test_alignment_is_a_rotation(seed):

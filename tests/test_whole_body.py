@@ -238,17 +238,26 @@ def test_locked_bodies_stand_as_in_the_full_model_with_their_joints_at_rest(seed
 def test_locking_the_root_or_an_unknown_body_is_refused():
     """The root and unknown names raise an error that lists what can be locked."""
     model = whole_body(1.75, 70.0, "male")
-    for name in ("pelvis", "tail"):
-        with pytest.raises(ConfigError, match="abdomen"):
+    for name, found in (("pelvis", "the root"), ("tail", "")):
+        with pytest.raises(ConfigError, match="abdomen") as caught:
             lock_bodies(model, (name,))
+        assert (caught.value.code, caught.value.place, caught.value.found) == ("model.body", name, found)
     assert lock_bodies(model, ()) == (model, ())
 
 
-@pytest.mark.parametrize(("height", "mass", "sex"), [(175.0, 70.0, "male"), (1.75, 0.07, "male"), (1.75, 70.0, "m")])
-def test_impossible_people_are_refused(height, mass, sex):
-    """Centimetres, tonnes and unknown sexes raise a ConfigError."""
-    with pytest.raises(ConfigError):
+@pytest.mark.parametrize(
+    ("height", "mass", "sex", "code", "place", "found"),
+    [
+        (175.0, 70.0, "male", "subject.height", "height_m", "175"),
+        (1.75, 0.07, "male", "subject.mass", "mass_kg", "0.07"),
+        (1.75, 70.0, "m", "subject.sex", "sex", "'m'"),
+    ],
+)
+def test_impossible_people_are_refused(height, mass, sex, code, place, found):
+    """Centimetres, tonnes and unknown sexes raise a ConfigError that names the key and what it holds."""
+    with pytest.raises(ConfigError) as caught:
         whole_body(height, mass, sex)
+    assert (caught.value.code, caught.value.place, caught.value.found) == (code, place, found) and caught.value.remedy
 
 
 @pytest.mark.parametrize("person", PEOPLE)
