@@ -28,7 +28,7 @@ from torchid.simulate.session import simulate_session
 from torchid.tracking.clusters import Clusters, shape_of
 from torchid.tracking.jumps import find_jumps
 from torchid.tracking.moved import Verdict, align
-from torchid.tracking.session import look_at_trial, readings_of
+from torchid.tracking.session import look_at_trial, readings_of, renamed
 from torchid.tracking.statement import Kind, Statement, notes_of
 
 Trials = dict[str, Trial]
@@ -124,6 +124,24 @@ def test_exchanged_labels_are_found_and_put_right(trials, clusters, rng, through
     assert int(wrong.any(dim=1).sum()) <= 4
     place = exchanged_markers(found, time).place
     assert {one.trial for one in place.when or ()} == {name} and place.where == found.labels
+
+
+def test_a_name_on_the_marker_of_one_that_a_trial_lacks_is_put_right(trials, clusters, rng):
+    """A trial whose file has only one of the two labels, and that on the other's marker."""
+    name, both = moving(rng, trials), pair(rng, trials, clusters)
+    whole = trials[name].markers
+    lost, kept = (clusters.labels[k] for k in both)
+    position = whole.position.clone()
+    position[:, whole.labels.index(kept)] = position[:, whole.labels.index(lost)]
+    left = tuple(label for label in whole.labels if label != lost)
+    planted = {**trials, name: replace(trials[name], markers=replace(whole, position=position).select(left))}
+    (found,) = look(planted)
+    assert (found.kind, found.trial, set(found.labels)) == (Kind.EXCHANGED, name, {lost, kept})
+    undone = renamed(planted[name].markers, [found])
+    torch.testing.assert_close(undone.select((lost,)).position, whole.select((lost,)).position, equal_nan=True)
+    assert torch.isnan(undone.select((kept,)).position).all()
+    sound, _ = taken_out(planted, (found,), lambda trial: trial)
+    assert torch.isnan(sound[name].markers.select((kept, lost)).position).all()
 
 
 @pytest.mark.parametrize("times", [1, 3])

@@ -1,5 +1,6 @@
 """What a laboratory measured, in W, SI units and float64: the one form that everything after ``io`` may trust."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -32,6 +33,11 @@ class Markers:
         for k, source in known:
             position[:, k] = self.position[:, source]
         return replace(self, labels=labels, position=position)
+
+    def having(self, labels: Iterable[str]) -> "Markers":
+        """All markers, and those named that the trial lacks behind them, NaN throughout."""
+        lacking = tuple(dict.fromkeys(label for label in labels if label not in self.labels))
+        return self.select((*self.labels, *lacking)) if lacking else self
 
     def frames(self, index: Tensor | slice) -> "Markers":
         """Some of the frames."""

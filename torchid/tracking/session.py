@@ -102,6 +102,7 @@ def renamed(markers: Markers, statements: Iterable[Statement]) -> Markers:
     exchanged = [one for one in statements if one.kind is Kind.EXCHANGED]
     if not exchanged:
         return markers
+    markers = markers.having(label for one in exchanged for label in one.labels)
     position = markers.position.clone()
     for one in exchanged:
         pair = torch.tensor([markers.labels.index(label) for label in one.labels])
@@ -120,6 +121,7 @@ def without(markers: Markers, statements: Iterable[Statement]) -> Markers:
     bad = [one for one in statements if one.kind in TAKEN_OUT]
     if not bad:
         return markers
+    markers = markers.having(label for one in bad for label in one.labels)
     position = markers.position.clone()
     for one in bad:
         inside = one.inside(markers.time)
