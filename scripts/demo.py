@@ -17,7 +17,6 @@ from torchid.experiment import run_experiment, run_simulation
 from torchid.outcome import Outcome
 from torchid.report.cause_sentences import chance, told
 from torchid.report.effect_words import called
-from torchid.report.summary import DOUBT
 from torchid.simulate.hiding import draw_hidden, judge
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "demo.yaml"
@@ -36,7 +35,7 @@ def main(arguments: list[str]) -> None:
     print("\n".join(verdict(outcome)), flush=True)
     truth = json.loads((recordings.parent / "truth" / "subject.json").read_text())["options"]["effects"]
     causes = json.loads((config.out / "diagnosis.json").read_text())["causes"]
-    print("\n".join(compared(truth, [cause for cause in causes if cause["confidence"] > DOUBT])))
+    print("\n".join(compared(truth, [cause for cause in causes if cause["level"] != "possible"])))
     print(f"Report: {config.out / 'report.html'}")
 
 
@@ -60,10 +59,10 @@ def verdict(outcome: Outcome) -> list[str]:
     """The diagnosis in plain lines."""
     found = outcome.diagnosis
     causes = () if found is None else found.causes
-    believed = [cause for cause in causes if cause.confidence > DOUBT]
+    believed = [cause for cause in causes if cause.level != "possible"]
     lines = [_named("Verdict", cause) for cause in believed]
     lines = lines or ["Verdict: no effect of the catalogue is supported by the recordings."]
-    lines += [_named("Possible", cause) for cause in causes if cause.confidence <= DOUBT]
+    lines += [_named("Possible", cause) for cause in causes if cause.level == "possible"]
     if found is not None and found.unexplained.significant:
         lines.append(f"Something else remains: {found.unexplained.description}.")
     return lines

@@ -24,9 +24,9 @@ from torchid.experiment import run_experiment
 from torchid.outcome import Outcome
 from torchid.regressor.rows import residual_rms
 from torchid.report.before_after import draw_curves, sides, spectrum
-from torchid.report.blocks import Figure, Paragraph, Table
+from torchid.report.blocks import Details, Figure, Items, Paragraph, Table
+from torchid.report.cause_sentences import likely, surely, told
 from torchid.report.cause_sentences import name as labelled
-from torchid.report.cause_sentences import surely, told
 from torchid.report.data_handling import grouped, handling_section
 from torchid.report.diagnosis import diagnosis_section, gained
 from torchid.report.facts import wrenches
@@ -34,8 +34,10 @@ from torchid.report.forces import Score, _draw_trial, instructive
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
 from torchid.report.summary import _named, head_section
+from torchid.report.witness_table import witness_table
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session, write_session
+from torchid.witnesses.testimony import Answer
 from torchid.wording import bind, change, clean, listing, merge, number, pattern, segment, spread
 
 SUBJECT = '<script>alert("subject")</script>'
@@ -359,6 +361,30 @@ def test_the_page_begins_with_what_is_named_and_how_sure_that_is():
     assert "it may as well be" in said((twin,), quiet) and "may as well" not in said((alone,), quiet)
     assert "More remains" in two and "More remains" not in said(causes, quiet)
     assert said((), quiet).startswith("Nothing") and "more cause" not in said(causes[:1], quiet)
+
+
+def test_what_is_only_possible_stands_apart(run):
+    """It is no finding, whatever else is named, and is called what it is up to even odds."""
+    outcome, even = extended(run.outcome), replace(cause("drag"), confidence=0.5)
+    assert outcome.diagnosis is not None and likely(even).startswith("only one of several")
+    for causes, begins in (((cause("payload"), even), "The thorax"), ((even,), "None of the")):
+        section = diagnosis_section(replace(outcome, diagnosis=replace(outcome.diagnosis, causes=causes)))
+        assert section is not None and section.finding.startswith(begins) and told(even) not in section.finding
+        at = next(k for k, block in enumerate(section.blocks) if isinstance(block, Paragraph))
+        heading, listed = section.blocks[at : at + 2]
+        assert isinstance(heading, Paragraph) and heading.text.startswith("Only possible")
+        assert isinstance(listed, Items) and [surely(even) in item for item in listed.items] == [True]
+
+
+def test_witnesses_of_a_cause_are_shown():
+    agreeing = Answer("clock_vertical", "walk", "", 0.021, 0.005, 0.019, 0.004, "s")
+    against = replace(agreeing, name="zero_fx", where="plate_2", value=0.3, sd=1.5, expected=8.0, usual=0.0, unit="N")
+    quiet = replace(against, value=3.9)
+    (block,) = witness_table([replace(cause("time_offset"), witnesses=(agreeing, against, quiet))])
+    assert isinstance(block, Details) and isinstance(table := block.blocks[0], Table)
+    assert [row[-1] for row in table.rows] == ["agrees", "contradicts", "cannot tell"]
+    assert table.rows[0][2:6] == ("walk", "21.0 ± 5.0 ms", "19.0 ms", "4.0 ms")
+    assert witness_table([cause("drag")]) == []
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE))

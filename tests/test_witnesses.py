@@ -22,7 +22,7 @@ from torchid.outcome import Outcome
 from torchid.report.decisions import sentence
 from torchid.results import OutputFolder
 from torchid.witnesses.panel import Panel
-from torchid.witnesses.testimony import Claim, hear
+from torchid.witnesses.testimony import Claim, answers, hear
 from torchid.witnesses.watched import share_load
 
 SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
@@ -185,6 +185,18 @@ def test_witnesses_bear_out_what_is_there_and_contradict_its_opposite(name: str)
     faulty = panel(planted(base, name, place, theta))
     assert hear(faulty, [claim(name, place, theta)])[0].nats > 3.0, (place, theta)
     assert hear(faulty, [claim(name, place, -theta)])[0].nats < -4.5, (place, theta)
+
+
+def test_each_witness_answers_for_itself() -> None:
+    """A plate's gain is heard by those who weigh, as large as it is; one of the other sign is contradicted."""
+    base, rng = outcome(), np.random.default_rng(SEED)
+    place, theta = drawn("plate_gain", rng, base)
+    faulty = panel(planted(base, "plate_gain", place, theta))
+    (right,), (wrong,) = (answers(faulty, [claim("plate_gain", place, way * theta)]) for way in (1.0, -1.0))
+    first = right[0]
+    assert first.name in ("mass", "gain") and first.unit == "part" and first.agrees, (place, theta, first)
+    assert abs(first.value - first.expected) < 3.0 * first.sd < 3.0 * abs(first.expected), (place, theta, first)
+    assert not wrong[0].agrees and abs(wrong[0].value - wrong[0].expected) > 3.0 * wrong[0].sd, (place, theta, wrong)
 
 
 def test_witnesses_bear_out_exchanged_cables() -> None:

@@ -234,11 +234,12 @@ def _unplanted(rows: Sequence[dict]) -> Iterator[str]:
     if not rows:
         return
     named = [r for r in rows if r["result"] == "named"]
-    yield f"unplanted: {len(rows)} runs, a laboratory cause that is not known named in {len(named)}"
-    for r in named:
-        causes = [
-            f"{n['effect']} ({', '.join(n['where'])}) {n['confidence']:.2f}" for n in r["named"] if n["is"] != "known"
-        ]
+    strange = [[n for n in r["named"] if n["is"] != "known"] for r in named]
+    likely = sum(any(n["confidence"] > LIKELY for n in some) for some in strange)
+    said = f"likely in {likely}, no more than possible in {len(named) - likely}"
+    yield f"unplanted: {len(rows)} runs, a laboratory cause that is not known {said}"
+    for r, some in zip(named, strange, strict=True):
+        causes = [f"{n['effect']} ({', '.join(n['where'])}) {n['confidence']:.2f}" for n in some]
         yield f"  {r['case']}: {'; '.join(causes)}"
 
 

@@ -37,7 +37,7 @@ def main() -> int:
         bench = Bench(Path(arguments.folder or temporary).resolve() / "faults", arguments.seed)
         print(f"undisturbed: {bench.seconds:.0f} s, {len(bench.stages)} stages", flush=True)
         table = {
-            "a call fails": list(failing_calls(bench, arguments.calls, draw)),
+            "a call fails": list(failing_calls(bench, arguments.calls, draw, arguments.first)),
             "the disk is full": list(small_disks(bench, arguments.disks, draw)),
             "killed": list(kills(bench, arguments.kills, draw)),
         }
@@ -51,6 +51,7 @@ def main() -> int:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--calls", default="24", help="how many of the calls that write fail, each in its turn, or all")
+    parser.add_argument("--first", type=int, default=1, help="of all calls, go on with this one")
     parser.add_argument("--disks", type=int, default=4, help="disks of 1 to 30 MB (needs the right to mount)")
     parser.add_argument("--kills", type=int, default=6, help="runs ended by kill -9 at a moment drawn by lot")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
@@ -58,7 +59,7 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def failing_calls(bench: Bench, wanted: str, draw: random.Random) -> Iterator[tuple[int, list[str]]]:
+def failing_calls(bench: Bench, wanted: str, draw: random.Random, first: int = 1) -> Iterator[tuple[int, list[str]]]:
     """The n-th call fails in a run that has all stages but one, drawn by lot, stored."""
     calls = Calls()
 
@@ -72,7 +73,7 @@ def failing_calls(bench: Bench, wanted: str, draw: random.Random) -> Iterator[tu
     attempt(bench.stages[0], None)
     total = calls.count
     print(f"{total} calls write", flush=True)
-    numbers = range(1, total + 1) if wanted == "all" else sorted(draw.sample(range(1, total + 1), int(wanted)))
+    numbers = range(first, total + 1) if wanted == "all" else sorted(draw.sample(range(1, total + 1), int(wanted)))
     for number in numbers:
         missing = draw.choice(bench.stages)
         ended = attempt(missing, number)

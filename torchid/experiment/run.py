@@ -17,6 +17,7 @@ from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, put_aside, subject_prior, torques
 from torchid.experiment.standing import follow_each
 from torchid.experiment.swapped_markers import put_right
+from torchid.experiment.witnessed import with_witnesses
 from torchid.experiment.write import result_names, write_outcome
 from torchid.files import file_sha256, write_json, write_text
 from torchid.geometry.result import GeometryFit
@@ -123,8 +124,12 @@ def _diagnosed(outcome: Outcome, folder: OutputFolder, key: str, progress: OnSta
     progress("diagnosis", 1.0)
     if outcome.diagnosis is None or not outcome.diagnosis.causes:
         return outcome
-    outcome, relabelled = put_right(outcome, judged, folder, key, progress)
-    return publishable(outcome, relabelled, folder, key, progress)
+    whole, relabelled = put_right(outcome, judged, folder, key, progress)
+    published = publishable(whole, relabelled, folder, key, progress)
+    assert published.diagnosis is not None
+    verdict = with_witnesses(outcome, published.diagnosis)
+    base = None if published.base is None else replace(published.base, diagnosis=verdict)
+    return replace(published, base=base, diagnosis=verdict)
 
 
 def _geometry(

@@ -20,9 +20,10 @@ PIECE = 1 << 15
 
 
 def diagnosis_table(outcome: Outcome) -> dict[str, Any]:
-    """Content of ``diagnosis.json``: the verdict, and held-out errors of the models as they are written."""
+    """Content of ``diagnosis.json``: the verdict, which model the other files hold, and held-out errors of both."""
     assert outcome.diagnosis is not None
     found = verdict_table(outcome.diagnosis)
+    found["published"] = "base" if outcome.base is None else "extended"
     found["baseline"]["heldout"] = heldout_errors(outcome.base or outcome)
     found["extended"]["heldout"] = heldout_errors(outcome)
     before, after = (found[k]["heldout"]["marker_rmse_mm"] for k in ("baseline", "extended"))

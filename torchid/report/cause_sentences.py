@@ -13,8 +13,8 @@ FEW = 6
 """Intervals that are listed."""
 WORTH = 0.01
 """Probability below which a rival is not worth a word."""
-WORDS = ((0.99, "practically certain"), (0.9, "very likely"), (0.66, "likely"), (0.5, "more likely than not"),
-         (0.0, "only one of several possibilities"))  # fmt: skip
+WORDS = ((0.99, "practically certain"), (0.9, "very likely"), (0.66, "likely"), (0.0, "more likely than not"))
+POSSIBLE = "only one of several possibilities"
 
 
 def told(cause: Cause) -> str:
@@ -25,7 +25,8 @@ def told(cause: Cause) -> str:
 
 def likely(cause: Cause) -> str:
     """How sure that is, in words and as a chance."""
-    sure = next(word for least, word in WORDS if cause.confidence >= least)
+    words = [word for least, word in WORDS if cause.confidence >= least]
+    sure = POSSIBLE if cause.level == "possible" else words[0]
     return f"{sure} ({chance(cause.confidence)})"
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchid.diagnosis.diagnose import select_effects
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.options import DiagnosisOptions
-from torchid.diagnosis.verdict.records import Diagnosis, Refuted
+from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.outcome import Outcome
 from torchid.outcome.tables import heldout_errors
 from torchid.report.before_after import Sides, draw_curves, draw_spectrum, sides, telling_trial, trial_rows
@@ -18,7 +18,8 @@ from torchid.report.decisions import why
 from torchid.report.effect_words import called, noun, of_markers, place
 from torchid.report.marker_distances import draw_markers, marker_error
 from torchid.report.rival_bars import rival_bars
-from torchid.wording import clean, listing, number, percent, scientific
+from torchid.report.witness_table import witness_table
+from torchid.wording import clean, listing, number, percent, plural, scientific
 
 SAME = 0.005
 """Part of an error below which its change is none."""
@@ -33,10 +34,11 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
         return None
     blocks: list[Block] = []
     if found.causes:
-        blocks.append(Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in found.causes)))
+        blocks += _listed(found)
+        blocks += witness_table(found.causes)
         blocks += _changes(outcome, found)
         blocks += rival_bars(found)
-        blocks.append(Details("All parameters of the named causes", (_parameters(found),)))
+        blocks.append(Details("All parameters of the causes", (_parameters(found),)))
     blocks.append(Paragraph(_unexplained(found.unexplained, outcome.config.diagnosis.thresholds)))
     blocks += why(found.trace)
     if found.causes:
@@ -47,8 +49,30 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
     return Section("diagnosis", "What the model gets wrong", _finding(outcome, found), tuple(blocks))
 
 
+def _listed(found: Diagnosis) -> list[Block]:
+    """How sure each cause is, those that are only possible apart."""
+    named, possible = (
+        Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in some)) for some in (_named(found), _possible(found))
+    )
+    apart = [Paragraph(POSSIBLE), possible] if possible.items else []
+    return [*([named] if named.items else []), *apart]
+
+
+def _named(found: Diagnosis) -> list[Cause]:
+    """Causes that are more than possible."""
+    return [cause for cause in found.causes if cause.level != "possible"]
+
+
+def _possible(found: Diagnosis) -> list[Cause]:
+    return [cause for cause in found.causes if cause.level == "possible"]
+
+
+POSSIBLE = (
+    "Only possible, since no witness bears it out or something contradicts it; the model allows for it as well, with "
+    "which it predicts no worse:"
+)
 EXTENDED = (
-    "Every other figure of this page is of the extended model: the named causes are taken out of the recordings (or, "
+    "Every other figure of this page is of the extended model: these causes are taken out of the recordings (or, "
     "as a load, kept apart from the body), then inertia, and geometry where markers are concerned, are fitted again. "
     "Measured forces drawn elsewhere are the corrected ones. The values before stand under “base” in inertia.json and "
     "geometry.json, its prediction beside the extended one in the forces files."
@@ -56,12 +80,19 @@ EXTENDED = (
 
 
 def _finding(outcome: Outcome, found: Diagnosis) -> str:
-    if not found.causes:
-        options = outcome.config.diagnosis
-        tried = len(select_effects(options.include, options.exclude))
-        silent = f"None of the {tried} effects that were tried is supported by all recordings: nothing was corrected."
-        return " ".join([silent, *_refuted(found), *_nearest(found, options.thresholds.naming.named_nats)])
-    return " ".join([*(told(cause) for cause in found.causes), *_gains(outcome, found), *_refuted(found)])
+    options, named = outcome.config.diagnosis, _named(found)
+    if named:
+        return " ".join([*(told(cause) for cause in named), *_gains(outcome, found), *_refuted(found)])
+    tried = len(select_effects(options.include, options.exclude))
+    if found.causes:
+        listed = plural(len(found.causes), "cause")
+        silent = (
+            f"None of the {tried} effects that were tried is likely: no more than possible, for want of a witness or "
+            f"against a doubt, {'is' if len(found.causes) == 1 else 'are'} the {listed} below."
+        )
+        return " ".join([silent, *_gains(outcome, found), *_refuted(found)])
+    silent = f"None of the {tried} effects that were tried is supported by all recordings: nothing was corrected."
+    return " ".join([silent, *_refuted(found), *_nearest(found, options.thresholds.naming.named_nats)])
 
 
 def _refuted(found: Diagnosis) -> list[str]:
@@ -212,7 +243,7 @@ def _parameters(found: Diagnosis) -> Table:
         for key, entry in (cause.parameters or {"present": {}}).items()
     )
     head = ("Cause", "Where", "Parameter, as in diagnosis.json", "Value ± standard deviation")
-    return Table("Parameters of the named causes", head, rows, text=4, wrap=True)
+    return Table("Parameters of the causes", head, rows, text=4, wrap=True)
 
 
 def _valued(entry: dict[str, Tensor]) -> str:

@@ -2,7 +2,6 @@
 
 import math
 
-from torchid.diagnosis.options import ConfidenceOptions
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import DataError
 from torchid.outcome import Outcome
@@ -30,8 +29,6 @@ READING = (
 """Notes about files that were read as they should be; the section on data handling has them all."""
 FAR_SD = 3.0
 """An identified mass this many prior standard deviations from the table is pointed out."""
-DOUBT = ConfidenceOptions().doubt
-"""A cause of no more confidence than this is only possible, and not what a page begins with."""
 LARGE_MM = 80.0
 """A marker this far from the model was probably swapped or mislabelled [mm]."""
 
@@ -57,7 +54,7 @@ def _named(found: Diagnosis | None) -> list[Block]:
     """What the diagnosis says, in a sentence or two; its section has the rest."""
     if found is None:
         return []
-    sure = [cause for cause in found.causes if cause.confidence > DOUBT]
+    sure = [cause for cause in found.causes if cause.level != "possible"]
     others = len(found.causes) - bool(sure)
     if sure:
         twins = " or ".join(map(called, sure[0].indistinguishable))

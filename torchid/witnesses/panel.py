@@ -54,6 +54,11 @@ class Panel:
     """Log probabilities of these."""
     options: WitnessOptions
 
+    @property
+    def about(self) -> list[Subject]:
+        """What each statement is about."""
+        return [subject for some in self.witnesses for one in some for subject in one.about]
+
     def log_density(
         self, mean: Float[Tensor, " some"] | float = 0.0, more: Float[Tensor, "some some"] | float = 0.0
     ) -> float:

@@ -19,6 +19,8 @@ class Scatter(NamedTuple):
     """Of what all of the kind in a session share."""
     usual: float = 0.0
     """Mean over sessions."""
+    unit: str = "part"
+    """Of all these; ``part`` of what is recorded, or of the vertical force."""
 
 
 RECORD_PART = 0.01
@@ -26,10 +28,10 @@ RECORD_PART = 0.01
 SCATTER = {
     "mass": Scatter(0.004, 0.0),  # what is alike is the record's
     "gain": Scatter(0.008, 0.0),
-    "clock_vertical": Scatter(0.002, USUAL_LAG_S["vertical"], USUAL_LAG_S["vertical"]),  # [s]
-    "clock_horizontal": Scatter(0.003, USUAL_LAG_S["horizontal"], USUAL_LAG_S["horizontal"]),  # [s]
+    "clock_vertical": Scatter(0.002, USUAL_LAG_S["vertical"], USUAL_LAG_S["vertical"], "s"),
+    "clock_horizontal": Scatter(0.003, USUAL_LAG_S["horizontal"], USUAL_LAG_S["horizontal"], "s"),
     "lean_x": Scatter(0.005, 0.003), "lean_y": Scatter(0.005, 0.003),
-    "zero_fx": Scatter(1.5, 0.0), "zero_fy": Scatter(1.5, 0.0), "zero_fz": Scatter(1.5, 0.0),  # [N]
-    "zero_mx": Scatter(0.5, 0.0), "zero_my": Scatter(0.5, 0.0), "zero_mz": Scatter(0.5, 0.0),  # [N m]
-    "pressure_lateral": Scatter(0.008, 0.012), "pressure_along": Scatter(0.016, 0.03),  # [m]
+    **{f"zero_f{axis}": Scatter(1.5, 0.0, unit="N") for axis in "xyz"},
+    **{f"zero_m{axis}": Scatter(0.5, 0.0, unit="N m") for axis in "xyz"},
+    "pressure_lateral": Scatter(0.008, 0.012, unit="m"), "pressure_along": Scatter(0.016, 0.03, unit="m"),
 }  # fmt: skip

@@ -12,6 +12,8 @@ shows."""
 SMOOTH_MM = 0.01
 """Estimator. Content in that band below which markers of a moving person were low-passed [mm]: as recorded they had
 0.03 to 1.2 in four laboratories, 0.0016 to 0.0025 where filtered before publication, 0.008 at most after 4 Hz."""
+RECORDED_MM = 0.03
+"""Estimator. The least of that content in markers as recorded [mm]; see ``SMOOTH_MM``."""
 MOVING_MM = 20.0
 """Estimator. Scatter of a marker's place from which on a person moves [mm]."""
 LONGEST_S = 40.0

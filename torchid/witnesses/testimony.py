@@ -10,6 +10,13 @@ from torch import Tensor
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
 from torchid.witnesses.panel import Panel
+from torchid.witnesses.scatter import SCATTER
+from torchid.witnesses.statements import Subject
+
+CONTRADICTS_SD = 3.0
+"""Choice. Standard deviations from what a claim would have a witness say at which that witness contradicts it."""
+HEARD_SD = 1.0
+"""Choice. Standard deviations that a claim must move what a witness says for its answer to tell anything."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +37,60 @@ class Testimony:
     """Log likelihood of the statements with the claim over that without it [nat]."""
     loudness_sd: float
     """What the claim would have witnesses say, in standard deviations of theirs: below about three nobody hears it."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one witness says of one claim, beside all others."""
+
+    name: str
+    """Kind of the witness: of ``scatter.SCATTER``, or of what else bears effects out (``Proof``)."""
+    trial: str
+    """Trial that it was asked about."""
+    where: str
+    """Plate or marker that it is about; empty: all of them."""
+    value: float
+    """What it says, without what the other claims account for."""
+    sd: float
+    """Standard deviation of that between sessions where nothing is wrong."""
+    expected: float
+    """What it would say, were the claim right."""
+    usual: float
+    """What it says where nothing is wrong."""
+    unit: str
+    """Of all these."""
+
+    @property
+    def agrees(self) -> bool:
+        """True if it does not contradict the claim, and speaks for it more than for nothing."""
+        off = abs(self.value - self.expected)
+        return off <= CONTRADICTS_SD * self.sd and off < abs(self.value - self.usual)
+
+
+def answers(panel: Panel, claims: Sequence[Claim]) -> list[tuple[Answer, ...]]:
+    """Return what each witness that hears a claim says of it, those that hear most of it first.
+
+    Args:
+        panel: the statements.
+        claims: all that are made at once.
+    """
+    said = [_said(panel, one) for one in claims]
+    together, sd = sum(said, start=torch.zeros_like(panel.value)), panel.likeliest().diagonal().sqrt()
+    usual = panel.value.new_tensor([SCATTER[one.kind].usual for one in panel.about])
+    found = []
+    for own in said:
+        loud, value = own.abs() / sd, panel.value + usual - (together - own)
+        order = [k for k in loud.argsort(descending=True).tolist() if loud[k] > HEARD_SD]
+        found.append(tuple(_answer(panel.about[k], value[k], sd[k], usual[k] + own[k]) for k in order))
+    return found
+
+
+def _answer(about: Subject, value: Tensor, sd: Tensor, expected: Tensor) -> Answer:
+    """Return what a witness says of one subject."""
+    of = SCATTER[about.kind]
+    return Answer(
+        about.kind, about.trial, about.plate, float(value), float(sd), float(expected), of.usual, of.unit
+    )  # fmt: skip
 
 
 def hear(panel: Panel, claims: Sequence[Claim]) -> list[Testimony]:

@@ -7,12 +7,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.options import ConfidenceOptions
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.trace import Trace
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Planted
 from torchid.effects.place import Interval, Place
 from torchid.observation.plate_registry import SessionPlate
+from torchid.witnesses.testimony import Answer
+
+CERTAIN = 0.99
+"""Wording. Confidence above which a cause is practically certain."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,15 @@ class Cause:
     """True if it acts in all fit trials, and therefore in others too."""
     doubted: bool = False
     """True if something contradicts the model, or nothing can check it, which has been taken off the confidence."""
+    witnesses: tuple[Answer, ...] = ()
+    """Answers of those who hear it without a body model, the loudest first."""
+
+    @property
+    def level(self) -> str:
+        """Return how sure it is: ``possible``, ``likely`` or ``certain``."""
+        if self.confidence > CERTAIN:
+            return "certain"
+        return "likely" if self.confidence > ConfidenceOptions.doubt else "possible"
 
     def scaled(self, factor: float) -> "Cause":
         """Return the cause with its confidence, and that of its rivals, times a factor.
@@ -141,7 +155,7 @@ class Diagnosis:
     extended: Errors
     """Held-out errors of the model with the causes."""
     causes: tuple[Cause, ...]
-    """Causes, those of plates and clocks first."""
+    """Causes, those that are only possible last, and of either kind those of plates and clocks first."""
     unexplained: Adequacy
     """Adequacy of the model with the causes."""
     not_testable: dict[str, str] = field(default_factory=dict)
