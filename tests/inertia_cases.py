@@ -37,6 +37,7 @@ def draw(given: InertialPrior) -> Tensor:
 def chain_rows(count: int, frames: int, seed: int) -> Tensor:
     """Base rows (6 frames, 10 bodies) of Pinocchio's regressor for a floating chain in random motion."""
     generator = np.random.default_rng(seed)
+    pin.seed(seed % 2**32)  # of randomConfiguration
     model, parent = pin.Model(), 0
     for k in range(count):
         joint = pin.JointModelFreeFlyer() if k == 0 else pin.JointModelRY() if k % 2 else pin.JointModelSpherical()

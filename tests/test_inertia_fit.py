@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchid.errors import ConfigError, DataError
 from torchid.inertia import cone
-from torchid.inertia.certificate import InertiaStatus
+from torchid.inertia.certificate import InertiaStatus, judge
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.pseudo import relative_map, triangle, untriangle
@@ -38,6 +38,12 @@ def active_problem() -> tuple[Tensor, Tensor, InertialPrior]:
     x[2] = triangle(axes @ torch.diag(torch.tensor([-0.5, 1, 1, 1], dtype=torch.float64)) @ axes.mT)
     Y = torch.randn(120, 30, dtype=torch.float64) @ torch.linalg.inv(T)
     return Y, Y @ T @ x.flatten() + 0.1 * torch.randn(len(Y), dtype=torch.float64), given
+
+
+def test_a_seed_repeats_its_rows(seed: int) -> None:
+    """The seed that a failure prints is all that the rows depend on, Pinocchio's own generator included."""
+    torch.testing.assert_close(chain_rows(3, 4, seed), chain_rows(3, 4, seed), rtol=0, atol=0)
+    assert not torch.equal(chain_rows(3, 4, seed), chain_rows(3, 4, seed + 1))
 
 
 def test_exact_data_return_the_base_parameters(seed: int) -> None:
@@ -229,6 +235,23 @@ def test_centre_of_mass_stays_in_its_box(seed: int, kind: str) -> None:
         with pytest.raises(ConfigError, match=r"inertia\.com_box") as caught:
             fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), options, com_box=bad)
         assert caught.value.found == str(tuple(bad.shape)) and "(4, 2, 3)" in caught.value.remedy
+    box[2, 1, 0] = torch.inf
+    with pytest.raises(ConfigError, match=r"infinite \(found: .*\(2, 1, 0\)\).*inertia\.com_box"):
+        fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), options, com_box=box)
+
+
+@pytest.mark.parametrize("away", [10.0, 1e3, 1e8])
+@pytest.mark.parametrize("kind", ["quadratic", "entropic"])
+def test_boxes_far_from_every_body_are_refused(seed: int, kind: str, away: float) -> None:
+    """Boxes that no limb's centre of mass can lie in end as errors, and none is called impossible without proof."""
+    Y, F, given, _ = problem(seed)
+    centre = given.mean[:, 1:4] / given.mean[:, :1] + away
+    box = torch.stack([centre - 0.1, centre + 0.1], dim=1)
+    with pytest.raises(DataError) as caught:
+        fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), replace(PLAIN, prior=kind), com_box=box)
+    error = caught.value
+    assert error.code in {"inertia.solver", "inertia.not_optimal", "inertia.unexplained", "inertia.not_physical"}
+    assert ("no inertial parameters" in error.message) == ("infeasible" in error.found.lower())
 
 
 def judged(Y: Tensor, F: Tensor, given: InertialPrior) -> InertiaFit:
@@ -272,6 +295,40 @@ def test_infinite_or_missing_sums_are_refused_before_the_solver(seed: int, value
     for bad in (replace(good, gram=gram), replace(good, moment=moment), replace(good, square=value)):
         with pytest.raises(DataError, match="equations.not_finite"):
             fit_inertia(bad, given, names(4))
+
+
+@pytest.mark.parametrize("kind", ["quadratic", "entropic"])
+def test_rows_whitened_far_too_small_are_refused(seed: int, kind: str) -> None:
+    """Beside rows of 1e-9 of their stated noise, the prior is rounding: the error says so and what to do."""
+    Y, F, given, _ = problem(seed, noise=1e-9)
+    options = InertiaOptions(prior=kind, noise="known")  # type: ignore[arg-type]
+    with pytest.raises(DataError, match=r"not positive definite.*Scale the rows.*\[inertia\.solver\]"):
+        fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), options)
+
+
+def test_what_is_not_a_number_is_not_optimal(seed: int) -> None:
+    """NaN in any of a certificate's residuals is no reason to accept."""
+    Y, F, given, _ = problem(seed)
+    certificate = fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), PLAIN).certificate
+    for part in ("primal", "dual", "gap"):
+        spoiled = replace(certificate, optimality=replace(certificate.optimality, **{part: torch.nan}))
+        assert judge(spoiled, PLAIN) is InertiaStatus.NOT_OPTIMAL
+
+
+def test_a_retry_does_not_vouch_for_the_certificate(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The note that the solver needed several settings says how they ended, and leaves the rest to the status."""
+    Y, F, given, _ = problem(seed)
+    honest = cone.project
+
+    def short(*args: object, **options: object) -> object:
+        solution = honest(*args, **options)
+        return replace(solution, x=solution.x * (1 + 1e-4), attempts=3, status="AlmostSolved")
+
+    monkeypatch.setattr("torchid.inertia.cone.project", short)
+    fit = fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), replace(PLAIN, refuse=False))
+    assert fit.status is InertiaStatus.NOT_OPTIMAL
+    (said,) = [note.message for note in fit.notes if note.code == "inertia.solver_retry"]
+    assert "3 settings" in said and "AlmostSolved" in said and "certificate" not in said
 
 
 def test_sums_of_different_rows_are_refused(seed: int) -> None:

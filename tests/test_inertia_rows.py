@@ -391,6 +391,12 @@ def test_rows_beyond_what_rounding_carries_are_not_called_fitted() -> None:
     refused("rows.not_optimal", "residuals", weight=1e13, limits=one_tight())
 
 
+def test_a_program_that_breaks_down_is_not_called_infeasible() -> None:
+    """Where Clarabel gives up on the entropic program, the error says that, and not that nothing fulfils the limits."""
+    error = refused("inertia.solver", "solver_error", prior=RowsPrior(small().mean, "entropic", 0.3), weight=1e12)
+    assert "there may be one" in error.message and "quadratic" in error.remedy
+
+
 def one_tight() -> Limits:
     """The limbs' ellipsoids, the second so small that it holds with equality."""
     return Limits(ellipsoids=spoiled(small().Q, (1, 3, 3), float(small().Q[1, 3, 3]) - 0.3))
@@ -427,6 +433,9 @@ def test_a_wrong_guess_of_what_is_touched_is_mended(monkeypatch: pytest.MonkeyPa
         fit = small_fit(prior=prior, limits=one_tight())
         assert fit.at_limit == own.at_limit
         torch.testing.assert_close(fit.phi, own.phi, rtol=1e-8, atol=1e-11)
+    # With too few rounds to mend the guess, the certificate tells.
+    monkeypatch.setattr("torchid.inertia.entropic._ROUNDS", 1)
+    refused("rows.not_optimal", "residuals", prior=prior, limits=one_tight())
 
 
 def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:

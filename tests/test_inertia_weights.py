@@ -1,16 +1,19 @@
 """Choice of the weights of data and prior."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from inertia_cases import bodies, chain_rows, draw, names, prior
 from scipy.stats import multivariate_normal
 
-from torchid.errors import ConfigError
+from torchid.errors import ConfigError, DataError
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.options import InertiaOptions
+from torchid.inertia.pseudo import pseudo_to_params
 from torchid.inertia.spectrum import diagonalise
-from torchid.inertia.weights import log_evidence
+from torchid.inertia.weights import log_evidence, maximise_evidence
 from torchid.regressor.equations import NormalEquations
 
 
@@ -89,6 +92,29 @@ def test_cross_validation_trusts_a_right_prior_more_than_a_wrong_one(seed: int) 
     assert float(np.exp(np.mean(np.log(ratio)))) > 5
     with pytest.raises(ConfigError, match=r"two fit trials.*found: 1\).*inertia\.cross_validation"):
         fit_inertia(total, right, names(3), options, trials=trials[:1])
+
+
+@pytest.mark.parametrize("square", [0.0, -1e-9])
+def test_data_that_equal_the_prediction_give_the_least_noise(seed: int, square: float) -> None:
+    """Whatever rounding leaves of the residual at the prior mean, zero and less among it, the noise is its least."""
+    given, Y = prior(bodies(3), 0.1), chain_rows(3, 30, seed)
+    equations = NormalEquations.from_rows(Y, Y @ given.mean.flatten())
+    spectrum = replace(diagonalise(equations, given.mean.flatten(), given.covariance, None), square=square)
+    found = maximise_evidence(spectrum, None, None, (1.0, 1e3))
+    least = spectrum.rows / spectrum.smallest
+    assert 0.1 * least < found.omega_1 <= 1.001 * least and found.omega_2 > 100.0
+
+
+def test_rows_of_zeros_have_no_noise_to_estimate(seed: int) -> None:
+    """Where right-hand sides and predictions are zero, no noise is made up; a noise that is stated does."""
+    given = prior(pseudo_to_params(torch.eye(4, dtype=torch.float64)[None]), 0.1)
+    Y = torch.zeros(6, 10, dtype=torch.float64)
+    Y[:, 1] = torch.randn(6, dtype=torch.float64)  # asks for the centre of mass, which the prior has at the origin
+    equations = NormalEquations.from_rows(Y, torch.zeros(6, dtype=torch.float64))
+    with pytest.raises(DataError, match=r"cannot be estimated.*6 rows.*inertia\.no_noise"):
+        fit_inertia(equations, given, names(1))
+    known = InertiaOptions(noise="known", refuse=False)
+    torch.testing.assert_close(fit_inertia(equations, given, names(1), known).phi, given.mean)
 
 
 @pytest.mark.parametrize(("scale", "end"), [(1.0001, 1e2), (3.0, 1e-2)])

@@ -243,24 +243,27 @@ def test_rotations_are_refused_by_name(tmp_path: Path) -> None:
         read_c3d(with_parameters(ROTATION={"USED": np.array([3])}).save(tmp_path / "a.c3d"))
 
 
-@pytest.mark.parametrize(("rate", "found"), [(0.0, "0"), (-100.0, "-100"), (np.nan, ""), (1e7, "1e+07")])
+@pytest.mark.parametrize(("rate", "found"), [(0.0, "0"), (-100.0, "-100"), (np.nan, "nan"), (1e7, "1e+07")])
 def test_a_rate_that_neither_header_nor_parameter_knows_is_refused(tmp_path: Path, rate: float, found: str) -> None:
     """Without a possible camera rate in either place nothing can be differentiated."""
     with pytest.raises(InputError, match=r"c3d\.rate") as caught:
         read_c3d(small(rate=rate).save(tmp_path / "a.c3d"))
-    assert caught.value.place == "POINT:RATE" and found in caught.value.found and caught.value.remedy
+    assert (caught.value.place, caught.value.found) == ("POINT:RATE", f"{found}, in the header {found}")
+    assert caught.value.remedy
 
 
-@pytest.mark.parametrize("block", [0, 1])
-def test_data_that_begin_nowhere_are_refused(tmp_path: Path, block: int) -> None:
-    """Without POINT:DATA_START, and with a header whose word 9 names no block behind it, the data cannot be found."""
-    data = bytearray(with_parameters(POINT={"DATA_START": None}).build())
+@pytest.mark.parametrize(("block", "start"), [(0, None), (1, None), (0, 1), (1, 1)])
+def test_data_that_begin_nowhere_are_refused(tmp_path: Path, block: int, start: int | None) -> None:
+    """Where neither POINT:DATA_START nor word 9 of the header names a block behind it, the data cannot be found."""
+    value = None if start is None else np.array([start])
+    data = bytearray(with_parameters(POINT={"DATA_START": value}).build())
     data[16:18] = struct.pack("<H", block)
     path = tmp_path / "a.c3d"
     path.write_bytes(data)
     with pytest.raises(InputError, match=r"c3d\.data_start") as caught:
         read_c3d(path)
-    assert (caught.value.place, caught.value.found) == ("header word 9", str(block)) and caught.value.remedy
+    assert caught.value.place == "header word 9 and POINT:DATA_START" and caught.value.remedy
+    assert caught.value.found == f"{block} and {'absent' if start is None else start}"
 
 
 def test_frames_that_count_from_zero_begin_at_zero_seconds(tmp_path: Path) -> None:

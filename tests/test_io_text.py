@@ -286,7 +286,12 @@ def test_a_header_that_counts_otherwise_is_said(tmp_path: Path) -> None:
     storage = read_storage(save(tmp_path / "a.mot", text))
     assert storage.values.shape == (9, 2)
     said = [note.message for note in storage.notes if note.code == "storage.counts"]
-    assert len(said) == 2 and "is 7" in said[0] and "holds 9" in said[0] and "is 4" in said[1] and "holds 3" in said[1]
+    assert said == ["nrows is 7, the file holds 9", "ncolumns is 4, the file holds 3"]
+    text = mot_text(["a", "b"], np.zeros((9, 2)), header="datarows 7\nnRows=9\ndatacolumns 4")
+    said = [
+        note.message for note in read_storage(save(tmp_path / "b.mot", text)).notes if note.code == "storage.counts"
+    ]
+    assert said == ["datarows is 7, the file holds 9", "datacolumns is 4, the file holds 3"]
 
 
 @pytest.mark.parametrize(
@@ -453,7 +458,7 @@ def test_too_few_forces_for_a_clock_are_refused(tmp_path: Path) -> None:
     """No row is refused where it is read, one where it would have to be put on the clock of the markers."""
     with pytest.raises(InputError, match=r"a\.mot.*mot\.empty"):
         pair(tmp_path, standing()[:0])
-    with pytest.raises(InputError, match=r"found: 1\).*forces\.short"):
+    with pytest.raises(InputError, match=r"a\.mot, trial .*found: 1\).*forces\.short"):
         synchronise(pair(tmp_path, standing()[:1]))
 
 
@@ -464,6 +469,7 @@ def test_a_change_of_a_plate_that_needs_corners_is_refused_without(tmp_path: Pat
         with pytest.raises(InputError, match=r"plates\.corners") as caught:
             read_trial("a", tmp_path / "a.trc", tmp_path / "a.mot", options=ReadOptions(plates={1: change}))
         assert caught.value.place == "ground_force_1" and "forces_as" in caught.value.remedy
+        assert caught.value.source == str(tmp_path / "a.mot")
     read_trial("a", tmp_path / "a.trc", tmp_path / "a.mot", options=ReadOptions(plates={1: PlateAs(gain=1.1)}))
 
 
@@ -536,6 +542,14 @@ def test_clocks_without_overlap_are_refused_and_partial_overlap_said(tmp_path: P
         read_trial("a", trc, save(tmp_path / "b.mot", moved))
 
 
+def test_a_role_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    """The three that exist are named."""
+    with pytest.raises(
+        InputError, match=r"trial a: .*found: calibration\)\. Use one of static, fit, heldout \[trial\.role\]"
+    ):
+        read_trial("a", tmp_path / "a.trc", role="calibration")
+
+
 @pytest.mark.parametrize(
     ("name", "forces", "found"), [("a.csv", None, ".csv"), ("a", None, "no suffix"), ("a.c3d", "b.txt", ".txt")]
 )
@@ -543,7 +557,8 @@ def test_unknown_combinations_are_refused(tmp_path: Path, name: str, forces: str
     """Formats that carry no markers, or no forces, are refused with a remedy."""
     with pytest.raises(InputError) as caught:
         read_trial("a", tmp_path / name, forces)
-    assert (caught.value.code, caught.value.found) == ("trial.format", found) and caught.value.remedy
+    assert (caught.value.code, caught.value.found) == ("trial.format", found)
+    assert ("markers" in caught.value.remedy) == (forces is None) and caught.value.remedy
     assert caught.value.source == (forces or str(tmp_path / name))
 
 

@@ -11,6 +11,7 @@ from torchid.config import load_config
 from torchid.errors import DataError, InputError
 from torchid.experiment.read import read_session
 from torchid.io import ReadOptions, read_trial
+from torchid.io.mend import PlateAs
 
 FRAMES, RATE, FIRST = 60, 100.0, 251
 BEGIN = (FIRST - 1) / RATE
@@ -58,6 +59,15 @@ def test_a_mot_stands_for_the_plates_of_a_c3d(tmp_path: Path, plates: bool, up: 
     assert ("axes.forces" in codes(trial)) == (up == "y")
     assert ("plates.replaced" in codes(trial)) == plates
     assert "plates.none" not in codes(trial)
+
+
+@pytest.mark.parametrize("plates", [False, True])
+def test_a_fault_of_forces_beside_a_c3d_names_their_file(tmp_path: Path, plates: bool) -> None:
+    """A change that needs corners fails for the MOT, which has none, and not for the C3D."""
+    options = ReadOptions(plates={1: PlateAs(mirror="x")})
+    with pytest.raises(InputError, match=r"plates\.corners") as caught:
+        read_trial("a", c3d(tmp_path, plates), mot(tmp_path, "z", BEGIN, 0.59), options=options)
+    assert caught.value.source == str(tmp_path / "a.mot")
 
 
 @pytest.mark.parametrize(

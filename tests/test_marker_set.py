@@ -134,9 +134,14 @@ def test_an_own_set_may_extend_a_built_in_one(tmp_path):
         ("markers.ambiguous", "ab, A.B", "ab: thigh_l\nA.B: thigh_r\n", "differ only in case"),
         ("config.key", "line 1, column 1", "1.5: thigh_l\n", "in quotes"),
         ("markers.aliases", "aliases", "A: thigh_l\naliases: [B, C]\n", "aliases are label"),
+        ("markers.aliases", "aliases", "A: thigh_l\naliases: false\n", "aliases are label.*found: False"),
+        ("markers.aliases", "aliases", "A: thigh_l\naliases: 0\n", "aliases are label.*found: 0"),
+        ("markers.aliases", "aliases", "A: thigh_l\naliases: ''\n", "aliases are label.*found: ''"),
         ("markers.alias", "aliases.B", "A: thigh_l\naliases: {B: [C]}\n", "alias of a label that the set lacks"),
         ("markers.alias", "aliases.A", "A: thigh_l\naliases: {A: C}\n", "not a list"),
         ("markers.computed", "computed", "A: thigh_l\ncomputed: 3\n", "list of patterns"),
+        ("markers.computed", "computed", "A: thigh_l\ncomputed: false\n", "list of patterns.*found: False"),
+        ("markers.computed", "computed", "A: thigh_l\ncomputed: {}\n", "list of patterns"),
         ("markers.extends", "extends", "extends: plug_in_gate\n", "did you mean plug_in_gait"),
     ],
 )
@@ -173,6 +178,12 @@ def test_files_that_are_no_sets_are_refused(tmp_path, code, text):
     assert caught.value.code == code and "own.yaml" in caught.value.source and caught.value.remedy
 
 
+def test_keys_with_nothing_after_them_are_absent(tmp_path):
+    """YAML's empty value stands for no aliases and no patterns."""
+    chosen = load_marker_set(write(tmp_path, "A: thigh_l\naliases:\ncomputed:\nextends:\n"))
+    assert (chosen.aliases, chosen.computed, tuple(chosen.specs)) == ({}, (), ("A",))
+
+
 def test_an_unknown_set_names_the_nearest():
     """A misspelt name of a built-in set is answered with the nearest; a missing file is named."""
     with pytest.raises(ConfigError, match=r"did you mean hamner2013.*markers\.unknown_set") as caught:
@@ -195,19 +206,23 @@ def test_free_markers_are_wide_about_the_segment_and_landmarks_narrow():
 
 
 @pytest.mark.parametrize(
-    ("spec", "code", "said"),
+    ("spec", "code", "said", "remedy"),
     [
-        (MarkerSpec("tail"), "markers.segment", ""),
-        (MarkerSpec("shank_l", "knee_lateral_l"), "markers.landmark", "knee_lateral_l; it lies on thigh_l"),
-        (MarkerSpec("shank_l", "knee_lateral"), "markers.landmark", "knee_lateral"),
+        (MarkerSpec("tail"), "markers.segment", "", "did you mean thigh_l"),
+        (
+            MarkerSpec("shank_l", "knee_lateral_l"), "markers.landmark", "knee_lateral_l; it lies on thigh_l",
+            "write segment: thigh_l, or a landmark of shank_l (ankle_lateral_l, ankle_medial_l)",
+        ),
+        (MarkerSpec("shank_l", "knee_lateral"), "markers.landmark", "knee_lateral", "did you mean knee_lateral_"),
+        (MarkerSpec("hand_l", "knee_lateral_l"), "markers.landmark", "knee_lateral_l; it lies on thigh_l", "(none)"),
     ],
-)
-def test_places_that_the_model_lacks_are_refused(spec, code, said):
+)  # fmt: skip
+def test_places_that_the_model_lacks_are_refused(spec, code, said, remedy):
     """A segment or landmark that is not in the model, or lies on another segment, raises a ConfigError."""
     with pytest.raises(ConfigError) as caught:
         marker_prior(whole_body(1.75, 70.0, "male"), [spec])
     error = caught.value
-    assert (error.code, error.place, error.found) == (code, spec.segment, said) and error.remedy
+    assert (error.code, error.place, error.found) == (code, spec.segment, said) and remedy in error.remedy
 
 
 def test_landmark_names_are_those_of_the_template():

@@ -371,6 +371,27 @@ def test_bad_urdf_is_refused(code: str, text: str, tmp_path: Path) -> None:
     assert caught.value.code == code and caught.value.source.endswith("bad.urdf") and caught.value.remedy
 
 
+def test_a_link_that_stands_twice_is_named_with_both_lines(tmp_path: Path) -> None:
+    """Both places are told, so that one of them can be renamed."""
+    (tmp_path / "bad.urdf").write_text(
+        '<robot name="r">\n<link name="a"/>\n<link name="b"/>\n<link name="a"/>\n</robot>'
+    )
+    with pytest.raises(InputError, match=r"line 4, <link name='a'>.*found: a, also in line 2.*model\.name_twice"):
+        load_model(tmp_path / "bad.urdf")
+
+
+def test_an_outer_default_without_a_name_is_everybodys(tmp_path: Path) -> None:
+    """An empty name of the outermost class means the same as none, as it does to MuJoCo."""
+    masses = []
+    for name in ("", 'class=""', 'class="main"'):
+        text = _mjcf('<body><joint/><geom size="0.1"/></body>', f'<default {name}><geom density="500"/></default>')
+        (tmp_path / "a.xml").write_text(text)
+        masses.append(load_model(tmp_path / "a.xml")[0].inertia.mean[:, 0])
+    assert float(masses[0][0]) == pytest.approx(500 * 4 / 3 * np.pi * 1e-3)
+    torch.testing.assert_close(masses[1], masses[0], rtol=0, atol=0)
+    torch.testing.assert_close(masses[2], masses[0], rtol=0, atol=0)
+
+
 def _mjcf(inside: str, before: str = "", root: str = "<freejoint/>") -> str:
     shape = '<geom size="0.1"/>'
     return f'<mujoco>{before}<worldbody><body name="a">{root}{shape}{inside}</body></worldbody></mujoco>'
@@ -393,6 +414,8 @@ HIPS = (
         ("mjcf.compiler", _mjcf("", '<compiler settotalmass="70"/>')),
         ("mjcf.default", _mjcf("", '<default><default><geom density="1"/></default></default>')),
         ("mjcf.class", _mjcf('<body><joint class="x"/></body>')),
+        ("mjcf.class", _mjcf('<body><joint class=""/></body>')),
+        ("mjcf.class", _mjcf('<body childclass=""><joint/></body>')),
         ("mjcf.shape", _mjcf('<body><joint/><geom type="mesh" mesh="m"/></body>')),
         ("mjcf.size", _mjcf('<body><joint/><geom type="box" size="1 1"/></body>')),
         ("mjcf.fromto", _mjcf('<body><joint/><geom type="capsule" size="1" fromto="0 0 1 0 0 1"/></body>')),

@@ -61,7 +61,7 @@ def solve_within(problem: Problem, spectrum: Spectrum, budget: float, options: I
         return untouched
     scaled = scale(task)
     if scaled is None:
-        raise _out_of_reach(task, "")
+        raise _out_of_reach(task, "without cones, the best parameters miss the bound")
     return _quadratic(task, scaled) if problem.divergence is None else _entropic(task, scaled)
 
 
@@ -79,7 +79,7 @@ def _quadratic(task: BoundedTask, scaled: Scaled) -> BoundedSolution:
     solution, _ = cone.clarabel_solve(sp.csc_array(np.triu(2 * curve)), slope, A, b, cones)
     status = str(solution.status)
     if "Infeasible" in status:
-        raise _out_of_reach(task, status)
+        raise _out_of_reach(task, f"Clarabel: {status}")
     if status not in cone.SOLVED:
         return _refine(task, scaled.multiplier)
     multiplier = float(np.asarray(solution.z)[len(rows.b)]) / (2 * scaled.radius**2)
@@ -133,7 +133,7 @@ def _entropic(task: BoundedTask, scaled: Scaled) -> BoundedSolution:
         objective = objective + cp.square((row @ x - problem.mass[0]) / problem.mass[1])
     program, dual = entropic.solve_program(objective, x, linear, [bound])
     if w.value is None:
-        raise _out_of_reach(task, str(program.status))
+        raise _out_of_reach(task, entropic.ending(program))
     assert bound.dual_value is not None
     multiplier = task.active(float(np.asarray(bound.dual_value[0]).item()) / (2 * scaled.radius**2))
     smooth = entropic.smooth(task.mass_hessian, task.mass_pull, weights)
@@ -142,7 +142,7 @@ def _entropic(task: BoundedTask, scaled: Scaled) -> BoundedSolution:
     return BoundedSolution(*entropic.finish(point, smooth, linear, dual, program, float(weights.min()), surface))
 
 
-def _out_of_reach(task: BoundedTask, status: str) -> DataError:
+def _out_of_reach(task: BoundedTask, ending: str) -> DataError:
     """The error of a bound that no parameters meet, with the residual that they can reach."""
     problem, mu = task.problem, _REACH / task.budget
     free = task.relative(task.spectrum.params(task.spectrum.solve(mu, 1.0)))
@@ -151,7 +151,7 @@ def _out_of_reach(task: BoundedTask, status: str) -> DataError:
     nearest = cone.project(free, hessian, linear, lmi=options.lmi, floor=options.floor)
     square = max(problem.equations.residual_square(problem.params(nearest.x).flatten()), 0.0)
     if square < task.budget:
-        return cone.no_solution(status)
+        return cone.no_solution(ending)
     rows = problem.equations.rows
     return DataError(
         "rows.bound_out_of_reach",

@@ -7,12 +7,12 @@ the root of the secular equation of a trust region (Conn, Gould & Toint, Trust-R
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 import torch
 from jaxtyping import Float
 from scipy.optimize import brentq
 from torch import Tensor
 
+from torchid.inertia.cone import unit_axes
 from torchid.inertia.newton import Matrix, Misfit, Vector
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.problem import Problem
@@ -100,8 +100,7 @@ def scale(task: BoundedTask) -> Scaled | None:
     problem, spectrum, misfit = task.problem, task.spectrum, task.misfit
     mu = secular_multiplier(spectrum, task.budget)
     centre = task.relative(spectrum.params(spectrum.solve(mu, 1.0)) if mu > 0 else problem.mean)
-    factor = np.linalg.cholesky(mu * misfit.hessian + task.precision + task.mass_hessian).T
-    rotate = scipy.linalg.solve_triangular(factor, np.eye(len(centre)))
+    rotate = unit_axes(mu * misfit.hessian + task.precision + task.mass_hessian)
     values, axes = np.linalg.eigh(rotate.T @ misfit.hessian @ rotate)
     solid = values > _NULL * max(float(values[-1]), np.finfo(float).tiny)
     gain = np.sqrt(values[solid])

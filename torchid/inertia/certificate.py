@@ -236,7 +236,8 @@ def judge(certificate: Certificate, options: InertiaOptions) -> InertiaStatus:
         return InertiaStatus.NO_INFORMATION
     if not low <= conflict.mass_ratio <= high and abs(conflict.mass_z) > 5:
         return InertiaStatus.PRIOR_CONFLICT
-    if not max(optimality.primal, optimality.dual, optimality.gap) <= options.gap_limit:
+    # Not of their largest: beside a number, ``max`` may pass over NaN.
+    if not all(size <= options.gap_limit for size in (optimality.primal, optimality.dual, optimality.gap)):
         return InertiaStatus.NOT_OPTIMAL
     if options.lmi and float(certificate.smallest_eigenvalue.min()) < EIGENVALUE_LIMIT:
         return InertiaStatus.NOT_PHYSICAL

@@ -162,23 +162,39 @@ def project(free: Vector, hessian: Matrix, linear: Linear, *, lmi: bool, floor: 
         lmi: W(x) >= floor for every body.
 
     Raises:
-        DataError: Clarabel found no solution with any of its settings.
+        DataError: Clarabel found no solution with any of its settings, or double precision does not hold the Hessian.
     """
-    rows = cone_rows(len(free), linear, lmi=lmi, floor=floor)
-    factor = np.linalg.cholesky(hessian).T
-    rotate = scipy.linalg.solve_triangular(factor, np.eye(len(free)))
+    rows, rotate = cone_rows(len(free), linear, lmi=lmi, floor=floor), unit_axes(hessian)
     P, q = 2 * sp.eye_array(len(free), format="csc"), np.zeros(len(free))
     solution, attempts = clarabel_solve(P, q, sp.csc_array(rows.A @ rotate), rows.b - rows.A @ free, rows.cones)
     if str(solution.status) not in SOLVED:
-        raise no_solution(str(solution.status))
+        raise no_solution(f"Clarabel: {solution.status}")
     return rows.solution(solution, free + rotate @ np.asarray(solution.x), attempts)
 
 
-def no_solution(status: str) -> DataError:
-    """The error of a program that Clarabel ends without a solution."""
-    return DataError(
-        "inertia.solver",
-        "no inertial parameters fulfil all constraints",
-        found=f"Clarabel: {status}",
-        remedy="Widen the centre-of-mass boxes and ellipsoids, or look at the forces",
-    )
+def unit_axes(hessian: Matrix) -> Matrix:
+    """R^-1 with R' R the Hessian: in these axes it is the unit matrix.
+
+    Raises:
+        DataError: in double precision the Hessian is not positive definite: beside the data, the prior is rounding.
+    """
+    try:
+        factor = np.linalg.cholesky(hessian).T
+    except np.linalg.LinAlgError as error:
+        found = f"a Hessian that is not positive definite, its largest entry {np.abs(hessian).max():.1e}"
+        raise no_solution(found) from error
+    return scipy.linalg.solve_triangular(factor, np.eye(len(hessian)))
+
+
+def no_solution(ending: str) -> DataError:
+    """The error of a program that ends so without a solution: that there is none is said only where it says so."""
+    if "infeasible" in ending.lower():
+        message = "the solver finds no inertial parameters that fulfil all constraints"
+        remedy = "Widen the centre-of-mass boxes and ellipsoids, look at the forces, or scale the rows to their noise"
+    else:
+        message = "the computation broke down before a solution was found; there may be one"
+        remedy = (
+            "Scale the rows to their noise or have it estimated, and look at units, weights and boxes far from the "
+            "bodies; where the entropic prior breaks down, the quadratic one may not"
+        )
+    return DataError("inertia.solver", message, found=ending, remedy=remedy)

@@ -9,6 +9,7 @@ Reference: Lee, Wensing, Park, IEEE T-RO 36(2), 2020, eq. 19.
 """
 
 import warnings
+from contextlib import suppress
 
 import cvxpy as cp
 import numpy as np
@@ -17,8 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.errors import DataError
-from torchid.inertia.cone import ConeSolution, Linear, Matrix, Vector, squares
+from torchid.inertia.cone import ConeSolution, Linear, Matrix, Vector, no_solution, squares, unit_axes
 from torchid.inertia.newton import Objective, Surface, polish
 from torchid.inertia.pseudo import triangle, untriangle
 
@@ -90,16 +90,25 @@ def smooth(hessian: Matrix, pull: Vector, weights: np.ndarray) -> Objective:
 def solve_program(
     objective: cp.Expression, x: cp.Expression, linear: Linear, extra: list[cp.Constraint]
 ) -> tuple[cp.Problem, np.ndarray]:
-    """Solve a convex program with the linear rows and ``extra``; and the multipliers of the inequalities."""
+    """Solve a convex program with the linear rows and ``extra``; and the multipliers of the inequalities.
+
+    Where Clarabel ends without a solution, the variables of ``x`` have no value (see ``ending``).
+    """
     above = [linear.inequality @ x >= 0] if len(linear.inequality) else []
     equal = [linear.equality @ x == linear.value] if len(linear.value) else []
     problem = cp.Problem(cp.Minimize(objective), above + equal + extra)
-    with warnings.catch_warnings():
+    # SolverError: CVXPY's word for an end without a solution, whose status is then None.
+    with warnings.catch_warnings(), suppress(cp.SolverError):
         # "Solution may be inaccurate": the certificate decides, after the Newton steps.
         warnings.simplefilter("ignore", UserWarning)
         problem.solve(solver=cp.CLARABEL, max_threads=1, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
     solved = problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
     return problem, np.asarray(above[0].dual_value) if above and solved else np.zeros(len(linear.inequality))
+
+
+def ending(problem: cp.Problem) -> str:
+    """How Clarabel ended a program, in CVXPY's words."""
+    return f"Clarabel: {problem.status or cp.SOLVER_ERROR}"
 
 
 def minimise(start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, linear: Linear) -> ConeSolution:
@@ -112,10 +121,9 @@ def minimise(start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, 
         linear: rows that hold besides.
 
     Raises:
-        DataError: Clarabel found no solution.
+        DataError: Clarabel or the Newton steps found no solution, or double precision does not hold the Hessian.
     """
-    factor = np.linalg.cholesky(hessian + np.diag(np.repeat(weights, 10))).T
-    rotate = scipy.linalg.solve_triangular(factor, np.eye(len(start)))
+    rotate = unit_axes(hessian + np.diag(np.repeat(weights, 10)))
     values, axes = np.linalg.eigh(rotate.T @ hessian @ rotate)
     root = np.sqrt(values.clip(0))[:, None] * axes.T
     w = cp.Variable(len(start))
@@ -124,12 +132,24 @@ def minimise(start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, 
     objective = cp.sum_squares(root @ w) + slope @ w + divergence_terms(x, weights)
     problem, dual = solve_program(objective, x, linear, [])
     if w.value is None:
-        raise DataError(
-            "inertia.solver", "the entropic fit has no solution", found=f"Clarabel: {problem.status}",
-            remedy="Set inertia.prior: quadratic, or check the mass and the plates",
-        )  # fmt: skip
+        raise no_solution(ending(problem))
     target = smooth(hessian, pull, weights)
     return finish(start + rotate @ w.value, target, linear, dual, problem, float(weights.min()))[0]
+
+
+def _polished(
+    x: Vector, objective: Objective, rows: np.ndarray, value: np.ndarray, convexity: float, surface: Surface | None
+) -> tuple[Vector, np.ndarray, float]:
+    """What ``newton.polish`` returns; DataError where one of its steps has no solution."""
+    try:
+        return polish(x, objective, rows, value, convexity, surface)
+    except (np.linalg.LinAlgError, torch.linalg.LinAlgError) as error:  # pyright: ignore[reportPrivateImportUsage]
+        raise no_solution(f"Newton steps: {error}") from error
+
+
+def _definite(x: Vector) -> bool:
+    """Whether every body's pseudo-inertia is positive definite, which none with NaN is."""
+    return not bool(torch.linalg.cholesky_ex(untriangle(torch.from_numpy(x).reshape(-1, 10))).info.any())
 
 
 def finish(
@@ -144,25 +164,29 @@ def finish(
     """Newton steps along the rows that hold with equality (see ``newton.polish``), found by an active-set method.
 
     The first guess is what the solver's multipliers ``dual`` say; rows that push the wrong way are then let go and
-    rows that are violated are held (Nocedal & Wright, Numerical Optimization, 2006, section 16.5).
+    rows that are violated are held (Nocedal & Wright, Numerical Optimization, 2006, section 16.5). Where the rounds end
+    before the rows are settled, the certificate tells.
+
+    Raises:
+        DataError: a step has no solution, or the steps end outside of what is physical.
     """
     held = dual > _TOUCHED * max(1.0, dual.max(initial=0.0))
     for _ in range(_ROUNDS):
         rows = np.vstack([linear.equality, linear.inequality[held]])
         value = np.append(linear.value, np.zeros(int(held.sum())))
-        x, multipliers, multiplier = polish(x, objective, rows, value, convexity, surface)
-        pushing = multipliers[len(linear.value) :]
-        wrong = np.flatnonzero(held)[pushing < 0]
-        violated = np.flatnonzero(~held & (linear.inequality @ x < -_VIOLATED))
-        if not len(wrong) and not len(violated):
+        x, multipliers, multiplier = _polished(x, objective, rows, value, convexity, surface)
+        pushing = np.zeros(len(dual))
+        pushing[held] = multipliers[len(linear.value) :]
+        wrong, violated = pushing < 0, ~held & (linear.inequality @ x < -_VIOLATED)
+        if not (wrong | violated).any():
             break
-        held[wrong], held[violated] = False, True
-    inequality_dual = np.zeros(len(dual))
-    inequality_dual[held] = pushing
+        held = held & ~wrong | violated
+    if not _definite(x):
+        raise no_solution("Newton steps: the point is not physical")
     return ConeSolution(
         x=x,
         lmi_dual=np.zeros((len(x) // 10, 4, 4)),
-        inequality_dual=inequality_dual,
+        inequality_dual=pushing,
         status="Solved" if problem.status == cp.OPTIMAL else str(problem.status),
         iterations=int(problem.solver_stats.num_iters or 0),
         attempts=1,

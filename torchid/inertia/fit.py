@@ -140,6 +140,6 @@ def _notes(certificate: Certificate, solution: ConeSolution) -> tuple[Note, ...]
         text = f"the forces ask for {conflict.mass_ratio:.3f} of the expected total mass ({conflict.mass_z:+.1f} sd)"
         notes.append(Note("inertia.mass_conflict", text))
     if solution.attempts > 1 or solution.status != "Solved":
-        text = f"Clarabel needed {solution.attempts} settings and ended with {solution.status}; the certificate holds"
+        text = f"Clarabel needed {solution.attempts} settings and ended with {solution.status}"
         notes.append(Note("inertia.solver_retry", text))
     return tuple(notes)

@@ -32,6 +32,12 @@ def box_rows(com_box: Tensor | None, bodies: int, like: Tensor) -> Float[Tensor,
             "inertia.com_box", "every box needs a lower corner below its upper corner", found=str(tuple(com_box.shape)),
             remedy=f"Give com_box of shape ({bodies}, 2, 3): lower and upper corner of each body [m]",
         )  # fmt: skip
+    infinite = com_box.isinf().nonzero().tolist()
+    if infinite:
+        raise ConfigError(
+            "inertia.com_box", "a corner of a box is infinite", found=f"at (body, corner, axis) {tuple(infinite[0])}",
+            remedy="Give every corner in metres; one that is a metre away bounds no body",
+        )  # fmt: skip
     rows = like.new_zeros((bodies, 2, 3, bodies, 10))
     for body in range(bodies):
         for axis in range(3):

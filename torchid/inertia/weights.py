@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 from torch import Tensor
 
-from torchid.errors import ConfigError, Note
+from torchid.errors import ConfigError, DataError, Note
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.spectrum import Spectrum, diagonalise
 from torchid.regressor.equations import NormalEquations
@@ -55,11 +55,13 @@ def maximise_evidence(
     Args:
         omega_1: None to estimate the noise.
         omega_2: None to search ``weight_range``.
+
+    Raises:
+        DataError: the noise is to be estimated of rows that are zero.
     """
-    first = spectrum.rows / max(spectrum.residual(spectrum.solve(1.0, 1.0)), spectrum.smallest)
-    low_1, high_1 = 1e-8 * spectrum.rows / spectrum.square, spectrum.rows / spectrum.smallest
+    low_1, first, high_1 = _noise_range(spectrum) if omega_1 is None else (omega_1,) * 3
     bounds = [
-        (np.log(low_1), np.log(high_1)) if omega_1 is None else (np.log(omega_1),) * 2,
+        (np.log(low_1), np.log(high_1)),
         (np.log(weight_range[0]), np.log(weight_range[1])) if omega_2 is None else (np.log(omega_2),) * 2,
     ]
 
@@ -75,6 +77,21 @@ def maximise_evidence(
     chosen_1, chosen_2 = (float(value) for value in np.exp(found.x))
     notes = () if omega_2 is not None else _at_bound(chosen_2, weight_range)
     return Weights(chosen_1, chosen_2, -float(found.fun), notes)
+
+
+def _noise_range(spectrum: Spectrum) -> tuple[float, float, float]:
+    """Where omega_1 is looked for: its smallest value, that of the fit with equal weights, its largest."""
+    if not spectrum.smallest > 0:
+        raise DataError(
+            "inertia.no_noise",
+            "the noise cannot be estimated: right-hand sides and what the prior mean predicts are zero in every row",
+            found=f"{spectrum.rows} rows",
+            remedy="Leave such rows out, or state the noise",
+        )
+    # Of data that equal the prior mean's prediction, rounding leaves any residual, zero and less among them.
+    largest = max(spectrum.square, spectrum.smallest)
+    residual = spectrum.residual(spectrum.solve(1.0, 1.0))
+    return 1e-8 * spectrum.rows / largest, spectrum.rows / residual, spectrum.rows / spectrum.smallest
 
 
 def choose_weights(

@@ -15,7 +15,7 @@ from torchid.io.frame import length_unit
 from torchid.io.labels import OUTPUT_LISTS, select_markers
 from torchid.io.options import ReadOptions
 from torchid.io.plates import read_plates
-from torchid.io.raw import RawTrial, assemble
+from torchid.io.raw import Measured, RawTrial, assemble
 from torchid.io.units import METRES
 from torchid.recording import Event, Forces, Trial
 
@@ -25,7 +25,7 @@ def read_c3d(
     name: str | None = None,
     role: str = "fit",
     options: ReadOptions | None = None,
-    beside: Forces | None = None,
+    measured: Measured = (None, (), ()),
 ) -> Trial:
     """A trial from a C3D file.
 
@@ -34,7 +34,7 @@ def read_c3d(
         name: of the trial; the file's stem by default.
         role: static, fit or heldout; markers that stand still are not suspect in a static trial.
         options: what the file leaves open.
-        beside: forces of another file, in its axes and on its clock; the plates of this one are then left out.
+        measured: forces of another file, in its axes and on its clock; the plates of this one are then left out.
 
     Raises:
         InputError: the file cannot be read or contradicts itself; codes ``c3d.*``, ``markers.*``,
@@ -48,17 +48,20 @@ def read_c3d(
     _refuse_rotations(header)
     layout = resolve_layout(header, data, options.allow_truncated)
     raw = _raw(data, header, layout, options)
-    return assemble(raw if beside is None else _with_forces(raw, beside), name or path.stem, role, options)
+    return assemble(_with_forces(raw, measured), name or path.stem, role, options)
 
 
-def _with_forces(raw: RawTrial, beside: Forces) -> RawTrial:
-    """The file's own plates only tell its vertical axis."""
+def _with_forces(raw: RawTrial, measured: Measured) -> RawTrial:
+    """With forces of another file, the file's own plates only tell its vertical axis."""
+    beside, said, facts = measured
+    if beside is None:
+        return raw
     notes = tuple(note for note in raw.notes if not note.code.startswith("plates."))
     if raw.forces is not None:
         text = f"{len(raw.forces.plates)} plates of the C3D left out for the forces given beside it"
         notes = (*notes, Note("plates.replaced", text, raw.source))
     parameters = tuple((key, value) for key, value in raw.parameters if not key.startswith("plate "))
-    return replace(raw, beside=beside, notes=notes, parameters=parameters)
+    return replace(raw, beside=beside, notes=(*notes, *said), parameters=(*parameters, *facts))
 
 
 def _refuse_rotations(header: C3dHeader) -> None:

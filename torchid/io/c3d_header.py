@@ -110,6 +110,11 @@ class C3dHeader:
         values = self.numbers(group, name, unsigned=True)
         return float(values[0]) if len(values) and np.isfinite(values[0]) else None
 
+    def spelled(self, group: str, name: str) -> str:
+        """First value of a parameter (integers unsigned) as messages show it, NaN too."""
+        values = self.numbers(group, name, unsigned=True)
+        return f"{values[0]:g}" if len(values) else "absent"
+
     def _continued(self, group: str, name: str) -> list[Parameter]:
         found, k = [], 1
         while (parameter := self.find(group, name if k == 1 else f"{name}{k}")) is not None:

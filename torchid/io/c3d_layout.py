@@ -88,10 +88,10 @@ def _rate(header: C3dHeader, notes: list[Note]) -> float:
     if not stated:
         raise InputError(
             "c3d.rate",
-            "the camera rate is missing",
+            "the camera rate is missing or none that a camera has",
             source=header.source,
             place="POINT:RATE",
-            found=f"{parameter:g}",
+            found=f"{header.spelled('POINT', 'RATE')}, in the header {header.rate:g}",
             remedy="Export the file again with its frame rate",
         )
     third = (header.number("ANALOG", "RATE") or 0.0) / header.ratio if header.ratio else 0.0

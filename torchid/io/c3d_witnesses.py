@@ -117,8 +117,8 @@ def choose_shape(header: C3dHeader, data: bytes | FileBytes, rate: float) -> tup
             "c3d.data_start",
             "the file does not say where its data begin",
             source=header.source,
-            place="header word 9",
-            found=str(header.data_block),
+            place="header word 9 and POINT:DATA_START",
+            found=f"{header.data_block} and {header.spelled('POINT', 'DATA_START')}",
             remedy="Export the file again",
         )
     fitting = [shape for shape in shapes if shape.fits(header, len(data))]

@@ -24,6 +24,10 @@ SMALL_BASELINE = 1.0
 """An unloaded reading [N] below this is not worth a note."""
 
 
+Measured = tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]
+"""Forces of a file of their own, its notes and facts."""
+
+
 @dataclass(frozen=True)
 class RawTrial:
     """One file's content in its own axes, lengths in m, forces in N and N m."""
@@ -44,6 +48,11 @@ class RawTrial:
     """Forces of another file, in its axes and on its clock, which stand for those of this one."""
     lines: Int[np.ndarray, " frames"] | None = None
     """Line of a text file of every frame, None for other formats."""
+
+    @property
+    def force_file(self) -> str:
+        """The file in which the forces stand."""
+        return dict(self.parameters).get("forces", self.source)
 
 
 def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial:
@@ -72,7 +81,7 @@ def assemble(raw: RawTrial, name: str, role: str, options: ReadOptions) -> Trial
     elif forces is not None:
         forces = _forces_in_world(turned_up(forces, options.forces_as, axis), axis)
     if forces is not None:
-        forces = mend(forces, *_left_to_mend(options), raw.source)
+        forces = mend(forces, *_left_to_mend(options), raw.force_file)
     forces, doubted, overloaded = _doubted(forces, raw)
     said = [*said, *turned, *_as_asked(options, raw.source)]
     notes = (*raw.notes, *missing, *left_out, *said, *odd, *doubted)

@@ -20,19 +20,25 @@ SAME_TIME = 1e-6
 """Part of a period up to which two times are one."""
 
 
-def to_clock(forces: Forces, time: Float[Tensor, " frames"]) -> Forces:
+def to_clock(forces: Forces, time: Float[Tensor, " frames"], source: str = "", place: str = "") -> Forces:
     """Forces on another uniform clock, band-limited to what it can carry.
 
     Towards a lower rate a zero-lag Butterworth low-pass (order 4 run forward and back, cut-off 0.4 of the new rate)
     goes first; cubic splines interpolate. Constants and straight lines pass unchanged up to the ends. NaN outside the
     forces' own time and within a new period of a missing sample.
 
+    Args:
+        forces: of a trial.
+        time: the other clock [s].
+        source, place: the file and the trial, for errors.
+
     Raises:
         InputError: ``forces.short`` for fewer than two samples.
     """
     if len(forces.time) < 2:
         raise InputError(
-            "forces.short", "forces have fewer than two samples", found=str(len(forces.time)),
+            "forces.short", "forces have fewer than two samples", source=source, place=place,
+            found=str(len(forces.time)),
             remedy="Export the whole trial's forces, or leave forces: out",
         )  # fmt: skip
     own, new = forces.time.detach().cpu().numpy(), time.detach().cpu().numpy()
@@ -94,11 +100,13 @@ def synchronise(trial: Trial) -> Trial:
     """
     if trial.forces is None:
         return trial
-    forces = to_clock(trial.forces, trial.markers.time)
+    source = trial.parameters.get("forces", trial.parameters.get("file", ""))
+    place = f"trial {trial.name}"
+    forces = to_clock(trial.forces, trial.markers.time, source, place)
     shared = int(forces.wrench.isfinite().flatten(1).all(dim=1).sum())
     if shared == 0:
         raise InputError(
-            "trial.no_overlap", "markers and forces share no frame", place=f"trial {trial.name}",
+            "trial.no_overlap", "markers and forces share no frame", source=source, place=place,
             remedy="Give the forces of the same trial, on the same clock",
         )  # fmt: skip
     frames, notes = len(trial.markers.time), trial.notes

@@ -126,10 +126,8 @@ def _degrees(header: dict[str, str]) -> bool | None:
 
 
 def _counted(header: dict[str, str], keys: tuple[str, ...], actual: int, source: str) -> list[Note]:
-    stated = next((header[key] for key in keys if key in header), None)
-    if stated is None or stated == str(actual):
-        return []
-    return [Note("storage.counts", f"{keys[0]} is {stated[:20]}, the file holds {actual}", source)]
+    stated = [(key, header[key][:20]) for key in keys if header.get(key, str(actual)) != str(actual)]
+    return [Note("storage.counts", f"{key} is {count}, the file holds {actual}", source) for key, count in stated]
 
 
 def write_storage(

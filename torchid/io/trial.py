@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from torchid.errors import InputError, Note
+from torchid.errors import InputError
 from torchid.io.c3d import read_c3d
 from torchid.io.frame import length_unit
 from torchid.io.grf import forces_from_storage
 from torchid.io.labels import select_markers
 from torchid.io.mend import PlateAs
 from torchid.io.options import ReadOptions
-from torchid.io.raw import RawTrial, assemble
+from torchid.io.raw import Measured, RawTrial, assemble
 from torchid.io.storage import read_storage
 from torchid.io.trc import read_trc
 from torchid.io.units import METRES
@@ -41,26 +41,26 @@ def read_trial(
     file, options = Path(file), options or ReadOptions()
     suffix = file.suffix.lower()
     if role not in ROLES:
-        raise InputError("trial.role", "this role does not exist", place=f"trial {name}", found=role, remedy=f"{ROLES}")
+        raise InputError(
+            "trial.role",
+            "this role does not exist",
+            place=f"trial {name}",
+            found=role,
+            remedy=f"Use one of {', '.join(ROLES)}",
+        )
     if suffix not in (".c3d", ".trc"):
         raise InputError(
             "trial.format",
             "markers are read from .c3d and .trc files",
             source=file,
             found=file.suffix or "no suffix",
-            remedy="Give forces (.mot, .sto) under forces:",
+            remedy="Export the markers as C3D or TRC; forces (.mot, .sto) are given under forces:",
         )
     measured = _read_forces(None if forces is None else Path(forces), options)
     options = options if forces is None else replace(options, moments_read=True)
     if suffix == ".trc":
         return _read_text(name, file, measured, role, options)
-    beside, notes, facts = measured
-    trial = read_c3d(file, name, role, options, beside)
-    return replace(trial, notes=(*trial.notes, *notes), parameters={**trial.parameters, **dict(facts)})
-
-
-Measured = tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]
-"""Forces of a file of their own, its notes and facts."""
+    return read_c3d(file, name, role, options, measured)
 
 
 def _read_text(name: str, file: Path, forces: Measured, role: str, options: ReadOptions) -> Trial:

@@ -143,14 +143,19 @@ def _parse(
     own = {k: _spec(k, v, path, segments, landmarks) for k, v in content.items() if k not in RESERVED}
     specs = base.specs | own
     _check_spelling(specs, path)
-    aliases = base.aliases | _aliases(content.get("aliases") or {}, specs, path)
-    computed = content.get("computed") or []
+    aliases = base.aliases | _aliases(_given(content, "aliases", {}), specs, path)
+    computed = _given(content, "computed", [])
     if not isinstance(computed, list) or not all(isinstance(pattern, str) for pattern in computed):
         raise ConfigError(
             "markers.computed", "computed is a list of patterns", source=path, place="computed",
-            remedy='write it as computed: ["*JC", "PEL?"]',
+            found=repr(computed)[:80], remedy='write it as computed: ["*JC", "PEL?"]',
         )  # fmt: skip
     return MarkerSet(path.stem, specs, aliases, base.computed + tuple(computed))
+
+
+def _given(content: Mapping[str, object], key: str, empty: object) -> object:
+    """What stands under a key; ``empty`` where the key is absent or nothing is written after it."""
+    return empty if content.get(key) is None else content[key]
 
 
 def _spec(label: str, value: object, path: Path, segments: tuple[str, ...], landmarks: tuple[str, ...]) -> MarkerSpec:
@@ -183,8 +188,10 @@ def _check_spelling(specs: Mapping[str, MarkerSpec], path: Path) -> None:
 
 def _aliases(value: object, specs: Mapping[str, MarkerSpec], path: Path) -> dict[str, tuple[str, ...]]:
     if not isinstance(value, dict):
-        message = "aliases are label: [other, ...]"
-        raise ConfigError("markers.aliases", message, source=path, place="aliases", remedy=ALIASES)
+        raise ConfigError(
+            "markers.aliases", "aliases are label: [other, ...]", source=path, place="aliases",
+            found=repr(value)[:80], remedy=ALIASES,
+        )  # fmt: skip
     found: dict[str, tuple[str, ...]] = {}
     for label, names in value.items():
         if label not in specs:
@@ -234,10 +241,14 @@ def marker_prior(
 
 def _landmark(model: Model, spec: MarkerSpec) -> Landmark:
     landmark = model.landmarks.get(spec.landmark or "")
-    if landmark is None or landmark.segment != spec.segment:
-        place = "" if landmark is None else f"; it lies on {landmark.segment}"
-        raise ConfigError(
-            "markers.landmark", "no such landmark on this segment", place=spec.segment, found=f"{spec.landmark}{place}",
-            remedy=_suggest(str(spec.landmark), tuple(model.landmarks), "landmarks"),
-        )  # fmt: skip
-    return landmark
+    if landmark is not None and landmark.segment == spec.segment:
+        return landmark
+    place, remedy = "", _suggest(str(spec.landmark), tuple(model.landmarks), "landmarks")
+    if landmark is not None:
+        own = [name for name, one in model.landmarks.items() if one.segment == spec.segment]
+        place = f"; it lies on {landmark.segment}"
+        remedy = f"write segment: {landmark.segment}, or a landmark of {spec.segment} ({', '.join(own) or 'none'})"
+    raise ConfigError(
+        "markers.landmark", "no such landmark on this segment", place=spec.segment, found=f"{spec.landmark}{place}",
+        remedy=remedy,
+    )  # fmt: skip

@@ -70,7 +70,7 @@ def read_mjcf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
     for default in root.findall("default"):
         _read_default(default, "main", reading)
     tops = [body for world in root.findall("worldbody") for body in world.findall("body")]
-    free = [body for body in tops if _free_joint(body, reading, None) is not None]
+    free = [body for body in tops if _free_joint(body, reading, "main") is not None]
     if len(free) != 1 and len(tops) != 1:
         found = f"{len(tops)} bodies in the world, {len(free)} free"
         message, remedy = "needs one body in the world, or one with a free joint", "Leave one body there."
@@ -80,7 +80,7 @@ def read_mjcf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
         reading.say("base_floats", f"{place(top)}: has no free joint; it floats, and its own joints are left out")
     if len(tops) > 1:
         reading.say("scenery", f"{len(tops) - 1} other bodies of the world are left out")
-    _read_body(top, None, top.get("childclass"), reading)
+    _read_body(top, None, top.get("childclass", "main"), reading)
     if reading.armature:
         reading.say("armature", f"{', '.join(reading.armature)}: armature is no inertia of a body and is left out")
     model, notes = assemble(reading.links, path, reading.sites, scatter or FileScatter())
@@ -111,7 +111,7 @@ def _read_compiler(compiler: Element, reading: _Reading) -> None:
 
 def _read_default(default: Element, parent: str, reading: _Reading) -> None:
     """A class of defaults, its parent's attributes under its own."""
-    name = default.get("class", "main")
+    name = default.get("class") or "main"  # as MuJoCo reads an empty one here, and nowhere else
     classes = reading.classes
     known = {tag: dict(values) for tag, values in classes.get(parent, {}).items()}
     for child in default:
@@ -124,26 +124,26 @@ def _read_default(default: Element, parent: str, reading: _Reading) -> None:
         _read_default(child, name, reading)
 
 
-def _attributes(element: Element, inherited: str | None, reading: _Reading) -> dict[str, str]:
+def _attributes(element: Element, inherited: str, reading: _Reading) -> dict[str, str]:
     """Attributes of an element over those of its class."""
-    name = element.get("class") or inherited or "main"
+    name = element.get("class", inherited)
     if name not in reading.classes:
         remedy = f"Known: {', '.join(list(reading.classes)[:20])}."
         raise fault(element, reading.path, "mjcf.class", "unknown class", name, remedy=remedy)
     return reading.classes[name].get(str(element.tag), {}) | dict(element.attrib)
 
 
-def _free_joint(body: Element, reading: _Reading, inherited: str | None) -> Element | None:
-    inherited = body.get("childclass") or inherited
+def _free_joint(body: Element, reading: _Reading, inherited: str) -> Element | None:
+    inherited = body.get("childclass", inherited)
     for joint in body.findall("joint"):
         if _attributes(joint, inherited, reading).get("type") == "free":
             return joint
     return body.find("freejoint")
 
 
-def _read_body(body: Element, parent: str | None, inherited: str | None, reading: _Reading) -> None:
+def _read_body(body: Element, parent: str | None, inherited: str, reading: _Reading) -> None:
     """A body and all below it (libxml2 bounds how deep elements nest)."""
-    inherited = body.get("childclass") or inherited
+    inherited = body.get("childclass", inherited)
     name = body.get("name") or f"body_{len(reading.links)}"
     if parent is not None and _free_joint(body, reading, inherited) is not None:
         remedy = "Move the body into the world, or give it another joint."
@@ -162,7 +162,7 @@ def _read_body(body: Element, parent: str | None, inherited: str | None, reading
         _read_body(child, name, inherited, reading)
 
 
-def _joints(body: Element, name: str, inherited: str | None, reading: _Reading) -> tuple[tuple[Axis, ...], Array]:
+def _joints(body: Element, name: str, inherited: str, reading: _Reading) -> tuple[tuple[Axis, ...], Array]:
     """Axes of a body's joints and the point they share."""
     axes: list[Axis] = []
     anchor: Array | None = None
@@ -258,7 +258,7 @@ def _euler(element: Element, angles: Array, reading: _Reading) -> Array:
     return R
 
 
-def _inertia(body: Element, inherited: str | None, reading: _Reading) -> Array:
+def _inertia(body: Element, inherited: str, reading: _Reading) -> Array:
     """Pseudo-inertia of a body about its origin, from its inertial or its shapes, as the compiler chooses."""
     inertial = body.find("inertial")
     if reading.from_shapes == "true" or (reading.from_shapes == "auto" and inertial is None):

@@ -67,9 +67,15 @@ def read_urdf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
         raise InputError(
             "urdf.xacro", "macros are not expanded", source=path, place=place(alien), remedy="Run xacro on it first."
         )
-    links = {_name(element, path): element for element in root.findall("link")}
-    if len(links) < len(root.findall("link")):
-        raise InputError("model.name_twice", "two links have one name", source=path, remedy="Rename one of them.")
+    links: dict[str, Element] = {}
+    for element in root.findall("link"):
+        name = _name(element, path)
+        if name in links:
+            found = f"{name}, also in line {links[name].sourceline}"
+            raise fault(
+                element, path, "model.name_twice", "two links have one name", found, remedy="Rename one of them."
+            )
+        links[name] = element
     joints: dict[str, Element] = {}
     for element in root.findall("joint"):
         child = _end(element, "child", links, path)
