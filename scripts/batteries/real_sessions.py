@@ -88,8 +88,8 @@ def _hamner(trial: str) -> File:
 
 
 SESSIONS: tuple[RealSession, ...] = (
-    # The moving trials of HC030A and HC038A hold 0.0016 to 0.0035 mm between 12 and 20 Hz, where cameras alone leave 0.03
-    # and more (``torchid.witnesses.smoothness``): somebody has filtered them.
+    # The moving trials of HC030A and HC038A hold 0.0016 to 0.0035 mm between 12 and 20 Hz, where cameras alone leave
+    # 0.03 and more (``torchid.witnesses.smoothness``): somebody has filtered them.
     _child("HC030A", 45.8, 1.48, 45.85, ("01", "05", "22"), ("filter_lag", "session")),
     _child("HC031A", 27.7, None, 27.70, ("01", "06", "23"), ("marker_shift", "LCPG")),
     _child("HC033A", 51.5, None, 51.47, ("01", "10", "22")),
