@@ -51,9 +51,8 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
 
 def _listed(found: Diagnosis) -> list[Block]:
     """How sure each cause is, those that are only possible apart."""
-    named, possible = (
-        Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in some)) for some in (_named(found), _possible(found))
-    )
+    named = Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in _named(found)))
+    possible = Items(tuple(f"{name(cause)}: {surely(cause)} If so: {told(cause)}" for cause in _possible(found)))
     apart = [Paragraph(POSSIBLE), possible] if possible.items else []
     return [*([named] if named.items else []), *apart]
 

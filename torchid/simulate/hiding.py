@@ -30,7 +30,7 @@ def _nothing(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, 
 
 
 def _clock(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
-    return (PlantedOptions("time_offset", parameters={"lag_s": _signed(rng, 0.005, 0.015)}),)
+    return (PlantedOptions("time_offset", parameters={"lag_s": _signed(rng, 0.012, 0.02)}),)
 
 
 def _gain(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
