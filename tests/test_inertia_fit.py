@@ -1,5 +1,6 @@
 """The inertial fit: optimality, invariances, certificates and refusals."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -251,7 +252,8 @@ def test_boxes_far_from_every_body_are_refused(seed: int, kind: str, away: float
         fit_inertia(NormalEquations.from_rows(Y, F), given, names(4), replace(PLAIN, prior=kind), com_box=box)
     error = caught.value
     assert error.code in {"inertia.solver", "inertia.not_optimal", "inertia.unexplained", "inertia.not_physical"}
-    assert ("no inertial parameters" in error.message) == ("infeasible" in error.found.lower())
+    infeasible = re.search("(?<!dual)infeasible", error.found.lower()) is not None
+    assert ("no inertial parameters" in error.message) == infeasible
 
 
 def judged(Y: Tensor, F: Tensor, given: InertialPrior) -> InertiaFit:

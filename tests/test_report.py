@@ -373,16 +373,21 @@ def test_what_is_only_possible_stands_apart(run):
         at = next(k for k, block in enumerate(section.blocks) if isinstance(block, Paragraph))
         heading, listed = section.blocks[at : at + 2]
         assert isinstance(heading, Paragraph) and heading.text.startswith("Only possible")
-        assert isinstance(listed, Items) and [surely(even) in item for item in listed.items] == [True]
+        assert isinstance(listed, Items) and len(listed.items) == 1
+        (item,) = listed.items
+        assert "only one of several possibilities (50 %)" in item.lower() and told(even)[1:] in item
 
 
 def test_witnesses_of_a_cause_are_shown():
     agreeing = Answer("clock_vertical", "walk", "", 0.021, 0.005, 0.019, 0.004, "s")
     against = replace(agreeing, name="zero_fx", where="plate_2", value=0.3, sd=1.5, expected=8.0, usual=0.0, unit="N")
-    quiet = replace(against, value=3.9)
-    (block,) = witness_table([replace(cause("time_offset"), witnesses=(agreeing, against, quiet))])
+    quiet, large = replace(against, value=3.9), replace(against, value=40.0)
+    tiny = Answer("marker_quickness", "walk", "", 0.0018, 0.0033, 0.0, 0.03, "mm")
+    some = (agreeing, against, quiet, large, tiny)
+    (block,) = witness_table([replace(cause("time_offset"), witnesses=some)])
     assert isinstance(block, Details) and isinstance(table := block.blocks[0], Table)
-    assert [row[-1] for row in table.rows] == ["agrees", "contradicts", "cannot tell"]
+    assert [row[-1] for row in table.rows] == ["agrees", "contradicts", "cannot tell", "another size", "agrees"]
+    assert table.rows[4][3] == "0.0018 ± 0.0033 mm"
     assert table.rows[0][2:6] == ("walk", "21.0 ± 5.0 ms", "19.0 ms", "4.0 ms")
     assert witness_table([cause("drag")]) == []
 

@@ -12,15 +12,18 @@ from small_session import outcome
 
 from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.catalogue import effect
-from torchid.effects.place import SESSION, Place
+from torchid.effects.place import SESSION, Interval, Place
 from torchid.effects.scene import reading
 from torchid.experiment.correction import extend_outcome
 from torchid.experiment.diagnosis_stage import plate_frames
 from torchid.experiment.laboratory import examine, panel_of, read_right, verdict_of
 from torchid.experiment.standing import follow_each, standing_weight
+from torchid.experiment.witnessed import with_witnesses
 from torchid.outcome import Outcome
+from torchid.outcome.tables import diagnosis_table
 from torchid.report.decisions import sentence
 from torchid.results import OutputFolder
+from torchid.tracking.statement import Kind, Statement
 from torchid.witnesses.panel import Panel
 from torchid.witnesses.testimony import Claim, answers, hear
 from torchid.witnesses.watched import share_load
@@ -197,6 +200,50 @@ def test_each_witness_answers_for_itself() -> None:
     assert first.name in ("mass", "gain") and first.unit == "part" and first.agrees, (place, theta, first)
     assert abs(first.value - first.expected) < 3.0 * first.sd < 3.0 * abs(first.expected), (place, theta, first)
     assert not wrong[0].agrees and abs(wrong[0].value - wrong[0].expected) > 3.0 * wrong[0].sd, (place, theta, wrong)
+
+
+def test_a_fault_makes_no_trial_bad() -> None:
+    """However large it is, claims are held against the scatter of sessions in which nothing is wrong."""
+    base, rng = outcome(), np.random.default_rng(SEED)
+    own, heard = effect("plate_offset"), panel(base)
+    places = own.places([one.view for one in heard.trials])
+    place = max(places, key=lambda one: float(heard.signature(own, one).norm()))
+    theta = torch.zeros(own.size(place)).double()
+    theta[2] = float(rng.uniform(30.0, 50.0))
+    faulty = panel(planted(base, "plate_offset", place, theta))
+    told = [one for one in answers(faulty, [claim("plate_offset", place, theta)])[0] if one.name == "zero_fz"]
+    short = [one for one in answers(faulty, [claim("plate_offset", place, 0.6 * theta)])[0] if one.name == "zero_fz"]
+    assert told and all(one.agrees and one.sd < 3.0 for one in told), (place, theta, told)
+    assert not any(one.agrees for one in short), (place, theta, short)
+
+
+def test_a_verdict_says_levels_witnesses_and_what_is_published() -> None:
+    """Distances that bear out a shift or an exchange, and quick motion, stand beside their causes; the likely first."""
+    base = outcome()
+    name, (a, b, c) = next(iter(base.session.role("fit"))), base.fit.attachment.labels[:3]
+    shift = {"shift_seg_m": {"value": torch.tensor([0.03, 0.0, 0.04]).double(), "sd": torch.zeros(3).double()}}
+
+    def named(kind: str, where: tuple[str, ...], confidence: float, values: dict) -> Cause:
+        when, theta, gain = (Interval(name, 0.0, 1e3),), torch.zeros(1, 3).double(), {"heldout_log_likelihood": 0.0}
+        return Cause(kind, where, when, values, confidence, (), (), gain, Place(where, when), theta, (name,), False)
+
+    causes = named("marker_shift", (a,), 0.5, shift), named("marker_swap", (b, c), 0.995, {})
+    found = verdict_of((*causes, named("filter_lag", ("session",), 0.6, {})))
+    known = (
+        Statement(Kind.MOVED, name, (a,), (), 47.0, 5.0), Statement(Kind.MOVED, name, (a, c), (), 47.0, 5.0),
+        Statement(Kind.EXCHANGED, name, (b, c), (), 60.0, 3.5, 4.0),
+        Statement(Kind.EXCHANGED, name, (b, a), (), 60.0, 3.5, 4.0),
+    )  # fmt: skip
+    seen = replace(base, session=replace(base.session, tracking=known))
+    table = diagnosis_table(replace(base, diagnosis=with_witnesses(seen, found)))
+    heard = {
+        one["effect"]: (one["level"], [(w["name"], w["where"], w["agrees"]) for w in one["witnesses"]])
+        for one in table["causes"]
+    }
+    assert table["published"] == "base" and list(heard) == ["marker_swap", "filter_lag", "marker_shift"]
+    assert heard["marker_shift"] == ("possible", [("marker_distances", a, True)])
+    assert heard["marker_swap"] == ("certain", [("marker_distances", f"{b}, {c}", True)])
+    assert heard["filter_lag"][0] == "likely" and {one[0] for one in heard["filter_lag"][1]} <= {"marker_quickness"}
 
 
 def test_witnesses_bear_out_exchanged_cables() -> None:

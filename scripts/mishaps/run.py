@@ -51,7 +51,7 @@ def main() -> int:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--calls", default="24", help="how many of the calls that write fail, each in its turn, or all")
-    parser.add_argument("--first", type=int, default=1, help="of all calls, go on with this one")
+    parser.add_argument("--first", type=int, default=1, help="with --calls all, begin with this one")
     parser.add_argument("--disks", type=int, default=4, help="disks of 1 to 30 MB (needs the right to mount)")
     parser.add_argument("--kills", type=int, default=6, help="runs ended by kill -9 at a moment drawn by lot")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)

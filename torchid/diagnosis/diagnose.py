@@ -15,7 +15,7 @@ from torchid.diagnosis.testing.heldout import HeldOut
 from torchid.diagnosis.testing.position_dependence import misfits, with_misfits
 from torchid.diagnosis.testing.refutation import Upheld, uphold
 from torchid.diagnosis.testing.vibration import with_vibration
-from torchid.diagnosis.verdict.causes import causes_of, nearest, reading_order, untested
+from torchid.diagnosis.verdict.causes import after_forces, causes_of, nearest, untested
 from torchid.diagnosis.verdict.confidence import bent_by_position, discounted, unwitnessed
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import CATALOGUE, effect
@@ -102,9 +102,10 @@ def _verdict(
 
 
 def _ordered(found: SearchResult, causes: Sequence[Cause]) -> tuple[Cause, ...]:
-    """Return causes as they are read, of each kind the best supported first."""
+    """Return what a laboratory did to forces first, then what markers and bodies are like; the best supported come
+    first."""
     strength = [support(found.model.statistics, found.chosen, one) for one in found.chosen]
-    order = sorted(range(len(causes)), key=lambda k: (reading_order(causes[k]), -strength[k]))
+    order = sorted(range(len(causes)), key=lambda k: (after_forces(causes[k]), -strength[k]))
     return tuple(causes[k] for k in order)
 
 

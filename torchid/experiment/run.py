@@ -127,7 +127,8 @@ def _diagnosed(outcome: Outcome, folder: OutputFolder, key: str, progress: OnSta
     whole, relabelled = put_right(outcome, judged, folder, key, progress)
     published = publishable(whole, relabelled, folder, key, progress)
     assert published.diagnosis is not None
-    verdict = with_witnesses(outcome, published.diagnosis)
+    with folder.timed("witnesses"):
+        verdict = with_witnesses(outcome, published.diagnosis)
     base = None if published.base is None else replace(published.base, diagnosis=verdict)
     return replace(published, base=base, diagnosis=verdict)
 

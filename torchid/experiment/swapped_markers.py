@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.trace import Step, StepKind
-from torchid.diagnosis.verdict.causes import reading_order
+from torchid.diagnosis.verdict.causes import after_forces
 from torchid.diagnosis.verdict.confidence import trust
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
 from torchid.effects.catalogue import effect
@@ -123,7 +123,7 @@ def merged(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause], options
     if doubted:
         rule = "nothing_can_check" if after.unexplained.alone else "residual_structure"
         steps = [Step(StepKind.DISCOUNT, c.effect, c.where, rule, {"factor": factor}) for c in causes]
-    found = tuple(sorted((*own, *after.causes), key=reading_order))
+    found = tuple(sorted((*own, *after.causes), key=after_forces))
     return replace(after, baseline=before.baseline, causes=found, trace=(*before.trace, *after.trace, *steps))
 
 

@@ -17,7 +17,7 @@ from torchid.witnesses.testimony import CONTRADICTS_SD, Answer, Claim, answers
 
 
 def with_witnesses(outcome: Outcome, found: Diagnosis) -> Diagnosis:
-    """The verdict, each of its causes with what witnesses say of it.
+    """The verdict, each of its causes with what witnesses say of it, those that are only possible last.
 
     Args:
         outcome: up to the inertia, from the recordings as they are.
@@ -29,7 +29,8 @@ def with_witnesses(outcome: Outcome, found: Diagnosis) -> Diagnosis:
     for k, cause in enumerate(found.causes):
         own = others.get(effect(cause.effect).proof)
         causes.append(replace(cause, witnesses=forces.get(k, ()) if own is None else own(outcome, cause)))
-    return replace(found, causes=tuple(causes))
+    # Only here: what is read wrong is put right in the order in which it was found.
+    return replace(found, causes=tuple(sorted(causes, key=lambda one: one.level == "possible")))
 
 
 def _of_forces(outcome: Outcome, causes: Sequence[Cause]) -> dict[int, tuple[Answer, ...]]:
@@ -52,12 +53,16 @@ def _acting(cause: Cause) -> Callable[[str], Tensor | None]:
 
 def _of_distances(outcome: Outcome, cause: Cause) -> tuple[Answer, ...]:
     """What distances between the markers of a segment say of one that moved, or of two whose names are exchanged."""
-    kind = Kind.EXCHANGED if correction(cause) is Correction.LABELS else Kind.MOVED
-    some = [one for one in outcome.session.tracking if one.kind is kind and not set(cause.where).isdisjoint(one.labels)]
+    # Of several markers, one of which has moved, distances tell a change of theirs, and no shift.
+    some = [one for one in outcome.session.tracking if set(one.labels) == set(cause.where)]
+    if correction(cause) is Correction.LABELS:
+        told = [one for one in some if one.kind is Kind.EXCHANGED and cause.on(one.trial) is not None]
+    else:  # any trial, for a marker that moved between two sits elsewhere in either
+        told = [one for one in some if one.kind is Kind.MOVED]
     return tuple(
         Answer("marker_distances", one.trial, ", ".join(one.labels), one.size_mm, one.sd_mm, _expected_mm(one, cause),
                0.0, "mm")
-        for one in some
+        for one in told
     )  # fmt: skip
 
 

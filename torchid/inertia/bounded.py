@@ -78,7 +78,7 @@ def _quadratic(task: BoundedTask, scaled: Scaled) -> BoundedSolution:
     cones = [*rows.cones, clarabel.SecondOrderConeT(len(ball))]
     solution, _ = cone.clarabel_solve(sp.csc_array(np.triu(2 * curve)), slope, A, b, cones)
     status = str(solution.status)
-    if "Infeasible" in status:
+    if "PrimalInfeasible" in status:
         raise _out_of_reach(task, f"Clarabel: {status}")
     if status not in cone.SOLVED:
         return _refine(task, scaled.multiplier)

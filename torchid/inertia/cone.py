@@ -188,7 +188,7 @@ def unit_axes(hessian: Matrix) -> Matrix:
 
 def no_solution(ending: str) -> DataError:
     """The error of a program that ends so without a solution: that there is none is said only where it says so."""
-    if "infeasible" in ending.lower():
+    if "infeasible" in ending.lower() and "dual" not in ending.lower():
         message = "the solver finds no inertial parameters that fulfil all constraints"
         remedy = "Widen the centre-of-mass boxes and ellipsoids, look at the forces, or scale the rows to their noise"
     else:

@@ -133,7 +133,7 @@ def _other_forces(forces: Forces, raw: RawTrial, axis: str, options: ReadOptions
     Files of forces often count from the first frame stored; that is taken where more of the markers' time is covered.
     """
     notes, own = [], options.forces_as.up or force_axis(forces) or axis
-    refuse_axis(own, "", "", raw.source)
+    refuse_axis(own, "", "", raw.force_file)
     if own != axis:
         text = f"the forces are {own.upper()} up, the markers {axis.upper()} up; each is rotated to Z up by itself"
         notes.append(Note("axes.forces", text, raw.source))
@@ -163,10 +163,10 @@ def _doubted(forces: Forces | None, raw: RawTrial) -> tuple[Forces | None, list[
     """
     if forces is None:
         return None, [], []
-    mask, leaping = plate_spikes(forces, raw.source)
+    mask, leaping = plate_spikes(forces, raw.force_file)
     forces.wrench[torch.from_numpy(mask)] = torch.nan
-    forces, said, left_out = within_limits(forces, raw.source)
-    told = [] if forces is None else [*_levels(forces, raw.source), *_overlap(forces, raw)]
+    forces, said, left_out = within_limits(forces, raw.force_file)
+    told = [] if forces is None else [*_levels(forces, raw.force_file), *_overlap(forces, raw)]
     return forces, [*leaping, *said, *told], left_out
 
 

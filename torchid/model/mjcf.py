@@ -80,7 +80,7 @@ def read_mjcf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
         reading.say("base_floats", f"{place(top)}: has no free joint; it floats, and its own joints are left out")
     if len(tops) > 1:
         reading.say("scenery", f"{len(tops) - 1} other bodies of the world are left out")
-    _read_body(top, None, top.get("childclass", "main"), reading)
+    _read_body(top, None, "main", reading)
     if reading.armature:
         reading.say("armature", f"{', '.join(reading.armature)}: armature is no inertia of a body and is left out")
     model, notes = assemble(reading.links, path, reading.sites, scatter or FileScatter())

@@ -19,7 +19,7 @@ from torchid.report.effect_words import called, noun, of_markers, place
 from torchid.report.marker_distances import draw_markers, marker_error
 from torchid.report.rival_bars import rival_bars
 from torchid.report.witness_table import witness_table
-from torchid.wording import clean, listing, number, percent, plural, scientific
+from torchid.wording import clean, listing, number, percent, scientific
 
 SAME = 0.005
 """Part of an error below which its change is none."""
@@ -52,9 +52,15 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
 def _listed(found: Diagnosis) -> list[Block]:
     """How sure each cause is, those that are only possible apart."""
     named = Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in _named(found)))
-    possible = Items(tuple(f"{name(cause)}: {surely(cause)} If so: {told(cause)}" for cause in _possible(found)))
+    possible = Items(tuple(map(_would_be, _possible(found))))
     apart = [Paragraph(POSSIBLE), possible] if possible.items else []
     return [*([named] if named.items else []), *apart]
+
+
+def _would_be(cause: Cause) -> str:
+    """What a cause would be, and how little sure that is."""
+    what, sure = told(cause), surely(cause)
+    return f"{name(cause)}: it would be that {what[0].lower()}{what[1:]} {sure[0].upper()}{sure[1:]}"
 
 
 def _named(found: Diagnosis) -> list[Cause]:
@@ -67,12 +73,13 @@ def _possible(found: Diagnosis) -> list[Cause]:
 
 
 POSSIBLE = (
-    "Only possible, since no witness bears it out or something contradicts it; the model allows for it as well, with "
-    "which it predicts no worse:"
+    "Only possible, as likely as not at most: rivals share the odds, no witness bears it out, or something speaks "
+    "against it. The model is corrected for what stands here too, since it predicts no worse with that:"
 )
 EXTENDED = (
-    "Every other figure of this page is of the extended model: these causes are taken out of the recordings (or, "
-    "as a load, kept apart from the body), then inertia, and geometry where markers are concerned, are fitted again. "
+    "Every other figure of this page is of the extended model: all causes that are listed are taken out of the "
+    "recordings (or, as a load, kept apart from the body), then inertia, and geometry where markers are concerned, are "
+    "fitted again. "
     "Measured forces drawn elsewhere are the corrected ones. The values before stand under “base” in inertia.json and "
     "geometry.json, its prediction beside the extended one in the forces files."
 )
@@ -84,11 +91,7 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
         return " ".join([*(told(cause) for cause in named), *_gains(outcome, found), *_refuted(found)])
     tried = len(select_effects(options.include, options.exclude))
     if found.causes:
-        listed = plural(len(found.causes), "cause")
-        silent = (
-            f"None of the {tried} effects that were tried is likely: no more than possible, for want of a witness or "
-            f"against a doubt, {'is' if len(found.causes) == 1 else 'are'} the {listed} below."
-        )
+        silent = f"None of the {tried} effects that were tried is likely; what is only possible is listed below."
         return " ".join([silent, *_gains(outcome, found), *_refuted(found)])
     silent = f"None of the {tried} effects that were tried is supported by all recordings: nothing was corrected."
     return " ".join([silent, *_refuted(found), *_nearest(found, options.thresholds.naming.named_nats)])
@@ -130,9 +133,9 @@ def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
     if outcome.base is None:
         return []
     before, after = heldout_errors(outcome.base), heldout_errors(outcome)
-    said = [gained(before, after, "held-out")]
+    said = [gained(before, after, "held-out", "that and what is only possible" if _possible(found) else "that")]
     confined = sorted({trial for cause in found.causes if not cause.everywhere for trial in cause.trials})
-    marked = [cause for cause in found.causes if of_markers(cause) and not cause.everywhere]
+    marked = [cause for cause in _named(found) if of_markers(cause) and not cause.everywhere]
     if marked:
         labels = tuple(dict.fromkeys(label for cause in marked for label in cause.where))
         trials = sorted({trial for cause in marked for trial in cause.trials})
@@ -144,20 +147,20 @@ def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
     return said
 
 
-def gained(before: dict[str, float], after: dict[str, float], kind: str) -> str:
-    """Errors that change, in one sentence; where none does, the force's."""
+def gained(before: dict[str, float], after: dict[str, float], kind: str, what: str = "that") -> str:
+    """Errors that change as ``what`` is corrected, in one sentence; where none does, the force's."""
     known = [e for e in ERRORS if math.isfinite(before[e[0]]) and math.isfinite(after[e[0]])]
     if not known:
-        return f"No {kind} trial with forces tells what that gains."
+        return f"No {kind} trial with forces tells what correcting {what} gains."
     moved = [e for e in known if abs(after[e[0]] - before[e[0]]) > SAME * before[e[0]]]
     if not moved:
         key, words, unit, digits = known[0]
-        return f"With that corrected, the {kind} {words} stays at {number(after[key], digits)} {unit}."
+        return f"With {what} corrected, the {kind} {words} stays at {number(after[key], digits)} {unit}."
     parts = []
     for key, words, unit, digits in moved:
         verb = "falls" if after[key] < before[key] else "rises"
         parts.append(f"the {kind} {words} {verb} {_between(before[key], after[key], unit, digits)}")
-    return f"With that corrected, {listing(parts)}."
+    return f"With {what} corrected, {listing(parts)}."
 
 
 def _between(before: float, after: float, unit: str, digits: int) -> str:
@@ -191,7 +194,7 @@ def _forces(outcome: Outcome, trials: dict[str, Sides], side: Sides) -> list[Blo
     return [
         Figure(
             draw_curves(side),
-            f"The {role} trial {clean(side.name)}, where the named causes change the residual most, and the two "
+            f"The {role} trial {clean(side.name)}, where the causes change the residual most, and the two "
             "components that they change most. Above, where plates bear all contact: measured, and predicted by the "
             "model without (base) and with them (extended); below: what is left.",
         ),

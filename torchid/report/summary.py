@@ -55,7 +55,7 @@ def _named(found: Diagnosis | None) -> list[Block]:
     if found is None:
         return []
     sure = [cause for cause in found.causes if cause.level != "possible"]
-    others = len(found.causes) - bool(sure)
+    more, possible = max(len(sure) - 1, 0), len(found.causes) - len(sure)
     if sure:
         twins = " or ".join(map(called, sure[0].indistinguishable))
         apart = f"; it may as well be {twins}, which the recordings do not tell apart" if twins else ""
@@ -64,9 +64,9 @@ def _named(found: Diagnosis | None) -> list[Block]:
         said = ["Nothing that the catalogue knows is shown to be wrong with the recordings."]
     else:
         said = ["Nothing that the catalogue knows was found wrong with the recordings."]
+    others = [plural(count, f"{kind} cause") for count, kind in ((more, "more"), (possible, "possible")) if count]
     if others:
-        more = "more cause" if sure else "possible cause"
-        said.append(f"{plural(others, more)} and all rivals: see “What the model gets wrong”.")
+        said.append(f"{listing(others)} and all rivals: see “What the model gets wrong”.")
     if found.unexplained.significant:
         said.append("More remains in the forces than noise makes, and no named cause explains it.")
     return [Paragraph(" ".join(said))]

@@ -1,18 +1,18 @@
-"""What witnesses say of the causes, as a table: measured without any body model, beside what each cause would have."""
+"""What witnesses say of the causes, as a table: measured with hardly a model of the body, beside what would be said."""
 
 from collections.abc import Sequence
 
 from torchid.diagnosis.verdict.records import Cause
 from torchid.report.blocks import Block, Details, Table
 from torchid.report.cause_sentences import name
-from torchid.witnesses.testimony import CONTRADICTS_SD, Answer
-from torchid.wording import clean, number
+from torchid.witnesses.testimony import Answer
+from torchid.wording import clean, decimals, number
 
 LISTED = 6
 """Witnesses that are listed of a cause; all are in diagnosis.json."""
 WORDS = {
-    "mass": "weight that plates bear, over the record",
-    "gain": "weight on this plate, over that on the others",
+    "mass": "weight that plates bear, beyond the record",
+    "gain": "weight on one plate, beyond its part of that on the other",
     "clock_vertical": "forces behind the motion, vertical",
     "clock_horizontal": "forces behind the motion, horizontal",
     "lean": "lean of the weight",
@@ -32,18 +32,25 @@ def witness_table(causes: Sequence[Cause]) -> list[Block]:
     if not rows:
         return []
     head = ("Cause", "Witness", "In", "Says", "Would say, were it so", "Where nothing is wrong", "")
-    caption = "Measured without a body model, with the standard deviation of sessions in which nothing is wrong"
+    caption = "Measured with hardly any model of the body; the spread is that between sessions where nothing is wrong"
     return [Details("What witnesses say of each cause", (Table(caption, head, rows, text=3, wrap=True),))]
 
 
 def _row(cause: Cause, one: Answer) -> tuple[str, ...]:
     factor, unit = UNITS.get(one.unit, (1.0, one.unit))
-    value, sd, expected, usual = (number(factor * x, 1) for x in (one.value, one.sd, one.expected, one.usual))
-    far = abs(one.value - one.expected) > CONTRADICTS_SD * one.sd
-    said = "agrees" if one.agrees else "contradicts" if far else "cannot tell"
+    digits = decimals(factor * one.sd)
+    value, sd, expected, usual = (number(factor * x, digits) for x in (one.value, one.sd, one.expected, one.usual))
     place = ", ".join(filter(None, (one.trial, one.where)))
     return (name(cause), _words(one.name), clean(place), f"{value} ± {sd} {unit}", f"{expected} {unit}",
-            f"{usual} {unit}", said)  # fmt: skip
+            f"{usual} {unit}", _verdict(one))  # fmt: skip
+
+
+def _verdict(one: Answer) -> str:
+    """In a word or two; another size than that of the cause is no denial of it."""
+    if one.agrees:
+        return "agrees"
+    nearer = abs(one.value - one.expected) < abs(one.value - one.usual)
+    return "another size" if one.contradicts and nearer else "contradicts" if one.contradicts else "cannot tell"
 
 
 def _words(kind: str) -> str:

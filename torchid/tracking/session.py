@@ -121,10 +121,9 @@ def without(markers: Markers, statements: Iterable[Statement]) -> Markers:
     bad = [one for one in statements if one.kind in TAKEN_OUT]
     if not bad:
         return markers
-    markers = markers.having(label for one in bad for label in one.labels)
     position = markers.position.clone()
     for one in bad:
         inside = one.inside(markers.time)
-        for label in one.labels:
+        for label in (own for own in one.labels if own in markers.labels):
             position[inside, markers.labels.index(label)] = torch.nan
     return replace(markers, position=position)

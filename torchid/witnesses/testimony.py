@@ -15,7 +15,7 @@ from torchid.witnesses.statements import Subject
 
 CONTRADICTS_SD = 3.0
 """Choice. Standard deviations from what a claim would have a witness say at which that witness contradicts it."""
-HEARD_SD = 1.0
+HEARD_SD = 2.0
 """Choice. Standard deviations that a claim must move what a witness says for its answer to tell anything."""
 
 
@@ -44,7 +44,7 @@ class Answer:
     """What one witness says of one claim, beside all others."""
 
     name: str
-    """Kind of the witness: of ``scatter.SCATTER``, or of what else bears effects out (``Proof``)."""
+    """Kind of the witness: of ``scatter.SCATTER``, ``marker_distances`` or ``marker_quickness``."""
     trial: str
     """Trial that it was asked about."""
     where: str
@@ -63,8 +63,16 @@ class Answer:
     @property
     def agrees(self) -> bool:
         """True if it does not contradict the claim, and speaks for it more than for nothing."""
-        off = abs(self.value - self.expected)
-        return off <= CONTRADICTS_SD * self.sd and off < abs(self.value - self.usual)
+        return self._off <= CONTRADICTS_SD * self.sd and self._off < abs(self.value - self.usual)
+
+    @property
+    def contradicts(self) -> bool:
+        """True if the claim cannot be so, in size or at all."""
+        return self._off > CONTRADICTS_SD * self.sd
+
+    @property
+    def _off(self) -> float:
+        return abs(self.value - self.expected)
 
 
 def answers(panel: Panel, claims: Sequence[Claim]) -> list[tuple[Answer, ...]]:
@@ -75,7 +83,8 @@ def answers(panel: Panel, claims: Sequence[Claim]) -> list[tuple[Answer, ...]]:
         claims: all that are made at once.
     """
     said = [_said(panel, one) for one in claims]
-    together, sd = sum(said, start=torch.zeros_like(panel.value)), panel.likeliest().diagonal().sqrt()
+    together = sum(said, start=torch.zeros_like(panel.value))
+    sd = panel.covariances[0].diagonal().sqrt()  # where no trial is bad
     usual = panel.value.new_tensor([SCATTER[one.kind].usual for one in panel.about])
     found = []
     for own in said:

@@ -61,7 +61,7 @@ def with_exchanged_markers(found: Diagnosis, some: Sequence[ExchangedMarkers]) -
     steps = tuple(
         Step(StepKind.ENTER, EXCHANGE.name, one.place.where, "exchanged_distances", _numbers(one)) for one in some
     )
-    ordered = tuple(sorted((*found.causes, *causes), key=reading_order))
+    ordered = tuple(sorted((*found.causes, *causes), key=after_forces))
     return replace(found, causes=ordered, trace=(*steps, *found.trace))
 
 
@@ -89,15 +89,13 @@ def _plain(one: MissingWeight, options: DiagnosisOptions) -> Cause:
     )  # fmt: skip
 
 
-def reading_order(cause: Cause) -> tuple[bool, bool]:
-    """Return the key by which causes are ordered: what is only possible is read last, and after what a laboratory did
-    to forces what is of markers or bodies.
+def after_forces(cause: Cause) -> bool:
+    """Return whether a cause is of markers or bodies, which are read after what a laboratory did to forces.
 
     Args:
         cause: the cause.
     """
-    own = effect(cause.effect)
-    return cause.level == "possible", own.moves_markers or own.bodily
+    return effect(cause.effect).moves_markers or effect(cause.effect).bodily
 
 
 def nearest(scan: Round, most: int) -> tuple[Near, ...]:

@@ -109,7 +109,7 @@ def unwitnessed(
         heard: what witnesses of forces say of each; None where they were not asked.
         told: names of places that other proof than forces bears out.
     """
-    causes, steps, most = list(causes), [], found.options.confidence.doubt
+    causes, steps, most = list(causes), [], min(found.options.confidence.doubt, EVEN)
     least, unheard = found.options.naming.alike_nats, Testimony(0.0, 0.0)
     for k, (one, said) in enumerate(zip(found.chosen, heard, strict=True)):
         said = said or unheard

@@ -7,7 +7,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
-from torchid.diagnosis.options import ConfidenceOptions
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.trace import Trace
 from torchid.effects.catalogue import effect
@@ -16,8 +15,8 @@ from torchid.effects.place import Interval, Place
 from torchid.observation.plate_registry import SessionPlate
 from torchid.witnesses.testimony import Answer
 
-CERTAIN = 0.99
-"""Wording. Confidence above which a cause is practically certain."""
+EVEN, CERTAIN = 0.5, 0.99
+"""Wording. Confidences above which a cause is more than possible, and practically certain."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class Cause:
         """Return how sure it is: ``possible``, ``likely`` or ``certain``."""
         if self.confidence > CERTAIN:
             return "certain"
-        return "likely" if self.confidence > ConfidenceOptions.doubt else "possible"
+        return "likely" if self.confidence > EVEN else "possible"
 
     def scaled(self, factor: float) -> "Cause":
         """Return the cause with its confidence, and that of its rivals, times a factor.
@@ -155,7 +154,7 @@ class Diagnosis:
     extended: Errors
     """Held-out errors of the model with the causes."""
     causes: tuple[Cause, ...]
-    """Causes, those that are only possible last, and of either kind those of plates and clocks first."""
+    """Causes, those of plates and clocks first; in a published verdict those that are only possible last."""
     unexplained: Adequacy
     """Adequacy of the model with the causes."""
     not_testable: dict[str, str] = field(default_factory=dict)
