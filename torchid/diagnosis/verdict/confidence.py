@@ -10,7 +10,7 @@ from torchid.diagnosis.search.elimination import stands_out
 from torchid.diagnosis.search.result import SearchResult
 from torchid.diagnosis.testing.position_dependence import Misfit
 from torchid.diagnosis.trace import StepKind, Trace, step
-from torchid.diagnosis.verdict.records import Cause
+from torchid.diagnosis.verdict.records import EVEN, Cause
 from torchid.effects.session import SESSION
 from torchid.effects.traits import Proof
 from torchid.observation.trial import TrialObservation
