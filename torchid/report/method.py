@@ -28,6 +28,7 @@ STAGES = (
     ("inertia", "Fit of the inertia"),
     ("residuals", "Residuals step by step"),
     ("diagnosis", "Diagnosis"),
+    ("witnesses", "Asking the witnesses"),
     ("torques", "Joint torques"),
 )
 """Beginnings of the names of stages, and what they are."""
