@@ -191,23 +191,23 @@ def test_snapshots_hold_and_rebuild_nothing_foreign():
             from_bytes(hashlib.sha256(content).digest() + content)
 
 
-def test_what_finds_no_room_on_disk_stays_in_memory(tmp_path, monkeypatch):
-    """Columns are worth a file, not a run; what is as long as a recording says that the disk is full."""
+def test_what_finds_no_room_on_disk_says_so(tmp_path, monkeypatch):
+    """Columns and what is as long as a recording: where the disk is full, the run ends and names the folder."""
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     with OutputFolder(tmp_path / "out") as folder:
-        for lacking in (False, True):
-            if lacking:
-                monkeypatch.setattr(results, "make_room", full)
-                monkeypatch.setattr(results, "swap_out", full)
-            room = folder.room((2, 3))
-            room[:, 1:] = torch.ones(2, 2, dtype=torch.float64)
-            snapshot.unload()
-            assert room.tolist() == [[0.0, 1.0, 1.0]] * 2
-        with pytest.raises(InputError, match="cannot be written"):
-            folder.aside(room)
+        room = folder.room((2, 3))
+        room[:, 1:] = torch.ones(2, 2, dtype=torch.float64)
+        snapshot.unload()
+        assert room.tolist() == [[0.0, 1.0, 1.0]] * 2
+        monkeypatch.setattr(results, "make_room", full)
+        monkeypatch.setattr(results, "swap_out", full)
+        for asked in (lambda: folder.room((2, 3)), lambda: folder.aside(room)):
+            with pytest.raises(InputError, match="cannot be written") as caught:
+                asked()
+            assert str(folder.out) in str(caught.value)
 
 
 def test_mapped_snapshots_hold_what_was_written(tmp_path, seed):

@@ -15,7 +15,7 @@ from torchid.errors import DataError, InputError
 from torchid.files import TEMPORARY, atomic_write, nameless_file, safe_name, unwritable, write_text, writing
 from torchid.provenance import StageTime, Stopwatch
 from torchid.publication import Publication
-from torchid.snapshot import SnapshotError, in_memory, load_snapshot, make_room, release, swap_out, write_snapshot
+from torchid.snapshot import SnapshotError, load_snapshot, make_room, release, swap_out, write_snapshot
 
 log = logging.getLogger(__name__)
 Result = TypeVar("Result")
@@ -144,13 +144,13 @@ class OutputFolder:
             release()
 
     def room(self, shape: Sequence[int]) -> Tensor:
-        """Zeros of a shape, to be filled in place, in a file of this run where the disk has room, else in memory."""
-        try:
-            with nameless_file(self.staging) as file:
-                return make_room(file, shape)
-        except OSError as error:
-            log.warning("columns stay in memory: %s", error)
-            return in_memory(shape)
+        """Zeros of a shape, to be filled in place, in a file of this run.
+
+        Raises:
+            InputError: ``results.unwritable``.
+        """
+        with writing(self.staging), nameless_file(self.staging) as file:
+            return make_room(file, shape)
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
