@@ -222,3 +222,18 @@ def test_bytes_that_shift_the_data_are_said(tmp_path: Path, seed: int, kind: str
     except InputError as error:
         said = {error.code}
     assert said & {"c3d.trailing", "c3d.truncated", "c3d.contradiction"}
+
+
+def test_a_first_frame_without_a_last_is_heard(tmp_path: Path) -> None:
+    """The header's first and last frame are moved together: what the file says elsewhere of the first says so."""
+    built = sound()
+    del built.parameters["TRIAL"]["ACTUAL_END_FIELD"]
+    data = bytearray(built.build())
+    path = tmp_path / "a.c3d"
+    path.write_bytes(data)
+    assert "c3d.header_disagrees" not in [note.code for note in read_c3d(path).notes]
+    word(4, 8)(built, data)
+    word(5, FRAMES + 7)(built, data)
+    path.write_bytes(data)
+    (note,) = [note for note in read_c3d(path).notes if note.code == "c3d.header_disagrees"]
+    assert "TRIAL:ACTUAL_START_FIELD is 5; 8 is taken" in note.message

@@ -156,7 +156,7 @@ def _first_frame(header: C3dHeader, frames: int, notes: list[Note]) -> int:
     Where none does, either end may be wrong: 1, as in a recording that was not trimmed, if one of the ends says so.
     """
     start, end = actual_field(header, "START"), actual_field(header, "END")
-    stated = [] if start is None or end is None else [("TRIAL:ACTUAL_START_FIELD", start, end)]
+    stated = [] if start is None else [("TRIAL:ACTUAL_START_FIELD", start, SATURATED if end is None else end)]
     stated.append(("header word 4", header.first_frame, header.last_frame))
     known = [one for one in stated if SATURATED not in one]
     consistent = [one for one in known if one[2] - one[1] + 1 == frames]
