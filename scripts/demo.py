@@ -58,12 +58,12 @@ def blind(config: Config, recordings: Path) -> Config:
 def verdict(outcome: Outcome) -> list[str]:
     """The diagnosis in plain lines."""
     found = outcome.diagnosis
-    causes = () if found is None else found.causes
-    believed = [cause for cause in causes if cause.level != "possible"]
-    lines = [_named("Verdict", cause) for cause in believed]
-    lines = lines or ["Verdict: no effect of the catalogue is supported by the recordings."]
-    lines += [_named("Possible", cause) for cause in causes if cause.level == "possible"]
-    if found is not None and found.unexplained.significant:
+    none = ["Verdict: no effect of the catalogue is supported by the recordings."]
+    if found is None:
+        return none
+    lines = [_named("Verdict", cause) for cause in found.likely] or none
+    lines += [_named("Possible", cause) for cause in found.possible]
+    if found.unexplained.significant:
         lines.append(f"Something else remains: {found.unexplained.description}.")
     return lines
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -141,8 +142,15 @@ def test_left_out_is_fitted_without(seed):
 class Table(Attempts):
     """Attempts whose errors are a sum over causes and pairs of them, in place of fits."""
 
-    def __init__(self, harm: dict[frozenset[int], float], movers: frozenset[int] = frozenset(), most: int = 99) -> None:
-        self.causes = tuple(cause(k) for k in range(max(max(some) for some in harm) + 1))
+    def __init__(
+        self,
+        harm: dict[frozenset[int], float],
+        movers: frozenset[int] = frozenset(),
+        most: int = 99,
+        possible: frozenset[int] = frozenset(),
+    ) -> None:
+        count = max(max(some) for some in harm) + 1
+        self.causes = tuple(cause(k, 0.5 if k in possible else 0.9) for k in range(count))
         self._harm, self._movers, self._most, self.fitted = harm, movers, most, {frozenset()}
         self.options = OPTIONS
 
@@ -152,24 +160,45 @@ class Table(Attempts):
     def affordable(self, chosen: frozenset[int]) -> bool:
         return self.movers(chosen) in self.fitted or len(self.fitted) <= self._most
 
-    def growth(self, chosen: frozenset[int], less: frozenset[int] | None = None) -> tuple[Growth, ...]:
+    def growth(self, chosen: frozenset[int], other: frozenset[int] | None = None) -> tuple[Growth, ...]:
         self.fitted.add(self.movers(chosen))
-        log = self._log(chosen) - self._log(less or frozenset())
+        log = self._log(chosen) - self._log(other or frozenset())
         return (Growth("x", "force", log, log, 3, log > MARGIN),)
 
     def _log(self, chosen: frozenset[int]) -> float:
         return sum((own for some, own in self._harm.items() if some <= chosen), start=0.0)
 
 
-def cause(k: int) -> Cause:
-    """One that nothing is asked of but its name."""
+def cause(k: int, confidence: float = 0.9) -> Cause:
+    """One that nothing else is asked of."""
     place = planted(PlantedOptions("plate_gain", (f"plate_{k}",), None, {"gain": 1.0})).place
-    return Cause("plate_gain", place.where, None, {}, 0.9, (), (), {}, place, torch.zeros(1, 1), (), True)
+    return Cause("plate_gain", place.where, None, {}, confidence, (), (), {}, place, torch.zeros(1, 1), (), True)
 
 
 def left(table: Table) -> tuple[set[int], list[str]]:
-    kept, refused = select(table)
-    return set(kept), [one.where[0] for one, _ in refused]
+    found = select(table)
+    assert not found.unproven
+    return set(found.kept), [one.where[0] for one, _ in found.refused]
+
+
+def test_what_is_only_possible_has_to_show_a_gain():
+    """A likely cause stays unless it harms, a possible one leaves unless the model is worse without it."""
+    one, two, three = (frozenset({k}) for k in range(3))
+
+    def fate(harm: dict[frozenset[int], float], possible: frozenset[int], **kwargs: Any) -> tuple[set[int], ...]:
+        table = Table(harm, possible=possible, **kwargs)
+        found = select(table)
+        named = [{table.causes.index(cause) for cause, _ in some} for some in (found.refused, found.unproven)]
+        return set(found.kept), *named
+
+    assert fate({one: -0.5, two: 0.0}, one | two) == ({0}, set(), {1})
+    assert fate({one: 0.0, two: 0.0}, one) == ({1}, set(), {0})
+    assert fate({one: 0.1, two: 0.0}, one | two) == (set(), {0}, {1}), "what harms is refuted, not withheld"
+    # Those on markers together: one that gains keeps both.
+    both = one | two | three
+    assert fate({one: -0.5, two: 0.0, three: 0.0}, both, movers=one | two) == ({0, 1}, set(), {2})
+    # One that gains only beside another stays with it.
+    assert fate({one: -0.5, two: 0.0, one | two: -0.5}, two) == ({0, 1}, set(), set())
 
 
 def test_causes_leave_until_nothing_is_worse():
@@ -226,11 +255,12 @@ def drawn(rng: np.random.Generator) -> Planted:
     ][rng.integers(3)])  # fmt: skip
 
 
-def named(outcome: Outcome, one: Planted) -> Outcome:
+def named(outcome: Outcome, one: Planted, confidence: float = 0.9) -> Outcome:
     """With that as the verdict."""
     trials = tuple(outcome.session.trials)
-    own = Cause(one.effect.name, one.place.where, None, {}, 0.9, (), (), {"heldout_log_likelihood": 9.0}, one.place,
-                one.theta[None], trials, True)  # fmt: skip
+    gain = {"heldout_log_likelihood": 9.0}
+    own = Cause(one.effect.name, one.place.where, None, {}, confidence, (), (), gain, one.place, one.theta[None],
+                trials, True)  # fmt: skip
     assert outcome.diagnosis is not None
     return replace(outcome, diagnosis=replace(outcome.diagnosis, causes=(own,)))
 
@@ -272,6 +302,29 @@ def test_a_cause_that_is_there_is_published(tmp_path, heldout):
     before, after = (residual_rms(list(forceful(o, "fit").values()), o.phi) for o in (found.base, found))
     assert max(b / a for a, b in zip(before, after, strict=True)) < 1.02
     assert min(b / a for a, b in zip(before, after, strict=True)) < 0.8
+
+
+@pytest.mark.slow
+def test_a_possible_cause_is_listed_and_corrects_nothing_where_it_gains_nothing(tmp_path):
+    """One that is there is corrected at any confidence; one too small to be seen in any prediction is not."""
+    rng = np.random.default_rng([small_session.SEED, 53])
+    read = {"force_plate_N": [0.0, 0.0, rng.uniform(0.1, 0.3)], "moment_plate_Nm": [0.0, 0.0, 0.0]}
+    small = planted(PlantedOptions("plate_offset", ("plate_1",), None, read))
+    (kept,) = verdict_on(published(named(clean(), small, 0.5), tmp_path / "small"), base=True)
+    assert kept.effect == "plate_offset" and not kept.applied
+    large = drawn(rng)
+    (kept,) = verdict_on(published(named(measured_with(clean(), large), large, 0.5), tmp_path / "large"), base=False)
+    assert kept.applied
+
+
+def verdict_on(found: Outcome, base: bool) -> tuple[Cause, ...]:
+    """The causes, where the base model or the extended one is published."""
+    assert found.diagnosis is not None and not found.diagnosis.refuted and (found.base is None) is base
+    steps = [step.rule for step in found.diagnosis.trace]
+    table = diagnosis_table(found)
+    assert (steps == ["no_gain"]) is base and table["published"] == ("base" if base else "extended")
+    assert [one["applied"] for one in table["causes"]] == [not base]
+    return found.diagnosis.causes
 
 
 @pytest.mark.slow

@@ -376,6 +376,11 @@ def test_what_is_only_possible_stands_apart(run):
         assert isinstance(listed, Items) and len(listed.items) == 1
         (item,) = listed.items
         assert "only one of several possibilities (50 %)" in item.lower() and told(even)[1:] in item
+        assert "The model is corrected for it" in item and "Nothing is corrected" not in item
+    withheld = replace(outcome, diagnosis=replace(outcome.diagnosis, causes=(replace(even, applied=False),)))
+    (section,) = filter(None, [diagnosis_section(withheld)])
+    items = [item for block in section.blocks if isinstance(block, Items) for item in block.items]
+    assert [item for item in items if told(even)[1:] in item and "Nothing is corrected" in item]
 
 
 def test_witnesses_of_a_cause_are_shown():

@@ -3,13 +3,13 @@
 A verdict is found in a linear model; only fitting everything again shows what a cause does to geometry, inertia and
 motion. Causes are left out one by one until the model is no worse than the base model, nor than it would be without any
 single one on forces, in forces, moments and markers, in every held-out trial and in blocks of the fit trials left out
-in turn.
+in turn. A cause that is only possible has to show more: without it, something must be predicted worse.
 """
 
 import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.options import NeverWorseOptions
@@ -26,8 +26,8 @@ from torchid.outcome import Outcome
 from torchid.results import OutputFolder
 
 log = logging.getLogger(__name__)
-RULE = "never_worse"
-"""Name of the rule in ``docs/diagnosis.md``."""
+RULE, UNPROVEN = "never_worse", "no_gain"
+"""Names of the rules in ``docs/diagnosis.md``."""
 Chosen = frozenset[int]
 """Causes of a verdict, by their place in it."""
 FAILED = (Growth("all trials", "force", math.inf, math.inf, 0, True),)
@@ -50,15 +50,29 @@ def publishable(base: Outcome, relabelled: Outcome, folder: OutputFolder, key: s
     assert base.diagnosis is not None
     origin, refused = _judge_swaps(base, relabelled)
     attempts = Attempts(base, origin, folder, key, progress)
-    kept, others = select(attempts)
-    outcome, gone = attempts.outcome(kept), [*refused, *others]
-    verdict = without(base.diagnosis, gone, assess_outcome(outcome)) if gone else base.diagnosis
+    selection = select(attempts)
+    outcome, gone = attempts.outcome(selection.kept), [*refused, *selection.refused]
+    verdict = base.diagnosis
+    if gone or selection.unproven:
+        verdict = without(verdict, gone, selection.unproven, assess_outcome(outcome))
     published = replace(outcome, diagnosis=verdict)
     return published if outcome.base is None else replace(published, base=replace(base, diagnosis=verdict))
 
 
 Refusal = tuple[Cause, Mapping[str, float]]
-"""A cause that makes predictions worse, and by how much."""
+"""A cause that makes predictions worse, or none better, and by how much they change."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What becomes of the causes of a verdict."""
+
+    kept: Chosen
+    """Those by which the model is extended."""
+    refused: list[Refusal]
+    """Those with which it predicts worse."""
+    unproven: list[Refusal]
+    """Those that are only possible, and without which it predicts no worse."""
 
 
 def _judge_swaps(base: Outcome, relabelled: Outcome) -> tuple[Outcome, list[Refusal]]:
@@ -115,12 +129,12 @@ class Attempts:
         assert found is not None, "a model that no inertia fits is never kept"
         return found[0]
 
-    def growth(self, chosen: Chosen, less: Chosen | None = None) -> tuple[Growth, ...]:
-        """Compare the model with one of fewer causes; None: with the base model, labels as they were."""
-        found, reference = self._model(chosen), None if less is None else self._model(less)
+    def growth(self, chosen: Chosen, other: Chosen | None = None) -> tuple[Growth, ...]:
+        """Compare the model with that of other causes; None: with the base model, labels as they were."""
+        found, reference = self._model(chosen), None if other is None else self._model(other)
         if found is None:
             return FAILED
-        if less is not None and reference is None:
+        if other is not None and reference is None:
             return ()
         return compare(self._before if reference is None else reference[1], found[1], self.options)
 
@@ -149,31 +163,47 @@ class Attempts:
         return block_errors(outcome, self._base, corrected_config(self._base.config, causes), self._blocks)
 
 
-def select(attempts: Attempts) -> tuple[Chosen, list[Refusal]]:
+def select(attempts: Attempts) -> Selection:
     """Leave out causes until the model is no worse than the base model, nor than without any single one on forces.
 
-    Where no more geometries are worth their time, causes on markers leave together.
+    Where no more geometries are worth their time, causes on markers leave together. What is only possible leaves too
+    unless the model is worse without it.
 
     Args:
         attempts: models to compare.
-
-    Returns:
-        The causes that stay, and those that leave.
     """
-    kept, refused = frozenset(range(len(attempts.causes))), []
-    while kept:
+    found = Selection(frozenset(range(len(attempts.causes))), [], [])
+    while kept := found.kept:
         whole = attempts.growth(kept)
         worse = any(one.worse for one in whole)
         grown = {some: attempts.growth(kept, kept - some) for some in _leavable(attempts, kept, worse)}
         harmful = {some: own for some, own in grown.items() if any(one.worse for one in own)}
-        if not harmful and not worse:
+        if harmful or worse:
+            gone, leaving = max(harmful or grown, key=lambda some: _worst(grown[some])), found.refused
+            numbers = worsening(whole, grown[gone], attempts.options)
+        else:
+            gone, leaving = _unproven(attempts, kept), found.unproven
+            numbers = worsening(whole, attempts.growth(kept - gone, kept), attempts.options)
+        if not gone:
             break
-        gone = max(harmful or grown, key=lambda some: _worst(grown[some]))
-        numbers = worsening(whole, grown[gone], attempts.options)
-        refused += [(attempts.causes[k], numbers) for k in sorted(gone)]
-        log.info("%s refuted: %s", _called(attempts.causes[k] for k in gone), numbers)
-        kept -= gone
-    return kept, refused
+        leaving += [(attempts.causes[k], numbers) for k in sorted(gone)]
+        log.info("%s left out: %s", _called(attempts.causes[k] for k in gone), numbers)
+        found = replace(found, kept=kept - gone)
+    return found
+
+
+def _unproven(attempts: Attempts, kept: Chosen) -> Chosen:
+    """The least confident cause that is only possible and without which nothing is worse; empty where none is.
+
+    Those on markers leave or stay together: all of them ask for one geometry more.
+    """
+    possible = frozenset(k for k in kept if attempts.causes[k].level == "possible")
+    movers = attempts.movers(possible)
+    singles = sorted(possible - movers, key=lambda k: attempts.causes[k].confidence)
+    for some in [frozenset({k}) for k in singles] + [movers]:
+        if not any(one.worse for one in attempts.growth(kept - some, kept)):
+            return some
+    return frozenset()
 
 
 def _leavable(attempts: Attempts, kept: Chosen, worse: bool) -> list[Chosen]:
@@ -201,7 +231,7 @@ def worsening(whole: Sequence[Growth], own: Sequence[Growth], options: NeverWors
 
     Args:
         whole: growth of errors of the model with the cause, over the base model's.
-        own: over those of the same model without it.
+        own: over those of the same model without it, or the other way round.
         options: their margin.
     """
     kinds = {kind: [one.part for one in own if one.kind == kind] for kind in ("force", "moment", "markers")}
@@ -212,23 +242,30 @@ def worsening(whole: Sequence[Growth], own: Sequence[Growth], options: NeverWors
     }  # fmt: skip
 
 
-def without(found: Diagnosis, refused: Sequence[Refusal], rest: Adequacy) -> Diagnosis:
-    """The verdict with causes refuted, each with a step of the trace.
+def without(found: Diagnosis, refused: Sequence[Refusal], unproven: Sequence[Refusal], rest: Adequacy) -> Diagnosis:
+    """The verdict with causes refuted or not applied, each with a step of the trace.
 
     Args:
         found: with all of them.
-        refused: those that leave, and their numbers.
-        rest: what remains without them.
+        refused: those that leave the verdict, and their numbers.
+        unproven: those that leave the model alone, and their numbers.
+        rest: what remains without either.
     """
-    causes = tuple(own for own in found.causes if not any(own is gone for gone, _ in refused))
+    causes = tuple(
+        replace(own, applied=not any(own is gone for gone, _ in unproven))
+        for own in found.causes
+        if not any(own is gone for gone, _ in refused)
+    )
+    extended = any(own.applied for own in causes)
     refuted = (
         Refuted(gone.effect, gone.where, gone.gain["heldout_log_likelihood"], RULE, dict(numbers))
         for gone, numbers in refused
     )
-    steps = (Step(StepKind.REFUSE, gone.effect, gone.where, RULE, numbers) for gone, numbers in refused)
+    steps = [Step(StepKind.REFUSE, gone.effect, gone.where, RULE, numbers) for gone, numbers in refused]
+    steps += [Step(StepKind.LEAVE, gone.effect, gone.where, UNPROVEN, numbers) for gone, numbers in unproven]
     return replace(
         found, causes=causes, refuted=(*found.refuted, *refuted), trace=(*found.trace, *steps), unexplained=rest,
-        extended=found.extended if causes else found.baseline, aside=found.aside if causes else (),
+        extended=found.extended if extended else found.baseline, aside=found.aside if causes else (),
     )  # fmt: skip
 
 

@@ -30,7 +30,8 @@ def with_witnesses(outcome: Outcome, found: Diagnosis) -> Diagnosis:
         own = others.get(effect(cause.effect).proof)
         causes.append(replace(cause, witnesses=forces.get(k, ()) if own is None else own(outcome, cause)))
     # Only here: what is read wrong is put right in the order in which it was found.
-    return replace(found, causes=tuple(sorted(causes, key=lambda one: one.level == "possible")))
+    ordered = replace(found, causes=tuple(causes))
+    return replace(ordered, causes=(*ordered.likely, *ordered.possible))
 
 
 def _of_forces(outcome: Outcome, causes: Sequence[Cause]) -> dict[int, tuple[Answer, ...]]:

@@ -148,7 +148,7 @@ def attachments(outcome: Outcome) -> list[dict[str, Any]]:
     """What the diagnosis found on segments; their own parameters are without it."""
     causes = () if outcome.diagnosis is None else outcome.diagnosis.causes
     keys = ("effect", "where", "when", "parameters")
-    attached = [cause for cause in causes if isinstance(effect(cause.effect), AttachedLoad)]
+    attached = [cause for cause in causes if cause.applied and isinstance(effect(cause.effect), AttachedLoad)]
     return [{key: getattr(cause, key) for key in keys} for cause in attached]
 
 

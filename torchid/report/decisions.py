@@ -76,6 +76,15 @@ def _worse(n: Numbers) -> str:
     )
 
 
+def _unproven(n: Numbers) -> str:
+    kinds = {"forces": n["force_growth_part"], "moments": n["moment_growth_part"], "markers": n["markers_growth_part"]}
+    changed = ", ".join(f"{kind} {percent(part)}" for kind, part in kinds.items())
+    return (
+        "leaves the model, and is listed as possible: all fitted again without it, no error grows by more than "
+        f"{percent(n['most_part'])} beyond chance ({changed})"
+    )
+
+
 RULES: dict[str, Callable[[Numbers], str]] = {
     "evidence": _entered(""),
     "evidence_under_its_own_noise": _entered(", judged beside the noise that it would leave itself"),
@@ -109,6 +118,7 @@ RULES: dict[str, Callable[[Numbers], str]] = {
         f"is refuted: held-out forces and moments both err by {percent(n['error_growth_part'])} more because of it"
     ),
     "never_worse": _worse,
+    "no_gain": _unproven,
     "trials_disagree": lambda n: (
         f"is not named: all trials together have {odds(n['evidence_nats'])}, but predicted from each other "
         f"{odds(n['crossed_nats'])}"

@@ -41,7 +41,7 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
         blocks.append(Details("All parameters of the causes", (_parameters(found),)))
     blocks.append(Paragraph(_unexplained(found.unexplained, outcome.config.diagnosis.thresholds)))
     blocks += why(found.trace)
-    if found.causes:
+    if outcome.base is not None:
         blocks.append(Paragraph(EXTENDED))
     if found.not_testable:
         blocks.append(Paragraph("What these recordings cannot test:"))
@@ -51,42 +51,34 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
 
 def _listed(found: Diagnosis) -> list[Block]:
     """How sure each cause is, those that are only possible apart."""
-    named = Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in _named(found)))
-    possible = Items(tuple(map(_would_be, _possible(found))))
+    named = Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in found.likely))
+    possible = Items(tuple(map(_would_be, found.possible)))
     apart = [Paragraph(POSSIBLE), possible] if possible.items else []
     return [*([named] if named.items else []), *apart]
 
 
 def _would_be(cause: Cause) -> str:
-    """What a cause would be, and how little sure that is."""
+    """What a cause would be, how little sure that is, and whether anything was corrected for it."""
     what, sure = told(cause), surely(cause)
-    return f"{name(cause)}: it would be that {what[0].lower()}{what[1:]} {sure[0].upper()}{sure[1:]}"
-
-
-def _named(found: Diagnosis) -> list[Cause]:
-    """Causes that are more than possible."""
-    return [cause for cause in found.causes if cause.level != "possible"]
-
-
-def _possible(found: Diagnosis) -> list[Cause]:
-    return [cause for cause in found.causes if cause.level == "possible"]
+    done = "The model is corrected for it: it predicts worse without." if cause.applied else "Nothing is corrected."
+    return f"{name(cause)}: it would be that {what[0].lower()}{what[1:]} {sure[0].upper()}{sure[1:]} {done}"
 
 
 POSSIBLE = (
     "Only possible, as likely as not at most: rivals share the odds, no witness bears it out, or something speaks "
-    "against it. The model is corrected for what stands here too, since it predicts no worse with that:"
+    "against it. The model is corrected for it only where it predicts worse without:"
 )
 EXTENDED = (
-    "Every other figure of this page is of the extended model: all causes that are listed are taken out of the "
-    "recordings (or, as a load, kept apart from the body), then inertia, and geometry where markers are concerned, are "
-    "fitted again. "
+    "Every other figure of this page is of the extended model: all causes that are listed, but for those of which it "
+    "is said that nothing is corrected, are taken out of the recordings (or, as a load, kept apart from the body), "
+    "then inertia, and geometry where markers are concerned, are fitted again. "
     "Measured forces drawn elsewhere are the corrected ones. The values before stand under “base” in inertia.json and "
     "geometry.json, its prediction beside the extended one in the forces files."
 )
 
 
 def _finding(outcome: Outcome, found: Diagnosis) -> str:
-    options, named = outcome.config.diagnosis, _named(found)
+    options, named = outcome.config.diagnosis, found.likely
     if named:
         return " ".join([*(told(cause) for cause in named), *_gains(outcome, found), *_refuted(found)])
     tried = len(select_effects(options.include, options.exclude))
@@ -133,9 +125,11 @@ def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
     if outcome.base is None:
         return []
     before, after = heldout_errors(outcome.base), heldout_errors(outcome)
-    said = [gained(before, after, "held-out", "that and what is only possible" if _possible(found) else "that")]
-    confined = sorted({trial for cause in found.causes if not cause.everywhere for trial in cause.trials})
-    marked = [cause for cause in _named(found) if of_markers(cause) and not cause.everywhere]
+    also = any(cause.applied for cause in found.possible)
+    said = [gained(before, after, "held-out", "that and what is only possible" if also else "that")]
+    applied = [cause for cause in found.causes if cause.applied]
+    confined = sorted({trial for cause in applied if not cause.everywhere for trial in cause.trials})
+    marked = [cause for cause in found.likely if of_markers(cause) and not cause.everywhere]
     if marked:
         labels = tuple(dict.fromkeys(label for cause in marked for label in cause.where))
         trials = sorted({trial for cause in marked for trial in cause.trials})
@@ -209,7 +203,7 @@ def _forces(outcome: Outcome, trials: dict[str, Sides], side: Sides) -> list[Blo
 def _trial_table(outcome: Outcome, found: Diagnosis, trials: dict[str, Sides]) -> Table:
     assert outcome.base is not None
     markers = outcome.base.fit is not outcome.fit
-    named = tuple(dict.fromkeys(n for c in found.causes if of_markers(c) for n in c.where))
+    named = tuple(dict.fromkeys(n for c in found.causes if c.applied and of_markers(c) for n in c.where))
     head = ["Trial", "Role"]
     kinds = ["Force [N]", "Moment [N\N{NO-BREAK SPACE}m]", *(["Markers [mm]"] if markers else [])]
     kinds += [f"{listing(list(named), 2)} [mm]"] if markers and named else []

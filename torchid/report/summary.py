@@ -54,8 +54,8 @@ def _named(found: Diagnosis | None) -> list[Block]:
     """What the diagnosis says, in a sentence or two; its section has the rest."""
     if found is None:
         return []
-    sure = [cause for cause in found.causes if cause.level != "possible"]
-    more, possible = max(len(sure) - 1, 0), len(found.causes) - len(sure)
+    sure = found.likely
+    more, possible = max(len(sure) - 1, 0), len(found.possible)
     if sure:
         twins = " or ".join(map(called, sure[0].indistinguishable))
         apart = f"; it may as well be {twins}, which the recordings do not tell apart" if twins else ""

@@ -73,6 +73,9 @@ class Cause:
     """True if something contradicts the model, or nothing can check it, which has been taken off the confidence."""
     witnesses: tuple[Answer, ...] = ()
     """Answers of those who hear it without a body model, the loudest first."""
+    applied: bool = True
+    """False if the published model is not corrected for it: it is only possible, and nothing is predicted better with
+    it."""
 
     @property
     def level(self) -> str:
@@ -167,3 +170,13 @@ class Diagnosis:
     """Every entry, exit, discount and refusal, in order."""
     aside: tuple[Interval, ...] = ()
     """Intervals that no model is fitted to: something unmeasured bears a good part of the weight there."""
+
+    @property
+    def likely(self) -> tuple[Cause, ...]:
+        """Return the causes that are more than possible."""
+        return tuple(cause for cause in self.causes if cause.level != "possible")
+
+    @property
+    def possible(self) -> tuple[Cause, ...]:
+        """Return the causes that are only possible."""
+        return tuple(cause for cause in self.causes if cause.level == "possible")

@@ -51,7 +51,8 @@ def cause_table(cause: Cause) -> dict[str, Any]:
     Args:
         cause: as a verdict names it.
     """
-    names = "effect", "where", "when", "parameters", "confidence", "level", "alternatives", "indistinguishable", "gain"
+    names = ("effect", "where", "when", "parameters", "confidence", "level", "applied", "alternatives",
+             "indistinguishable", "gain")  # fmt: skip
     found = {name: getattr(cause, name) for name in names}
     found["witnesses"] = [dataclasses.asdict(one) | {"agrees": one.agrees} for one in cause.witnesses]
     found["indistinguishable"] = [_twin(cause, twin) for twin in cause.indistinguishable]
