@@ -535,3 +535,17 @@ def test_provenance_names_inputs_versions_and_costs(tmp_path):
     assert read["seed"] == 7
     assert read["versions"]["torch"] == torch.__version__
     assert read["stages"]["one"]["reused"] is False
+
+
+def test_results_beside_those_of_a_run_take_nothing_away(tmp_path):
+    """They are torchid's all the same: the next run replaces both."""
+    out = tmp_path / "out"
+    with OutputFolder(out) as folder:
+        folder.path("one.json").write_text("1")
+    with OutputFolder(out) as folder:
+        folder.keep_others()
+        folder.path("two.json").write_text("2")
+    assert {path.name for path in out.glob("*.json")} == {"one.json", "two.json"}
+    with OutputFolder(out) as folder:
+        folder.path("one.json").write_text("3")
+    assert [path.name for path in out.glob("*.json")] == ["one.json"]

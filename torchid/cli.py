@@ -75,6 +75,31 @@ def run(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -
 
 
 @app.command()
+def live(
+    config: ConfigFile,
+    source: Annotated[str, typer.Option(help="replay:TRIAL, a trial of the config.")],
+    speed: Annotated[float, typer.Option(min=0.01, help="Multiple of the trial's own pace; inf: without a pause.")] = 1,
+    seconds: Annotated[float, typer.Option(min=0, help="Stop after so long.")] = float("inf"),
+    record: Annotated[Path | None, typer.Option(help="New folder for what comes, as TRC and MOT.")] = None,
+    overrides: Overrides = None,
+    debug: Debug = False,
+) -> None:
+    """Identify while a stream comes; ends with one line of JSON, and the estimate in `live.json`."""
+    with _exit_codes(debug):
+        import json
+
+        from torchid.config import load_config
+
+        loaded = load_config(config, overrides or ())
+        from torchid.live.run import run_live
+
+        keep_memory()
+        with _progress() as progress:
+            found = run_live(loaded, source, speed, seconds, record, progress)
+        typer.echo(json.dumps(found))
+
+
+@app.command()
 def simulate(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -> None:
     """A synthetic subject, written as C3D, with effects planted on request."""
     with _exit_codes(debug):

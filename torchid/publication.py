@@ -32,6 +32,8 @@ class Publication:
 
     def __init__(self, out: Path, state: Path) -> None:
         self.out, self.new = out, state / "new"
+        self.beside = False
+        """Whether what earlier runs put into ``out`` stays there."""
         self._list, self._pending = state / "files.json", state / "publishing.json"
 
     def owns(self, name: str) -> bool:
@@ -66,6 +68,8 @@ class Publication:
             found = [path for path in sorted(self.new.rglob("*")) if path.is_file()]
             names = {path.relative_to(self.new).as_posix(): file_sha256(path) for path in found}
         self.refuse_foreign(names)
+        if self.beside:
+            names = {name: digest for name, digest in (_listed(self._list) or {}).items() if self.owns(name)} | names
         write_json(self._pending, names)
         self.finish()
 

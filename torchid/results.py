@@ -83,6 +83,10 @@ class OutputFolder:
         """The folder whose content appears in ``out`` when the block ends well."""
         return self._publication.new
 
+    def keep_others(self) -> None:
+        """Results of an earlier run stay beside those of this one, which are no part of them."""
+        self._publication.beside = True
+
     def owns(self, name: str) -> bool:
         """Whether a result ``name`` would take the place of nothing, or of what torchid itself put there."""
         return self._publication.owns(name)

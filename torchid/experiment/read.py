@@ -35,7 +35,7 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     model, said, markers = read_setup(config)
     files = {file.name: file for file in config.trials}
     # Kept twice: beside an hour's samples of the plates the markers would have no room.
-    trials = {name: keep(synchronise(keep(_read(file, config, markers)))) for name, file in files.items()}
+    trials = {name: keep(synchronise(keep(read_recording(file, config, markers)))) for name, file in files.items()}
     _refuse_short(trials)
     again = {name: (trial, _recording(files[name], config, markers)) for name, trial in trials.items()}
     refuse_disagreement({name: both for name, both in again.items() if files[name].inertia})
@@ -56,7 +56,8 @@ def read_setup(config: Config) -> tuple[Model, tuple[Note, ...], MarkerSet]:
     return model, said, load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
 
 
-def _read(file: TrialFile, config: Config, markers: MarkerSet) -> Trial:
+def read_recording(file: TrialFile, config: Config, markers: MarkerSet) -> Trial:
+    """One trial of a config, markers and forces each on their own clock. Errors as ``read_trial``."""
     return read_trial(file.name, file.file, file.forces, file.role, config.reading(file, markers.wanted))
 
 

@@ -41,7 +41,7 @@ def follow_each(
     levels: dict[str, float] = {}
     for name in sorted(session.trials, key=lambda n: session.trials[n].role != "static"):
         trial, weight = session.trials[name], _weight(levels)
-        one = follow(fit, trial, tracked(name), cutoff_hz, config, weight and _short(fit, trial, weight, config))
+        one = follow(fit, trial, tracked(name), cutoff_hz, config, weight and short_of(fit, trial, weight, config))
         level = _level(one, session, config)
         if level is not None:
             levels[name] = level
@@ -74,7 +74,7 @@ def _level(one: Followed, session: Session, config: Config) -> float | None:
     return mass if not recorded or NEAR_RECORD[0] < mass / recorded < NEAR_RECORD[1] else None
 
 
-def _short(
+def short_of(
     fit: GeometryFit, trial: Trial, weight: Weight, config: Config
 ) -> Callable[[Motion], Bool[Tensor, " frames"]] | None:
     """From a motion to the frames in which the plates miss a part of the weight, with the prior's shares of mass."""

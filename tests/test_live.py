@@ -1,0 +1,246 @@
+"""Identification while the subject moves finds what a run finds, and no fault of the stream spoils it."""
+
+import functools
+import json
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import small_session
+import torch
+from inertia_cases import bodies, names, prior
+from torch.testing import assert_close
+from typer.testing import CliRunner
+
+from torchid.cli import app
+from torchid.config import Config, load_config
+from torchid.config.sections import TrialFile
+from torchid.errors import ConfigError, DataError
+from torchid.experiment.fits import given_mass
+from torchid.experiment.standing import standing_weight
+from torchid.inertia.identify import Identified
+from torchid.inertia.options import InertiaOptions
+from torchid.io.trc import write_trc
+from torchid.live.estimator import Estimator, Information
+from torchid.live.identifier import Identifier, Subject
+from torchid.live.intake import Intake
+from torchid.live.pose import Follower
+from torchid.live.replay import Replay
+from torchid.live.run import run_live
+from torchid.live.stream import Packet
+from torchid.recording import Forces, Markers, Trial
+from torchid.regressor.equations import NormalEquations
+from torchid.regressor.whitening import spectra
+
+MOVING, RATE = "squats", 100.0
+
+
+def subject() -> Subject:
+    """Of the small session's run."""
+    o = small_session.outcome()
+    weight = standing_weight(o.followed.values(), o.session, o.config)
+    return Subject(o.config, o.fit, o.prior, given_mass(o.config, o), weight, o.cutoff_hz)
+
+
+def moving() -> Trial:
+    """A trial that moves, forces on their own clock."""
+    return next(item.trial for item in small_session.session().trials if item.trial.name == MOVING)
+
+
+def long() -> Trial:
+    """All fit trials, one after the other with a pause of a second, as a session would be streamed."""
+    position, wrench, time, samples = [], [], [], []
+    given = [item.trial for item in small_session.session().trials if item.trial.role == "fit"]
+    for k, one in enumerate(given):
+        assert one.forces is not None
+        position.append(one.markers.position)
+        wrench.append(one.forces.wrench)
+        time.append(5.0 * k + one.markers.time)
+        samples.append(5.0 * k + one.forces.time)
+    markers = Markers(given[0].markers.labels, torch.cat(time), torch.cat(position))
+    assert given[0].forces is not None
+    return Trial("long", markers, Forces(torch.cat(samples), torch.cat(wrench), given[0].forces.plates))
+
+
+def streamed(given: Trial, spoil: Callable[[Packet], list[Packet]] = lambda packet: [packet]) -> tuple[Identified, int]:
+    """What the same stages find in a stream, and how many frames had a posture."""
+    who, source, forces = subject(), Replay(given, float("inf")), moving().forces
+    assert forces is not None
+    intake = Intake(RATE, forces.rate, 0.5)
+    follower = Follower(who.fit, source.labels)
+    identifier = Identifier(who, RATE, source.plates, forces.rate)
+    known = 0
+    while (packet := source.take()) is not None:
+        for one in spoil(packet):
+            placed = intake.place(one)
+            if len(placed.index):
+                postures = follower(placed.markers)
+                known += int(postures.known.sum())
+                assert bool(torch.isfinite(postures.q).all())
+                identifier.add(placed.index, postures, placed.sample, placed.wrench)
+    return identifier.finish(), known
+
+
+@functools.cache
+def undisturbed() -> tuple[Identified, int]:
+    """What is found in the session when nothing goes wrong, and the number of frames with a posture."""
+    return streamed(long())
+
+
+def off_sd(found: Identified, other: Identified) -> float:
+    """Largest distance of segment masses in standard deviations."""
+    return float(((found.fit.mass - other.fit.mass).abs() / other.fit.sd.phi[:, 0]).max())
+
+
+@pytest.mark.slow
+def test_a_stream_is_identified_as_a_recording_is():
+    """The same postures, and masses to half of their standard deviation: blocks of rows are cut elsewhere."""
+    given, o = moving(), small_session.outcome()
+    follower, source, q = Follower(o.fit, given.markers.labels), Replay(given, float("inf")), []
+    while (packet := source.take()) is not None:
+        q.append(follower(packet.markers).q)
+    assert float((torch.cat(q) - o.followed[MOVING].tracked.q)[:, 6:].abs().median()) < 5e-3
+    (found, known), run = undisturbed(), o.identified
+    assert run is not None and known > 0.98 * len(long().markers.time)
+    assert off_sd(found, run) < 0.5
+
+
+def lossy(rng: np.random.Generator, markers: Markers) -> Markers:
+    """A tenth of the frames is lost, one coordinate in a hundred is no number."""
+    kept = torch.from_numpy(rng.random(len(markers.time)) > 0.1)
+    position = markers.position.clone()
+    position[torch.from_numpy(rng.random(position.shape) < 0.01)] = torch.nan
+    return replace(markers, time=markers.time[kept], position=position[kept])
+
+
+def swapped(rng: np.random.Generator, markers: Markers) -> Markers:
+    """Two labels are exchanged for a second."""
+    a, b = rng.choice(len(markers.labels), 2, replace=False)
+    start = rng.uniform(5.5, 17.5)
+    wrong = (markers.time >= start) & (markers.time < start + 1.0)
+    position = markers.position.clone()
+    position[wrong, a], position[wrong, b] = markers.position[wrong, b], markers.position[wrong, a]
+    return replace(markers, position=position)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [lossy, swapped])
+def test_faults_of_markers_leave_the_estimate_within_a_standard_deviation(fault, seed):
+    rng, given = np.random.default_rng(seed), long()
+    spoilt = fault(rng, given.markers)
+    by_time = {round(float(t), 6): k for k, t in enumerate(spoilt.time)}
+
+    def spoil(packet: Packet) -> list[Packet]:
+        index = [by_time[t] for t in (round(float(t), 6) for t in packet.markers.time) if t in by_time]
+        return [replace(packet, markers=spoilt.frames(torch.tensor(index, dtype=torch.long)))]
+
+    found, known = streamed(given, spoil)
+    assert known > len(spoilt.time) - 130
+    assert off_sd(found, undisturbed()[0]) < 1.0
+
+
+@pytest.mark.slow
+def test_a_clock_that_is_set_and_markers_that_vanish_cost_no_more_than_their_time(seed):
+    """A second without markers, then all clocks an hour ahead: postures are known again at once."""
+    rng, given = np.random.default_rng(seed), long()
+    gone, jump = rng.uniform(5.2, 7.0), rng.uniform(8.5, 13.0)
+
+    def spoil(packet: Packet) -> list[Packet]:
+        ahead = 3600.0 * (packet.markers.time >= jump)
+        hidden = (packet.markers.time >= gone) & (packet.markers.time < gone + 1.0)
+        position = torch.where(hidden[:, None, None], torch.nan, packet.markers.position)
+        markers = replace(packet.markers, time=packet.markers.time + ahead, position=position)
+        forces = packet.forces
+        assert forces is not None
+        return [Packet(markers, replace(forces, time=forces.time + 3600.0 * (forces.time >= jump)), packet.arrived_s)]
+
+    found, known = streamed(given, spoil)
+    assert known >= undisturbed()[1] - 110
+    assert off_sd(found, undisturbed()[0]) < 1.0
+
+
+def test_information_is_the_batch_solution_whatever_the_order(seed):
+    """Rows added one by one, and all at once in a least-squares problem of their own."""
+    rng = np.random.default_rng(seed)
+    given = prior(bodies(2), 0.3)
+    Y, F = (torch.from_numpy(rng.normal(size=shape)) for shape in ((400, 20), (400,)))
+    information = Information(given.mean.reshape(-1), given.covariance)
+    for k in rng.permutation(400).tolist():
+        information.add(NormalEquations.from_rows(Y[k : k + 1], F[k : k + 1]))
+    mean, covariance = information.estimate()
+    root = torch.linalg.cholesky(torch.linalg.inv(given.covariance)).mT
+    wanted = torch.linalg.lstsq(torch.cat([root, Y]), torch.cat([root @ given.mean.reshape(-1), F])).solution
+    assert_close(mean, wanted, rtol=1e-8, atol=1e-10)
+    assert_close(covariance, torch.linalg.inv(torch.linalg.inv(given.covariance) + Y.mT @ Y), rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_million_updates_leave_the_covariance_positive_definite(seed):
+    """Of rows of any size, also where they fade."""
+    rng = np.random.default_rng(seed)
+    given = prior(bodies(2), 0.3)
+    for fading in (1.0, 0.99999):
+        information = Information(given.mean.reshape(-1), given.covariance)
+        rows = [NormalEquations.from_rows(torch.from_numpy(rng.normal(size=(1, 20)) * 10 ** rng.uniform(-3, 3)),
+                                          torch.from_numpy(rng.normal(size=1))) for _ in range(100)]  # fmt: skip
+        for _ in range(10_000):
+            for one in rows:
+                information.add(one, fading)
+        _, covariance = information.estimate()
+        assert torch.equal(covariance, covariance.mT) and float(torch.linalg.eigvalsh(covariance)[0]) > 0.0
+
+
+@pytest.mark.slow
+def test_what_fades_counts_half_after_its_halflife():
+    o = small_session.outcome()
+    rows = o.followed[MOVING].wrench
+    assert rows is not None
+    (block, *_), who = list(spectra(rows)), subject()
+    old, new = (Estimator(rows.tree.names, o.prior, who.config.inertia, who.mass, halflife) for halflife in (5.0, None))
+    for one in (old, new):
+        one.add([block], 0.0)
+        one.add([block], 5.0)
+    assert old.fit is not None and new.fit is not None
+    assert float(old.fit.sd.total_mass) >= float(new.fit.sd.total_mass)
+    with pytest.raises(DataError, match=r"live\.no_rows"):
+        Estimator(names(1), prior(bodies(1), 0.3), InertiaOptions(), None).finished()
+
+
+@pytest.mark.slow
+def test_the_command_streams_a_trial_and_leaves_an_estimate(tmp_path):
+    """With the identifier in a process of its own, and the recording on the disk."""
+    out, record = tmp_path / "out", tmp_path / "recording"
+    words = ["live", str(small_session.config()), f"out={out}", "--source", f"replay:{MOVING}", "--speed", "inf"]
+    done = CliRunner().invoke(app, [*words, "--record", str(record)])
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout.strip().splitlines()[-1])
+    frames = len(moving().markers.time)
+    assert said["frames"] == frames and said["lost"] == said["again"] == said["late"] == 0
+    assert said["latency_ms"]["pose"]["p99"] > 0.0 and said["latency_ms"]["parameters"]["delay_ms"] > 1000.0
+    table = json.loads((out / "live.json").read_text())
+    assert set(table["segments"]) == set(said["progress"])
+    assert table["total_mass"]["value_kg"] == pytest.approx(said["mass_kg"]["value"])
+    truth = float(small_session.session().subject.phi[:, 0].sum())
+    assert said["mass_kg"]["value"] == pytest.approx(truth, rel=0.02)
+    assert (record / "live.trc").stat().st_size > 1000 and (record / "live.mot").stat().st_size > 1000
+
+
+def test_what_is_no_source_is_said(tmp_path):
+    config = load_config(small_session.config(), [f"out={tmp_path / 'out'}"])
+    for source in ("replay:nobody", "lsl", "replay"):
+        with pytest.raises(ConfigError, match=r"live\.source"):
+            run_live(config, source)
+    static = config.model_copy(update={"trials": tuple(t for t in config.trials if t.role != "static")})
+    with pytest.raises(ConfigError, match=r"live\.static"):
+        run_live(static, f"replay:{MOVING}")
+    trial = next(t for t in config.trials if t.name == MOVING)
+    bare = tmp_path / "bare.trc"
+    write_trc(bare, moving().markers)
+    alone = trial.model_copy(update={"file": bare, "forces": None})
+    with pytest.raises(DataError, match=r"live\.no_forces"):
+        run_live(config.model_copy(update={"trials": (*static_of(config), alone)}), f"replay:{MOVING}")
+
+
+def static_of(config: Config) -> tuple[TrialFile, ...]:
+    return tuple(t for t in config.trials if t.role == "static")

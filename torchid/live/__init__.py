@@ -1,0 +1,1 @@
+"""Identification while the subject moves: frames as they come, postures at once, parameters a stated delay later."""

@@ -1,0 +1,117 @@
+"""The identifier in a process of its own, so that it never holds up a posture."""
+
+import multiprocessing
+import signal
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+import numpy as np
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from torchid.errors import DataError
+from torchid.inertia.fit import InertiaFit
+from torchid.inertia.identify import Identified
+from torchid.live.identifier import Identifier, Subject
+from torchid.live.pose import Postures
+from torchid.recording import Plate
+from torchid.snapshot import from_bytes, to_bytes
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the identifier has found so far."""
+
+    fit: InertiaFit
+    newest: int
+    """Number of the newest frame that it had seen."""
+
+
+class Beside:
+    """An ``Identifier`` that works beside the caller; what is sent waits in order, and results are asked for."""
+
+    def __init__(
+        self, subject: Subject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float,
+        halflife_s: float | None = None,
+    ) -> None:  # fmt: skip
+        """Start the process; arguments are those of ``Identifier``."""
+        context = multiprocessing.get_context("spawn")
+        # A queue, whose thread writes: neither side may wait for the other to read.
+        self._jobs = context.Queue()
+        self._pipe, theirs = context.Pipe(duplex=False)
+        given = to_bytes((subject.fit, subject.prior, subject.weight, plates))
+        rest = (subject.config, subject.mass, subject.cutoff_hz, rate_hz, force_rate_hz, halflife_s)
+        self._process = context.Process(target=_serve, args=(self._jobs, theirs, given, rest), daemon=True)
+        self._process.start()
+        theirs.close()
+        self.sent = self.done = 0
+        self.found: Found | None = None
+
+    def add(self, index: Int[Tensor, " frames"], postures: Postures, sample: Tensor, wrench: Tensor) -> None:
+        """Send what came; arguments are those of ``Identifier.add``."""
+        parts = (index, postures.q, postures.error, postures.known, sample, wrench)
+        self._jobs.put(tuple(part.numpy() for part in parts))
+        self.sent += 1
+        self.poll()
+
+    def poll(self, timeout_s: float = 0.0) -> None:
+        """Take in what the process has found since; ``found`` and ``done`` have it.
+
+        Args:
+            timeout_s: how long to wait for anything.
+        """
+        while self._pipe.poll(timeout_s):
+            timeout_s = 0.0
+            what, value = self._pipe.recv()
+            if what == "done":
+                self.done = value
+            elif what == "found":
+                self.found = Found(*from_bytes(value))
+
+    def finish(self) -> Identified:
+        """Wait for all that was sent, and identify from all of it.
+
+        Raises:
+            DataError: as ``Identifier.finish``.
+        """
+        self._jobs.put(None)
+        what, value = self._pipe.recv()
+        while what not in ("end", "failed"):
+            what, value = self._pipe.recv()
+        self.close()
+        if what == "failed":
+            code, message, found, remedy = value
+            raise DataError(code, message, found=found, remedy=remedy)
+        return from_bytes(value)
+
+    def close(self) -> None:
+        """End the process."""
+        self._pipe.close()
+        self._jobs.cancel_join_thread()
+        self._jobs.close()
+        self._process.join(timeout=1.0)
+        if self._process.is_alive():
+            self._process.kill()
+
+
+def _serve(jobs: multiprocessing.Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to end
+    torch.set_num_threads(1)
+    fit, prior, weight, plates = from_bytes(given)
+    config, mass, cutoff_hz, *stream = rest
+    own = Identifier(Subject(config, fit, prior, mass, weight, cutoff_hz), stream[0], plates, *stream[1:])
+    count = 0
+    try:
+        while (message := jobs.get()) is not None:
+            count += 1
+            index, q, error, known, sample, wrench = (torch.from_numpy(np.asarray(part)) for part in message)
+            if own.add(index, Postures(q, error, known), sample, wrench) and own.estimator.fit is not None:
+                pipe.send(("found", to_bytes((own.estimator.fit, int(index[-1])))))
+            pipe.send(("done", count))
+        try:
+            pipe.send(("end", to_bytes(own.finish())))
+        except DataError as error:
+            pipe.send(("failed", (error.code, error.message, error.found, error.remedy)))
+    except (EOFError, BrokenPipeError):
+        pass  # the parent is gone

@@ -1,0 +1,201 @@
+"""From postures and forces of a stream to inertial parameters, a block of frames at a time, a stated delay later."""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.config import Config
+from torchid.contact.balance import Weight
+from torchid.contact.runs import dilate
+from torchid.experiment.stages import ENDS, follow
+from torchid.experiment.standing import short_of
+from torchid.geometry.result import GeometryFit
+from torchid.geometry.tracking import Tracked
+from torchid.inertia.identify import Identified
+from torchid.io.resample import to_clock
+from torchid.live.estimator import Estimator
+from torchid.live.pose import Postures
+from torchid.live.timeline import Timeline
+from torchid.model.model import InertialPrior
+from torchid.outcome import Followed
+from torchid.recording import Forces, Markers, Plate, Trial
+from torchid.regressor.rows import SHORTEST, WrenchTrial, runs
+from torchid.regressor.whitening import BlockSpectrum, block_spectrum
+
+BLOCK_S = 1.0
+"""Choice. Frames whose rows are taken together: a second holds what a body does most slowly, and is soon over."""
+LAG_PERIODS = 3.0
+"""Derived. How many periods of the filter's cut-off a frame waits for its successors: the spline's memory falls by e in
+0.27 of a period (its slowest poles are those of 1 / (1 + (f / f0)^6), ``Smoother``), so that 2e-5 of it is left."""
+BRIDGED_S = 0.04
+"""Choice. Postures that are missing for no longer are taken on a straight line between their neighbours: a quarter of
+the period of 6 Hz, in which the straight line is wrong by less than the filter takes away."""
+CONTEXT_S = 2.0
+"""Choice. What is looked at before a block: a step, in which either foot is down once."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is known of a subject before the stream begins."""
+
+    config: Config
+    """Options of contact, filter and fit."""
+    fit: GeometryFit
+    """Geometry and places of the markers."""
+    prior: InertialPrior
+    """Of the segments' inertia."""
+    mass: tuple[float, float] | None
+    """Total mass and its standard deviation [kg], where standing or the record has told it."""
+    weight: Weight | None
+    """What the subject weighs, where standing on plates has told it."""
+    cutoff_hz: float
+    """Of the filter of motion and forces."""
+
+
+class Identifier:
+    """Smooths, finds contacts and identifies, over a window that moves with the stream.
+
+    A window is a small trial, and goes through the very stages of a run. Its inner frames, a block, have had all the
+    time that the filter remembers on either side.
+    """
+
+    def __init__(
+        self, subject: Subject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float,
+        halflife_s: float | None = None,
+    ) -> None:  # fmt: skip
+        """Wait for frames.
+
+        Args:
+            subject: geometry and prior.
+            rate_hz: frames per second.
+            plates: force plates.
+            force_rate_hz: samples per second.
+            halflife_s: after so long rows count half; None: always alike.
+        """
+        self._subject, self._rate, self._plates, self._force_rate = subject, rate_hz, plates, force_rate_hz
+        names = subject.fit.model.tree.names
+        self.estimator = Estimator(names, subject.prior, subject.config.inertia, subject.mass, halflife_s)
+        self._block, self._context = round(BLOCK_S * rate_hz), round(CONTEXT_S * rate_hz)
+        self._lag = round(LAG_PERIODS / subject.cutoff_hz * rate_hz)
+        dofs, markers = len(subject.fit.model.tree.dofs), len(subject.fit.attachment.labels)
+        self._q, self._error = Timeline((dofs,)), Timeline((markers,))
+        self._wrench = Timeline((len(plates), 6))
+        self._next = 0
+
+    @property
+    def delay_s(self) -> float:
+        """Return how long after a frame its rows are part of the estimate, at most [s]."""
+        return (self._lag + self._block) / self._rate
+
+    def add(
+        self, index: Int[Tensor, " frames"], postures: Postures, sample: Int[Tensor, " samples"],
+        wrench: Float[Tensor, "samples plates 6"],
+    ) -> bool:  # fmt: skip
+        """Take in what came, and identify from every block that is complete.
+
+        Args:
+            index: numbers of the frames.
+            postures: at these frames.
+            sample: numbers of force samples.
+            wrench: of the plates [N, N m].
+
+        Returns:
+            Whether a block was done.
+        """
+        self._q.put(index, postures.q)
+        self._error.put(index, postures.error)
+        if self._plates:
+            self._wrench.put(sample, wrench)
+        done = False
+        while self._q.stop >= self._next + self._block + self._lag:
+            self._advance(self._next + self._block, self._next + self._block + self._lag)
+            done = True
+        return done
+
+    def finish(self) -> Identified:
+        """Identify from the frames that are left, and from all rows together.
+
+        Raises:
+            DataError: as ``Estimator.finished``.
+        """
+        if self._q.stop > self._next:
+            self._advance(self._q.stop, self._q.stop)
+        return self.estimator.finished()
+
+    def _advance(self, stop: int, known: int) -> None:
+        """Rows of the frames up to ``stop``, from all that is known up to another."""
+        first = max(self._q.start, self._next - self._context)
+        followed = self._followed(slice(first, known))
+        if followed is not None and followed.wrench is not None:
+            rows = followed.wrench
+            inner = slice(self._next - first, stop - first)
+            self.estimator.add(_spectra(rows, inner), stop / self._rate)
+        self._next = stop
+        kept = self._next - self._context
+        for line in (self._q, self._error):
+            line.forget(kept)
+        self._wrench.forget(round(kept / self._rate * self._force_rate))
+
+    def _followed(self, part: slice) -> Followed | None:
+        """A window as a trial of its own; None where no posture or no force in it is known."""
+        if part.stop - part.start <= SHORTEST or not self._plates:
+            return None
+        q, error = _bridged(self._q.get(part), self._error.get(part), round(BRIDGED_S * self._rate))
+        seen = torch.isfinite(error).any(1)
+        if not bool(seen.any()):
+            return None
+        time = torch.arange(part.start, part.stop, dtype=torch.float64) / self._rate
+        forces = self._forces(time)
+        if forces is None:
+            return None
+        trial = Trial("live", Markers((), time, q.new_zeros(len(q), 0, 3)), forces)
+        who = self._subject
+        short = None if who.weight is None else short_of(who.fit, trial, who.weight, who.config)
+        found = follow(who.fit, trial, Tracked(time, _held(q, seen), error, seen), who.cutoff_hz, who.config, short)
+        assert found.wrench is not None
+        # Beside a gap, as at an end, a filter knows one side only.
+        beside = dilate(~seen, round(ENDS / found.motion.smoother.cutoff_hz * self._rate))
+        return replace(found, wrench=replace(found.wrench, used=found.wrench.used & ~beside))
+
+    def _forces(self, time: Float[Tensor, " frames"]) -> Forces | None:
+        """Samples of a window on the clock of its frames."""
+        ends = (float(time[0]) * self._force_rate, float(time[-1]) * self._force_rate)
+        part = slice(max(0, round(ends[0])), round(ends[1]) + 1)
+        wrench = self._wrench.get(part)
+        if not bool(torch.isfinite(wrench).any()):
+            return None
+        own = torch.arange(part.start, part.stop, dtype=torch.float64) / self._force_rate
+        return to_clock(Forces(own, wrench, self._plates), time)
+
+
+def _spectra(rows: WrenchTrial, inner: slice) -> list[BlockSpectrum]:
+    """Blocks of the used frames of a part."""
+    used = [slice(inner.start + a, inner.start + b) for a, b in runs(rows.used[inner]) if b - a >= SHORTEST]
+    return [block_spectrum(rows, part) for part in used]
+
+
+def _bridged(q: Tensor, error: Tensor, longest: int) -> tuple[Tensor, Tensor]:
+    """Coordinates and distances with short gaps on straight lines; where an angle changes its turn, it stays a gap."""
+    seen = torch.isfinite(error).any(1)
+    index = torch.arange(len(q))
+    before = torch.where(seen, index, -1).cummax(0).values
+    after = torch.where(seen, index, len(q)).flip(0).cummin(0).values.flip(0)
+    short = ~seen & (before >= 0) & (after < len(q)) & (after - before <= longest + 1)
+    at = short.nonzero()[:, 0]
+    a, b = before[at], after[at]
+    near = ((q[b] - q[a]).abs() < math.pi).all(1)
+    at, a, b = at[near], a[near], b[near]
+    q, error = q.clone(), error.clone()
+    q[at] = torch.lerp(q[a], q[b], ((at - a).to(q) / (b - a).to(q))[:, None])
+    error[at] = error[a]
+    return q, error
+
+
+def _held(q: Float[Tensor, "frames dofs"], seen: Tensor) -> Float[Tensor, "frames dofs"]:
+    """Coordinates, those of frames that are not seen as in the seen frame before, or the first one."""
+    index = torch.arange(len(q))
+    last = torch.where(seen, index, -1).cummax(0).values
+    return q[torch.where(last < 0, int(seen.nonzero()[0]), last)]

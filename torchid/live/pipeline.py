@@ -1,0 +1,157 @@
+"""A stream from its source to pose, parameters and recording, and how fast that was."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.inertia.identify import Identified
+from torchid.live.beside import Beside
+from torchid.live.identifier import BLOCK_S, LAG_PERIODS, Subject
+from torchid.live.intake import Counts, Intake
+from torchid.live.pose import Follower, Postures
+from torchid.live.recorder import Recorder
+from torchid.live.stream import Packet, Source
+from torchid.recording import Markers
+
+IDLE_S = 0.0005
+"""Choice. Pause where nothing has come: a tenth of the latency that is asked for."""
+KEPT = 1 << 20
+"""Choice. Latencies that are kept, the newest ones: an hour and a half at 200 Hz."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is known when a packet was worked off, for whoever shows it."""
+
+    index: Int[Tensor, " frames"]
+    """Numbers of the frames."""
+    markers: Markers
+    """As they came."""
+    postures: Postures
+    """At these frames."""
+    wrench: Float[Tensor, "plates 6"] | None
+    """Newest reading of the plates [N, N m]."""
+
+
+class Pipeline:
+    """Takes packets, finds postures at once, and hands both on; the identifier works beside it."""
+
+    def __init__(
+        self, subject: Subject, source: Source, recorder: Recorder | None = None, halflife_s: float | None = None
+    ) -> None:
+        """Start the identifier.
+
+        Args:
+            subject: geometry and prior.
+            source: of the stream.
+            recorder: keeps what came; None keeps nothing.
+            halflife_s: after so long rows count half; None: always alike.
+        """
+        self._source, self._recorder, self._cutoff_hz = source, recorder, subject.cutoff_hz
+        self._intake = Intake(source.rate_hz, source.force_rate_hz, LAG_PERIODS / subject.cutoff_hz)
+        self._follower = Follower(subject.fit, source.labels)
+        stream = (source.rate_hz, source.plates, source.force_rate_hz)
+        self.beside = Beside(subject, *stream, halflife_s)
+        self._latency_s: list[float] = []
+        self._parameters_s: list[float] = []
+        self._arrived: dict[int, float] = {}
+        self._frames, self._busy_s, self._begun = 0, 0.0, time.monotonic()
+
+    @property
+    def counts(self) -> Counts:
+        """Return how the stream has behaved."""
+        return self._intake.counts
+
+    @property
+    def backlog(self) -> int:
+        """Return how many packets the identifier has not worked off."""
+        return self.beside.sent - self.beside.done
+
+    def run(
+        self, seconds: float = float("inf"), show: Callable[[Moment], None] = lambda moment: None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:  # fmt: skip
+        """Work off the stream until it ends, the time is over, or somebody stops it.
+
+        Args:
+            seconds: longest duration on this machine's clock.
+            show: called with everything that was found in a packet; must return at once.
+            stop: asked before every packet.
+        """
+        end = time.monotonic() + seconds
+        while time.monotonic() < end and not stop():
+            packet = self._source.take()
+            if packet is None:
+                break
+            if not self._take(packet, show):
+                time.sleep(IDLE_S)
+
+    def finish(self) -> Identified:
+        """Identify from the whole stream.
+
+        Raises:
+            DataError: as ``Identifier.finish``.
+        """
+        return self.beside.finish()
+
+    def _take(self, packet: Packet, show: Callable[[Moment], None]) -> bool:
+        """Work off a packet; False where nothing was new in it."""
+        begun = time.monotonic()
+        placed = self._intake.place(packet)
+        if self._recorder is not None:
+            self._recorder.add(placed)
+        if not len(placed.index) and not len(placed.sample):
+            self._poll()
+            return False
+        if len(placed.index):
+            postures = self._follower(placed.markers)
+            self._latency_s.append(time.monotonic() - packet.arrived_s)
+            del self._latency_s[:-KEPT]
+            self._arrived[int(placed.index[-1])] = packet.arrived_s
+            wrench = placed.wrench[-1] if len(placed.wrench) else None
+            show(Moment(placed.index, placed.markers, postures, wrench))
+        else:
+            nothing = torch.zeros(0, dtype=torch.float64)
+            postures = Postures(nothing[:, None], nothing[:, None], nothing.bool())
+        self.beside.add(placed.index, postures, placed.sample, placed.wrench)
+        self._poll()
+        self._frames += len(placed.index)
+        self._busy_s += time.monotonic() - begun
+        return True
+
+    def _poll(self) -> None:
+        """Note when parameters came that know of a frame."""
+        self.beside.poll()
+        found = self.beside.found
+        if found is not None and found.newest in self._arrived:
+            self._parameters_s.append(time.monotonic() - self._arrived[found.newest])
+            self._arrived = {k: t for k, t in self._arrived.items() if k > found.newest}
+
+    def performance(self) -> dict[str, Any]:
+        """Return figures of speed and loss, by the keys of the line that ``torchid live`` prints."""
+        counts, elapsed = self.counts, time.monotonic() - self._begun
+        return {
+            "frames": counts.frames, "lost": counts.lost, "again": counts.again, "late": counts.late,
+            "restarts": counts.restarts,
+            "fps": round(self._frames / max(elapsed, 1e-9), 1),
+            "latency_ms": {
+                "pose": _quantiles(self._latency_s),
+                "parameters": {"delay_ms": round(1e3 * (LAG_PERIODS / self._cutoff_hz + BLOCK_S), 1),
+                               **_quantiles(self._parameters_s)},
+            },
+            "backlog": self.backlog,
+        }  # fmt: skip
+
+
+def _quantiles(seconds: list[float]) -> dict[str, float | None]:
+    """p50 and p99 [ms]."""
+    if not seconds:
+        return {"p50": None, "p99": None}
+    p50, p99 = 1e3 * np.quantile(seconds, (0.5, 0.99))
+    return {"p50": round(float(p50), 2), "p99": round(float(p99), 2)}

@@ -1,0 +1,108 @@
+"""The posture of every frame as it comes, found from the one before it."""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.geometry.arrow.inverse_kinematics import prepare, solve_poses
+from torchid.geometry.posture.initial_posture import hold
+from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.result import GeometryFit
+from torchid.geometry.trial_problem import posture_prior, settled, trial_problem
+from torchid.kinematics.recursion import points, poses
+from torchid.recording import Markers
+
+TOLERANCE = 1e-3
+"""Choice. Relative fall of the cost at which a posture is found: a hundredth of what noise makes of it."""
+STEPS = 6
+"""Choice. Most steps of a frame from the posture before it: on recordings three are enough from frame to frame."""
+ASTRAY_SD, ASTRAY_M = 6.0, 0.05
+"""Choice. Distance from the model beyond which a marker is no witness of the posture: in the scatter of its fit, and at
+least as far as skin slides where a standing trial alone has told the geometry."""
+SPARED = 1
+"""Choice. Markers of a body that may be astray in a frame whose posture counts: one is outvoted by the others, two that
+are exchanged turn the body."""
+FEWEST = 6
+"""Choice. Markers that must be seen for a posture to be known at all."""
+STALE_S = 0.5
+"""Choice. After so long without a posture the next is looked for from rest, and again after as long."""
+
+
+@dataclass(frozen=True)
+class Postures:
+    """Postures of some frames."""
+
+    q: Float[Tensor, "frames dofs"]
+    """Coordinates [m or rad]; the last ones known where nothing is."""
+    error: Float[Tensor, "frames markers"]
+    """Distance between measured and modelled marker, NaN where missing and where a frame is not known [m]."""
+    known: Bool[Tensor, " frames"]
+    """Whether the markers of a frame agree with its posture."""
+
+
+class Follower:
+    """Inverse kinematics of a stream at fixed geometry, all frames that came together in one batch."""
+
+    def __init__(self, fit: GeometryFit, labels: tuple[str, ...]) -> None:
+        """Prepare what all frames share.
+
+        Args:
+            fit: geometry, places of the markers and their scatter.
+            labels: of the stream.
+        """
+        nothing = Markers(labels, torch.zeros(1), fit.xi.new_full((1, len(labels), 3), torch.nan))
+        self._fit, self._problem = fit, trial_problem(fit, nothing, posture_prior(fit))
+        self._prepared = prepare(self._problem, fit.xi)
+        place = {label: k for k, label in enumerate(labels)}
+        self._column = torch.tensor([place.get(label, len(labels)) for label in fit.attachment.labels])
+        self._near = fit.xi.new_tensor([dof.rest for dof in fit.model.tree.dofs])
+        self._held_s, self._sought_s = -math.inf, -math.inf
+
+    def __call__(self, markers: Markers) -> Postures:
+        """Follow some frames.
+
+        Args:
+            markers: of the stream, rising in time.
+        """
+        target, seen = self._targets(markers)
+        weight = (seen / self._fit.sigma.square()[:, None]).contiguous()
+        problem = replace(self._problem, target=target, weight=weight)
+        near = self._near[:, None].expand(-1, len(markers.time)).contiguous()
+        time = float(markers.time[-1])
+        q = solve_poses(problem, near, self._fit.xi, STEPS, TOLERANCE, self._prepared)[0]
+        error, known = self._judged(problem, q)
+        lost = math.isinf(self._held_s) or not bool(known.any())
+        if lost and time - max(self._held_s, self._sought_s) > STALE_S and bool((seen.sum(0) >= FEWEST).any()):
+            self._sought_s = time
+            q = settled(self._fit, problem)
+            error, known = self._judged(problem, q)
+        if bool(known.any()) and not bool(known.all()):
+            q = solve_poses(problem, hold(q, known), self._fit.xi, STEPS, TOLERANCE, self._prepared)[0]
+            error, known = self._judged(problem, q)
+        if bool(known.any()):
+            last = int(known.nonzero()[-1])
+            self._near, self._held_s = q[:, last], float(markers.time[last])
+        q = torch.where(known, q, self._near[:, None])
+        return Postures(q.T, torch.where(known, error, torch.nan).T, known)
+
+    def _targets(self, markers: Markers) -> tuple[Float[Tensor, "markers 3 frames"], Bool[Tensor, "markers frames"]]:
+        """Measured places of the fit's markers, zero where missing, and where they are seen."""
+        lacking = markers.position.new_full((len(markers.time), 1, 3), torch.nan)
+        position = torch.cat([markers.position, lacking], 1)[:, self._column].permute(1, 2, 0).to(self._fit.xi)
+        seen = torch.isfinite(position).all(1)
+        return torch.where(seen[:, None], position, 0.0).contiguous(), seen
+
+    def _judged(
+        self, problem: MarkerProblem, q: Float[Tensor, "dofs frames"]
+    ) -> tuple[Float[Tensor, "markers frames"], Bool[Tensor, " frames"]]:
+        """Distances of the markers, and which frames are known: no body has two markers that contradict its place."""
+        seen, shape = problem.weight > 0, self._prepared.shape
+        placed = points(poses(problem.plan, q, shape.joints), problem.body, shape.place)
+        error = (placed - problem.target).norm(dim=1)
+        astray = seen & (error > (ASTRAY_SD * self._fit.sigma[:, None]).clamp(min=ASTRAY_M))
+        spoilt = error.new_zeros(len(problem.plan.order), error.shape[1]).index_add_(0, problem.body, astray.to(error))
+        known = (spoilt.max(0).values <= SPARED) & (seen.sum(0) >= FEWEST)
+        return torch.where(seen, error, torch.nan), known

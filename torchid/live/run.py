@@ -1,0 +1,156 @@
+"""``torchid live``: a config's subject, a stream, and the estimate that comes of it."""
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from torchid.config import Config
+from torchid.errors import ConfigError, DataError
+from torchid.experiment.fits import fit_session, given_mass
+from torchid.experiment.read import read_recording, read_session, read_setup
+from torchid.experiment.stages import subject_prior
+from torchid.experiment.standing import follow_each, standing_weight
+from torchid.files import file_sha256, write_json
+from torchid.geometry.tracking import track
+from torchid.inertia.identify import Identified
+from torchid.live.identifier import Subject
+from torchid.live.pipeline import Moment, Pipeline
+from torchid.live.recorder import Recorder
+from torchid.live.replay import Replay
+from torchid.live.stream import Source
+from torchid.outcome import Outcome
+from torchid.outcome.tables import identified_table
+from torchid.provenance import stage_key
+from torchid.results import OutputFolder
+
+CUTOFF_HZ = 6.0
+"""Cited. Of the filter, where the config leaves it to recordings that have not been made yet: Winter, Biomechanics and
+Motor Control of Human Movement, 4th ed. (2009), section 3.4.4, for walking."""
+REPLAY = "replay:"
+RESULT = "live.json"
+OnStage = Callable[[str, float], None]
+
+
+def run_live(
+    config: Config,
+    source: str,
+    speed: float = 1.0,
+    seconds: float = math.inf,
+    record: Path | None = None,
+    progress: OnStage = lambda stage, share: None,
+    show: Callable[[Moment], None] = lambda moment: None,
+) -> dict[str, Any]:
+    """Identify a subject while a stream comes, and leave the estimate in ``live.json`` of the config's ``out``.
+
+    Args:
+        config: the subject, its static trial, and for a replay the trial itself.
+        source: ``replay:TRIAL``.
+        speed: multiple of a recording's own pace; infinite: as fast as it is worked off.
+        seconds: longest duration.
+        record: folder for what comes; None keeps nothing.
+        progress: called with stages and fractions.
+        show: called with what was found in every packet.
+
+    Returns:
+        Figures of speed, loss, mass and progress, as ``torchid live`` prints them.
+
+    Raises:
+        TorchidError: the config, its static trial or the source is at fault, a file cannot be written, or the stream
+            does not support a result.
+    """
+    _refuse_other(source, config)
+    with OutputFolder(config.out) as folder:
+        folder.keep_others()
+        folder.claim((RESULT,))
+        subject, base = prepare_subject(config, folder, progress)
+        stream = _replayed(config, source.removeprefix(REPLAY), speed)
+        progress("live", 0.0)
+        performance, identified = _streamed(subject, stream, record, seconds, show)
+        table = identified_table(replace(base, identified=identified))
+        write_json(folder.path(RESULT), table)
+        progress("live", 1.0)
+    total = table["total_mass"]
+    return {
+        **performance,
+        "mass_kg": {"value": float(total["value_kg"]), "sd": float(total["sd_kg"])},
+        "progress": {name: float(one["progress"]) for name, one in table["segments"].items()},
+    }
+
+
+def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> tuple[Subject, Outcome]:
+    """Geometry and prior of a config's subject, from its static trials alone.
+
+    Args:
+        config: with a static trial.
+        folder: where the geometry is stored, and taken up again.
+        progress: called with stages and fractions.
+
+    Returns:
+        The subject, and an outcome that has everything but an inertia.
+
+    Raises:
+        TorchidError: as ``read_session`` and ``fit_session``.
+    """
+    static = tuple(file for file in config.trials if file.role == "static")
+    if not static:
+        raise ConfigError(
+            "live.static", "no trial tells the geometry before the stream begins", place="trials",
+            found=", ".join(f"{file.name} ({file.role})" for file in config.trials) or "no trials",
+            remedy="Give a standing trial the role static",
+        )  # fmt: skip
+    # Standing shows nothing of how skin slides: markers scatter as the options say.
+    stated = replace(config.geometry, reestimate_sigma=False)
+    alone = config.model_copy(update={"trials": static, "geometry": stated})
+    progress("read", 0.0)
+    session = read_session(alone, folder.aside)
+    paths = [path for file in static for path in (file.file, file.forces) if path is not None]
+    own = alone.model_dump(mode="json", exclude={"out", "threads", "diagnosis", "inertia"})
+    key = stage_key(inputs=[file_sha256(path) for path in paths], config=own)
+    fit = folder.stage("live_geometry", key, lambda: fit_session(alone, session, True, progress))
+    cutoff_hz = CUTOFF_HZ if config.motion.cutoff_hz == "auto" else float(config.motion.cutoff_hz)
+    tracked = {name: track(fit, trial.markers) for name, trial in session.trials.items()}
+    followed = {one.name: one for one in follow_each(fit, session, tracked.__getitem__, cutoff_hz, config)}
+    prior = subject_prior(config, fit)
+    outcome = Outcome(config, session, fit, fit, cutoff_hz, followed, followed, prior, prior)
+    weight = standing_weight(followed.values(), session, config)
+    return Subject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz), outcome
+
+
+def _streamed(
+    subject: Subject, source: Source, record: Path | None, seconds: float, show: Callable[[Moment], None]
+) -> tuple[dict[str, Any], Identified]:
+    stream = (source.labels, source.rate_hz, source.plates, source.force_rate_hz)
+    recorder = None if record is None else Recorder(record, *stream)
+    pipeline = Pipeline(subject, source, recorder)
+    try:
+        with suppress(KeyboardInterrupt):  # how a session ends that has no end of its own
+            pipeline.run(seconds, show)
+        performance = pipeline.performance()
+        return performance, pipeline.finish()
+    finally:
+        pipeline.beside.close()
+        if recorder is not None:
+            recorder.__exit__(None, None, None)
+
+
+def _replayed(config: Config, name: str, speed: float) -> Source:
+    file = next(file for file in config.trials if file.name == name)
+    trial = read_recording(file, config, read_setup(config)[2])
+    if trial.forces is None:
+        raise DataError(
+            "live.no_forces", "nothing can be identified without force plates", source=file.file, place=f"trial {name}",
+            found="markers alone", remedy="Give its forces, or replay a trial that has some",
+        )  # fmt: skip
+    return Replay(trial, speed)
+
+
+def _refuse_other(source: str, config: Config) -> None:
+    names = [file.name for file in config.trials]
+    if not source.startswith(REPLAY) or source.removeprefix(REPLAY) not in names:
+        raise ConfigError(
+            "live.source", "is no source", place="--source", found=source[:80],
+            remedy=f"Give {REPLAY}TRIAL with one of {', '.join(names) or 'the trials of a config that has some'}",
+        )  # fmt: skip
