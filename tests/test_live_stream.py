@@ -164,7 +164,7 @@ def test_a_recording_reads_as_what_came(tmp_path, seed):
     torch.testing.assert_close(found.markers.position, given.markers.position, rtol=1e-6, atol=1e-6, equal_nan=True)
     torch.testing.assert_close(found.forces.wrench, given.forces.wrench, rtol=1e-5, atol=1e-3)
     assert found.markers.rate == pytest.approx(RATE) and found.forces.rate == pytest.approx(FORCE_RATE)
-    with pytest.raises(InputError, match=r"results\.unwritable"):
+    with pytest.raises(InputError, match=r"live\.recorded"):
         recorded(tmp_path / "new", given)
     holes = read_trial("a", recorded(tmp_path / "holes", given, 7).markers, options=ReadOptions(up="z")).markers
     assert bool(torch.isnan(holes.position[7 * AT_ONCE : 8 * AT_ONCE]).all()) and len(holes.time) == 300

@@ -2,6 +2,9 @@
 
 import multiprocessing
 import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
@@ -43,7 +46,8 @@ class Beside:
         given = to_bytes((subject.fit, subject.prior, subject.weight, plates))
         rest = (subject.config, subject.mass, subject.cutoff_hz, rate_hz, force_rate_hz, halflife_s)
         self._process = context.Process(target=_serve, args=(self._jobs, theirs, given, rest), daemon=True)
-        self._process.start()
+        with _deaf():
+            self._process.start()
         theirs.close()
         self.sent = self.done = 0
         self.found: Found | None = None
@@ -95,8 +99,20 @@ class Beside:
             self._process.kill()
 
 
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """A process that is started here never hears Ctrl-C: it is for the parent, which says when the other is to end."""
+    if threading.current_thread() is not threading.main_thread():  # only that one hears it
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _serve(jobs: multiprocessing.Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to end
     torch.set_num_threads(1)
     fit, prior, weight, plates = from_bytes(given)
     config, mass, cutoff_hz, *stream = rest

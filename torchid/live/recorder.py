@@ -6,6 +6,7 @@ from types import TracebackType
 
 import numpy as np
 
+from torchid.errors import InputError
 from torchid.files import NewFile, writing
 from torchid.live.intake import Placed
 from torchid.recording import Plate
@@ -23,7 +24,8 @@ class Recorder:
     by force and moment about the origin, so that nothing is lost near zero load; their corners have no place in a MOT.
 
     Raises:
-        InputError: ``results.unwritable``, also where files of these names are there already: nothing is overwritten.
+        InputError: ``live.recorded`` where there is such a recording already: nothing is overwritten;
+            ``results.unwritable``.
     """
 
     def __init__(
@@ -31,6 +33,12 @@ class Recorder:
     ) -> None:
         self.markers, self.forces = folder / "live.trc", folder / "live.mot"
         self._rate, self._force_rate, self._flushed_s, self._row = rate_hz, force_rate_hz, 0.0, 0
+        there = [path for path in (self.markers, self.forces) if path.exists()]
+        if there:
+            raise InputError(
+                "live.recorded", "there is a recording already, which is not overwritten", source=there[0],
+                found=", ".join(path.name for path in there), remedy="Give --record another folder",
+            )  # fmt: skip
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         self._trc = _new(self.markers, _trc_head(labels, rate_hz))
