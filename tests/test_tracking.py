@@ -243,14 +243,17 @@ def test_left_and_right_of_a_head_are_told_by_its_asymmetry(trials, clusters, rn
     """Both pairs at once, where the head's markers are not a rectangle."""
     name = moving(rng, trials)
     both = (("LFHD", "RFHD"), ("LBHD", "RBHD"))
-    skew = trials
-    for trial in trials:  # the same head in all trials, plainly no rectangle
+    skew, sign = trials, 0.0
+    for trial in trials:  # the same head in all trials, plainly no rectangle: one diagonal is made longer still
         labels = trials[trial].markers.labels
+        corner = {label: trials[trial].markers.position[:, labels.index(label)] for two in both for label in two}
+        diagonals = [(corner[a] - corner[b]).norm(dim=1).nanmean() for a, b in (("LFHD", "RBHD"), ("RFHD", "LBHD"))]
+        sign = sign or (1.0 if diagonals[0] < diagonals[1] else -1.0)
         a, b, c = (labels.index(label) for label in ("LFHD", "RBHD", "LBHD"))
 
-        def lean(position: Tensor, _: Tensor, a: int = a, b: int = b, c: int = c) -> None:
+        def lean(position: Tensor, _: Tensor, a: int = a, b: int = b, c: int = c, by: float = 0.03 * sign) -> None:
             along = position[:, b] - position[:, c]
-            position[:, a] += 0.03 * along / along.norm(dim=1, keepdim=True)
+            position[:, a] += by * along / along.norm(dim=1, keepdim=True)
 
         skew = with_position(skew, trial, lean)
 
