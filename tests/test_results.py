@@ -542,8 +542,7 @@ def test_results_beside_those_of_a_run_take_nothing_away(tmp_path):
     out = tmp_path / "out"
     with OutputFolder(out) as folder:
         folder.path("one.json").write_text("1")
-    with OutputFolder(out) as folder:
-        folder.keep_others()
+    with OutputFolder(out, beside=True) as folder:
         folder.path("two.json").write_text("2")
     assert {path.name for path in out.glob("*.json")} == {"one.json", "two.json"}
     with OutputFolder(out) as folder:

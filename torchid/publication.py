@@ -28,12 +28,12 @@ class Publication:
     Args:
         out: the folder of the results.
         state: torchid's own folder on the same disk.
+        beside: whether what earlier runs put into ``out`` stays there.
     """
 
-    def __init__(self, out: Path, state: Path) -> None:
+    def __init__(self, out: Path, state: Path, beside: bool = False) -> None:
         self.out, self.new = out, state / "new"
-        self.beside = False
-        """Whether what earlier runs put into ``out`` stays there."""
+        self._beside = beside
         self._list, self._pending = state / "files.json", state / "publishing.json"
 
     def owns(self, name: str) -> bool:
@@ -68,7 +68,7 @@ class Publication:
             found = [path for path in sorted(self.new.rglob("*")) if path.is_file()]
             names = {path.relative_to(self.new).as_posix(): file_sha256(path) for path in found}
         self.refuse_foreign(names)
-        if self.beside:
+        if self._beside:
             names = {name: digest for name, digest in (_listed(self._list) or {}).items() if self.owns(name)} | names
         write_json(self._pending, names)
         self.finish()

@@ -29,18 +29,19 @@ class OutputFolder:
 
     The lock is the operating system's, so that a killed run leaves none behind. Result files are written aside and
     appear together when the block ends well or with a DataError; those of an earlier run go then, and stay where the
-    block ends otherwise. What a killed run left is finished or swept when the next one begins.
+    block ends otherwise. With ``beside`` they stay in any case: what is written then is no part of a run. What a killed
+    run left is finished or swept when the next one begins.
 
     Raises:
         InputError: ``results.locked`` when another run works there, ``results.unwritable`` when nobody can,
             ``results.foreign`` when the block ends and a file of the user's stands where a result goes.
     """
 
-    def __init__(self, out: str | Path) -> None:
+    def __init__(self, out: str | Path, beside: bool = False) -> None:
         self.out = Path(out).resolve()
         self.state = self.out / STATE
         self.times: dict[str, StageTime] = {}
-        self._publication = Publication(self.out, self.state)
+        self._publication = Publication(self.out, self.state, beside)
         self._lock = FileLock(self.state / "lock", timeout=0)
 
     def __enter__(self) -> "OutputFolder":
@@ -82,10 +83,6 @@ class OutputFolder:
     def staging(self) -> Path:
         """The folder whose content appears in ``out`` when the block ends well."""
         return self._publication.new
-
-    def keep_others(self) -> None:
-        """Results of an earlier run stay beside those of this one, which are no part of them."""
-        self._publication.beside = True
 
     def owns(self, name: str) -> bool:
         """Whether a result ``name`` would take the place of nothing, or of what torchid itself put there."""

@@ -42,10 +42,10 @@ def identify(config: Config, outcome: Outcome, progress: OnStage) -> Identified:
     """
     progress("inertia", 0.0)
     if config.inertia.refuse:
-        _refuse_unseen(outcome)
+        refuse_unseen(outcome)
     names = outcome.session.fit("inertia")
     trials = [outcome.followed[n].wrench for n in names]
-    mass, box = given_mass(config, outcome), _com_boxes(outcome.prior) if config.inertia.com_boxes else None
+    mass, box = given_mass(config, outcome), com_boxes(outcome.prior) if config.inertia.com_boxes else None
     found = identify_inertia([t for t in trials if t is not None], outcome.prior, config.inertia, mass, box)
     progress("inertia", 1.0)
     return found
@@ -60,7 +60,7 @@ def given_mass(config: Config, outcome: Outcome) -> tuple[float, float] | None:
     return None if weight is None else (weight.mass, weight.sd)
 
 
-def _refuse_unseen(outcome: Outcome) -> None:
+def refuse_unseen(outcome: Outcome) -> None:
     """A wrench cannot be explained by the motion of a body that nobody saw moving."""
     seen = {int(body) for body in outcome.fit.attachment.body}
     names, mass = outcome.fit.model.tree.names, outcome.prior.mean[:, 0]
@@ -74,7 +74,7 @@ def _refuse_unseen(outcome: Outcome) -> None:
         )  # fmt: skip
 
 
-def _com_boxes(prior: InertialPrior) -> torch.Tensor:
+def com_boxes(prior: InertialPrior) -> torch.Tensor:
     """Three prior standard deviations about the template's centres of mass."""
     m, centre = prior.mean[:, :1], prior.mean[:, 1:4] / prior.mean[:, :1]
     sd = torch.diagonal(prior.covariance).sqrt().reshape(-1, 10)

@@ -200,7 +200,7 @@ def _unproven(attempts: Attempts, kept: Chosen) -> Chosen:
     possible = frozenset(k for k in kept if attempts.causes[k].level == "possible")
     movers = attempts.movers(possible)
     singles = sorted(possible - movers, key=lambda k: attempts.causes[k].confidence)
-    for some in [frozenset({k}) for k in singles] + [movers]:
+    for some in [*(frozenset({k}) for k in singles), *([movers] if movers else [])]:
         if not any(one.worse for one in attempts.growth(kept - some, kept)):
             return some
     return frozenset()

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,17 +35,14 @@ class Found:
 class Beside:
     """An ``Identifier`` that works beside the caller; what is sent waits in order, and results are asked for."""
 
-    def __init__(
-        self, subject: Subject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float,
-        halflife_s: float | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, subject: Subject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float) -> None:
         """Start the process; arguments are those of ``Identifier``."""
         context = multiprocessing.get_context("spawn")
         # A queue, whose thread writes: neither side may wait for the other to read.
         self._jobs = context.Queue()
         self._pipe, theirs = context.Pipe(duplex=False)
         given = to_bytes((subject.fit, subject.prior, subject.weight, plates))
-        rest = (subject.config, subject.mass, subject.cutoff_hz, rate_hz, force_rate_hz, halflife_s)
+        rest = (subject.config, subject.mass, subject.cutoff_hz, rate_hz, force_rate_hz)
         self._process = context.Process(target=_serve, args=(self._jobs, theirs, given, rest), daemon=True)
         with _deaf():
             self._process.start()
@@ -54,20 +52,19 @@ class Beside:
 
     def add(self, index: Int[Tensor, " frames"], postures: Postures, sample: Tensor, wrench: Tensor) -> None:
         """Send what came; arguments are those of ``Identifier.add``."""
-        parts = (index, postures.q, postures.error, postures.known, sample, wrench)
+        parts = (index, postures.q, postures.error, sample, wrench)
         self._jobs.put(tuple(part.numpy() for part in parts))
         self.sent += 1
         self.poll()
 
-    def poll(self, timeout_s: float = 0.0) -> None:
+    def poll(self) -> None:
         """Take in what the process has found since; ``found`` and ``done`` have it.
 
-        Args:
-            timeout_s: how long to wait for anything.
+        Raises:
+            DataError: ``live.gone``, the process has ended.
         """
-        while self._pipe.poll(timeout_s):
-            timeout_s = 0.0
-            what, value = self._pipe.recv()
+        while self._pipe.poll():
+            what, value = self._received()
             if what == "done":
                 self.done = value
             elif what == "found":
@@ -77,17 +74,26 @@ class Beside:
         """Wait for all that was sent, and identify from all of it.
 
         Raises:
-            DataError: as ``Identifier.finish``.
+            DataError: as ``Identifier.finish``; ``live.gone``.
         """
         self._jobs.put(None)
-        what, value = self._pipe.recv()
+        what, value = self._received()
         while what not in ("end", "failed"):
-            what, value = self._pipe.recv()
+            what, value = self._received()
         self.close()
         if what == "failed":
             code, message, found, remedy = value
             raise DataError(code, message, found=found, remedy=remedy)
         return from_bytes(value)
+
+    def _received(self) -> tuple[str, Any]:
+        try:
+            return self._pipe.recv()
+        except EOFError:
+            raise DataError(
+                "live.gone", "the process that identifies has ended before the stream did",
+                found=f"exit code {self._process.exitcode}", remedy="Make room in memory; what was recorded is kept",
+            ) from None  # fmt: skip
 
     def close(self) -> None:
         """End the process."""
@@ -115,14 +121,14 @@ def _deaf() -> Iterator[None]:
 def _serve(jobs: multiprocessing.Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
     torch.set_num_threads(1)
     fit, prior, weight, plates = from_bytes(given)
-    config, mass, cutoff_hz, *stream = rest
-    own = Identifier(Subject(config, fit, prior, mass, weight, cutoff_hz), stream[0], plates, *stream[1:])
+    config, mass, cutoff_hz, rate_hz, force_rate_hz = rest
+    own = Identifier(Subject(config, fit, prior, mass, weight, cutoff_hz), rate_hz, plates, force_rate_hz)
     count = 0
     try:
         while (message := jobs.get()) is not None:
             count += 1
-            index, q, error, known, sample, wrench = (torch.from_numpy(np.asarray(part)) for part in message)
-            if own.add(index, Postures(q, error, known), sample, wrench) and own.estimator.fit is not None:
+            index, q, error, sample, wrench = (torch.from_numpy(np.asarray(part)) for part in message)
+            if own.add(index, Postures(q, error), sample, wrench) and own.estimator.fit is not None:
                 pipe.send(("found", to_bytes((own.estimator.fit, int(index[-1])))))
             pipe.send(("done", count))
         try:

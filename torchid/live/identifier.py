@@ -10,6 +10,7 @@ from torch import Tensor
 from torchid.config import Config
 from torchid.contact.balance import Weight
 from torchid.contact.runs import dilate
+from torchid.experiment.fits import com_boxes
 from torchid.experiment.stages import ENDS, follow
 from torchid.experiment.standing import short_of
 from torchid.geometry.result import GeometryFit
@@ -62,10 +63,7 @@ class Identifier:
     time that the filter remembers on either side.
     """
 
-    def __init__(
-        self, subject: Subject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float,
-        halflife_s: float | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, subject: Subject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float) -> None:
         """Wait for frames.
 
         Args:
@@ -73,22 +71,17 @@ class Identifier:
             rate_hz: frames per second.
             plates: force plates.
             force_rate_hz: samples per second.
-            halflife_s: after so long rows count half; None: always alike.
         """
         self._subject, self._rate, self._plates, self._force_rate = subject, rate_hz, plates, force_rate_hz
         names = subject.fit.model.tree.names
-        self.estimator = Estimator(names, subject.prior, subject.config.inertia, subject.mass, halflife_s)
+        box = com_boxes(subject.prior) if subject.config.inertia.com_boxes else None
+        self.estimator = Estimator(names, subject.prior, subject.config.inertia, subject.mass, box)
         self._block, self._context = round(BLOCK_S * rate_hz), round(CONTEXT_S * rate_hz)
         self._lag = round(LAG_PERIODS / subject.cutoff_hz * rate_hz)
         dofs, markers = len(subject.fit.model.tree.dofs), len(subject.fit.attachment.labels)
         self._q, self._error = Timeline((dofs,)), Timeline((markers,))
         self._wrench = Timeline((len(plates), 6))
         self._next = 0
-
-    @property
-    def delay_s(self) -> float:
-        """Return how long after a frame its rows are part of the estimate, at most [s]."""
-        return (self._lag + self._block) / self._rate
 
     def add(
         self, index: Int[Tensor, " frames"], postures: Postures, sample: Int[Tensor, " samples"],
@@ -132,7 +125,7 @@ class Identifier:
         if followed is not None and followed.wrench is not None:
             rows = followed.wrench
             inner = slice(self._next - first, stop - first)
-            self.estimator.add(_spectra(rows, inner), stop / self._rate)
+            self.estimator.add(_spectra(rows, inner))
         self._next = stop
         kept = self._next - self._context
         for line in (self._q, self._error):

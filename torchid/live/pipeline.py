@@ -13,7 +13,7 @@ from torch import Tensor
 from torchid.inertia.identify import Identified
 from torchid.live.beside import Beside
 from torchid.live.identifier import BLOCK_S, LAG_PERIODS, Subject
-from torchid.live.intake import Counts, Intake
+from torchid.live.intake import Intake
 from torchid.live.pose import Follower, Postures
 from torchid.live.recorder import Recorder
 from torchid.live.stream import Packet, Source
@@ -42,36 +42,28 @@ class Moment:
 class Pipeline:
     """Takes packets, finds postures at once, and hands both on; the identifier works beside it."""
 
-    def __init__(
-        self, subject: Subject, source: Source, recorder: Recorder | None = None, halflife_s: float | None = None
-    ) -> None:
-        """Start the identifier.
+    def __init__(self, subject: Subject, source: Source, recorder: Recorder | None = None) -> None:
+        """Start the identifier; ``close`` or a ``with`` block ends it.
 
         Args:
             subject: geometry and prior.
             source: of the stream.
             recorder: keeps what came; None keeps nothing.
-            halflife_s: after so long rows count half; None: always alike.
         """
         self._source, self._recorder, self._cutoff_hz = source, recorder, subject.cutoff_hz
         self._intake = Intake(source.rate_hz, source.force_rate_hz, LAG_PERIODS / subject.cutoff_hz)
         self._follower = Follower(subject.fit, source.labels)
-        stream = (source.rate_hz, source.plates, source.force_rate_hz)
-        self.beside = Beside(subject, *stream, halflife_s)
+        self._beside = Beside(subject, source.rate_hz, source.plates, source.force_rate_hz)
         self._latency_s: list[float] = []
         self._parameters_s: list[float] = []
         self._arrived: dict[int, float] = {}
-        self._frames, self._busy_s, self._begun = 0, 0.0, time.monotonic()
+        self._begun = time.monotonic()
 
-    @property
-    def counts(self) -> Counts:
-        """Return how the stream has behaved."""
-        return self._intake.counts
+    def __enter__(self) -> "Pipeline":
+        return self
 
-    @property
-    def backlog(self) -> int:
-        """Return how many packets the identifier has not worked off."""
-        return self.beside.sent - self.beside.done
+    def __exit__(self, *_: object) -> None:
+        self._beside.close()
 
     def run(
         self, seconds: float = float("inf"), show: Callable[[Moment], None] = lambda moment: None,
@@ -98,11 +90,10 @@ class Pipeline:
         Raises:
             DataError: as ``Identifier.finish``.
         """
-        return self.beside.finish()
+        return self._beside.finish()
 
     def _take(self, packet: Packet, show: Callable[[Moment], None]) -> bool:
         """Work off a packet; False where nothing was new in it."""
-        begun = time.monotonic()
         placed = self._intake.place(packet)
         if self._recorder is not None:
             self._recorder.add(placed)
@@ -117,35 +108,32 @@ class Pipeline:
             wrench = placed.wrench[-1] if len(placed.wrench) else None
             show(Moment(placed.index, placed.markers, postures, wrench))
         else:
-            nothing = torch.zeros(0, dtype=torch.float64)
-            postures = Postures(nothing[:, None], nothing[:, None], nothing.bool())
-        self.beside.add(placed.index, postures, placed.sample, placed.wrench)
+            postures = Postures(torch.zeros(0, 0), torch.zeros(0, 0))
+        self._beside.add(placed.index, postures, placed.sample, placed.wrench)
         self._poll()
-        self._frames += len(placed.index)
-        self._busy_s += time.monotonic() - begun
         return True
 
     def _poll(self) -> None:
         """Note when parameters came that know of a frame."""
-        self.beside.poll()
-        found = self.beside.found
+        self._beside.poll()
+        found = self._beside.found
         if found is not None and found.newest in self._arrived:
             self._parameters_s.append(time.monotonic() - self._arrived[found.newest])
             self._arrived = {k: t for k, t in self._arrived.items() if k > found.newest}
 
     def performance(self) -> dict[str, Any]:
         """Return figures of speed and loss, by the keys of the line that ``torchid live`` prints."""
-        counts, elapsed = self.counts, time.monotonic() - self._begun
+        counts, elapsed = self._intake.counts, time.monotonic() - self._begun
         return {
             "frames": counts.frames, "lost": counts.lost, "again": counts.again, "late": counts.late,
             "restarts": counts.restarts,
-            "fps": round(self._frames / max(elapsed, 1e-9), 1),
+            "fps": round(counts.frames / max(elapsed, 1e-9), 1),
             "latency_ms": {
                 "pose": _quantiles(self._latency_s),
                 "parameters": {"delay_ms": round(1e3 * (LAG_PERIODS / self._cutoff_hz + BLOCK_S), 1),
                                **_quantiles(self._parameters_s)},
             },
-            "backlog": self.backlog,
+            "backlog": self._beside.sent - self._beside.done,
         }  # fmt: skip
 
 

@@ -39,8 +39,11 @@ class Postures:
     """Coordinates [m or rad]; the last ones known where nothing is."""
     error: Float[Tensor, "frames markers"]
     """Distance between measured and modelled marker, NaN where missing and where a frame is not known [m]."""
-    known: Bool[Tensor, " frames"]
-    """Whether the markers of a frame agree with its posture."""
+
+    @property
+    def known(self) -> Bool[Tensor, " frames"]:
+        """Return whether the markers of a frame agree with its posture."""
+        return torch.isfinite(self.error).any(1)
 
 
 class Follower:
@@ -86,7 +89,7 @@ class Follower:
             last = int(known.nonzero()[-1])
             self._near, self._held_s = q[:, last], float(markers.time[last])
         q = torch.where(known, q, self._near[:, None])
-        return Postures(q.T, torch.where(known, error, torch.nan).T, known)
+        return Postures(q.T, torch.where(known, error, torch.nan).T)
 
     def _targets(self, markers: Markers) -> tuple[Float[Tensor, "markers 3 frames"], Bool[Tensor, "markers frames"]]:
         """Measured places of the fit's markers, zero where missing, and where they are seen."""

@@ -51,9 +51,9 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for file in (self._trc, self._mot):
-            if file is not None:
-                file.close()
+        self._flush()
+        for file in self._files:
+            file.close()
 
     def add(self, placed: Placed) -> None:
         """Append what was new in a packet.
@@ -77,8 +77,16 @@ class Recorder:
         now = self._row / self._rate
         if now - self._flushed_s > FLUSH_S:
             self._flushed_s = now
-            with writing(self.markers):
-                os.fsync(self._trc.fileno())
+            self._flush()
+
+    @property
+    def _files(self) -> list[NewFile]:
+        return [file for file in (self._trc, self._mot) if file is not None]
+
+    def _flush(self) -> None:
+        with writing(self.markers.parent):
+            for file in self._files:
+                os.fsync(file.fileno())
 
     def _samples(self, placed: Placed) -> list[str]:
         """Rows of the samples that are newer than the newest written."""

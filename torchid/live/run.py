@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from torchid.config import Config
 from torchid.errors import ConfigError, DataError
-from torchid.experiment.fits import fit_session, given_mass
+from torchid.experiment.fits import fit_session, given_mass, refuse_unseen
 from torchid.experiment.read import read_recording, read_session, read_setup
 from torchid.experiment.stages import subject_prior
 from torchid.experiment.standing import follow_each, standing_weight
@@ -62,8 +62,7 @@ def run_live(
             does not support a result.
     """
     _refuse_other(source, config)
-    with OutputFolder(config.out) as folder:
-        folder.keep_others()
+    with OutputFolder(config.out, beside=True) as folder:
         folder.claim((RESULT,))
         subject, base = prepare_subject(config, folder, progress)
         stream = _replayed(config, source.removeprefix(REPLAY), speed)
@@ -115,6 +114,8 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     followed = {one.name: one for one in follow_each(fit, session, tracked.__getitem__, cutoff_hz, config)}
     prior = subject_prior(config, fit)
     outcome = Outcome(config, session, fit, fit, cutoff_hz, followed, followed, prior, prior)
+    if config.inertia.refuse:
+        refuse_unseen(outcome)
     weight = standing_weight(followed.values(), session, config)
     return Subject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz), outcome
 
@@ -123,17 +124,12 @@ def _streamed(
     subject: Subject, source: Source, record: Path | None, seconds: float, show: Callable[[Moment], None]
 ) -> tuple[dict[str, Any], Identified]:
     stream = (source.labels, source.rate_hz, source.plates, source.force_rate_hz)
-    recorder = None if record is None else Recorder(record, *stream)
-    pipeline = Pipeline(subject, source, recorder)
-    try:
+    with ExitStack() as stack:
+        recorder = None if record is None else stack.enter_context(Recorder(record, *stream))
+        pipeline = stack.enter_context(Pipeline(subject, source, recorder))
         with suppress(KeyboardInterrupt):  # how a session ends that has no end of its own
             pipeline.run(seconds, show)
-        performance = pipeline.performance()
-        return performance, pipeline.finish()
-    finally:
-        pipeline.beside.close()
-        if recorder is not None:
-            recorder.__exit__(None, None, None)
+        return pipeline.performance(), pipeline.finish()
 
 
 def _replayed(config: Config, name: str, speed: float) -> Source:

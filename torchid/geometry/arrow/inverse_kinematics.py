@@ -20,8 +20,8 @@ STEP_DTYPE = torch.float32
 Cost, poses and coordinates keep the precision of the input.
 """
 DENSE = 64
-"""Frames up to which the whole block of a frame is factorised at once instead of limb by limb; chosen: from one frame
-to the next that is three times as fast, and slower only in batches larger than this."""
+"""Frames up to which the whole block of a frame is factorised at once instead of limb by limb; chosen: following one
+frame after the other takes two thirds of the time (`benchmarks.live`), and in batches of some hundreds it takes longer."""
 LEAST_DAMPING = 1e-6
 """Least damping; chosen to keep a block in ``STEP_DTYPE`` positive definite."""
 
