@@ -21,7 +21,7 @@ Cost, poses and coordinates keep the precision of the input.
 """
 DENSE = 64
 """Frames up to which the whole block of a frame is factorised at once instead of limb by limb; chosen: following one
-frame after the other takes two thirds of the time (`benchmarks.live`), and in batches of some hundreds it takes longer."""
+frame after the other takes two thirds of the time (`benchmarks.live`), in batches of some hundreds it takes longer."""
 LEAST_DAMPING = 1e-6
 """Least damping; chosen to keep a block in ``STEP_DTYPE`` positive definite."""
 
