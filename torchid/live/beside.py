@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from multiprocessing.queues import Queue
 from typing import Any
 
 import numpy as np
@@ -118,7 +119,7 @@ def _deaf() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _serve(jobs: multiprocessing.Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
+def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
     torch.set_num_threads(1)
     fit, prior, weight, plates = from_bytes(given)
     config, mass, cutoff_hz, rate_hz, force_rate_hz = rest

@@ -1,7 +1,7 @@
 """What a source of live measurements is, and what it hands over."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torchid.recording import Forces, Markers, Plate
 
@@ -18,6 +18,7 @@ class Packet:
     """When the newest frame was there to be taken, by the monotonic clock of this machine [s]."""
 
 
+@runtime_checkable
 class Source(Protocol):
     """Where frames come from."""
 
