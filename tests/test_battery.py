@@ -114,14 +114,14 @@ def test_reliability_counts_each_verdict_once(tmp_path):
 
 
 def test_kept_rows_print_the_tables_of_whole_rows():
-    """One line a session is enough for every table; a session that failed is kept as such."""
+    """One line a session is enough for every table; a witness's verdict has no gain, a failure is kept."""
     named = [["drag", ["pelvis"], 0.95], ["tether", ["thorax"], 0.6]]
     size = {"value": [21.0], "sd": [2.0], "true": [20.0], "right": True}
     whole = {
         "kind": "single", "names": ["drag"], "level": "medium", "seed": 3, "engine": "abc", "named": named,
         "truth": [{"effect": "drag", "where": ["pelvis"], "parameters": {"coefficient_Ns_m": 20.0}}], "found": [True],
         "first": True, "sizes": [{"coefficient_Ns_m": size}], "wrong": named[1:], "unexplained": False,
-        "nearest": [["drag", ["head"], -1.25]], "gain": [31.26, 0.04], "gained": [31.3012, 33.1234], "told": "drag",
+        "nearest": [["drag", ["head"], -1.25]], "gain": [31.26, None], "gained": [31.3012, 33.1234], "told": "drag",
     }  # fmt: skip
     rows = [whole, whole | {"kind": "null", "names": [], "level": "none", "truth": [], "found": [], "sizes": [None]},
             {"kind": "single", "names": ["drag"], "level": "small", "seed": 4, "failed": "ValueError: no"}]  # fmt: skip

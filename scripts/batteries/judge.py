@@ -237,7 +237,7 @@ def kept(row: dict) -> list:
             "sizes": [one and {key: int(entry["right"]) for key, entry in one.items()} for one in row["sizes"]],
             "unexplained": int(bool(row["unexplained"])),
             "nearest": max((score for *_, score in row["nearest"]), default=None),
-            "gain": [round(nats, 1) for nats in row["gain"]],
+            "gain": [None if nats is None else round(nats, 1) for nats in row["gain"]],
             "gained": row.get("gained") and [round(nats, 2) for nats in row["gained"]],
         }
     values = [(row | short).get(column) for column in COLUMNS]

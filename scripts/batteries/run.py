@@ -15,6 +15,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -214,11 +215,22 @@ def _job(one: calibrate.Session) -> Job:
     return Job("single", (one.effect,), "medium", one.seed)
 
 
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that begin nothing more where their caller fails: else it would wait for all that is planned."""
+    with ProcessPoolExecutor(workers) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
 def _battery(arguments: argparse.Namespace, planned: list[Job]) -> None:
     path = arguments.out / "rows.jsonl"
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     done = {Job(r["kind"], tuple(r["names"]), r["level"], r["seed"]).key for r in rows}
-    with ProcessPoolExecutor(arguments.workers) as pool:
+    with _pool(arguments.workers) as pool:
         waiting = [pool.submit(perform, job, arguments.out, arguments.keep) for job in planned if job.key not in done]
         for one in as_completed(waiting):
             rows.append(one.result())
@@ -234,7 +246,7 @@ def _calibrate(arguments: argparse.Namespace, planned: list[Job]) -> None:
     factors = tuple(arguments.factors)
     work = partial(perform, out=arguments.out, keep=arguments.keep, varied=names, factors=factors)
     present, path = calibrate.present_values(options, names), arguments.out / f"rows_{'_'.join(factors)}.jsonl"
-    with ProcessPoolExecutor(arguments.workers) as pool:
+    with _pool(arguments.workers) as pool:
         for row in calibrate.finished({job.key: job for job in planned}, path, present, pool, work):
             rows.append(row)
             print(f"{len(rows):4d} {row['key']} {row.get('failed') or row['verdict']['named']}", flush=True)
