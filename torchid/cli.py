@@ -5,8 +5,9 @@ Exit codes: 0 done; 2 the config or a file is at fault; 3 the data do not suppor
 """
 
 import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +18,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from torchid.allocator import keep_memory
-from torchid.errors import InputError, TorchidError
+from torchid.errors import ConfigError, InputError, TorchidError
 from torchid.wording import visible
 
 CONFIG_SUFFIXES = (".yaml", ".yml", ".json")
@@ -36,6 +37,9 @@ Overrides = Annotated[
     list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Replace single keys.", show_default=False)
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the log and, on an error, the traceback.")]
+
+Port = Annotated[int, typer.Option(min=1, max=65535, help="Of the page; the next free one is taken.")]
+Host = Annotated[str, typer.Option(help="Address of the page; others than this machine's own ask for a token.")]
 
 
 class _Terminal(Console):
@@ -81,6 +85,9 @@ def live(
     speed: Annotated[float, typer.Option(min=0.01, help="Multiple of the trial's own pace; inf: without a pause.")] = 1,
     seconds: Annotated[float, typer.Option(min=0, help="Stop after so long.")] = float("inf"),
     record: Annotated[Path | None, typer.Option(help="New folder for what comes, as TRC and MOT.")] = None,
+    headless: Annotated[bool, typer.Option("--headless", help="Without a page.")] = False,
+    port: Port = 8080,
+    host: Host = "127.0.0.1",
     overrides: Overrides = None,
     debug: Debug = False,
 ) -> None:
@@ -95,8 +102,33 @@ def live(
 
         keep_memory()
         with _progress() as progress:
-            found = run_live(loaded, source, speed, seconds, record, progress)
+            page = None if headless else _live_page(port, host)
+            found = run_live(loaded, source, speed, seconds, record, progress, page, _announce)
         typer.echo(json.dumps(found))
+
+
+@app.command()
+def view(
+    out: Annotated[Path, typer.Argument(help="The `out` of a config that `torchid run` has finished.")],
+    port: Port = 8080,
+    host: Host = "127.0.0.1",
+    seconds: Annotated[float, typer.Option(min=0, help="Stop after so long.")] = float("inf"),
+    debug: Debug = False,
+) -> None:
+    """The 3-D page of a finished run; ends with Ctrl-C."""
+    with _exit_codes(debug):
+        _need_viser("nothing else shows a run in three dimensions; report.html has its figures")
+        from torchid.scene.finished import FinishedRun
+        from torchid.scene.player import Player
+        from torchid.scene.server import close_page, open_page
+
+        run = FinishedRun(out)
+        server, address = open_page(port, host)
+        player = Player(server, run)
+        _announce(address)
+        with suppress(KeyboardInterrupt):
+            player.play(seconds)
+        close_page(server)
 
 
 @app.command()
@@ -131,6 +163,26 @@ def check(
             typer.echo(to_json(found))
         if not found.clean:
             raise typer.Exit(InputError.exit_code)
+
+
+def _live_page(port: int, host: str) -> Callable:
+    """Opens the page of a stream."""
+    _need_viser("or give --headless")
+    from torchid.live.page import Address, Page
+
+    return lambda subject, source: Page(subject, source.labels, source.plates, Address(port, host))
+
+
+def _need_viser(otherwise: str) -> None:
+    if find_spec("viser") is None:
+        raise ConfigError(
+            "scene.no_viser", "the page needs the package viser, which is not installed", found="no viser",
+            remedy=f"pip install 'torchid[live]'; {otherwise}",
+        )  # fmt: skip
+
+
+def _announce(address: str) -> None:
+    _complain(f"open {address} in a browser")
 
 
 def _findings(what: list[str]) -> Iterator:

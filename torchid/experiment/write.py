@@ -1,7 +1,8 @@
 """Result files of section 3 of the contracts: JSON tables, netCDF series, OpenSim storages, model files."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+import numpy as np
 import torch
 import xarray
 
@@ -16,6 +17,7 @@ from torchid.model.urdf import write_urdf
 from torchid.netcdf import write_netcdf
 from torchid.outcome import Followed, Outcome
 from torchid.outcome.tables import diagnosis_table, geometry_table, inertia_table
+from torchid.recording import Plate
 from torchid.regressor.rows import predict
 from torchid.results import OutputFolder
 from torchid.snapshot import release
@@ -79,6 +81,7 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
     fit, motion = outcome.fit, outcome.followed[name].motion
     tracked, trial = outcome.followed[name].tracked, outcome.session.trials[name]
     tree, labels = fit.model.tree, fit.attachment.labels
+    scaled, by_body = outcome.followed_scaled[name], ("time", "body", "row", "column")
     by_dof, by_marker = ("time", "dof"), ("time", "marker", "axis")
     return xarray.Dataset(
         {
@@ -87,7 +90,8 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "a": (by_dof, motion.a[part].numpy()),
             "torque": (by_dof, outcome.torque[name][part].numpy()),
             "torque_scaled": (by_dof, outcome.torque_scaled[name][part].numpy()),
-            "X_WB": (("time", "body", "row", "column"), chain_poses(tree, motion.q[part], fit.geometry).numpy()),
+            "X_WB": (by_body, chain_poses(tree, motion.q[part], fit.geometry).numpy()),
+            "X_WB_scaled": (by_body, chain_poses(tree, scaled.motion.q[part], outcome.scaled.geometry).numpy()),
             "markers_measured": (by_marker, trial.markers.frames(part).select(labels).position.numpy()),
             "markers_modelled": (by_marker, modelled(fit, tracked.q[part]).numpy()),
             "observable": (("time",), tracked.observable[part].numpy()),
@@ -98,6 +102,7 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
         },
         attrs={
             "cutoff_hz": motion.smoother.cutoff_hz, "filter": motion.smoother.kind, "units": "SI, rad",
+            "parents": [body.parent for body in tree.bodies],
             "base": "q 0-2: p_WB [m]; q 3-5: rotation vector of R_WB [rad]; v, a 3-5: angular velocity and "
             "acceleration in W; torque 0-5: residual force and moment at the root's origin, in W",
         },
@@ -126,6 +131,7 @@ def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
             "used": (("time",), item.contact.used.numpy()),
             "plate_wrench": (("time", "plate", "component"), plates.numpy()),
             "plate_foot": (("time", "plate"), item.contact.plate.numpy()),
+            "plate_corners": (("plate", "corner", "axis"), _corners(trial.forces.plates)),
         },
         coords={
             "time": item.motion.time.numpy(), "component": ["fx", "fy", "fz", "mx", "my", "mz"],
@@ -133,3 +139,10 @@ def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
         },
         attrs={"cutoff_hz": smoother.cutoff_hz, "filter": smoother.kind, "feet": ", ".join(item.contact.feet)},
     )  # fmt: skip
+
+
+def _corners(plates: Sequence[Plate]) -> np.ndarray:
+    """Corners of plates in W, NaN where nobody told them [m]."""
+    unknown = torch.full((4, 3), torch.nan, dtype=torch.float64)
+    corners = [unknown if plate.corners is None else plate.corners for plate in plates]
+    return torch.stack(corners).numpy() if corners else np.zeros((0, 4, 3))

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit
 from torchid.inertia.identify import Identified
-from torchid.live.identifier import Identifier, Subject
+from torchid.live.identifier import Identifier, Reconstructed, Subject
 from torchid.live.pose import Postures
 from torchid.recording import Plate
 from torchid.snapshot import from_bytes, to_bytes
@@ -31,6 +31,10 @@ class Found:
     fit: InertiaFit
     newest: int
     """Number of the newest frame that it had seen."""
+    newest_s: float
+    """Its time on the stream's uniform clock [s]."""
+    forces: Reconstructed | None
+    """Of the last block, where it had contacts on plates alone."""
 
 
 class Beside:
@@ -45,7 +49,7 @@ class Beside:
         given = to_bytes((subject.fit, subject.prior, subject.weight, plates))
         rest = (subject.config, subject.mass, subject.cutoff_hz, rate_hz, force_rate_hz)
         self._process = context.Process(target=_serve, args=(self._jobs, theirs, given, rest), daemon=True)
-        with _deaf():
+        with deaf():
             self._process.start()
         theirs.close()
         self.sent = self.done = 0
@@ -107,7 +111,7 @@ class Beside:
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
+def deaf() -> Iterator[None]:
     """A process that is started here never hears Ctrl-C: it is for the parent, which says when the other is to end."""
     if threading.current_thread() is not threading.main_thread():  # only that one hears it
         yield
@@ -130,7 +134,8 @@ def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
             count += 1
             index, q, error, sample, wrench = (torch.from_numpy(np.asarray(part)) for part in message)
             if own.add(index, Postures(q, error), sample, wrench) and own.estimator.fit is not None:
-                pipe.send(("found", to_bytes((own.estimator.fit, int(index[-1])))))
+                newest = int(index[-1])
+                pipe.send(("found", to_bytes((own.estimator.fit, newest, newest / rate_hz, own.forces))))
             pipe.send(("done", count))
         try:
             pipe.send(("end", to_bytes(own.finish())))

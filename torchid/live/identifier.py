@@ -10,6 +10,7 @@ from torch import Tensor
 from torchid.config import Config
 from torchid.contact.balance import Weight
 from torchid.contact.runs import dilate
+from torchid.dynamics import wrench_about
 from torchid.experiment.fits import com_boxes
 from torchid.experiment.stages import ENDS, follow
 from torchid.experiment.standing import short_of
@@ -23,7 +24,7 @@ from torchid.live.timeline import Timeline
 from torchid.model.model import InertialPrior
 from torchid.outcome import Followed
 from torchid.recording import Forces, Markers, Plate, Trial
-from torchid.regressor.rows import SHORTEST, WrenchTrial, runs
+from torchid.regressor.rows import SHORTEST, WrenchTrial, predict, runs
 from torchid.regressor.whitening import BlockSpectrum, block_spectrum
 
 BLOCK_S = 1.0
@@ -56,6 +57,17 @@ class Subject:
     """Of the filter of motion and forces."""
 
 
+@dataclass(frozen=True)
+class Reconstructed:
+    """Total force on the subject as measured, and as the identified dynamics have it, through the same filter."""
+
+    time: Float[Tensor, " frames"]
+    """On the stream's uniform clock [s]."""
+    measured: Float[Tensor, "frames 6"]
+    """About the world's origin [N, N m]."""
+    predicted: Float[Tensor, "frames 6"]
+
+
 class Identifier:
     """Smooths, finds contacts and identifies, over a window that moves with the stream.
 
@@ -82,6 +94,8 @@ class Identifier:
         self._q, self._error = Timeline((dofs,)), Timeline((markers,))
         self._wrench = Timeline((len(plates), 6))
         self._next = 0
+        self.forces: Reconstructed | None = None
+        """Of the last block, where it could be used."""
 
     def add(
         self, index: Int[Tensor, " frames"], postures: Postures, sample: Int[Tensor, " samples"],
@@ -121,11 +135,12 @@ class Identifier:
     def _advance(self, stop: int, known: int) -> None:
         """Rows of the frames up to ``stop``, from all that is known up to another."""
         first = max(self._q.start, self._next - self._context)
-        followed = self._followed(slice(first, known))
+        self.forces, followed = None, self._followed(slice(first, known))
         if followed is not None and followed.wrench is not None:
             rows = followed.wrench
             inner = slice(self._next - first, stop - first)
             self.estimator.add(_spectra(rows, inner))
+            self.forces = self._reconstructed(rows.frames(inner))
         self._next = stop
         kept = self._next - self._context
         for line in (self._q, self._error):
@@ -152,6 +167,14 @@ class Identifier:
         # Beside a gap, as at an end, a filter knows one side only.
         beside = dilate(~seen, round(ENDS / found.motion.smoother.cutoff_hz * self._rate))
         return replace(found, wrench=replace(found.wrench, used=found.wrench.used & ~beside))
+
+    def _reconstructed(self, rows: WrenchTrial) -> Reconstructed | None:
+        """Forces of a block; None before anything is identified, and where a foot was off the plates."""
+        fit = self.estimator.fit
+        if fit is None or not bool(rows.used.any()):
+            return None
+        predicted = wrench_about(predict(rows, fit.phi), -rows.motion.q[:, :3])
+        return Reconstructed(rows.motion.time[rows.used], rows.wrench[rows.used], predicted[rows.used])
 
     def _forces(self, time: Float[Tensor, " frames"]) -> Forces | None:
         """Samples of a window on the clock of its frames."""

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.inertia.identify import Identified
-from torchid.live.beside import Beside
+from torchid.live.beside import Beside, Found
 from torchid.live.identifier import BLOCK_S, LAG_PERIODS, Subject
 from torchid.live.intake import Intake
 from torchid.live.pose import Follower, Postures
@@ -37,6 +37,8 @@ class Moment:
     """At these frames."""
     wrench: Float[Tensor, "plates 6"] | None
     """Newest reading of the plates [N, N m]."""
+    found: Found | None
+    """What was identified last."""
 
 
 class Pipeline:
@@ -106,7 +108,7 @@ class Pipeline:
             del self._latency_s[:-KEPT]
             self._arrived[int(placed.index[-1])] = packet.arrived_s
             wrench = placed.wrench[-1] if len(placed.wrench) else None
-            show(Moment(placed.index, placed.markers, postures, wrench))
+            show(Moment(placed.index, placed.markers, postures, wrench, self._beside.found))
         else:
             postures = Postures(torch.zeros(0, 0), torch.zeros(0, 0))
         self._beside.add(placed.index, postures, placed.sample, placed.wrench)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from torchid.config import Config
 from torchid.errors import ConfigError, DataError
@@ -34,6 +34,19 @@ RESULT = "live.json"
 OnStage = Callable[[str, float], None]
 
 
+class Display(Protocol):
+    """What shows a stream, such as ``live.page.Page``."""
+
+    address: str
+
+    def show(self, moment: Moment) -> None:
+        """Take up what was found in a packet, and return at once."""
+
+    def __enter__(self) -> "Display": ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+
 def run_live(
     config: Config,
     source: str,
@@ -41,7 +54,8 @@ def run_live(
     seconds: float = math.inf,
     record: Path | None = None,
     progress: OnStage = lambda stage, share: None,
-    show: Callable[[Moment], None] = lambda moment: None,
+    page: Callable[[Subject, Source], Display] | None = None,
+    opened: Callable[[str], None] = lambda address: None,
 ) -> dict[str, Any]:
     """Identify a subject while a stream comes, and leave the estimate in ``live.json`` of the config's ``out``.
 
@@ -52,7 +66,8 @@ def run_live(
         seconds: longest duration.
         record: folder for what comes; None keeps nothing.
         progress: called with stages and fractions.
-        show: called with what was found in every packet.
+        page: opens what shows the stream; None shows nothing.
+        opened: called with the page's address.
 
     Returns:
         Figures of speed, loss, mass and progress, as ``torchid live`` prints them.
@@ -67,7 +82,13 @@ def run_live(
         subject, base = prepare_subject(config, folder, progress)
         stream = _replayed(config, source.removeprefix(REPLAY), speed)
         progress("live", 0.0)
-        performance, identified = _streamed(subject, stream, record, seconds, show)
+        with ExitStack() as stack:
+            show: Callable[[Moment], None] = lambda moment: None  # noqa: E731
+            if page is not None:
+                display = stack.enter_context(page(subject, stream))
+                opened(display.address)
+                show = display.show
+            performance, identified = _streamed(subject, stream, record, seconds, show)
         table = identified_table(replace(base, identified=identified))
         write_json(folder.path(RESULT), table)
         progress("live", 1.0)

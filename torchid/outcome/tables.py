@@ -12,6 +12,8 @@ from torchid.diagnosis.verdict.table import verdict_table
 from torchid.effects.catalogue import effect
 from torchid.effects.kinds import AttachedLoad
 from torchid.geometry.result import GeometryFit
+from torchid.inertia.fit import InertiaFit
+from torchid.model.model import InertialPrior
 from torchid.outcome.outcome import Outcome
 from torchid.regressor.rows import residual_rms
 
@@ -156,24 +158,11 @@ def identified_table(outcome: Outcome) -> dict[str, Any]:
     """What ``inertia.json`` says of the body; residuals, which take a pass over all frames, are left out."""
     assert outcome.identified is not None
     identified = outcome.identified
-    fit, prior = identified.fit, outcome.prior
-    phi_sd = fit.sd.phi
+    fit = identified.fit
     total = torch.zeros(10 * len(fit.names), dtype=fit.phi.dtype)
     total[::10] = 1.0
     return {
-        "segments": {
-            name: {
-                "mass_kg": fit.mass[k],
-                "com_m": fit.com[k],
-                "inertia_kgm2": fit.inertia_com[k],
-                "sd": {"mass_kg": phi_sd[k, 0], "com_m": fit.sd.com[k], "inertia_kgm2": fit.sd.inertia_com[k]},
-                "progress": fit.progress.segment[k],
-                "progress_mass": fit.progress.phi[k, 0],
-                "progress_parameters": dict(zip(INERTIAL_NAMES, fit.progress.phi[k].tolist(), strict=True)),
-                "prior": {"mass_kg": prior.mean[k, 0], "sd_kg": prior.covariance[10 * k, 10 * k].sqrt()},
-            }
-            for k, name in enumerate(fit.names)
-        },
+        "segments": segments_table(fit, outcome.prior),
         "total_mass": {
             "value_kg": fit.mass.sum(),
             "sd_kg": (total @ fit.covariance @ total).sqrt(),
@@ -191,6 +180,29 @@ def identified_table(outcome: Outcome) -> dict[str, Any]:
         "cutoff_hz": outcome.cutoff_hz,
         "status": fit.status.value,
         "certificate": fit.certificate,
+    }
+
+
+def segments_table(fit: InertiaFit, prior: InertialPrior) -> dict[str, dict[str, Any]]:
+    """What ``inertia.json`` says of every segment.
+
+    Args:
+        fit: identified parameters.
+        prior: what was known of them before.
+    """
+    phi_sd, sd = fit.sd.phi, fit.sd
+    return {
+        name: {
+            "mass_kg": fit.mass[k],
+            "com_m": fit.com[k],
+            "inertia_kgm2": fit.inertia_com[k],
+            "sd": {"mass_kg": phi_sd[k, 0], "com_m": sd.com[k], "inertia_kgm2": sd.inertia_com[k]},
+            "progress": fit.progress.segment[k],
+            "progress_mass": fit.progress.phi[k, 0],
+            "progress_parameters": dict(zip(INERTIAL_NAMES, fit.progress.phi[k].tolist(), strict=True)),
+            "prior": {"mass_kg": prior.mean[k, 0], "sd_kg": prior.covariance[10 * k, 10 * k].sqrt()},
+        }
+        for k, name in enumerate(fit.names)
     }
 
 

@@ -1,0 +1,143 @@
+"""The page of a stream: it shows what comes, holds nobody up, and can be left and opened again."""
+
+import time
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+import pytest
+import small_session
+import torch
+import viser
+import zstandard
+from test_live import moving, subject
+from websockets.sync.client import ClientConnection, connect
+
+from torchid.errors import ConfigError
+from torchid.live.board import Board, bars
+from torchid.live.page import WAITING, Address, Page, Show
+from torchid.live.pipeline import Moment, Pipeline
+from torchid.live.pose import Follower, Postures
+from torchid.live.replay import Replay
+from torchid.scene.scene import Ground
+from torchid.scene.server import close_page, open_page
+
+PROTOCOL = f"viser-v{viser.__version__}"
+PORT = 18900
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    """The page of the small session's subject."""
+    trial = moving()
+    assert trial.forces is not None
+    with Page(subject(), trial.markers.labels, trial.forces.plates, Address(PORT, "127.0.0.1")) as one:
+        yield one
+
+
+def watched(one: ClientConnection, seconds: float) -> dict[str, int]:
+    """How often every node of the scene changed."""
+    counts: dict[str, int] = {}
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0:
+        try:
+            raw = one.recv(timeout=left)
+        except TimeoutError:
+            break
+        size = int.from_bytes(raw[8:16], "little")
+        found = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(raw[16 : 16 + size]))
+        for message in found["messages"]:
+            if message["type"] == "SceneNodeUpdateMessage":
+                counts[message["name"]] = counts.get(message["name"], 0) + 1
+    return counts
+
+
+def moments(page: Page, seconds: float) -> int:
+    """Send a trial's frames at a hundred a second; return how many."""
+    trial, follower = moving(), Follower(subject().fit, moving().markers.labels)
+    postures = follower(trial.markers.frames(slice(0, 8)))
+    begun, sent = time.monotonic(), 0
+    while time.monotonic() - begun < seconds:
+        k = sent % 8
+        some = Postures(postures.q[k : k + 1], postures.error[k : k + 1])
+        assert trial.forces is not None
+        page.show(
+            Moment(torch.tensor([sent]), trial.markers.frames(slice(k, k + 1)), some, trial.forces.wrench[k], None)
+        )
+        sent += 1
+        time.sleep(0.01)
+    return sent
+
+
+def test_a_browser_gets_what_comes_and_may_leave_and_return(page):
+    """The body moves for a viewer, and for one that comes later."""
+    url = page.address.replace("http", "ws")
+    for _ in range(2):
+        with connect(url, subprotocols=[PROTOCOL], proxy=None) as one:
+            moments(page, 1.0)
+            counts = watched(one, 1.0)
+        assert counts.get("/body", 0) > 10 and counts.get("/forces/plates", 0) > 10, counts
+
+
+def test_a_page_that_nobody_reads_holds_nobody_up(page):
+    """A stalled viewer costs the stream nothing: pictures are dropped, and each is sent at once."""
+    with connect(page.address.replace("http", "ws"), subprotocols=[PROTOCOL], proxy=None):
+        begun = time.monotonic()
+        sent = moments(page, 2.0)
+        assert sent > 100 and time.monotonic() - begun < 2.5
+    assert WAITING < 10
+
+
+def test_a_stream_shows_what_it_identifies(page):
+    """Parameters come to the page with the forces that the identified dynamics reconstruct."""
+    found = []
+    with Pipeline(subject(), Replay(moving(), 2.0)) as pipeline:
+        pipeline.run(show=lambda moment: (page.show(moment), found.append(moment.found)))
+    last = found[-1]
+    assert last is not None and last.forces is not None
+    force, said = last.forces.measured[:, 2], last.forces.predicted[:, 2]
+    assert float((force - said).square().mean().sqrt()) < 0.1 * float(force.mean())
+
+
+def test_a_page_that_cannot_open_is_said():
+    """With the server's own words; nothing is left running."""
+    trial = moving()
+    assert trial.forces is not None
+    with pytest.raises(ConfigError, match="scene.host"):
+        Page(subject(), trial.markers.labels, trial.forces.plates, Address(PORT, "192.0.2.1"))
+
+
+def test_a_page_that_dies_is_said(monkeypatch):
+    """Where its process ends before it has opened."""
+    trial = moving()
+    assert trial.forces is not None
+    monkeypatch.setattr("torchid.live.page._serve", abort)
+    with pytest.raises(ConfigError, match="live.page"):
+        Page(subject(), trial.markers.labels, trial.forces.plates, Address(PORT, "127.0.0.1"))
+
+
+def abort(*_: object) -> None:
+    """End a process as one that has no memory does."""
+    raise SystemExit(9)
+
+
+def test_forces_are_shown_when_the_identifier_has_reached_them():
+    """Total forces stand beside the body of the same instant plus the stated delay, and silence is told."""
+    server, _ = open_page(PORT + 50)
+    try:
+        o = small_session.outcome()
+        names = o.fit.model.tree.names
+        board = Board(server, Ground((), ()), names, o.prior)
+        show = Show(board, o.fit.model.tree, o.fit.geometry, list(range(len(o.fit.attachment.labels))), 6.0)
+        assert o.identified is not None
+        board.identified(o.identified.fit, 3.0)
+        assert "✓" in bars({"pelvis": 0.95}) and "✓" not in bars({"pelvis": 0.5})
+        board.advise("Swing both arms", "for the forearms")
+        assert "Swing both arms" in board._advice.content
+        show._seen_s -= 2.0
+        board._placed = True
+        show.wait()
+        assert "No frame for 2.0 s" in board._state.content
+    finally:
+        close_page(server)
+    assert np.isfinite(show._delay_s)

@@ -1,0 +1,227 @@
+"""The page of a stream: what has been sent by then is drawn sixty times a second, in a process of its own."""
+
+import multiprocessing
+import queue
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.queues import Queue
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from torchid.errors import ConfigError
+from torchid.kinematics.chain import chain_poses
+from torchid.live.beside import Found, deaf
+from torchid.live.board import Board
+from torchid.live.identifier import BLOCK_S, LAG_PERIODS, Subject
+from torchid.live.pipeline import Moment
+from torchid.model.model import Geometry
+from torchid.model.tree import Tree
+from torchid.recording import Plate
+from torchid.scene.scene import Ground, Instant
+from torchid.scene.server import open_page
+from torchid.snapshot import from_bytes, to_bytes
+
+PERIOD_S = 1.0 / 60.0
+"""Choice. Between two pictures: what screens show."""
+WAITING = 4
+"""Choice. Pictures that may wait for the page; more are dropped, so that it shows the newest and holds nobody up."""
+OPENED_S = 60.0
+"""Choice. How long a machine that is busy may take to open a page."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a page is to be opened."""
+
+    port: int
+    host: str
+    token: str | None = None
+    """Drawn where None and the host is open to other machines."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One instant as it is sent to the page."""
+
+    time_s: float
+    q: Float[np.ndarray, " dofs"]
+    markers: Float[np.ndarray, "markers 3"]
+    """In the order of the stream."""
+    error: Float[np.ndarray, " placed"]
+    """Distance from the model, in the order of the fit [m]."""
+    plates: Float[np.ndarray, "plates 6"] | None
+
+
+class Page:
+    """Opens a page beside the caller; ``show`` never waits for it."""
+
+    def __init__(self, subject: Subject, labels: tuple[str, ...], plates: tuple[Plate, ...], where: Address) -> None:
+        """Start the process and wait until the page is open.
+
+        Args:
+            subject: whose geometry is drawn.
+            labels: of the stream.
+            plates: of the stream.
+            where: port and host.
+
+        Raises:
+            ConfigError: ``scene.host``; ``live.page``, the page does not open.
+        """
+        context = multiprocessing.get_context("spawn")
+        self._pictures, self._found = context.Queue(WAITING), context.Queue()
+        pipe, theirs = context.Pipe(duplex=False)
+        given = to_bytes((subject.fit, subject.prior, plates))
+        rest = (subject.cutoff_hz, labels, where)
+        self._process = context.Process(
+            target=_serve, args=(self._pictures, self._found, theirs, given, rest), daemon=True
+        )
+        with deaf():
+            self._process.start()
+        theirs.close()
+        self.address = self._opened(pipe)
+        self._shown_s, self._last = 0.0, None
+        self.dropped = 0
+
+    def show(self, moment: Moment) -> None:
+        """Send the newest frame of a moment, where a picture is due, and what was found since the last one."""
+        if moment.found is not None and moment.found is not self._last:
+            self._last = moment.found
+            self._found.put(to_bytes(moment.found))
+        now = time.monotonic()
+        if now - self._shown_s < PERIOD_S:
+            return
+        self._shown_s = now
+        plates = None if moment.wrench is None else moment.wrench.numpy()
+        picture = Picture(
+            float(moment.markers.time[-1]), moment.postures.q[-1].numpy(), moment.markers.position[-1].numpy(),
+            moment.postures.error[-1].numpy(), plates,
+        )  # fmt: skip
+        try:
+            self._pictures.put_nowait(picture)
+        except queue.Full:
+            self.dropped += 1
+
+    def close(self) -> None:
+        """End the page."""
+        for one in (self._pictures, self._found):
+            one.cancel_join_thread()
+            one.close()
+        self._process.terminate()
+        self._process.join(timeout=1.0)
+        if self._process.is_alive():
+            self._process.kill()
+
+    def __enter__(self) -> "Page":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _opened(self, pipe: Connection) -> str:
+        """The address; a process that ends says so by closing its pipe."""
+        what, value = "failed", None
+        with suppress(EOFError):
+            if pipe.poll(OPENED_S):
+                what, value = pipe.recv()
+        if what == "open":
+            return value
+        self.close()
+        if value is not None:
+            raise ConfigError(**value)
+        raise ConfigError(
+            "live.page", "the page does not open", place="--port", found=f"exit code {self._process.exitcode}",
+            remedy="Give --headless, or another port",
+        )  # fmt: skip
+
+
+class Show:
+    """What the page's process knows, and how it draws it."""
+
+    def __init__(
+        self, board: Board, tree: Tree, geometry: Geometry, columns: list[int], cutoff_hz: float
+    ) -> None:  # fmt: skip
+        """Begin with nothing.
+
+        Args:
+            board: the page.
+            tree: of the body.
+            geometry: identified.
+            columns: for every marker of the stream its place in the fit, -1 where it has none.
+            cutoff_hz: of the filter.
+        """
+        self._board, self._tree, self._geometry, self._columns = board, tree, geometry, np.array(columns)
+        self._delay_s = LAG_PERIODS / cutoff_hz + 2.0 * BLOCK_S
+        self._forces: deque[tuple[float, np.ndarray, np.ndarray]] = deque()
+        self._seen_s = time.monotonic()
+
+    def found(self, some: Found) -> None:
+        """Take up what the identifier has found."""
+        if some.forces is not None:
+            rows = zip(some.forces.time.tolist(), some.forces.measured.numpy(), some.forces.predicted.numpy(),
+                       strict=True)  # fmt: skip
+            self._forces.extend(rows)
+        self._board.identified(some.fit, some.newest_s)
+
+    def picture(self, some: Picture) -> None:
+        """Draw an instant, and beside it the forces of the instant that the identifier has reached."""
+        self._seen_s = time.monotonic()
+        X_WB = chain_poses(self._tree, torch.from_numpy(some.q)[None], self._geometry)[0].numpy()
+        error = np.append(some.error, np.nan)[self._columns]
+        at = some.time_s - self._delay_s
+        while len(self._forces) > 1 and self._forces[1][0] <= at:
+            self._board.passed(*self._forces.popleft())
+        due = self._forces[0] if self._forces and self._forces[0][0] <= at else None
+        measured, predicted = (None, None) if due is None else due[1:]
+        self._board.show(Instant(X_WB, some.markers, error, some.plates, measured, predicted), some.time_s)
+
+    def wait(self) -> None:
+        """Say for how long nothing has come."""
+        self._board.silent(time.monotonic() - self._seen_s)
+
+
+def _serve(pictures: Queue, found: Queue, pipe: Connection, given: bytes, rest: tuple[Any, ...]) -> None:
+    torch.set_num_threads(1)
+    cutoff_hz, labels, where = rest
+    fit, prior, plates = from_bytes(given)
+    try:
+        server, address = open_page(where.port, where.host, where.token)
+    except ConfigError as error:
+        keys = ("code", "message", "place", "found", "remedy")
+        pipe.send(("failed", {key: getattr(error, key) for key in keys}))
+        return
+    corners = tuple(None if plate.corners is None else plate.corners.numpy() for plate in plates)
+    board = Board(server, Ground(corners, tuple(plate.name for plate in plates)), fit.model.tree.names, prior)
+    place = {label: k for k, label in enumerate(fit.attachment.labels)}
+    show = Show(board, fit.model.tree, fit.geometry, [place.get(label, -1) for label in labels], cutoff_hz)
+    pipe.send(("open", address))
+    while multiprocessing.parent_process() is None or multiprocessing.parent_process().is_alive():  # type: ignore[union-attr]
+        _turn(show, pictures, found)
+
+
+def _turn(show: Show, pictures: Queue, found: Queue) -> None:
+    """Draw once: what was found, and the newest picture."""
+    begun = time.monotonic()
+    for one in _waiting(found):
+        show.found(from_bytes(one))
+    newest = deque(_waiting(pictures), maxlen=1)
+    if newest:
+        show.picture(newest[0])
+    else:
+        show.wait()
+    time.sleep(max(0.0, PERIOD_S - (time.monotonic() - begun)))
+
+
+def _waiting(some: Queue) -> list[Any]:
+    """Everything that waits in a queue."""
+    out = []
+    while True:
+        try:
+            out.append(some.get_nowait())
+        except queue.Empty:
+            return out
