@@ -11,7 +11,9 @@ import torch
 import viser
 import zstandard
 from test_live import moving, subject
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
+from websockets.typing import Subprotocol
 
 from torchid.errors import ConfigError
 from torchid.live.board import Board, bars
@@ -22,7 +24,7 @@ from torchid.live.replay import Replay
 from torchid.scene.scene import Ground
 from torchid.scene.server import close_page, open_page
 
-PROTOCOL = f"viser-v{viser.__version__}"
+PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 PORT = 18900
 
 
@@ -35,17 +37,17 @@ def page() -> Iterator[Page]:
         yield one
 
 
-def watched(one: ClientConnection, seconds: float) -> dict[str, int]:
+def watched(one: Connection, seconds: float) -> dict[str, int]:
     """How often every node of the scene changed."""
     counts: dict[str, int] = {}
     end = time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0:
         try:
-            raw = one.recv(timeout=left)
+            raw = one.recv(timeout=left, decode=False)
         except TimeoutError:
             break
         size = int.from_bytes(raw[8:16], "little")
-        found = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(raw[16 : 16 + size]))
+        found = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(bytes(raw[16 : 16 + size])))
         for message in found["messages"]:
             if message["type"] == "SceneNodeUpdateMessage":
                 counts[message["name"]] = counts.get(message["name"], 0) + 1
@@ -92,7 +94,12 @@ def test_a_stream_shows_what_it_identifies(page):
     """Parameters come to the page with the forces that the identified dynamics reconstruct."""
     found = []
     with Pipeline(subject(), Replay(moving(), 2.0)) as pipeline:
-        pipeline.run(show=lambda moment: (page.show(moment), found.append(moment.found)))
+
+        def show(moment: Moment) -> None:
+            page.show(moment)
+            found.append(moment.found)
+
+        pipeline.run(show=show)
     last = found[-1]
     assert last is not None and last.forces is not None
     force, said = last.forces.measured[:, 2], last.forces.predicted[:, 2]

@@ -35,6 +35,9 @@ from torchid.report.joints import joints_section
 from torchid.report.page import render_report
 from torchid.report.summary import _named, head_section
 from torchid.report.witness_table import witness_table
+from torchid.scene.embedded import OPENER
+from torchid.scene.finished import FinishedRun
+from torchid.scene.replay import replay
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session, write_session
 from torchid.witnesses.testimony import Answer
@@ -137,10 +140,10 @@ def parse(page: str) -> Parsed:
 
 
 def test_page_is_whole_small_and_reads_nothing_from_outside(run):
-    """Every element is closed, every reference points into the page, the policy forbids the rest, under 3 MB."""
-    page = run.page
+    """Every element is closed, every reference points into the page, the policy forbids the rest; 3 MB with replay."""
+    page = render_report(run.outcome)
     found = parse(page)
-    assert len(page.encode()) < 3e6
+    assert len(page.encode()) < 1e6 and len(run.page.encode()) < 3e6
     ids = [value for _, name, value in found.attributes if name == "id"]
     assert len(ids) == len(set(ids))
     links = [value for _, name, value in found.attributes if name in ("href", "xlink:href", "src")]
@@ -152,9 +155,24 @@ def test_page_is_whole_small_and_reads_nothing_from_outside(run):
     assert any(value.startswith("default-src 'none'") and "script" not in value for value in policy)
 
 
+def test_a_replay_runs_its_own_scripts_alone_and_in_a_frame_of_its_own(run):
+    """The policy names scripts by their hashes; names from the data are text as before, and the page stays small."""
+    page = render_report(run.outcome, None, replay(FinishedRun(run.out), "squats"))
+    found = parse(page)
+    assert set(found.tags) <= ALLOWED | {"iframe", "script"} and len(page.encode()) < 3e6
+    frames = {name: value for tag, name, value in found.attributes if tag == "iframe"}
+    assert frames["sandbox"] == "allow-scripts" and "srcdoc" not in frames and "src" not in frames
+    assert page.count("<script>") == 1 and found.words["script"].strip() == OPENER
+    policy = next(value for tag, name, value in found.attributes if tag == "meta" and "default-src" in (value or ""))
+    scripts = re.findall(r"script-src ([^;]*)", policy)[0].split()
+    assert len(scripts) == 5 and all(one.startswith("'sha256-") for one in scripts[:4]), scripts
+    assert scripts[4] == "'wasm-unsafe-eval'" and "http" not in policy
+    assert SUBJECT in found.words["h1"]
+
+
 def test_hostile_names_are_text(run):
     """Markup in the names of subject, trial and marker makes no element and no attribute, and is still readable."""
-    found = parse(run.page)
+    found = parse(render_report(run.outcome))
     assert set(found.tags) <= ALLOWED
     assert not [name for _, name, _ in found.attributes if name.startswith("on") or name == "src"]
     assert SUBJECT in found.words["h1"]

@@ -19,6 +19,7 @@ from torch.testing import assert_close
 from typer.testing import CliRunner
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 import torchid.cli
 from torchid.cli import app
@@ -33,7 +34,7 @@ from torchid.scene.scene import FAR_M, METRES_PER_N, arrow
 from torchid.scene.server import COOKIE, Guard, close_page, open_page
 from torchid.scene.solids import centre_of_mass, placed, quaternion, solids
 
-PROTOCOL = f"viser-v{viser.__version__}"
+PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
 
 @pytest.fixture(scope="module")
@@ -154,12 +155,11 @@ def test_a_finished_run_is_read_back(out):
     assert now.X_WB is not None and now.sticks is not None and now.measured is not None and now.plates is not None
     assert now.extended is None, "no effect is applied"
     np.testing.assert_allclose(now.X_WB[0, :3, 3], outcome.followed["squats"].motion.q[-1, :3].numpy())
-    np.testing.assert_allclose(now.sticks[0, 1] - now.sticks[0, 0], now.sticks[0, 1] - now.sticks[0, 0])
     assert now.sticks[:, :, 2].min() > -0.2 and now.sticks[:, :, 2].max() < 2.2
     assert len(moving.ground.names) == len(now.plates) and moving.ground.corners[0] is not None
     assert isinstance(run.segments, Segments) and run.segments.solids.mass.sum() > 30
-    time, wrench = moving.wrench("measured", 50)
-    assert len(time) == len(wrench) <= 50
+    curve = moving.wrench("measured", 50)
+    assert curve is not None and len(curve[0]) == len(curve[1]) <= 50
 
 
 @pytest.mark.parametrize("spoil", ["nothing", "no motion", "table", "series"])

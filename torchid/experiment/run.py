@@ -2,12 +2,13 @@
 
 import logging
 from dataclasses import replace
+from importlib.util import find_spec
 
 import torch
 
 from torchid.config import Config, dump_config
 from torchid.diagnosis.verdict.records import Diagnosis
-from torchid.errors import DataError, Note
+from torchid.errors import ConfigError, DataError, Note
 from torchid.experiment.acceptance import impossible
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.laboratory import diagnosed
@@ -19,7 +20,7 @@ from torchid.experiment.standing import follow_each
 from torchid.experiment.swapped_markers import put_right
 from torchid.experiment.witnessed import with_witnesses
 from torchid.experiment.write import result_names, write_outcome
-from torchid.files import file_sha256, write_json, write_text
+from torchid.files import file_sha256, safe_name, write_json, write_text
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
 from torchid.motion.impossible_rates import frames_of, impossible_steps
@@ -28,7 +29,9 @@ from torchid.provenance import provenance, stage_key
 from torchid.publication import CONFIGS
 from torchid.regressor.rows import residual_rms
 from torchid.report import write_report
+from torchid.report.facts import judges
 from torchid.results import OutputFolder
+from torchid.scene.embedded import Replay
 from torchid.snapshot import release
 
 log = logging.getLogger(__name__)
@@ -60,12 +63,26 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
         progress("write", 0.0)
         with folder.timed("write"):
             write_outcome(outcome, folder, failure)
-            write_report(outcome, folder.path("report.html"), failure)
+            write_report(outcome, folder.path("report.html"), failure, _replay(outcome, folder))
         write_json(folder.path("provenance.json"), provenance(_inputs(config), config.seed, folder.times))
         progress("write", 1.0)
         if failure is not None:
             raise failure
     return outcome
+
+
+def _replay(outcome: Outcome, folder: OutputFolder) -> Replay | None:
+    """A trial in three dimensions for the report; None without viser, an optional part, and without a body."""
+    if outcome.identified is None or find_spec("viser") is None:
+        return None
+    from torchid.scene.finished import FinishedRun  # noqa: PLC0415 - brings viser
+    from torchid.scene.replay import replay  # noqa: PLC0415 - brings viser
+
+    try:
+        return replay(FinishedRun(folder.path("inertia.json").parent), safe_name(judges(outcome).names[0]))
+    except ConfigError as error:  # a machine on which nothing may listen
+        log.info("%s", error)
+        return None
 
 
 def _claim(folder: OutputFolder, config: Config) -> None:

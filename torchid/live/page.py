@@ -125,12 +125,13 @@ class Page:
 
     def _opened(self, pipe: Connection) -> str:
         """The address; a process that ends says so by closing its pipe."""
-        what, value = "failed", None
+        answer: tuple[str, Any] = ("failed", None)
         with suppress(EOFError):
             if pipe.poll(OPENED_S):
-                what, value = pipe.recv()
+                answer = pipe.recv()
+        what, value = answer
         if what == "open":
-            return value
+            return str(value)
         self.close()
         if value is not None:
             raise ConfigError(**value)

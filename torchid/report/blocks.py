@@ -63,7 +63,16 @@ class Details:
     kind = "details"
 
 
-Block = Paragraph | Items | Table | Figure | Listing | Details
+@dataclass(frozen=True)
+class Embedded:
+    """A page of its own inside a frame, which runs only when it is opened."""
+
+    page: str
+    caption: str
+    kind = "embedded"
+
+
+Block = Paragraph | Items | Table | Figure | Listing | Details | Embedded
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Sections into one HTML file without scripts and without anything from outside."""
+"""Sections into one HTML file without anything from outside, and without scripts but those of a replay."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -20,15 +20,21 @@ from torchid.report.joints import joints_section
 from torchid.report.method import method_section
 from torchid.report.skeleton import skeleton_section
 from torchid.report.summary import head_section
+from torchid.scene.embedded import OPENER, Replay
 from torchid.wording import bind, clean
 
+INERT = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
+"""Policy of a page without scripts; with a replay only scripts with its hashes run, whoever writes others into it."""
 
-def sections(outcome: Outcome, failure: DataError | None = None) -> list[Section]:
+
+def sections(
+    outcome: Outcome, failure: DataError | None = None, replay: Replay | None = None
+) -> list[Section]:  # fmt: skip
     """All sections that the outcome has data for, in the order in which they are read."""
     forces = wrenches(outcome)
     found = [
         head_section(outcome, forces, failure),
-        skeleton_section(outcome),
+        skeleton_section(outcome, replay),
         body_section(outcome),
         forces_section(outcome, forces),
         diagnosis_section(outcome),
@@ -44,7 +50,7 @@ def _maker() -> str:
     return f"torchid {version}" if version[0].isdigit() else "torchid, run from its source tree"
 
 
-def render_report(outcome: Outcome, failure: DataError | None = None) -> str:
+def render_report(outcome: Outcome, failure: DataError | None = None, replay: Replay | None = None) -> str:
     """The page as text; every name from the data is escaped by the template."""
     environment = Environment(
         loader=PackageLoader("torchid.report", "."),
@@ -58,21 +64,26 @@ def render_report(outcome: Outcome, failure: DataError | None = None) -> str:
     return environment.get_template("page.html.j2").render(
         subject=clean(outcome.config.subject.name),
         css=Markup(css),  # noqa: S704 - the package's own file
-        sections=sections(outcome, failure),
+        sections=sections(outcome, failure, replay),
+        opener=None if replay is None else Markup(OPENER),  # noqa: S704 - the package's own
+        policy=Markup(INERT if replay is None else replay.policy),  # noqa: S704 - quotes it needs, of our own making
         failure=None if failure is None else clean(str(failure), 1000),
         maker=_maker(),
     )
 
 
-def write_report(outcome: Outcome, path: Path, failure: DataError | None = None) -> None:
+def write_report(
+    outcome: Outcome, path: Path, failure: DataError | None = None, replay: Replay | None = None
+) -> None:  # fmt: skip
     """Write ``report.html``: one self-contained page about a run.
 
     Args:
         outcome: what the run found.
         path: the file.
         failure: why the rest was not found; said at the top.
+        replay: a trial in three dimensions.
 
     Raises:
         InputError: the file cannot be written.
     """
-    write_text(path, render_report(outcome, failure))
+    write_text(path, render_report(outcome, failure, replay))

@@ -12,10 +12,11 @@ from torch import Tensor
 from torchid.geometry.tracking import modelled
 from torchid.outcome import Outcome
 from torchid.outcome.tables import largest, marker_errors
-from torchid.report.blocks import Figure, Section, Table
+from torchid.report.blocks import Details, Embedded, Figure, Section, Table
 from torchid.report.facts import judges, marker_rms
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.report.stick_figure import facing, stick_points, tips
+from torchid.scene.embedded import Replay
 from torchid.wording import ABSENT, change, clean, listing, number, segment
 
 PIECE = 1 << 15
@@ -24,8 +25,8 @@ NAMED = 3
 """Worst markers that are named in the drawing and in the text."""
 
 
-def skeleton_section(outcome: Outcome) -> Section:
-    """The section on geometry and markers."""
+def skeleton_section(outcome: Outcome, replay: Replay | None = None) -> Section:
+    """The section on geometry and markers, with a trial in three dimensions where there is one."""
     judge = judges(outcome)
     trial, frame = chosen_frame(outcome)
     time = float(outcome.followed[trial].tracked.time[frame])
@@ -35,6 +36,7 @@ def skeleton_section(outcome: Outcome) -> Section:
             f"Trial {clean(trial)} at {time:.2f} s, the frame whose marker error is the trial's median. A line joins "
             "each measured marker with the identified model's; the longest are named.",
         ),
+        *_moving(replay),
         _trial_table(outcome),
         _segment_table(outcome),
         Figure(
@@ -44,6 +46,17 @@ def skeleton_section(outcome: Outcome) -> Section:
         ),
     )
     return Section("skeleton", "Skeleton and markers", _finding(outcome), blocks)
+
+
+def _moving(replay: Replay | None) -> tuple[Details, ...]:
+    if replay is None:
+        return ()
+    caption = (
+        f"Trial {clean(replay.trial)}, its first {replay.seconds:.0f} s. Segments are solids of their identified "
+        "inertia, from pale red (known from the prior alone) to solid green (identified); grey lines: the scaled "
+        "template; red arrows: forces measured, blue: of the model, green: of the extended model; ball: centre of mass."
+    )
+    return (Details("The motion in three dimensions", (Embedded(replay.html, caption),)),)
 
 
 def _finding(outcome: Outcome) -> str:

@@ -62,6 +62,12 @@ class FinishedTrial:
         self.time: Float[np.ndarray, " frames"] = self._motion["time"].values
         self._piece = lru_cache(maxsize=2)(self._read)
 
+    def close(self) -> None:
+        """Let go of the files."""
+        self._motion.close()
+        if self._forces is not None:
+            self._forces.close()
+
     def __len__(self) -> int:
         return len(self.time)
 

@@ -97,6 +97,7 @@ class Player:
         self._play.label = "Pause" if self._playing else "Play"
 
     def _change(self, name: str) -> None:
+        self._trial.close()
         self._trial = self._run.trial(name)
         self._server.scene.reset()
         self._scene = self._staged()
