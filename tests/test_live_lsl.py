@@ -1,9 +1,9 @@
-"""Streams of Lab Streaming Layer, and recordings of such, come in as they were sent, whatever a sender does meanwhile."""
+"""Streams of Lab Streaming Layer, and recordings of them, come in as they were sent, whatever becomes of a sender."""
 
 import logging
-import multiprocessing
 import os
 import struct
+import subprocess
 import sys
 import tempfile
 import threading
@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import small_session
 import torch
+from test_scripts import script
 from torch.testing import assert_close
 
 from torchid.config import load_config
@@ -27,16 +28,15 @@ from torchid.live.stream import Packet
 from torchid.recording import Forces, Markers, Plate, Trial
 
 # A laboratory of its own, which no other sees, found without multicast: must be told before the library is loaded.
-OWN = "torchid-test-lsl-"
-if OWN not in os.environ.get("LSLAPICFG", ""):  # senders, which import this too, are in the same
-    LABORATORY = Path(tempfile.mkdtemp(prefix=OWN)) / "lsl_api.cfg"
-    LABORATORY.write_text(
-        f"[lab]\nSessionID = {uuid.uuid4()}\nKnownPeers = {{127.0.0.1}}\n[multicast]\nResolveScope = machine\n"
-        "[ports]\nIPv6 = disable\n[log]\nlevel = -3\n"
-    )
-    os.environ["LSLAPICFG"] = str(LABORATORY)
+LABORATORY = Path(tempfile.mkdtemp()) / "lsl_api.cfg"
+LABORATORY.write_text(
+    f"[lab]\nSessionID = {uuid.uuid4()}\nKnownPeers = {{127.0.0.1}}\n[multicast]\nResolveScope = machine\n"
+    "[ports]\nIPv6 = disable\n[log]\nlevel = -3\n"
+)
+os.environ["LSLAPICFG"] = str(LABORATORY)
 
 pylsl = pytest.importorskip("pylsl")
+pytest.importorskip("pyxdf")
 from torchid.live import description, feed  # noqa: E402
 from torchid.live.lsl import LslSource  # noqa: E402
 from torchid.live.outlets import Outlets, describe_markers, describe_plates, play  # noqa: E402
@@ -47,6 +47,7 @@ LABELS = ("A", "B", "C")
 CORNERS = torch.tensor([[0.5, 0.0, 0.0], [0.5, 0.4, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.01]], dtype=torch.float64)
 PLATES = (Plate("left", CORNERS, number=1), Plate("right", number=2))
 GIVE_UP_S = 20.0
+ROOT = str(Path(__file__).resolve().parents[1])
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -81,7 +82,7 @@ def gather(source: LslSource, done: Callable[[list[Packet]], bool]) -> Packet:
         assert time.monotonic() < end, f"{frames(found)} frames came"
         begun = time.monotonic()
         found.append(source.take())
-        assert time.monotonic() - begun < 0.5, "a take waits"
+        assert time.monotonic() - begun < 0.4 * feed.REPLY_S, "a take waits"
         assert found[-1].arrived_s >= begun
         time.sleep(0.002)
     forces = [one.forces for one in found if one.forces is not None]
@@ -154,6 +155,30 @@ def test_a_trial_is_played_at_its_pace(seed):
     assert_close(again.markers.position[0], given.markers.position[0], rtol=0.0, atol=0.0)
 
 
+def test_a_rate_that_is_not_stated_is_measured():
+    """As it must be of senders that open irregular streams."""
+    info = describe_markers(LABELS, 0.0, "irregular", "irregular")
+    outlet, stop = pylsl.StreamOutlet(info), threading.Event()
+
+    def send() -> None:
+        begun, k = pylsl.local_clock(), 0
+        while not stop.wait(0.005):
+            while begun + k / RATE < pylsl.local_clock():
+                outlet.push_sample([1.0] * 9, begun + k / RATE)
+                k += 1
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    try:
+        (found,) = pylsl.resolve_byprop("name", info.name(), 1, GIVE_UP_S)
+        one = feed.Feed(found, description.marker_layout)
+        assert one.layout.rate_hz == 0.0 and one.rate_hz == RATE
+        one.close()
+    finally:
+        stop.set()
+        sender.join()
+
+
 def test_lost_doubled_and_overtaking_samples_find_their_places(seed):
     """What a sender does to the order of its samples changes nothing of what is placed."""
     rng = np.random.default_rng(seed)
@@ -174,36 +199,26 @@ def test_lost_doubled_and_overtaking_samples_find_their_places(seed):
     assert intake.counts == Counts(len(kept), 6, 3, 0, 0)
 
 
-def sending(labels: tuple[str, ...], rate_hz: float, begun: "multiprocessing.synchronize.Event") -> None:
-    """A sender in a process of its own: each marker is at its own place, (letter, letter, letter)."""
-    position = torch.tensor([[float(ord(label))] * 3 for label in labels], dtype=torch.float64).expand(2, -1, -1)
-    forces = Forces(torch.tensor([0.0, 0.0025], dtype=torch.float64), torch.ones(2, 2, 6, dtype=torch.float64), PLATES)
-    markers = Markers(labels, torch.tensor([0.0, 1.0 / rate_hz], dtype=torch.float64), position.contiguous())
-    outlets = Outlets(Trial("a", markers, forces), "mortal")
-    begun.set()
-    while True:
-        outlets.send(Packet(markers.frames(slice(0, 1)), forces.samples(slice(0, 1)), 0.0), pylsl.local_clock())
-        time.sleep(0.01)
-
-
 @pytest.fixture
 def sender() -> Iterator[Callable[..., None]]:
     """Start a sender; one that is there is killed first."""
-    spawn, running = multiprocessing.get_context("spawn"), []
+    command, running = [sys.executable, str(Path(__file__).with_name("lsl_sender.py"))], []
 
     def start(labels: tuple[str, ...] = LABELS, rate_hz: float = RATE) -> None:
         for process in running:
             process.kill()
-            process.join()
-        begun = spawn.Event()
-        running.append(spawn.Process(target=sending, args=(labels, rate_hz, begun), daemon=True))
-        running[-1].start()
-        assert begun.wait(60.0)
+            process.wait()
+        words = [*command, "".join(labels), str(rate_hz)]
+        running.append(
+            subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": ROOT})
+        )
+        assert running[-1].stdout.readline() == "open\n"
 
     yield start
     for process in running:
         process.kill()
-        process.join()
+        process.wait()
+        process.stdout.close()
 
 
 def expected(labels: tuple[str, ...]) -> torch.Tensor:
@@ -385,6 +400,39 @@ def test_a_file_that_is_no_recording_of_both_is_refused(tmp_path, seed):
         replay_xdf(xdf(tmp_path / "one.xdf", [one]))
     with pytest.raises(InputError, match=r"several streams of type MoCap.*live\.lsl"):
         replay_xdf(xdf(tmp_path / "two.xdf", [one, one]))
+
+
+@pytest.mark.slow
+def test_the_script_sends_a_trial_of_a_config():
+    """Every frame as it was read, once somebody listens."""
+    given = next(item.trial for item in small_session.session().trials if item.trial.name == "squats")
+    words = [str(small_session.config()), "--trial", "squats", "--name", "scripted", "--speed", "4"]
+    sender = threading.Thread(target=script("send_lsl").main, args=(words,))
+    sender.start()
+    with LslSource("scripted", 60.0) as source:
+        found = gather(source, enough(len(given.markers.time)))
+        sender.join()
+    assert set(source.labels) == set(given.markers.labels)
+    sent = given.markers.select(source.labels).position
+    assert_close(found.markers.position, sent, rtol=0.0, atol=1e-4, equal_nan=True)
+
+
+@pytest.mark.slow
+def test_a_subject_is_identified_from_a_stream(tmp_path):
+    """The command's own way, while a trial is sent again and again; the mass is the subject's."""
+    given = next(item.trial for item in small_session.session().trials if item.trial.name == "squats")
+    outlets, stop = Outlets(given, "subject"), threading.Event()
+    player = threading.Thread(target=play, args=(given, outlets, 1.0, True, stop.is_set))
+    player.start()
+    try:
+        config = load_config(small_session.config(), [f"out={tmp_path / 'out'}"])
+        said = run_live(config, "lsl:subject", seconds=9.0)
+    finally:
+        stop.set()
+        player.join()
+    truth = float(small_session.session().subject.phi[:, 0].sum())
+    assert said["mass_kg"]["value"] == pytest.approx(truth, rel=0.03)
+    assert said["frames"] > 200 and said["again"] == 0 and said["restarts"] >= 1
 
 
 @pytest.mark.parametrize(("package", "source"), [("pylsl", "lsl"), ("pyxdf", "xdf:{}")])
