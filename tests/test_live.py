@@ -244,7 +244,7 @@ def test_the_command_streams_a_trial_and_leaves_an_estimate(tmp_path):
 
 def test_what_is_no_source_is_said(tmp_path):
     config = load_config(small_session.config(), [f"out={tmp_path / 'out'}"])
-    for source in ("replay:nobody", "lsl", "replay"):
+    for source in ("replay:nobody", "lslx", "replay", "xdf:nowhere.xdf"):
         with pytest.raises(ConfigError, match=r"live\.source"):
             run_live(config, source)
     static = config.model_copy(update={"trials": tuple(t for t in config.trials if t.role != "static")})

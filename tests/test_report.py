@@ -370,6 +370,7 @@ def test_the_page_begins_with_what_is_named_and_how_sure_that_is():
     def said(causes: tuple[Cause, ...], rest: Adequacy) -> str:
         found = Diagnosis((), Errors(1.0, 1.0), Errors(1.0, 1.0), causes, rest)
         (block,) = _named(found)
+        assert isinstance(block, Paragraph)
         return block.text
 
     two = said(causes, loud)

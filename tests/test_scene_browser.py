@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import small_session
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 from test_live import moving, subject
 
 from torchid.experiment.write import write_outcome
@@ -25,7 +25,7 @@ from torchid.scene.server import close_page, open_page
 pytestmark = pytest.mark.slow
 CHROMIUM = shutil.which("chromium")
 SOFTWARE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--no-sandbox"]
-WIDE = {"width": 1400, "height": 850}
+WIDE = ViewportSize(width=1400, height=850)
 PATIENT_MS = 60_000
 """Of a busy machine that draws without a graphics card."""
 

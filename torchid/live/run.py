@@ -1,10 +1,12 @@
 """``torchid live``: a config's subject, a stream, and the estimate that comes of it."""
 
+import importlib
 import math
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Protocol
 
 from torchid.config import Config
@@ -29,7 +31,7 @@ from torchid.results import OutputFolder
 CUTOFF_HZ = 6.0
 """Cited. Of the filter, where the config leaves it to recordings that have not been made yet: Winter, Biomechanics and
 Motor Control of Human Movement, 4th ed. (2009), section 3.4.4, for walking."""
-REPLAY = "replay:"
+REPLAY, XDF, LSL = "replay:", "xdf:", "lsl"
 RESULT = "live.json"
 OnStage = Callable[[str, float], None]
 
@@ -61,7 +63,8 @@ def run_live(
 
     Args:
         config: the subject, its static trial, and for a replay the trial itself.
-        source: ``replay:TRIAL``.
+        source: ``replay:TRIAL``, a trial of the config; ``lsl`` or ``lsl:NAME``, streams of Lab Streaming Layer;
+            ``xdf:FILE``, a recording of such streams.
         speed: multiple of a recording's own pace; infinite: as fast as it is worked off.
         seconds: longest duration.
         record: folder for what comes; None keeps nothing.
@@ -80,7 +83,7 @@ def run_live(
     with OutputFolder(config.out, beside=True) as folder:
         folder.claim((RESULT,))
         subject, base = prepare_subject(config, folder, progress)
-        stream = _replayed(config, source.removeprefix(REPLAY), speed)
+        stream = _opened(source, config, speed)
         progress("live", 0.0)
         with ExitStack() as stack:
             show: Callable[[Moment], None] = lambda moment: None  # noqa: E731
@@ -147,6 +150,8 @@ def _streamed(
     stream = (source.labels, source.rate_hz, source.plates, source.force_rate_hz)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record, *stream))
+        if isinstance(source, AbstractContextManager):
+            stack.enter_context(source)
         pipeline = stack.enter_context(Pipeline(subject, source, recorder))
         with suppress(KeyboardInterrupt):  # how a session ends that has no end of its own
             pipeline.run(seconds, show)
@@ -164,10 +169,37 @@ def _replayed(config: Config, name: str, speed: float) -> Source:
     return Replay(trial, speed)
 
 
+def _opened(source: str, config: Config, speed: float) -> Source:
+    if source.startswith(REPLAY):
+        return _replayed(config, source.removeprefix(REPLAY), speed)
+    if source.startswith(XDF):
+        return _extra("torchid.live.xdf").replay_xdf(Path(source.removeprefix(XDF)), speed)
+    return _extra("torchid.live.lsl").LslSource(source.removeprefix(LSL).removeprefix(":"))
+
+
+def _extra(module: str) -> ModuleType:
+    """A module that needs packages of the extra ``live``."""
+    try:
+        return importlib.import_module(module)
+    except (ImportError, RuntimeError) as error:  # RuntimeError: pylsl without its library
+        raise ConfigError(
+            "live.extra", "needs packages that are not installed", place="--source", found=str(error)[:160],
+            remedy="Install them: pip install 'torchid[live]'",
+        ) from error  # fmt: skip
+
+
 def _refuse_other(source: str, config: Config) -> None:
+    """Refuse what is no source, and before the geometry is found a package that is missing or a file that is."""
     names = [file.name for file in config.trials]
-    if not source.startswith(REPLAY) or source.removeprefix(REPLAY) not in names:
+    if source.startswith(REPLAY) and source.removeprefix(REPLAY) in names:
+        return
+    if source.startswith(XDF) and Path(source.removeprefix(XDF)).is_file():
+        _extra("torchid.live.xdf")
+    elif source == LSL or source.startswith(f"{LSL}:"):
+        _extra("torchid.live.lsl")
+    else:
         raise ConfigError(
             "live.source", "is no source", place="--source", found=source[:80],
-            remedy=f"Give {REPLAY}TRIAL with one of {', '.join(names) or 'the trials of a config that has some'}",
+            remedy=f"Give {LSL}, {LSL}:NAME, {XDF}FILE with a file that is there, or {REPLAY}TRIAL with one of "
+            + (", ".join(names) or "the trials of a config that has some"),
         )  # fmt: skip
