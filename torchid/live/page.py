@@ -134,7 +134,9 @@ class Page:
             return str(value)
         self.close()
         if value is not None:
-            raise ConfigError(**value)
+            raise ConfigError(
+                value["code"], value["message"], place=value["place"], found=value["found"], remedy=value["remedy"]
+            )
         raise ConfigError(
             "live.page", "the page does not open", place="--port", found=f"exit code {self._process.exitcode}",
             remedy="Give --headless, or another port",
