@@ -129,6 +129,20 @@ def test_samples_lie_beside_their_frames(seed):
     assert torch.equal(line.get(slice(0, 1200)), given.forces.wrench)
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.5])
+def test_plates_between_the_places_of_frames_leave_no_holes(seed, phase):
+    """Their clock is another; its stamps jitter by a tenth of a sample."""
+    rng = np.random.default_rng(seed)
+    given = trial(rng)
+    assert given.forces is not None
+    off = (phase + torch.from_numpy(rng.uniform(-0.1, 0.1, len(given.forces.time)))) / FORCE_RATE
+    moved = Trial("a", given.markers, Forces(given.forces.time + off, given.forces.wrench, PLATES))
+    intake, places = Intake(RATE, FORCE_RATE, PATIENCE_S), []
+    for packet in packets(moved):
+        places += intake.place(packet).sample.tolist()
+    assert places == list(range(places[0], places[0] + len(given.forces.time))) and places[0] in (0, 1)
+
+
 def test_a_timeline_forgets_and_holds_what_comes_in_any_order(seed):
     rng = np.random.default_rng(seed)
     line, index = Timeline((2,)), torch.from_numpy(rng.permutation(5000))

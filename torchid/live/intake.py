@@ -62,6 +62,7 @@ class Intake:
         self._rate, self._force_rate = rate_hz, force_rate_hz
         self._patience = max(1, round(patience_s * rate_hz))
         self._origin: float | None = None
+        self._phase: float | None = None
         self._newest, self._first, self._known = -1, 0, set[int]()
         self.counts = Counts()
 
@@ -89,7 +90,7 @@ class Intake:
             at = round((t - self._origin) * self._rate)
             if self._newest >= 0 and abs(at - self._newest) > JUMP_S * self._rate:
                 restarts, at = restarts + 1, self._newest + 1 + self._patience
-                self._origin = t - at / self._rate
+                self._origin, self._phase = t - at / self._rate, None
             if at in self._known:
                 again += 1
             elif at <= self._newest - self._patience or at < 0:
@@ -116,4 +117,9 @@ class Intake:
             return none, torch.zeros(0, 0 if forces is None else len(forces.plates), 6, dtype=torch.float64)
         since = forces.time - self._origin
         near = (since - self._newest / self._rate).abs() <= JUMP_S
-        return (since[near] * self._force_rate).round().long(), forces.wrench[near].to(torch.float64)
+        if self._phase is None and bool(near.any()):
+            first = float(since[near][0]) * self._force_rate
+            self._phase = first - round(first)
+        # Plates between two places of the markers' clock would fall into either by their jitter, and leave the other.
+        place = since[near] * self._force_rate - (self._phase or 0.0)
+        return place.round().long(), forces.wrench[near].to(torch.float64)
