@@ -13,6 +13,7 @@ from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.testing.heldout import Errors, HeldOutFit
 from torchid.diagnosis.trace import Trace
 from torchid.diagnosis.verdict.causes import after_forces
+from torchid.diagnosis.verdict.found_twice import joined
 from torchid.diagnosis.verdict.laboratory import causes_of_faults, refusals_of, steps_of
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
 from torchid.effects.scene import PlateFrame, make_scene, reading
@@ -186,9 +187,9 @@ def _together(outcome: Outcome, right: Outcome, first: Laboratory, found: Diagno
     """Both verdicts, and what the faults gain on held-out motion together."""
     before, after = _heldout(outcome), _heldout(right)
     gain = HeldOutFit(after, torch.nan).over(HeldOutFit(before, torch.nan))
-    own = tuple(replace(cause, gain=gain) for cause in first.causes)
-    causes = tuple(sorted((*own, *found.causes), key=after_forces))
-    return replace(found, baseline=before, causes=causes, trace=(*first.trace, *found.trace))
+    own, rest, steps = joined(first.causes, found.causes)
+    causes = tuple(sorted((*(replace(cause, gain=gain) for cause in own), *rest), key=after_forces))
+    return replace(found, baseline=before, causes=causes, trace=(*first.trace, *found.trace, *steps))
 
 
 def _heldout(outcome: Outcome) -> Errors:

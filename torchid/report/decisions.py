@@ -119,6 +119,19 @@ RULES: dict[str, Callable[[Numbers], str]] = {
     ),
     "never_worse": _worse,
     "no_gain": _unproven,
+    "taken_back": lambda n: (
+        "leaves: what was named without a body model is taken back by what the body model finds, but for "
+        f"{number(n['size_sd'])} standard deviations ({number(n['least_size_sd'])} are asked): it stood for something"
+        " else"
+    ),
+    "one_fault": lambda n: (
+        "is one fault with what was named without a body model: both sizes are added up "
+        f"({number(n['size_sd'])} standard deviations)"
+    ),
+    "only_refined": lambda n: (
+        "leaves: it would change the size of what was named without a body model, and is no more than possible "
+        f"({percent(n['confidence'])})"
+    ),
     "trials_disagree": lambda n: (
         f"is not named: all trials together have {odds(n['evidence_nats'])}, but predicted from each other "
         f"{odds(n['crossed_nats'])}"

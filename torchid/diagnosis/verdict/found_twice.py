@@ -1,0 +1,79 @@
+"""A fault that is found twice, by witnesses and again in what is left when it is put right, is one fault."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from torchid.diagnosis.trace import Step, StepKind, Trace
+from torchid.diagnosis.verdict.causes import parameter_table
+from torchid.diagnosis.verdict.records import Cause
+from torchid.effects.catalogue import effect
+
+NOTHING_SD = 2.0
+"""Resolution. Standard deviations within which what two findings leave of a fault is nothing: the usual 95 %."""
+TAKEN_BACK, ONE_FAULT, REFINED = "taken_back", "one_fault", "only_refined"
+"""Names of the rules, as in ``docs/diagnosis.md``."""
+
+
+def joined(first: Sequence[Cause], later: Sequence[Cause]) -> tuple[tuple[Cause, ...], tuple[Cause, ...], Trace]:
+    """Join what witnesses named with what the body model found of the same effects at the same places.
+
+    Sizes add up: to first order an effect that acts on top of itself is one of the sum (all internal parameters are
+    zero where it is not there). What the body model takes back was a stand-in for something that no witness can name,
+    such as a load that is carried, for the weight of the body.
+
+    Args:
+        first: causes that witnesses named.
+        later: causes that were found with these put right.
+
+    Returns:
+        Those of the first and those of the later that are left, and the decisions.
+    """
+    left, rest, steps = [], list(later), list[Step]()
+    for own in first:
+        again = next((one for one in rest if _same(own, one)), None)
+        if again is None:
+            left.append(own)
+            continue
+        rest.remove(again)
+        if again.level == "possible":
+            left.append(own)
+            steps.append(_step(again, REFINED, {"confidence": again.confidence}))
+            continue
+        both = _both(own, again)
+        if (size := _size_sd(both)) > NOTHING_SD:
+            left.append(both)
+            steps.append(_step(again, ONE_FAULT, {"size_sd": size, "least_size_sd": NOTHING_SD}))
+        else:
+            steps += [_step(one, TAKEN_BACK, {"size_sd": size, "least_size_sd": NOTHING_SD}) for one in (own, again)]
+    return tuple(left), tuple(rest), tuple(steps)
+
+
+def _same(own: Cause, other: Cause) -> bool:
+    return (own.effect, own.where, own.when) == (other.effect, other.where, other.when) and (
+        own.theta.shape == other.theta.shape
+    )
+
+
+def _both(own: Cause, again: Cause) -> Cause:
+    """The sum, as sure of its size as the one that was found last, when all else was known."""
+    kind, theta = effect(own.effect), own.theta + again.theta
+    nowhere = torch.zeros(theta.shape[1], theta.shape[1], dtype=theta.dtype)
+    values = parameter_table(kind.estimated(own.place, theta[0], nowhere))
+    parameters = {key: {"value": one["value"], "sd": again.parameters[key]["sd"]} for key, one in values.items()}
+    return replace(own, parameters=parameters, theta=theta)
+
+
+def _size_sd(cause: Cause) -> float:
+    """How far a cause's parameters are from those of none, in standard deviations."""
+    none = effect(cause.effect).named(cause.place, torch.zeros_like(cause.theta[0]))
+    off = [
+        ((cause.parameters[key]["value"] - value).abs() / cause.parameters[key]["sd"].clamp(min=1e-12)).max()
+        for key, value in none.items()
+    ]
+    return float(torch.stack(off).max())
+
+
+def _step(cause: Cause, rule: str, numbers: dict[str, float]) -> Step:
+    return Step(StepKind.LEAVE, cause.effect, cause.where, rule, numbers)
