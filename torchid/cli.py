@@ -81,6 +81,11 @@ def live(
     speed: Annotated[float, typer.Option(min=0.01, help="Multiple of the trial's own pace; inf: without a pause.")] = 1,
     seconds: Annotated[float, typer.Option(min=0, help="Stop after so long.")] = float("inf"),
     record: Annotated[Path | None, typer.Option(help="New folder for what comes, as TRC and MOT.")] = None,
+    guide: Annotated[
+        bool, typer.Option("--guide", help="Advise what to do next, and say what each exercise told.")
+    ] = False,
+    seated: Annotated[bool, typer.Option("--seated", help="Advise one who sits.")] = False,
+    no_arms: Annotated[bool, typer.Option("--no-arms", help="Advise one who does not move the arms.")] = False,
     overrides: Overrides = None,
     debug: Debug = False,
 ) -> None:
@@ -91,11 +96,13 @@ def live(
         from torchid.config import load_config
 
         loaded = load_config(config, overrides or ())
+        from torchid.live.exercises import Possibilities
         from torchid.live.run import run_live
 
         keep_memory()
+        possibilities = Possibilities(seated, not no_arms) if guide or seated or no_arms else None
         with _progress() as progress:
-            found = run_live(loaded, source, speed, seconds, record, progress)
+            found = run_live(loaded, source, speed, seconds, record, progress, possibilities=possibilities)
         typer.echo(json.dumps(found))
 
 
