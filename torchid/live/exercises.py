@@ -26,7 +26,7 @@ Need = Literal["standing", "sitting", "arms"]
 SEATED = "seated"
 """Motion of one who sits with thighs level; all else is in an exercise's own ranges."""
 RATE_HZ = 50.0
-"""Choice. Frames a second of a motion that is made up: no filter of a stream lets a quarter of it through."""
+"""Choice. Frames a second of a motion that is made up: four times what the filter of a stream usually lets through."""
 MARGIN_S = 0.8
 """Choice. Made up before and after an exercise and cut away, as for simulated trials: the search for balance and the
 filter know one side only there."""

@@ -243,5 +243,6 @@ def rows_of(
     """
     smooth, count = smooth_motion(tree, motion.time, motion.q, smoother), len(motion.q)
     total = motion.q.new_zeros(count, 6) if wrench is None else smoother(wrench)
-    rows, step = WrenchTrial("", tree, geometry, smooth, total, total[:, 0] == total[:, 0]), round(smoother.rate_hz)
+    used, step = torch.ones(count, dtype=torch.bool), round(smoother.rate_hz)
+    rows = WrenchTrial("", tree, geometry, smooth, total, used)
     return [block_spectrum(rows, slice(k, k + step)) for k in range(0, count - step + 1, step)]
