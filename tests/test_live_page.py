@@ -16,8 +16,10 @@ from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
 
 from torchid.errors import ConfigError
+from torchid.live.advice import Advice
+from torchid.live.beside import Found
 from torchid.live.board import Board, bars
-from torchid.live.page import WAITING, Address, Page, Show
+from torchid.live.page import WAITING, Address, Page, Show, drawn
 from torchid.live.pipeline import Moment, Pipeline
 from torchid.live.pose import Follower, Postures
 from torchid.live.replay import Replay
@@ -135,12 +137,14 @@ def test_forces_are_shown_when_the_identifier_has_reached_them():
         o = small_session.outcome()
         names = o.fit.model.tree.names
         board = Board(server, Ground((), ()), names, o.prior)
-        show = Show(board, o.fit.model.tree, o.fit.geometry, list(range(len(o.fit.attachment.labels))), 6.0)
+        postures = torch.stack([o.followed["squats"].tracked.q[k] for k in (0, 100)])
+        show = Show(board, o.fit, list(range(len(o.fit.attachment.labels))), 6.0, {"bends": drawn(o.fit, postures)})
         assert o.identified is not None
         board.identified(o.identified.fit, 3.0)
         assert "✓" in bars({"pelvis": 0.95}) and "✓" not in bars({"pelvis": 0.5})
-        board.advise("Swing both arms", "for the forearms")
-        assert "Swing both arms" in board._advice.content
+        advice = Advice("bends", "Bend your knees", 10.0, 3.0, ("thigh_l", "thigh_r"))
+        show.found(Found(o.identified.fit, 300, 3.0, None, advice))
+        assert "Bend your knees" in board._advice.content and "thigh l, thigh r" in board._advice.content
         show._seen_s -= 2.0
         board._placed = True
         show.wait()

@@ -88,6 +88,11 @@ def live(
     headless: Annotated[bool, typer.Option("--headless", help="Without a page.")] = False,
     port: Port = 8080,
     host: Host = "127.0.0.1",
+    guide: Annotated[
+        bool, typer.Option("--guide", help="Advise what to do next, and say what each exercise told.")
+    ] = False,
+    seated: Annotated[bool, typer.Option("--seated", help="Advise one who sits.")] = False,
+    no_arms: Annotated[bool, typer.Option("--no-arms", help="Advise one who does not move the arms.")] = False,
     overrides: Overrides = None,
     debug: Debug = False,
 ) -> None:
@@ -98,12 +103,14 @@ def live(
         from torchid.config import load_config
 
         loaded = load_config(config, overrides or ())
+        from torchid.live.exercises import Possibilities
         from torchid.live.run import run_live
 
         keep_memory()
+        possibilities = Possibilities(seated, not no_arms) if guide or seated or no_arms else None
         with _progress() as progress:
             page = None if headless else _live_page(port, host)
-            found = run_live(loaded, source, speed, seconds, record, progress, page, _announce)
+            found = run_live(loaded, source, speed, seconds, record, progress, page, _announce, possibilities)
         typer.echo(json.dumps(found))
 
 

@@ -18,7 +18,8 @@ from torch import Tensor
 from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit
 from torchid.inertia.identify import Identified
-from torchid.live.identifier import Identifier, Reconstructed, Subject
+from torchid.live.advice import Account, Advice, Adviser
+from torchid.live.identifier import BLOCK_S, Identifier, Reconstructed, Subject
 from torchid.live.pose import Postures
 from torchid.recording import Plate
 from torchid.snapshot import from_bytes, to_bytes
@@ -35,6 +36,8 @@ class Found:
     """Its time on the stream's uniform clock [s]."""
     forces: Reconstructed | None
     """Of the last block, where it had contacts on plates alone."""
+    advice: Advice | None = None
+    """What the subject is asked to do next, where it is advised."""
 
 
 class Beside:
@@ -46,7 +49,7 @@ class Beside:
         # A queue, whose thread writes: neither side may wait for the other to read.
         self._jobs = context.Queue()
         self._pipe, theirs = context.Pipe(duplex=False)
-        given = to_bytes((subject.fit, subject.prior, subject.weight, plates))
+        given = to_bytes((subject.fit, subject.prior, subject.weight, plates, subject.guide))
         rest = (subject.config, subject.mass, subject.cutoff_hz, rate_hz, force_rate_hz)
         self._process = context.Process(target=_serve, args=(self._jobs, theirs, given, rest), daemon=True)
         with deaf():
@@ -54,6 +57,8 @@ class Beside:
         theirs.close()
         self.sent = self.done = 0
         self.found: Found | None = None
+        self.advice: Advice | None = None
+        self.account: Account | None = None
 
     def add(self, index: Int[Tensor, " frames"], postures: Postures, sample: Tensor, wrench: Tensor) -> None:
         """Send what came; arguments are those of ``Identifier.add``."""
@@ -63,20 +68,27 @@ class Beside:
         self.poll()
 
     def poll(self) -> None:
-        """Take in what the process has found since; ``found`` and ``done`` have it.
+        """Take in what the process has found since; ``found``, ``advice`` and ``done`` have it.
 
         Raises:
             DataError: ``live.gone``, the process has ended.
         """
         while self._pipe.poll():
-            what, value = self._received()
-            if what == "done":
-                self.done = value
-            elif what == "found":
-                self.found = Found(*from_bytes(value))
+            self._keep(*self._received())
+
+    def _keep(self, what: str, value: Any) -> None:
+        if what == "done":
+            self.done = value
+        elif what == "advice":
+            self.advice = from_bytes(value)
+        elif what == "account":
+            self.account = from_bytes(value)
+        elif what == "found":
+            self.found = Found(*from_bytes(value))
+            self.advice = self.found.advice
 
     def finish(self) -> Identified:
-        """Wait for all that was sent, and identify from all of it.
+        """Wait for all that was sent, and identify from all of it; ``account`` has what each exercise brought.
 
         Raises:
             DataError: as ``Identifier.finish``; ``live.gone``.
@@ -84,6 +96,7 @@ class Beside:
         self._jobs.put(None)
         what, value = self._received()
         while what not in ("end", "failed"):
+            self._keep(what, value)
             what, value = self._received()
         self.close()
         if what == "failed":
@@ -125,20 +138,28 @@ def deaf() -> Iterator[None]:
 
 def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
     torch.set_num_threads(1)
-    fit, prior, weight, plates = from_bytes(given)
+    fit, prior, weight, plates, guide = from_bytes(given)
     config, mass, cutoff_hz, rate_hz, force_rate_hz = rest
     own = Identifier(Subject(config, fit, prior, mass, weight, cutoff_hz), rate_hz, plates, force_rate_hz)
+    adviser = None if guide is None else Adviser(guide, rate_hz)
     count = 0
     try:
+        if adviser is not None:
+            pipe.send(("advice", to_bytes(adviser.after(own.estimator, 0.0, 0.0))))
         while (message := jobs.get()) is not None:
             count += 1
             index, q, error, sample, wrench = (torch.from_numpy(np.asarray(part)) for part in message)
             if own.add(index, Postures(q, error), sample, wrench) and own.estimator.fit is not None:
                 newest = int(index[-1])
-                pipe.send(("found", to_bytes((own.estimator.fit, newest, newest / rate_hz, own.forces))))
+                now_s = newest / rate_hz
+                advice = None if adviser is None else adviser.after(own.estimator, now_s, own.done_s - 0.5 * BLOCK_S)
+                pipe.send(("found", to_bytes((own.estimator.fit, newest, now_s, own.forces, advice))))
             pipe.send(("done", count))
         try:
-            pipe.send(("end", to_bytes(own.finish())))
+            identified = own.finish()
+            if adviser is not None:
+                pipe.send(("account", to_bytes(adviser.account(own.estimator, identified))))
+            pipe.send(("end", to_bytes(identified)))
         except DataError as error:
             pipe.send(("failed", (error.code, error.message, error.found, error.remedy)))
     except (EOFError, BrokenPipeError):

@@ -101,13 +101,15 @@ class Board:
             self._stale = True
             self._state.content = f"**No frame for {seconds:.1f} s.** What was identified stays."
 
-    def advise(self, text: str, why: str) -> None:
-        """Tell the subject what to do next, in letters that can be read from where one stands."""
+    def advise(self, text: str, why: str, drawing: Float[np.ndarray, "sticks 2 3"] | None = None) -> None:
+        """Tell the subject what to do next, in letters that can be read from where one stands, and draw it."""
         self._advice.visible = True
         self._advice.content = (
             f"<div style='margin:0.4em;font-size:2.2em;font-weight:700;line-height:1.15'>{text}</div>"
             f"<div style='margin:0.4em'>{why}</div>"
         )
+        if drawing is not None:
+            self._scene.ask_for(drawing)
 
     def _draw_forces(self) -> None:
         if self._past:

@@ -47,9 +47,9 @@ class Estimator:
         self._names, self._prior, self._mass, self._box = names, prior, mass, com_box
         self._options = replace(options, noise="known")
         self._lenient = replace(self._options, refuse=False, base_parameters=False)
-        self._blocks: list[BlockSpectrum] = []
+        self.blocks: list[BlockSpectrum] = []
         self.whitening, self._refreshed = initial_whitening(prior.mean), 0
-        self._sums: NormalEquations | None = None
+        self.sums: NormalEquations | None = None
         self.fit: InertiaFit | None = None
 
     def add(self, blocks: Sequence[BlockSpectrum]) -> None:
@@ -60,15 +60,15 @@ class Estimator:
         """
         if not blocks:
             return
-        self._blocks += blocks
+        self.blocks += blocks
         new = accumulate(blocks, self.whitening)
-        self._sums = new if self._sums is None else self._sums + new
-        count = len(self._blocks)
+        self.sums = new if self.sums is None else self.sums + new
+        count = len(self.blocks)
         if self.fit is not None and (count <= EAGER or count >= GROWTH * self._refreshed):
             self._refresh(self.fit)
         try:
             self.fit = fit_inertia(
-                self._sums, self._prior, self._names, self._lenient, mass=self._mass, com_box=self._box
+                self.sums, self._prior, self._names, self._lenient, mass=self._mass, com_box=self._box
             )
         except DataError as error:  # the fit stays that of the blocks before
             log.warning("after %d blocks: %s", count, error)
@@ -79,15 +79,15 @@ class Estimator:
         Raises:
             DataError: there are no rows, or the fit is not accepted.
         """
-        if not self._blocks:
+        if not self.blocks:
             raise DataError(
                 "live.no_rows", "no frame had all contact on the plates and a known posture",
                 found="no rows", remedy="Stand and move with both feet on the plates",
             )  # fmt: skip
-        return identify_spectra([self._blocks], self._names, self._prior, self._options, self._mass, self._box)
+        return identify_spectra([self.blocks], self._names, self._prior, self._options, self._mass, self._box)
 
     def _refresh(self, fit: InertiaFit) -> None:
         """Noise from the residuals of all blocks, and all sums under it."""
         phi = fit.phi.reshape(-1)
-        self.whitening = estimate_whitening(((block, phi) for block in self._blocks), determined(fit))
-        self._sums, self._refreshed = accumulate(self._blocks, self.whitening), len(self._blocks)
+        self.whitening = estimate_whitening(((block, phi) for block in self.blocks), determined(fit))
+        self.sums, self._refreshed = accumulate(self.blocks, self.whitening), len(self.blocks)

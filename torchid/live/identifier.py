@@ -19,6 +19,7 @@ from torchid.geometry.tracking import Tracked
 from torchid.inertia.identify import Identified
 from torchid.io.resample import to_clock
 from torchid.live.estimator import Estimator
+from torchid.live.guidance import Guide
 from torchid.live.pose import Postures
 from torchid.live.timeline import Timeline
 from torchid.model.model import InertialPrior
@@ -55,6 +56,8 @@ class Subject:
     """What the subject weighs, where standing on plates has told it."""
     cutoff_hz: float
     """Of the filter of motion and forces."""
+    guide: Guide | None = None
+    """Exercises from which it is told what to do next; None gives no advice."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,11 @@ class Identifier:
             self._advance(self._next + self._block, self._next + self._block + self._lag)
             done = True
         return done
+
+    @property
+    def done_s(self) -> float:
+        """Return the time up to which rows have been made [s]."""
+        return self._next / self._rate
 
     def finish(self) -> Identified:
         """Identify from the frames that are left, and from all rows together.

@@ -13,26 +13,33 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from torchid.errors import ConfigError
+from torchid.geometry.result import GeometryFit
 from torchid.kinematics.chain import chain_poses
+from torchid.live.advice import Advice
 from torchid.live.beside import Found, deaf
 from torchid.live.board import Board
 from torchid.live.identifier import BLOCK_S, LAG_PERIODS, Subject
 from torchid.live.pipeline import Moment
-from torchid.model.model import Geometry
-from torchid.model.tree import Tree
 from torchid.recording import Plate
 from torchid.scene.scene import Ground, Instant
 from torchid.scene.server import open_page
+from torchid.scene.sticks import sticks
 from torchid.snapshot import from_bytes, to_bytes
 
 PERIOD_S = 1.0 / 60.0
 """Choice. Between two pictures: what screens show."""
 WAITING = 4
 """Choice. Pictures that may wait for the page; more are dropped, so that it shows the newest and holds nobody up."""
+ASIDE_M = 0.9
+"""Choice. Between drawn postures: arms that reach out do not touch."""
 OPENED_S = 60.0
 """Choice. How long a machine that is busy may take to open a page."""
+
+Drawing = Float[np.ndarray, "sticks 2 3"]
+"""Sticks, their ends in W [m]."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +83,9 @@ class Page:
         context = multiprocessing.get_context("spawn")
         self._pictures, self._found = context.Queue(WAITING), context.Queue()
         pipe, theirs = context.Pipe(duplex=False)
-        given = to_bytes((subject.fit, subject.prior, plates))
+        rehearsals = () if subject.guide is None else subject.guide.rehearsals
+        drawings = {one.exercise.name: one.postures for one in rehearsals}
+        given = to_bytes((subject.fit, subject.prior, plates, drawings))
         rest = (subject.cutoff_hz, labels, where)
         self._process = context.Process(
             target=_serve, args=(self._pictures, self._found, theirs, given, rest), daemon=True
@@ -147,18 +156,19 @@ class Show:
     """What the page's process knows, and how it draws it."""
 
     def __init__(
-        self, board: Board, tree: Tree, geometry: Geometry, columns: list[int], cutoff_hz: float
+        self, board: Board, fit: GeometryFit, columns: list[int], cutoff_hz: float, drawings: dict[str, Drawing]
     ) -> None:  # fmt: skip
         """Begin with nothing.
 
         Args:
             board: the page.
-            tree: of the body.
-            geometry: identified.
+            fit: geometry of the subject.
             columns: for every marker of the stream its place in the fit, -1 where it has none.
             cutoff_hz: of the filter.
+            drawings: of exercises by their names.
         """
-        self._board, self._tree, self._geometry, self._columns = board, tree, geometry, np.array(columns)
+        self._board, self._fit, self._columns, self._drawings = board, fit, np.array(columns), drawings
+        self._advised: Advice | None = None
         self._delay_s = LAG_PERIODS / cutoff_hz + 2.0 * BLOCK_S
         self._forces: deque[tuple[float, np.ndarray, np.ndarray]] = deque()
         self._seen_s = time.monotonic()
@@ -170,11 +180,16 @@ class Show:
                        strict=True)  # fmt: skip
             self._forces.extend(rows)
         self._board.identified(some.fit, some.newest_s)
+        if some.advice is not None and (self._advised is None or some.advice.name != self._advised.name):
+            self._advised = some.advice
+            parts = ", ".join(name.replace("_", " ") for name in some.advice.segments)
+            why = f"for {some.advice.seconds:.0f} s: it tells most of {parts}"
+            self._board.advise(some.advice.text, why, self._drawings.get(some.advice.name))
 
     def picture(self, some: Picture) -> None:
         """Draw an instant, and beside it the forces of the instant that the identifier has reached."""
         self._seen_s = time.monotonic()
-        X_WB = chain_poses(self._tree, torch.from_numpy(some.q)[None], self._geometry)[0].numpy()
+        X_WB = chain_poses(self._fit.model.tree, torch.from_numpy(some.q)[None], self._fit.geometry)[0].numpy()
         error = np.append(some.error, np.nan)[self._columns]
         at = some.time_s - self._delay_s
         while len(self._forces) > 1 and self._forces[1][0] <= at:
@@ -188,10 +203,28 @@ class Show:
         self._board.silent(time.monotonic() - self._seen_s)
 
 
+def drawn(fit: GeometryFit, postures: Float[Tensor, "postures dofs"]) -> Drawing:
+    """Return postures side by side as sticks, to the left of where the subject stands.
+
+    Args:
+        fit: geometry of the subject.
+        postures: what an exercise looks like.
+    """
+    tree, mean = fit.model.tree, fit.model.inertia.mean
+    ends = (2.0 * mean[:, 1:4] / mean[:, :1].clamp(min=1e-9)).numpy()
+    found = []
+    for k, X_WB in enumerate(chain_poses(tree, postures, fit.geometry).numpy()):
+        own = sticks([body.parent for body in tree.bodies], X_WB, ends)
+        feet = own[:, :, 2].min()
+        own -= np.array([X_WB[0, 0, 3], X_WB[0, 1, 3], feet])
+        found.append(own + np.array([-0.5, (k + 1) * ASIDE_M, 0.0]))
+    return np.concatenate(found)
+
+
 def _serve(pictures: Queue, found: Queue, pipe: Connection, given: bytes, rest: tuple[Any, ...]) -> None:
     torch.set_num_threads(1)
     cutoff_hz, labels, where = rest
-    fit, prior, plates = from_bytes(given)
+    fit, prior, plates, postures = from_bytes(given)
     try:
         server, address = open_page(where.port, where.host, where.token)
     except ConfigError as error:
@@ -201,7 +234,8 @@ def _serve(pictures: Queue, found: Queue, pipe: Connection, given: bytes, rest: 
     corners = tuple(None if plate.corners is None else plate.corners.numpy() for plate in plates)
     board = Board(server, Ground(corners, tuple(plate.name for plate in plates)), fit.model.tree.names, prior)
     place = {label: k for k, label in enumerate(fit.attachment.labels)}
-    show = Show(board, fit.model.tree, fit.geometry, [place.get(label, -1) for label in labels], cutoff_hz)
+    drawings = {name: drawn(fit, some) for name, some in postures.items()}
+    show = Show(board, fit, [place.get(label, -1) for label in labels], cutoff_hz, drawings)
     pipe.send(("open", address))
     while multiprocessing.parent_process() is None or multiprocessing.parent_process().is_alive():  # type: ignore[union-attr]
         _turn(show, pictures, found)

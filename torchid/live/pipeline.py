@@ -94,6 +94,10 @@ class Pipeline:
         """
         return self._beside.finish()
 
+    def guidance(self) -> dict[str, Any] | None:
+        """Return what each exercise has brought, once the stream is finished; None where nobody was advised."""
+        return None if self._beside.account is None else self._beside.account.table
+
     def _take(self, packet: Packet, show: Callable[[Moment], None]) -> bool:
         """Work off a packet; False where nothing was new in it."""
         placed = self._intake.place(packet)

@@ -18,6 +18,8 @@ from torchid.experiment.standing import follow_each, standing_weight
 from torchid.files import file_sha256, write_json
 from torchid.geometry.tracking import track
 from torchid.inertia.identify import Identified
+from torchid.live.exercises import Possibilities
+from torchid.live.guidance import make_guide
 from torchid.live.identifier import Subject
 from torchid.live.pipeline import Moment, Pipeline
 from torchid.live.recorder import Recorder
@@ -58,6 +60,7 @@ def run_live(
     progress: OnStage = lambda stage, share: None,
     page: Callable[[Subject, Source], Display] | None = None,
     opened: Callable[[str], None] = lambda address: None,
+    possibilities: Possibilities | None = None,
 ) -> dict[str, Any]:
     """Identify a subject while a stream comes, and leave the estimate in ``live.json`` of the config's ``out``.
 
@@ -71,9 +74,10 @@ def run_live(
         progress: called with stages and fractions.
         page: opens what shows the stream; None shows nothing.
         opened: called with the page's address.
+        possibilities: of a subject who is to be advised; None gives no advice.
 
     Returns:
-        Figures of speed, loss, mass and progress, as ``torchid live`` prints them.
+        Figures of speed, loss, mass and progress, as ``torchid live`` prints them, and what each exercise has brought.
 
     Raises:
         TorchidError: the config, its static trial or the source is at fault, a file cannot be written, or the stream
@@ -83,15 +87,11 @@ def run_live(
     with OutputFolder(config.out, beside=True) as folder:
         folder.claim((RESULT,))
         subject, base = prepare_subject(config, folder, progress)
+        if possibilities is not None:
+            subject = guided(subject, possibilities)
         stream = _opened(source, config, speed)
         progress("live", 0.0)
-        with ExitStack() as stack:
-            show: Callable[[Moment], None] = lambda moment: None  # noqa: E731
-            if page is not None:
-                display = stack.enter_context(page(subject, stream))
-                opened(display.address)
-                show = display.show
-            performance, identified = _streamed(subject, stream, record, seconds, show)
+        performance, identified, guidance = _streamed(subject, stream, record, seconds, page, opened)
         table = identified_table(replace(base, identified=identified))
         write_json(folder.path(RESULT), table)
         progress("live", 1.0)
@@ -100,6 +100,7 @@ def run_live(
         **performance,
         "mass_kg": {"value": float(total["value_kg"]), "sd": float(total["sd_kg"])},
         "progress": {name: float(one["progress"]) for name, one in table["segments"].items()},
+        **({} if guidance is None else {"guidance": guidance}),
     }
 
 
@@ -144,18 +145,42 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     return Subject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz), outcome
 
 
+def guided(subject: Subject, possibilities: Possibilities) -> Subject:
+    """Return the subject with exercises from which it is advised; takes seconds.
+
+    Args:
+        subject: whose geometry and prior are known.
+        possibilities: what it can be asked for.
+
+    Raises:
+        ConfigError: as ``make_guide``.
+    """
+    config = subject.config
+    guide = make_guide(
+        subject.fit, subject.prior, subject.mass, config.subject.sex, subject.cutoff_hz, possibilities,
+        config.motion.filter,
+    )  # fmt: skip
+    return replace(subject, guide=guide)
+
+
 def _streamed(
-    subject: Subject, source: Source, record: Path | None, seconds: float, show: Callable[[Moment], None]
-) -> tuple[dict[str, Any], Identified]:
+    subject: Subject, source: Source, record: Path | None, seconds: float,
+    page: Callable[[Subject, Source], Display] | None, opened: Callable[[str], None],
+) -> tuple[dict[str, Any], Identified, dict[str, Any] | None]:  # fmt: skip
     stream = (source.labels, source.rate_hz, source.plates, source.force_rate_hz)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record, *stream))
         if isinstance(source, AbstractContextManager):
             stack.enter_context(source)
+        show: Callable[[Moment], None] = lambda moment: None  # noqa: E731
+        if page is not None:
+            display = stack.enter_context(page(subject, source))
+            opened(display.address)
+            show = display.show
         pipeline = stack.enter_context(Pipeline(subject, source, recorder))
         with suppress(KeyboardInterrupt):  # how a session ends that has no end of its own
             pipeline.run(seconds, show)
-        return pipeline.performance(), pipeline.finish()
+        return pipeline.performance(), pipeline.finish(), pipeline.guidance()
 
 
 def _replayed(config: Config, name: str, speed: float) -> Source:

@@ -15,6 +15,7 @@ from torchid.files import safe_name
 from torchid.netcdf import CHUNK
 from torchid.scene.scene import Ground, Instant
 from torchid.scene.solids import Solids, solids
+from torchid.scene.sticks import sticks
 
 WRENCHES = ("measured", "predicted", "extended")
 
@@ -60,6 +61,7 @@ class FinishedTrial:
         self._motion = _opened(motion)
         self._forces = _opened(forces) if forces.exists() else None
         self.time: Float[np.ndarray, " frames"] = self._motion["time"].values
+        self._parents = np.atleast_1d(self._motion.attrs.get("parents", [])).astype(int).tolist()
         self._piece = lru_cache(maxsize=2)(self._read)
 
     def close(self) -> None:
@@ -97,7 +99,7 @@ class FinishedTrial:
         return Instant(
             piece["X_WB"][k], piece["markers_measured"][k], distance,
             piece["plate_wrench"][k] if "plate_wrench" in piece else None,
-            sticks=None if scaled is None else self._sticks(scaled), **forces,
+            sticks=None if scaled is None else sticks(self._parents, scaled, self._ends), **forces,
         )  # fmt: skip
 
     def wrench(self, name: str, most: int) -> tuple[Float[np.ndarray, " some"], Float[np.ndarray, "some 6"]] | None:
@@ -114,14 +116,6 @@ class FinishedTrial:
         if self._forces is not None:
             piece |= {name: self._forces[name][part].values for name in (*WRENCHES, "plate_wrench")}
         return piece
-
-    def _sticks(self, X_WB: Float[np.ndarray, "bodies 4 4"]) -> Float[np.ndarray, "sticks 2 3"]:
-        """From every joint to the next, and from the last ones to where their body ends."""
-        parents = np.atleast_1d(self._motion.attrs["parents"]).astype(int)
-        origin, child = X_WB[:, :3, 3], np.flatnonzero(parents >= 0)
-        last = np.setdiff1d(np.arange(len(parents)), parents)
-        ends = np.einsum("bij,bj->bi", X_WB[last, :3, :3], self._ends[last]) + origin[last]
-        return np.concatenate([np.stack([origin[parents[child]], origin[child]], 1), np.stack([origin[last], ends], 1)])
 
 
 class FinishedRun:

@@ -95,6 +95,7 @@ class Scene:
             for name in ("measured", "predicted", "extended")
         }
         self._sticks: viser.LineSegmentsHandle | None = None
+        self._asked: viser.LineSegmentsHandle | None = None
 
     def set_body(self, some: Solids, progress: Float[np.ndarray, " bodies"]) -> None:
         """Draw a body, or change its shape and colours.
@@ -129,6 +130,12 @@ class Scene:
         """Show the scaled skeleton, or hide it."""
         if self._sticks is not None:
             self._sticks.visible = scaled
+
+    def ask_for(self, drawing: Float[np.ndarray, "sticks 2 3"]) -> None:
+        """Draw what the subject is asked to do, in place of what was asked before."""
+        if self._asked is not None:
+            self._asked.remove()
+        self._asked = self._api.add_line_segments("/asked", drawing, colours.PREDICTED, thickness=SHAFT_M)
 
     def _show_body(self, now: Instant) -> None:
         if now.X_WB is None or self._solids is None or self.body is None:
