@@ -161,8 +161,8 @@ def test_an_advice_stands_for_its_time_unless_it_has_become_useless(seed):
         Adviser(guide, RATE),
     )
     first = adviser.after(estimator, 0.0, 0.0)
-    estimator.add(recorded(guide, seed)[:1])
     assert adviser.after(estimator, 1.0, 0.5) is first
+    estimator.add(recorded(guide, seed)[:1])
     (k,) = (k for k, one in enumerate(guide.rehearsals) if one.exercise.name == first.name)
     assert estimator.sums is not None
     estimator.sums = replace(estimator.sums, gram=estimator.sums.gram + 1e6 * guide.information(noise(guide), RATE)[k])
