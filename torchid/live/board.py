@@ -74,6 +74,7 @@ class Board:
         if not self._frozen.value:
             with self._server.atomic():
                 self._scene.show(now)
+            self._server.flush()
 
     def passed(self, time_s: float, measured: Float[np.ndarray, " 6"], predicted: Float[np.ndarray, " 6"]) -> None:
         """Take up the total forces of an instant: measured, and of the model."""

@@ -31,10 +31,12 @@ from torchid.snapshot import from_bytes, to_bytes
 
 PERIOD_S = 1.0 / 60.0
 """Choice. Between two pictures: what screens show."""
+PATIENCE_S = 0.1
+"""Choice. After so long without a picture it is looked whether to say so."""
 WAITING = 4
 """Choice. Pictures that may wait for the page; more are dropped, so that it shows the newest and holds nobody up."""
-ASIDE_M = 0.9
-"""Choice. Between drawn postures: arms that reach out do not touch."""
+ASIDE_M, SMALL = 0.55, 0.45
+"""Choice. Between drawn postures, and their size: three of them stand beside the subject, and arms do not touch."""
 OPENED_S = 60.0
 """Choice. How long a machine that is busy may take to open a page."""
 
@@ -94,7 +96,7 @@ class Page:
             self._process.start()
         theirs.close()
         self.address = self._opened(pipe)
-        self._shown_s, self._last = 0.0, None
+        self._due_s, self._last = 0.0, None
         self.dropped = 0
 
     def show(self, moment: Moment) -> None:
@@ -103,9 +105,9 @@ class Page:
             self._last = moment.found
             self._found.put(to_bytes(moment.found))
         now = time.monotonic()
-        if now - self._shown_s < PERIOD_S:
+        if now < self._due_s:
             return
-        self._shown_s = now
+        self._due_s = max(self._due_s + PERIOD_S, now - PERIOD_S)  # sixty in the mean, however frames come
         plates = None if moment.wrench is None else moment.wrench.numpy()
         picture = Picture(
             float(moment.markers.time[-1]), moment.postures.q[-1].numpy(), moment.markers.position[-1].numpy(),
@@ -217,7 +219,7 @@ def drawn(fit: GeometryFit, postures: Float[Tensor, "postures dofs"]) -> Drawing
         own = sticks([body.parent for body in tree.bodies], X_WB, ends)
         feet = own[:, :, 2].min()
         own -= np.array([X_WB[0, 0, 3], X_WB[0, 1, 3], feet])
-        found.append(own + np.array([-0.5, (k + 1) * ASIDE_M, 0.0]))
+        found.append(SMALL * own + np.array([-0.5, 0.3 + (k + 1) * ASIDE_M, 0.0]))
     return np.concatenate(found)
 
 
@@ -242,16 +244,17 @@ def _serve(pictures: Queue, found: Queue, pipe: Connection, given: bytes, rest: 
 
 
 def _turn(show: Show, pictures: Queue, found: Queue) -> None:
-    """Draw once: what was found, and the newest picture."""
-    begun = time.monotonic()
+    """Draw once, as soon as there is a picture: what was found, and the newest."""
+    newest = deque[Picture](maxlen=1)
+    with suppress(queue.Empty):
+        newest.append(pictures.get(timeout=PATIENCE_S))
+        newest.extend(_waiting(pictures))
     for one in _waiting(found):
         show.found(from_bytes(one))
-    newest = deque(_waiting(pictures), maxlen=1)
     if newest:
         show.picture(newest[0])
     else:
         show.wait()
-    time.sleep(max(0.0, PERIOD_S - (time.monotonic() - begun)))
 
 
 def _waiting(some: Queue) -> list[Any]:

@@ -155,15 +155,19 @@ class Scene:
         tint = np.tile(np.array(colours.MARKER, np.uint8), (int(seen.sum()), 1))
         if now.distance is not None:
             tint = colours.by_distance(now.distance[seen])
-        self._markers.points, self._markers.colors = now.markers[seen].astype(np.float32), tint
+        self._markers.points = now.markers[seen].astype(np.float32)
+        if not np.array_equal(tint, self._markers.colors):  # what does not change is not sent
+            self._markers.colors = tint
 
     def _show_forces(self, now: Instant) -> None:
         if now.plates is not None:
             self._plates.points = np.stack([arrow(wrench) for wrench in now.plates]).astype(np.float32)
         for name, handle in self._totals.items():
             wrench = getattr(now, name)
-            points = HIDDEN if wrench is None else arrow(wrench)[None] + np.array([0.0, BESIDE_M[name], 0.0])
-            handle.points = points.astype(np.float32)
+            beside = np.array([0.0, BESIDE_M[name], 0.0], dtype=np.float32)
+            points = HIDDEN if wrench is None else arrow(wrench)[None].astype(np.float32) + beside
+            if not np.array_equal(points, handle.points):
+                handle.points = points
 
     def _show_sticks(self, sticks: Float[np.ndarray, "sticks 2 3"]) -> None:
         if self._sticks is None:
@@ -171,7 +175,7 @@ class Scene:
         self._sticks.points = sticks.astype(np.float32)
 
 
-HIDDEN = np.array([[[0.0, 0.0, FAR_M], [0.0, 0.0, FAR_M + 0.01]]])
+HIDDEN = np.array([[[0.0, 0.0, FAR_M], [0.0, 0.0, FAR_M + 1.0]]], dtype=np.float32)
 """An arrow out of sight."""
 
 
