@@ -52,6 +52,16 @@ def test_one_place_is_one_fault_of_the_summed_size(seed):
     assert cause.theta.tolist() == [[one + two]]
 
 
+def test_where_nothing_was_put_right_sizes_are_not_added():
+    """What the body model finds in recordings as they are is the fault itself, and not what is left of it."""
+    first, again = (
+        named("plate_offset", PLATE, [0.0] * 5 + [40.0], 1.0),
+        named("plate_offset", PLATE, [0.0] * 5 + [39.0], 1.0),
+    )
+    left, others, trace = joined((first,), (again,), put_right=False)
+    assert left == (first,) and others == () and [step.rule for step in trace] == ["only_refined"]
+
+
 @pytest.mark.parametrize("place", ["plate_1", "plate_2"])
 def test_what_is_only_possible_or_elsewhere_changes_nothing(place):
     """A refinement that is only possible leaves; another plate's fault is another fault."""

@@ -142,6 +142,7 @@ def test_forces_are_shown_when_the_identifier_has_reached_them():
         assert o.identified is not None
         board.identified(o.identified.fit, 3.0)
         assert "✓" in bars({"pelvis": 0.95}) and "✓" not in bars({"pelvis": 0.5})
+        assert "<img" not in bars({"<img src=x onerror=alert(1)>": 0.5})
         advice = Advice("bends", "Bend your knees", 10.0, 3.0, ("thigh_l", "thigh_r"))
         show.found(Found(o.identified.fit, 300, 3.0, None, advice))
         assert "Bend your knees" in board._advice.content and "thigh l, thigh r" in board._advice.content

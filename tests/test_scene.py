@@ -17,7 +17,9 @@ import torch
 import viser
 from torch.testing import assert_close
 from typer.testing import CliRunner
+from websockets.datastructures import Headers
 from websockets.exceptions import InvalidStatus
+from websockets.http11 import Request
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
@@ -30,7 +32,7 @@ from torchid.scene import colours
 from torchid.scene.finished import FinishedRun, Segments
 from torchid.scene.panel import card, figure
 from torchid.scene.player import Player
-from torchid.scene.scene import FAR_M, METRES_PER_N, arrow
+from torchid.scene.scene import FAR_M, METRES_PER_N, Ground, Instant, Scene, arrow
 from torchid.scene.server import COOKIE, Guard, close_page, open_page
 from torchid.scene.solids import centre_of_mass, placed, quaternion, solids
 
@@ -230,7 +232,7 @@ def test_other_machines_need_the_token():
             ("kept", "/", {"Cookie": f"{COOKIE}=right"}), ("forged", "/", {"Cookie": f"{COOKIE}=left"}),
         ):  # fmt: skip
             asked[name], cookie = answered(where.netloc, path, headers)
-            assert name != "right" or "SameSite=Strict" in cookie
+            assert name != "right" or "SameSite=Lax" in cookie
         assert asked == {"none": 403, "wrong": 403, "right": 302, "kept": 200, "forged": 403}
         with pytest.raises(InvalidStatus, match="403"):
             connect(f"ws://{where.netloc}", subprotocols=[PROTOCOL], proxy=None).close()
@@ -256,10 +258,38 @@ def test_garbage_does_not_stop_a_page(page, seed):
         assert one.recv(timeout=20)
 
 
-def test_an_address_of_another_machine_is_said():
+def test_an_address_of_another_machine_and_ports_that_are_taken_are_said():
     """Instead of looking for a free port for ever."""
     with pytest.raises(ConfigError, match="scene.host"):
         open_page(18700, "192.0.2.1")
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 65535))
+        other.listen()
+        with pytest.raises(ConfigError, match="scene.host"):
+            open_page(65535)
+
+
+def test_cookies_of_others_do_not_hide_the_token():
+    """Services of a host share their cookies; some of them no cookie jar can read."""
+    guard = Guard("tok")
+    for cookie, welcome in (
+        (f"a/b=1; {COOKIE}=tok", True),
+        (f'p={{"a": 1}}; {COOKIE}=tok', True),
+        (f"{COOKIE}=to", False),
+    ):
+        headers = Headers({"Host": "lab:8080", "Cookie": cookie})
+        assert (guard(Request("/", headers)) is None) is welcome
+
+
+def test_a_plate_that_tells_nothing_is_not_drawn(page):
+    """No plates, unknown readings and distances, and an instant of which nothing is known."""
+    scene = Scene(page[0].scene, Ground((), ()))
+    markers = np.array([[0.0, 0.0, 1.0], [np.nan] * 3, [0.0, 1.0, 1.0]])
+    scene.show(Instant(markers=markers, distance=np.array([np.nan, np.nan, 0.0]), plates=np.zeros((0, 6))))
+    assert [tuple(one) for one in scene._markers.colors] == [colours.MARKER, colours.KNOWN]
+    for plates in (None, np.full((2, 6), np.nan)):
+        scene.show(Instant(plates=plates))
+        assert (scene._plates.points[..., 2] < 0.5 * FAR_M).all()
 
 
 def test_a_page_that_is_taken_moves_on(page):

@@ -6,7 +6,7 @@ Exit codes: 0 done; 2 the config or a file is at fault; 3 the data do not suppor
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -131,11 +131,13 @@ def view(
 
         run = FinishedRun(out)
         server, address = open_page(port, host)
-        player = Player(server, run)
-        _announce(address)
-        with suppress(KeyboardInterrupt):
-            player.play(seconds)
-        close_page(server)
+        try:
+            player = Player(server, run)
+            _announce(address)
+            with suppress(KeyboardInterrupt), closing(player):
+                player.play(seconds)
+        finally:
+            close_page(server)
 
 
 @app.command()

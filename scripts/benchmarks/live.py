@@ -2,6 +2,7 @@
 
 PYTHONPATH=.:scripts python -m benchmarks.live            # simulated, a new seed each time
 PYTHONPATH=.:scripts python -m benchmarks.live --seed 7
+PYTHONPATH=.:scripts python -m benchmarks.live --config configs/opencap_subject4.yaml    # a real one, against its run
 """
 
 import argparse
@@ -23,6 +24,7 @@ from torchid.live.pose import Follower
 from torchid.live.replay import Replay
 from torchid.outcome import Outcome
 from torchid.recording import Forces, Markers, Trial
+from torchid.regressor.rows import residual_rms
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 
@@ -42,6 +44,14 @@ def bench_live(seed: int, batches: tuple[int, ...] = (1, 2, 8, 32)) -> dict[str,
         found[f"one frame, {name} [ms]"] = _posture_ms(outcome, whole.markers, 1)
         inverse_kinematics.DENSE = before
     return found | _against_run(outcome, whole)
+
+
+def bench_recording(config: Path) -> dict[str, float]:
+    """Distances of a stream's masses from those of the run on the same recordings, and of held-out forces."""
+    with tempfile.TemporaryDirectory() as place:
+        outcome = run_experiment(load_config(config, [f"out={place}/out", "diagnosis.enabled=false"]))
+    fit = [trial for trial in outcome.session.trials.values() if trial.role == "fit" and trial.forces is not None]
+    return _against_run(outcome, _joined(fit))
 
 
 def _joined(trials: list[Trial]) -> Trial:
@@ -79,18 +89,25 @@ def _against_run(outcome: Outcome, whole: Trial) -> dict[str, float]:
     frames, spent = len(whole.markers.time), time.thread_time() - begun
     run = outcome.identified
     assert run is not None
-    off = (identifier.finish().fit.mass - run.fit.mass).abs() / run.fit.sd.phi[:, 0]
+    live = identifier.finish()
+    off = (live.fit.mass - run.fit.mass).abs() / run.fit.sd.phi[:, 0]
+    own = [outcome.followed[name].wrench for name in outcome.session.part("heldout", "inertia")]
+    unseen = [one for one in own if one is not None]
+    (force, _), (force_live, _) = (residual_rms(unseen, one.fit.phi) for one in (run, live))
     return {
         "frames a second of CPU, all stages": frames / spent, "postures known [part]": known / frames,
         "segment masses from a run's, mean [sd]": float(off.mean()), "at most [sd]": float(off.max()),
+        "held-out force, run [N]": force, "held-out force, stream [N]": force_live,
     }  # fmt: skip
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
+    parser.add_argument("--config", type=Path, help="a real session instead")
     torch.set_num_threads(1)
-    seed = parser.parse_args().seed
-    print(f"seed {seed}")
-    for what, value in bench_live(seed).items():
+    arguments = parser.parse_args()
+    print(arguments.config or f"seed {arguments.seed}")
+    found = bench_live(arguments.seed) if arguments.config is None else bench_recording(arguments.config)
+    for what, value in found.items():
         print(f"{what:45s} {value:8.3g}")

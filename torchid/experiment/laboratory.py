@@ -187,7 +187,8 @@ def _together(outcome: Outcome, right: Outcome, first: Laboratory, found: Diagno
     """Both verdicts, and what the faults gain on held-out motion together."""
     before, after = _heldout(outcome), _heldout(right)
     gain = HeldOutFit(after, torch.nan).over(HeldOutFit(before, torch.nan))
-    own, rest, steps = joined(first.causes, found.causes)
+    # Where nothing could be put right, what is found again is the fault itself, and not what is left of it.
+    own, rest, steps = joined(first.causes, found.causes, put_right=right is not outcome)
     causes = tuple(sorted((*(replace(cause, gain=gain) for cause in own), *rest), key=after_forces))
     return replace(found, baseline=before, causes=causes, trace=(*first.trace, *found.trace, *steps))
 

@@ -101,7 +101,7 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "marker": list(labels), "axis": list("xyz"),
         },
         attrs={
-            "cutoff_hz": motion.smoother.cutoff_hz, "filter": motion.smoother.kind, "units": "SI, rad",
+            "trial": name, "cutoff_hz": motion.smoother.cutoff_hz, "filter": motion.smoother.kind, "units": "SI, rad",
             "parents": [body.parent for body in tree.bodies],
             "base": "q 0-2: p_WB [m]; q 3-5: rotation vector of R_WB [rad]; v, a 3-5: angular velocity and "
             "acceleration in W; torque 0-5: residual force and moment at the root's origin, in W",

@@ -1,5 +1,6 @@
 """The panel and the scene of a stream's page."""
 
+import html
 from collections import deque
 
 import numpy as np
@@ -59,7 +60,7 @@ class Board:
         self._scene.body.on_click(self._clicked)
         self._past: deque[tuple[float, float, float]] = deque()
         self._masses: deque[tuple[float, float, float]] = deque(maxlen=HISTORY)
-        self._drawn_s, self._placed, self._stale = -np.inf, False, True
+        self._drawn_s, self._placed = -np.inf, False
 
     def show(self, now: Instant, time_s: float) -> None:
         """Draw an instant of the stream."""
@@ -68,7 +69,7 @@ class Board:
             self._cameras.look_at(now.X_WB[0, :3, 3])
             self._cameras.turn_all()
         if time_s - self._drawn_s > CHART_PERIOD_S or time_s < self._drawn_s:
-            self._drawn_s, self._stale = time_s, False
+            self._drawn_s = time_s
             self._state.content = f"**{time_s:.0f} s** of the stream"
             self._draw_forces()
         if not self._frozen.value:
@@ -99,15 +100,14 @@ class Board:
     def silent(self, seconds: float) -> None:
         """Say that nothing comes."""
         if seconds > STALE_S and self._placed:
-            self._stale = True
             self._state.content = f"**No frame for {seconds:.1f} s.** What was identified stays."
 
     def advise(self, text: str, why: str, drawing: Float[np.ndarray, "sticks 2 3"] | None = None) -> None:
         """Tell the subject what to do next, in letters that can be read from where one stands, and draw it."""
         self._advice.visible = True
         self._advice.content = (
-            f"<div style='margin:0.4em;font-size:2.2em;font-weight:700;line-height:1.15'>{text}</div>"
-            f"<div style='margin:0.4em'>{why}</div>"
+            f"<div style='margin:0.4em;font-size:2.2em;font-weight:700;line-height:1.15'>{html.escape(text)}</div>"
+            f"<div style='margin:0.4em'>{html.escape(why)}</div>"
         )
         if drawing is not None:
             self._scene.ask_for(drawing)
@@ -132,9 +132,9 @@ def bars(progress: dict[str, float]) -> str:
 
 
 def _bar(name: str, share: float, tint: np.ndarray) -> str:
-    tick = " ✓" if share >= KNOWN else ""
+    tick, shown = " ✓" if share >= KNOWN else "", html.escape(name.replace("_", " "))
     return (
-        f"<div><div style='display:flex;justify-content:space-between'><span>{name.replace('_', ' ')}</span>"
+        f"<div><div style='display:flex;justify-content:space-between'><span>{shown}</span>"
         f"<span>{share:.0%}{tick}</span></div><div style='background:#e4e4e4;height:7px'>"
         f"<div style='width:{share:.0%};height:7px;background:rgb{tuple(int(c) for c in tint)}'></div></div></div>"
     )

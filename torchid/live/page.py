@@ -1,5 +1,6 @@
 """The page of a stream: what has been sent by then is drawn sixty times a second, in a process of its own."""
 
+import logging
 import multiprocessing
 import queue
 import time
@@ -29,8 +30,11 @@ from torchid.scene.server import open_page
 from torchid.scene.sticks import sticks
 from torchid.snapshot import from_bytes, to_bytes
 
+log = logging.getLogger(__name__)
 PERIOD_S = 1.0 / 60.0
 """Choice. Between two pictures: what screens show."""
+FRESH_S = 0.1
+"""Choice. A force that is older is no longer shown: nothing is, where nobody knows."""
 PATIENCE_S = 0.1
 """Choice. After so long without a picture it is looked whether to say so."""
 WAITING = 4
@@ -96,11 +100,14 @@ class Page:
             self._process.start()
         theirs.close()
         self.address = self._opened(pipe)
-        self._due_s, self._last = 0.0, None
+        self._due_s, self._last, self._missed = 0.0, None, False
         self.dropped = 0
 
     def show(self, moment: Moment) -> None:
         """Send the newest frame of a moment, where a picture is due, and what was found since the last one."""
+        if not self._process.is_alive():
+            self._gone()
+            return
         if moment.found is not None and moment.found is not self._last:
             self._last = moment.found
             self._found.put(to_bytes(moment.found))
@@ -117,6 +124,11 @@ class Page:
             self._pictures.put_nowait(picture)
         except queue.Full:
             self.dropped += 1
+
+    def _gone(self) -> None:
+        if not self._missed:
+            log.warning("the page has ended (exit code %s); the stream goes on", self._process.exitcode)
+        self._missed = True
 
     def close(self) -> None:
         """End the page."""
@@ -140,6 +152,7 @@ class Page:
         with suppress(EOFError):
             if pipe.poll(OPENED_S):
                 answer = pipe.recv()
+        pipe.close()
         what, value = answer
         if what == "open":
             return str(value)
@@ -173,7 +186,8 @@ class Show:
         self._advised: Advice | None = None
         self._delay_s = LAG_PERIODS / cutoff_hz + 2.0 * BLOCK_S
         self._forces: deque[tuple[float, np.ndarray, np.ndarray]] = deque()
-        self._seen_s = time.monotonic()
+        self._seen_s, self._found_q = time.monotonic(), False
+        self._plates: tuple[float, np.ndarray | None] = (-np.inf, None)
 
     def found(self, some: Found) -> None:
         """Take up what the identifier has found."""
@@ -191,14 +205,21 @@ class Show:
     def picture(self, some: Picture) -> None:
         """Draw an instant, and beside it the forces of the instant that the identifier has reached."""
         self._seen_s = time.monotonic()
-        X_WB = chain_poses(self._fit.model.tree, torch.from_numpy(some.q)[None], self._fit.geometry)[0].numpy()
+        self._found_q = self._found_q or bool(np.isfinite(some.error).any())
+        X_WB = (
+            None
+            if not self._found_q
+            else chain_poses(self._fit.model.tree, torch.from_numpy(some.q)[None], self._fit.geometry)[0].numpy()
+        )
         error = np.append(some.error, np.nan)[self._columns]
         at = some.time_s - self._delay_s
         while len(self._forces) > 1 and self._forces[1][0] <= at:
             self._board.passed(*self._forces.popleft())
-        due = self._forces[0] if self._forces and self._forces[0][0] <= at else None
+        due = self._forces[0] if self._forces and 0.0 <= at - self._forces[0][0] < FRESH_S else None
+        if some.plates is not None or some.time_s - self._plates[0] > FRESH_S:
+            self._plates = (some.time_s, some.plates)
         measured, predicted = (None, None) if due is None else due[1:]
-        self._board.show(Instant(X_WB, some.markers, error, some.plates, measured, predicted), some.time_s)
+        self._board.show(Instant(X_WB, some.markers, error, self._plates[1], measured, predicted), some.time_s)
 
     def wait(self) -> None:
         """Say for how long nothing has come."""

@@ -129,8 +129,8 @@ RULES: dict[str, Callable[[Numbers], str]] = {
         f"({number(n['size_sd'])} standard deviations)"
     ),
     "only_refined": lambda n: (
-        "leaves: it would change the size of what was named without a body model, and is no more than possible "
-        f"({percent(n['confidence'])})"
+        "leaves: it would only change the size of what was named without a body model, which stays as it is "
+        f"(confidence {percent(n['confidence'])})"
     ),
     "trials_disagree": lambda n: (
         f"is not named: all trials together have {odds(n['evidence_nats'])}, but predicted from each other "

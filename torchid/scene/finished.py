@@ -11,7 +11,6 @@ import xarray
 from jaxtyping import Float
 
 from torchid.errors import InputError
-from torchid.files import safe_name
 from torchid.netcdf import CHUNK
 from torchid.scene.scene import Ground, Instant
 from torchid.scene.solids import Solids, solids
@@ -95,7 +94,7 @@ class FinishedTrial:
         piece, k = self._piece(frame // CHUNK), frame % CHUNK
         distance = np.linalg.norm(piece["markers_modelled"][k] - piece["markers_measured"][k], axis=1)
         forces = {name: piece[name][k] for name in self.wrenches}
-        scaled = piece["X_WB_scaled"][k] if "X_WB_scaled" in piece else None
+        scaled = piece["X_WB_scaled"][k] if "X_WB_scaled" in piece and self._parents else None
         return Instant(
             piece["X_WB"][k], piece["markers_measured"][k], distance,
             piece["plate_wrench"][k] if "plate_wrench" in piece else None,
@@ -130,16 +129,29 @@ class FinishedRun:
         Raises:
             InputError: ``view.no_run`` where it has no inertia or no motion; ``view.unreadable``.
         """
-        table = _json(folder, "inertia.json")
-        names = [path.name.removeprefix("motion_").removesuffix(".nc") for path in sorted(folder.glob("motion_*.nc"))]
-        if not names:
+        table, files = _json(folder, "inertia.json"), sorted(folder.glob("motion_*.nc"))
+        if not files:
             raise _no_run(folder, "no motion_*.nc")
-        self.folder, self.segments, self.trials = folder, Segments(table["segments"]), tuple(names)
+        self.folder = folder
+        try:
+            self.segments = Segments(table["segments"])
+            self._ends = 2.0 * self.segments.solids.centre
+        except (KeyError, TypeError, ValueError) as error:
+            raise _unreadable(folder / "inertia.json", error) from None
+        self._files = {_trial_name(file): file for file in files}
+        self.trials = tuple(self._files)
 
     def trial(self, name: str) -> FinishedTrial:
         """Return a trial by its name."""
-        motion, forces = (self.folder / f"{kind}_{safe_name(name)}.nc" for kind in ("motion", "forces"))
-        return FinishedTrial(name, motion, forces, 2.0 * self.segments.solids.centre)
+        motion = self._files[name]
+        forces = motion.with_name(motion.name.replace("motion_", "forces_", 1))
+        return FinishedTrial(name, motion, forces, self._ends)
+
+
+def _trial_name(motion: Path) -> str:
+    """What the user calls a trial; files of before have it in their own name alone."""
+    with _opened(motion) as some:
+        return str(some.attrs.get("trial", motion.name.removeprefix("motion_").removesuffix(".nc")))
 
 
 def _json(folder: Path, name: str) -> dict[str, Any]:

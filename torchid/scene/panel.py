@@ -102,9 +102,9 @@ class Chart:
         )  # fmt: skip
 
     def draw(self, time: Float[np.ndarray, " some"], values: Sequence[Float[np.ndarray, " some"]]) -> None:
-        """Replace the curves; a chart of fewer than two instants stays as it is."""
-        if len(time) >= 2:
-            self._handle.data = (time, *values)
+        """Replace the curves; fewer than two instants make none."""
+        nothing = (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in values))
+        self._handle.data = (time, *values) if len(time) >= 2 else nothing
 
 
 def card(name: str | None, table: dict[str, dict[str, Any]]) -> str:

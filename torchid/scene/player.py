@@ -1,5 +1,6 @@
 """``torchid view``: the page of a finished run, with a slider over time."""
 
+import threading
 import time
 from collections.abc import Callable
 
@@ -31,9 +32,11 @@ class Player:
             run: what is shown.
         """
         self._server, self._run, self._playing = server, run, False
+        # Browsers change things from threads of their own, while ``play`` moves on in this one.
+        self._turns = threading.RLock()
         self._trial = run.trial(run.trials[0])
         gui = server.gui
-        gui.set_panel_label(f"torchid · {run.folder.name}")
+        gui.set_panel_label(f"torchid · {run.folder.resolve().name}")
         self._cameras = Cameras(server)
         self._choice = gui.add_dropdown("Trial", run.trials) if len(run.trials) > 1 else None
         self._slider = gui.add_slider("Frame", 0, max(len(self._trial) - 1, 1), 1, 0)
@@ -52,7 +55,7 @@ class Player:
     @property
     def frame(self) -> int:
         """Return the number of the frame that is shown."""
-        return int(self._slider.value)
+        return max(0, min(int(self._slider.value), len(self._trial) - 1))
 
     def play(self, seconds: float = float("inf"), clock: Callable[[], float] = time.monotonic) -> None:
         """Keep the page alive, and move on where it plays.
@@ -66,12 +69,22 @@ class Player:
         while clock() - begun < seconds:
             time.sleep(PERIOD_S)
             now = clock()
-            if self._playing and len(self._trial) > 1:
-                step = (self._trial.time[-1] - self._trial.time[0]) / (len(self._trial) - 1)
-                ahead += (now - last) * SPEEDS[self._speed.value] / step
-                whole, ahead = divmod(ahead, 1.0)
-                self._slider.value = (self.frame + int(whole)) % len(self._trial)
+            with self._turns:
+                ahead = self._moved_on(ahead, now - last)
             last = now
+
+    def close(self) -> None:
+        """Let go of the run's files."""
+        self._trial.close()
+
+    def _moved_on(self, ahead: float, seconds: float) -> float:
+        """Go on by some seconds, if it plays, and by the part of a frame that was left; return what is left now."""
+        if not self._playing or len(self._trial) < 2:
+            return 0.0
+        step = (self._trial.time[-1] - self._trial.time[0]) / (len(self._trial) - 1)
+        whole, rest = divmod(ahead + seconds * SPEEDS.get(self._speed.value, 1.0) / step, 1.0)
+        self._slider.value = (self.frame + int(whole)) % len(self._trial)
+        return rest
 
     def _staged(self) -> Scene:
         scene = Scene(self._server.scene, self._trial.ground)
@@ -97,13 +110,15 @@ class Player:
         self._play.label = "Pause" if self._playing else "Play"
 
     def _change(self, name: str) -> None:
-        self._trial.close()
-        self._trial = self._run.trial(name)
-        self._server.scene.reset()
-        self._scene = self._staged()
-        self._slider.max = max(len(self._trial) - 1, 1)
-        self._slider.value = 0
-        self._open()
+        other = self._run.trial(name)
+        with self._turns:
+            self._trial.close()
+            self._trial = other
+            self._server.scene.reset()
+            self._scene = self._staged()
+            self._slider.max = max(len(self._trial) - 1, 1)
+            self._slider.value = 0
+            self._open()
 
     def _open(self) -> None:
         """Show a trial's first frame and its charts."""
@@ -119,9 +134,9 @@ class Player:
         self._chart.draw(time, [np.full(len(time), np.nan) if one is None else one[1][:, 2] for one in found])
 
     def _show(self) -> None:
-        frame = min(self.frame, len(self._trial) - 1)
-        now = self._trial.instant(frame)
-        with self._server.atomic():
+        with self._turns, self._server.atomic():
+            frame = self.frame
+            now = self._trial.instant(frame)
             self._scene.show(now)
             self._scene.see(self._scaled.value)
         worst = "" if now.distance is None or not np.isfinite(now.distance).any() else (

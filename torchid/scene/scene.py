@@ -119,7 +119,7 @@ class Scene:
         self.body.batched_colors, self.body.batched_opacities = tint, solidity
 
     def show(self, now: Instant) -> None:
-        """Draw an instant; what it does not tell goes out of sight."""
+        """Draw an instant; forces that it does not tell go out of sight, a body and markers stay where they were."""
         self._show_body(now)
         self._show_markers(now)
         self._show_forces(now)
@@ -154,14 +154,17 @@ class Scene:
             return
         tint = np.tile(np.array(colours.MARKER, np.uint8), (int(seen.sum()), 1))
         if now.distance is not None:
-            tint = colours.by_distance(now.distance[seen])
+            known = np.isfinite(now.distance[seen])
+            tint[known] = colours.by_distance(now.distance[seen][known])
         self._markers.points = now.markers[seen].astype(np.float32)
         if not np.array_equal(tint, self._markers.colors):  # what does not change is not sent
             self._markers.colors = tint
 
     def _show_forces(self, now: Instant) -> None:
-        if now.plates is not None:
-            self._plates.points = np.stack([arrow(wrench) for wrench in now.plates]).astype(np.float32)
+        plates = () if now.plates is None else now.plates
+        some = np.stack([arrow(wrench) for wrench in plates]).astype(np.float32) if len(plates) else HIDDEN
+        if not np.array_equal(some, self._plates.points):
+            self._plates.points = some
         for name, handle in self._totals.items():
             wrench = getattr(now, name)
             beside = np.array([0.0, BESIDE_M[name], 0.0], dtype=np.float32)

@@ -8,7 +8,6 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
-from http.cookies import SimpleCookie
 from io import StringIO
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -24,6 +23,8 @@ from torchid.errors import ConfigError
 LOOPBACK = "127.0.0.1"
 PORT = 8080
 """Choice. First port that is tried; the next free one is taken."""
+TRIED, LAST_PORT = 100, 65535
+"""Choice. Ports that are tried."""
 LARGEST = 1 << 20
 """Choice. Bytes of a message from a browser: camera, clicks and sliders need less than a thousandth."""
 COOKIE = "torchid_token"
@@ -42,16 +43,16 @@ def open_page(port: int = PORT, host: str = LOOPBACK, token: str | None = None) 
         token: for other addresses than the loopback; drawn where None.
 
     Raises:
-        ConfigError: ``scene.host``, the address is none of this machine's.
+        ConfigError: ``scene.host``, the address is none of this machine's, or no port near the first is free.
     """
-    _bind(host)
+    port = _free_port(host, port)
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # a traceback for every stray byte
     guard = Guard(None if _loops(host) else token or secrets.token_urlsafe(16))
     with _guarded(guard), redirect_stdout(StringIO()):  # it greets, whatever ``verbose`` says
         server = viser.ViserServer(host=host, port=port, verbose=False)
     server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
-    name = LOOPBACK if host in ("0.0.0.0", "::") else host  # noqa: S104 # what to open where all are bound
+    name = {"0.0.0.0": LOOPBACK, "::": "::1"}.get(host, host)  # noqa: S104 - what to open where all are bound
     address = f"http://{f'[{name}]' if ':' in name else name}:{server.get_port()}"
     return server, address if guard.token is None else f"{address}/?token={guard.token}"
 
@@ -89,10 +90,11 @@ class Guard:
         if given and secrets.compare_digest(given.encode(), self.token.encode()):
             answer = _answer(http.HTTPStatus.FOUND, "")
             answer.headers["Location"] = "/"
-            answer.headers["Set-Cookie"] = f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+            answer.headers["Set-Cookie"] = f"{COOKIE}={self.token}; HttpOnly; SameSite=Lax; Path=/"
             return answer
-        kept = SimpleCookie(request.headers.get("Cookie", "")).get(COOKIE)
-        if kept is not None and secrets.compare_digest(kept.value.encode(), self.token.encode()):
+        # By hand: other services of this host set cookies too, and not all that ``http.cookies`` can read.
+        kept = "; ".join(request.headers.get_all("Cookie")).split("; ")
+        if any(secrets.compare_digest(one.encode(), f"{COOKIE}={self.token}".encode()) for one in kept):
             return None
         return _answer(http.HTTPStatus.FORBIDDEN, "this page is open with its token alone")
 
@@ -128,13 +130,17 @@ def _answer(status: http.HTTPStatus, text: str) -> Response:
     return Response(status.value, status.phrase, headers, body)
 
 
-def _bind(host: str) -> None:
-    """Make sure that an address can be bound: viser would look for a free port for ever."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        socket.create_server((host, 0), family=family).close()
-    except OSError as error:
-        raise ConfigError(
-            "scene.host", f"no page can be opened here: {error.strerror or error}", place="--host", found=host[:80],
-            remedy="Give an address of this machine, or leave --host out",
-        ) from None  # fmt: skip
+def _free_port(host: str, first: int) -> int:
+    """The first port that can be bound, looked for here: viser would look for ever."""
+    family, reason = socket.AF_INET6 if ":" in host else socket.AF_INET, ""
+    for port in range(first, min(first + TRIED, LAST_PORT) + 1):
+        try:
+            socket.create_server((host, port), family=family).close()
+        except OSError as error:
+            reason = error.strerror or str(error)
+            continue
+        return port
+    raise ConfigError(
+        "scene.host", f"no page can be opened here: {reason}", place="--host, --port", found=f"{host[:80]}, {first}",
+        remedy="Give an address of this machine, or leave --host out; else another port",
+    )  # fmt: skip

@@ -16,7 +16,9 @@ TAKEN_BACK, ONE_FAULT, REFINED = "taken_back", "one_fault", "only_refined"
 """Names of the rules, as in ``docs/diagnosis.md``."""
 
 
-def joined(first: Sequence[Cause], later: Sequence[Cause]) -> tuple[tuple[Cause, ...], tuple[Cause, ...], Trace]:
+def joined(
+    first: Sequence[Cause], later: Sequence[Cause], put_right: bool = True
+) -> tuple[tuple[Cause, ...], tuple[Cause, ...], Trace]:  # fmt: skip
     """Join what witnesses named with what the body model found of the same effects at the same places.
 
     Sizes add up: to first order an effect that acts on top of itself is one of the sum (all internal parameters are
@@ -25,7 +27,8 @@ def joined(first: Sequence[Cause], later: Sequence[Cause]) -> tuple[tuple[Cause,
 
     Args:
         first: causes that witnesses named.
-        later: causes that were found with these put right.
+        later: causes that were found then.
+        put_right: whether the first were put right before; if not, what is found again stays as witnesses named it.
 
     Returns:
         Those of the first and those of the later that are left, and the decisions.
@@ -36,17 +39,18 @@ def joined(first: Sequence[Cause], later: Sequence[Cause]) -> tuple[tuple[Cause,
         if again is None:
             left.append(own)
             continue
-        rest.remove(again)
-        if again.level == "possible":
+        rest = [one for one in rest if one is not again]
+        if again.level == "possible" or not put_right:
             left.append(own)
             steps.append(_step(again, REFINED, {"confidence": again.confidence}))
             continue
         both = _both(own, again)
-        if (size := _size_sd(both)) > NOTHING_SD:
-            left.append(both)
-            steps.append(_step(again, ONE_FAULT, {"size_sd": size, "least_size_sd": NOTHING_SD}))
+        numbers = {"size_sd": _size_sd(both), "least_size_sd": NOTHING_SD}
+        if numbers["size_sd"] < NOTHING_SD:
+            steps += [_step(one, TAKEN_BACK, numbers) for one in (own, again)]
         else:
-            steps += [_step(one, TAKEN_BACK, {"size_sd": size, "least_size_sd": NOTHING_SD}) for one in (own, again)]
+            left.append(both)
+            steps.append(_step(again, ONE_FAULT, numbers))
     return tuple(left), tuple(rest), tuple(steps)
 
 
@@ -57,12 +61,13 @@ def _same(own: Cause, other: Cause) -> bool:
 
 
 def _both(own: Cause, again: Cause) -> Cause:
-    """The sum, as sure of its size as the one that was found last, when all else was known."""
+    """The sum, as sure of its size as the one that was found last, when all else was known; rivals keep no size."""
     kind, theta = effect(own.effect), own.theta + again.theta
     nowhere = torch.zeros(theta.shape[1], theta.shape[1], dtype=theta.dtype)
     values = parameter_table(kind.estimated(own.place, theta[0], nowhere))
     parameters = {key: {"value": one["value"], "sd": again.parameters[key]["sd"]} for key, one in values.items()}
-    return replace(own, parameters=parameters, theta=theta)
+    twins = tuple(replace(one, parameters=None) for one in own.indistinguishable)
+    return replace(own, parameters=parameters, theta=theta, indistinguishable=twins)
 
 
 def _size_sd(cause: Cause) -> float:
