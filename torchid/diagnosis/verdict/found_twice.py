@@ -61,7 +61,7 @@ def _same(own: Cause, other: Cause) -> bool:
 
 
 def _both(own: Cause, again: Cause) -> Cause:
-    """The sum, as sure of its size as the one that was found last, when all else was known; rivals keep no size."""
+    """Return the sum, as sure of its size as what was found last, when all else was known; rivals keep no size."""
     kind, theta = effect(own.effect), own.theta + again.theta
     nowhere = torch.zeros(theta.shape[1], theta.shape[1], dtype=theta.dtype)
     values = parameter_table(kind.estimated(own.place, theta[0], nowhere))
@@ -71,7 +71,7 @@ def _both(own: Cause, again: Cause) -> Cause:
 
 
 def _size_sd(cause: Cause) -> float:
-    """How far a cause's parameters are from those of none, in standard deviations."""
+    """Return how far a cause's parameters are from those of none, in standard deviations."""
     none = effect(cause.effect).named(cause.place, torch.zeros_like(cause.theta[0]))
     off = [
         ((cause.parameters[key]["value"] - value).abs() / cause.parameters[key]["sd"].clamp(min=1e-12)).max()
