@@ -147,6 +147,12 @@ def test_forces_are_shown_when_the_identifier_has_reached_them():
         advice = Advice("bends", "Bend your knees", 10.0, 3.0, ("thigh_l", "thigh_r"))
         show.found(Found(o.identified.fit, 300, 3.0, None, advice))
         assert "Bend your knees" in board._advice.content and "thigh l, thigh r" in board._advice.content
+        board.warn(["plate_1 reads 9 N while nobody is on it", "<b>"])
+        assert (
+            "plate_1 reads 9 N" in board._wrong.content and "<b>" not in board._wrong.content and board._wrong.visible
+        )
+        board.warn([])
+        assert not board._wrong.visible
         show._seen_s -= 2.0
         board._placed = True
         show.wait()

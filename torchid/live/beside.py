@@ -21,6 +21,7 @@ from torchid.inertia.identify import Identified
 from torchid.live.advice import Account, Advice, Adviser
 from torchid.live.identifier import BLOCK_S, Identifier, Reconstructed, Subject
 from torchid.live.pose import Postures
+from torchid.live.watch import Notice
 from torchid.recording import Plate
 from torchid.snapshot import from_bytes, to_bytes
 
@@ -57,6 +58,10 @@ class Beside:
         theirs.close()
         self.sent = self.done = 0
         self.found: Found | None = None
+        self.notices: tuple[Notice, ...] = ()
+        """What is wrong now."""
+        self.noted: dict[tuple[str, str], tuple[float, float]] = {}
+        """From when to when something was wrong [s], by what and where."""
         self.advice: Advice | None = None
         self.account: Account | None = None
 
@@ -86,6 +91,14 @@ class Beside:
         elif what == "found":
             self.found = Found(*from_bytes(value))
             self.advice = self.found.advice
+        elif what == "watched":
+            self._note(*value)
+
+    def _note(self, now_s: float, notices: tuple[Notice, ...]) -> None:
+        self.notices = notices
+        for one in notices:
+            since, _ = self.noted.get((one.what, one.where), (now_s, now_s))
+            self.noted[one.what, one.where] = since, now_s
 
     def finish(self) -> Identified:
         """Wait for all that was sent, and identify from all of it; ``account`` has what each exercise brought.
@@ -149,7 +162,11 @@ def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
         while (message := jobs.get()) is not None:
             count += 1
             index, q, error, sample, wrench = (torch.from_numpy(np.asarray(part)) for part in message)
-            if own.add(index, Postures(q, error), sample, wrench) and own.estimator.fit is not None:
+            if not own.add(index, Postures(q, error), sample, wrench):
+                pipe.send(("done", count))
+                continue
+            pipe.send(("watched", (own.done_s, own.notices)))
+            if own.estimator.fit is not None:
                 newest = int(index[-1])
                 now_s = newest / rate_hz
                 advice = None if adviser is None else adviser.after(own.estimator, now_s, own.done_s - 0.5 * BLOCK_S)

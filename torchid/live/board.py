@@ -42,6 +42,7 @@ class Board:
         gui = server.gui
         gui.set_panel_label("torchid · live")
         self._advice = gui.add_html("", visible=False)
+        self._wrong, self._said = gui.add_html("", visible=False), list[str]()
         self._state = gui.add_markdown("Waiting for the first frame")
         self._frozen = gui.add_checkbox("Freeze the picture", initial_value=False)
         self._cameras = Cameras(server)
@@ -101,6 +102,15 @@ class Board:
         """Say that nothing comes."""
         if seconds > STALE_S and self._placed:
             self._state.content = f"**No frame for {seconds:.1f} s.** What was identified stays."
+
+    def warn(self, texts: list[str]) -> None:
+        """Say what is wrong, until it is no more."""
+        if texts == self._said:
+            return
+        self._said = texts
+        lines = "".join(f"<div>&#9888; {html.escape(one)}</div>" for one in texts)
+        style = f"margin:0.4em;padding:0.5em;font-size:1.3em;border-left:6px solid rgb{colours.UNKNOWN}"
+        self._wrong.content, self._wrong.visible = f"<div style='{style}'>{lines}</div>", bool(texts)
 
     def advise(self, text: str, why: str, drawing: Float[np.ndarray, "sticks 2 3"] | None = None) -> None:
         """Tell the subject what to do next, in letters that can be read from where one stands, and draw it."""

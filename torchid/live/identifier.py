@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.balance import Weight
+from torchid.contact.contact import Contact
 from torchid.contact.runs import dilate
 from torchid.dynamics import wrench_about
 from torchid.experiment.fits import com_boxes
@@ -22,6 +23,7 @@ from torchid.live.estimator import Estimator
 from torchid.live.guidance import Guide
 from torchid.live.pose import Postures
 from torchid.live.timeline import Timeline
+from torchid.live.watch import Block, Notice, Watch
 from torchid.model.model import InertialPrior
 from torchid.outcome import Followed
 from torchid.recording import Forces, Markers, Plate, Trial
@@ -99,6 +101,9 @@ class Identifier:
         self._next = 0
         self.forces: Reconstructed | None = None
         """Of the last block, where it could be used."""
+        self._watch = Watch(subject.fit.attachment.labels, [plate.name for plate in plates])
+        self.notices: tuple[Notice, ...] = ()
+        """What was wrong in the last block."""
 
     def add(
         self, index: Int[Tensor, " frames"], postures: Postures, sample: Int[Tensor, " samples"],
@@ -143,30 +148,43 @@ class Identifier:
     def _advance(self, stop: int, known: int) -> None:
         """Rows of the frames up to ``stop``, from all that is known up to another."""
         first = max(self._q.start, self._next - self._context)
-        self.forces, followed = None, self._followed(slice(first, known))
+        self.forces, part = None, slice(first, known)
+        inner = slice(self._next - first, stop - first)
+        followed, vertical = self._followed(part)
         if followed is not None and followed.wrench is not None:
             rows = followed.wrench
-            inner = slice(self._next - first, stop - first)
             self.estimator.add(_spectra(rows, inner))
             self.forces = self._reconstructed(rows.frames(inner))
+        contact = None if followed is None or followed.contact is None else followed.contact.frames(inner)
+        error = self._error.get(slice(self._next, stop))
+        self.notices = self._watch.after(self._block_of(error, contact, vertical[inner]))
         self._next = stop
         kept = self._next - self._context
         for line in (self._q, self._error):
             line.forget(kept)
         self._wrench.forget(round(kept / self._rate * self._force_rate))
 
-    def _followed(self, part: slice) -> Followed | None:
-        """A window as a trial of its own; None where no posture or no force in it is known."""
+    def _block_of(
+        self, error: Float[Tensor, "frames markers"], contact: Contact | None, vertical: Float[Tensor, "frames plates"]
+    ) -> Block:  # fmt: skip
+        found, cutoff_hz = self.forces, self._subject.cutoff_hz
+        nothing = error.new_zeros(0, 3)
+        measured, predicted = (nothing, nothing) if found is None else (found.measured[:, :3], found.predicted[:, :3])
+        return Block(error, contact, vertical, measured, predicted, self._rate, cutoff_hz)
+
+    def _followed(self, part: slice) -> tuple[Followed | None, Float[Tensor, "frames plates"]]:
+        """A window as a trial of its own, None where no posture or no force in it is known; and what plates read."""
+        nothing = None, self._q.get(part).new_zeros(part.stop - part.start, len(self._plates))
         if part.stop - part.start <= SHORTEST or not self._plates:
-            return None
+            return nothing
         q, error = _bridged(self._q.get(part), self._error.get(part), round(BRIDGED_S * self._rate))
         seen = torch.isfinite(error).any(1)
         if not bool(seen.any()):
-            return None
+            return nothing
         time = torch.arange(part.start, part.stop, dtype=torch.float64) / self._rate
         forces = self._forces(time)
         if forces is None:
-            return None
+            return nothing
         trial = Trial("live", Markers((), time, q.new_zeros(len(q), 0, 3)), forces)
         who = self._subject
         short = None if who.weight is None else short_of(who.fit, trial, who.weight, who.config)
@@ -174,7 +192,7 @@ class Identifier:
         assert found.wrench is not None
         # Beside a gap, as at an end, a filter knows one side only.
         beside = dilate(~seen, round(ENDS / found.motion.smoother.cutoff_hz * self._rate))
-        return replace(found, wrench=replace(found.wrench, used=found.wrench.used & ~beside))
+        return replace(found, wrench=replace(found.wrench, used=found.wrench.used & ~beside)), forces.wrench[..., 2]
 
     def _reconstructed(self, rows: WrenchTrial) -> Reconstructed | None:
         """Forces of a block; None before anything is identified, and where a foot was off the plates."""

@@ -24,6 +24,7 @@ from torchid.live.beside import Found, deaf
 from torchid.live.board import Board
 from torchid.live.identifier import BLOCK_S, LAG_PERIODS, Subject
 from torchid.live.pipeline import Moment
+from torchid.live.watch import Notice
 from torchid.recording import Plate
 from torchid.scene.scene import Ground, Instant
 from torchid.scene.server import open_page
@@ -39,7 +40,7 @@ PATIENCE_S = 0.1
 """Choice. After so long without a picture it is looked whether to say so."""
 WAITING = 4
 """Choice. Pictures that may wait for the page; more are dropped, so that it shows the newest and holds nobody up."""
-ASIDE_M, SMALL = 0.55, 0.45
+ASIDE_M, SMALL = 0.4, 0.4
 """Choice. Between drawn postures, and their size: three of them stand beside the subject, and arms do not touch."""
 OPENED_S = 60.0
 """Choice. How long a machine that is busy may take to open a page."""
@@ -69,6 +70,7 @@ class Picture:
     error: Float[np.ndarray, " placed"]
     """Distance from the model, in the order of the fit [m]."""
     plates: Float[np.ndarray, "plates 6"] | None
+    notices: tuple[Notice, ...] = ()
 
 
 class Page:
@@ -118,7 +120,7 @@ class Page:
         plates = None if moment.wrench is None else moment.wrench.numpy()
         picture = Picture(
             float(moment.markers.time[-1]), moment.postures.q[-1].numpy(), moment.markers.position[-1].numpy(),
-            moment.postures.error[-1].numpy(), plates,
+            moment.postures.error[-1].numpy(), plates, moment.notices,
         )  # fmt: skip
         try:
             self._pictures.put_nowait(picture)
@@ -219,6 +221,7 @@ class Show:
         if some.plates is not None or some.time_s - self._plates[0] > FRESH_S:
             self._plates = (some.time_s, some.plates)
         measured, predicted = (None, None) if due is None else due[1:]
+        self._board.warn([one.text for one in some.notices])
         self._board.show(Instant(X_WB, some.markers, error, self._plates[1], measured, predicted), some.time_s)
 
     def wait(self) -> None:

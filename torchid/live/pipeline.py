@@ -17,6 +17,7 @@ from torchid.live.intake import Intake
 from torchid.live.pose import Follower, Postures
 from torchid.live.recorder import Recorder
 from torchid.live.stream import Packet, Source
+from torchid.live.watch import Notice
 from torchid.recording import Markers
 
 IDLE_S = 0.0005
@@ -39,6 +40,8 @@ class Moment:
     """Newest reading of the plates [N, N m]."""
     found: Found | None
     """What was identified last."""
+    notices: tuple[Notice, ...] = ()
+    """What is wrong with the stream."""
 
 
 class Pipeline:
@@ -112,7 +115,7 @@ class Pipeline:
             del self._latency_s[:-KEPT]
             self._arrived[int(placed.index[-1])] = packet.arrived_s
             wrench = placed.wrench[-1] if len(placed.wrench) else None
-            show(Moment(placed.index, placed.markers, postures, wrench, self._beside.found))
+            show(Moment(placed.index, placed.markers, postures, wrench, self._beside.found, self._beside.notices))
         else:
             postures = Postures(torch.zeros(0, 0), torch.zeros(0, 0))
         self._beside.add(placed.index, postures, placed.sample, placed.wrench)
@@ -140,6 +143,10 @@ class Pipeline:
                                **_quantiles(self._parameters_s)},
             },
             "backlog": self._beside.sent - self._beside.done,
+            "notices": [
+                {"what": what, "where": where, "from_s": round(since, 2), "to_s": round(until, 2)}
+                for (what, where), (since, until) in self._beside.noted.items()
+            ],
         }  # fmt: skip
 
 

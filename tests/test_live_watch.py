@@ -1,0 +1,84 @@
+"""What a laboratory does wrong is said while the stream comes, and nothing else is."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from test_live import RATE, long, moving, subject
+
+from torchid.live.identifier import Identifier
+from torchid.live.intake import Intake
+from torchid.live.pose import Follower
+from torchid.live.replay import Replay
+from torchid.recording import Trial
+
+
+def watched(given: Trial) -> list[tuple[float, tuple[tuple[str, str], ...]]]:
+    """Time of every block's end, and what was said then."""
+    who, source = subject(), Replay(given, float("inf"))
+    intake, follower = Intake(RATE, source.force_rate_hz, 0.5), Follower(who.fit, source.labels)
+    identifier, said = Identifier(who, RATE, source.plates, source.force_rate_hz), []
+    while (packet := source.take()) is not None:
+        placed = intake.place(packet)
+        if len(placed.index) and identifier.add(
+            placed.index, follower(placed.markers), placed.sample, placed.wrench
+        ):  # fmt: skip
+            said.append((identifier.done_s, tuple((one.what, one.where) for one in identifier.notices)))
+    return said
+
+
+def offset(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
+    """A plate that nobody stands on reads some newtons."""
+    forces = given.forces
+    assert forces is not None
+    idle = (forces.wrench[..., 2].abs() > 20.0).double().mean(0).argmin()
+    wrench = forces.wrench.clone()
+    wrench[:, idle, 2] += float(rng.uniform(7.0, 15.0) * rng.choice([-1, 1]))
+    return replace(given, forces=replace(forces, wrench=wrench)), f"offset {forces.plates[int(idle)].name}"
+
+
+def lost(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
+    """A marker has fallen off."""
+    k = int(rng.integers(len(given.markers.labels)))
+    position = given.markers.position.clone()
+    position[:, k] = torch.nan
+    return replace(given, markers=replace(given.markers, position=position)), f"marker {given.markers.labels[k]}"
+
+
+def late(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
+    """Forces come late by some hundredths of a second."""
+    assert given.forces is not None
+    return replace(
+        given, forces=replace(given.forces, time=given.forces.time + float(rng.uniform(0.035, 0.06)))
+    ), "clock "
+
+
+def silent(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
+    """The plate under a foot reads nothing."""
+    forces = given.forces
+    assert forces is not None
+    wrench, loaded = forces.wrench.clone(), forces.wrench[..., 2].mean(0).argmax()
+    wrench[:, loaded] = 0.0
+    return replace(given, forces=replace(forces, wrench=wrench)), "unread "
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [offset, lost, late, silent])
+def test_what_is_wrong_is_said_within_seconds(fault: Callable, seed: int):
+    """By its name and place, in most blocks of a moving subject from the third second on."""
+    given, expected = fault(np.random.default_rng(seed), moving())
+    said = watched(given)
+    late_enough = [names for end, names in said if end >= 3.0]
+    hits = [any(f"{what} {where}".startswith(expected) for what, where in names) for names in late_enough]
+    assert hits and sum(hits) >= 0.5 * len(hits), (expected, said)
+
+
+@pytest.mark.slow
+def test_nothing_is_said_of_a_stream_that_is_right():
+    """But for the pauses between its trials, in which nothing comes."""
+    said = watched(long())
+    wrong = [one for _, names in said for one in names if one[0] not in ("posture", "beside")]
+    assert len(wrong) <= 0.1 * len(said), said
+    assert not [names for _, names in watched(moving()) if names]

@@ -1,0 +1,129 @@
+"""What is wrong with a stream, said within seconds: while it can be mended, before the subject has gone."""
+
+import math
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.contact.contact import Contact
+
+SHARE = 0.5
+"""Choice. Part of a block for which something must last before it is said: a stance, and no foot that grazes."""
+OFFSET_N = 4.0
+"""Choice. Mean vertical reading of a plate that nobody is on: less is what drift and cables do."""
+CLOCK_S = 0.02
+"""Choice. How late forces may come: those of living bodies come up to 15 ms late by themselves (``body_lag``)."""
+CLOCK_SD = 3.0
+"""Choice. Standard deviations by which a clock must be off."""
+REMEMBERED = 10
+"""Choice. Blocks over which a clock is judged: a step or two of every kind of motion."""
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Something that a laboratory should look at."""
+
+    what: str
+    """Stable name: ``posture``, ``marker``, ``unread``, ``beside``, ``offset`` or ``clock``."""
+    where: str
+    """Marker, foot or plate; empty where it is the whole stream."""
+    text: str
+    """For whoever stands beside the subject."""
+
+
+UNKNOWN = Notice("posture", "", "No posture fits the markers: look whether labels are exchanged, or markers hidden")
+"""Nothing else can be said then."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """What is known of the frames of a block."""
+
+    error: Float[Tensor, "frames markers"]
+    """Distance between measured and modelled marker, NaN where missing and where no posture is known [m]."""
+    contact: Contact | None
+    """Of feet and plates; None without postures or forces."""
+    vertical: Float[Tensor, "frames plates"]
+    """What each plate reads vertically [N]."""
+    measured: Float[Tensor, "used 3"]
+    """Total force of frames that are used [N], ..."""
+    predicted: Float[Tensor, "used 3"]
+    """... and as the identified dynamics have it."""
+    rate_hz: float
+    cutoff_hz: float
+
+
+class Watch:
+    """Looks at every block, and remembers what clocks need longer for."""
+
+    def __init__(self, labels: Sequence[str], plates: Sequence[str]) -> None:
+        """Begin with nothing.
+
+        Args:
+            labels: of the markers, in the order of ``Block.error``.
+            plates: their names.
+        """
+        self._labels, self._plates = tuple(labels), tuple(plates)
+        self._clock: deque[tuple[float, float, float, int]] = deque(maxlen=REMEMBERED)
+
+    def after(self, block: Block) -> tuple[Notice, ...]:
+        """Return what is wrong now.
+
+        Args:
+            block: the newest frames.
+        """
+        known = torch.isfinite(block.error).any(1)
+        if float((~known).to(block.error).mean()) > SHARE:
+            return (UNKNOWN,)
+        return (
+            *self._markers(block.error[known]), *self._feet(block, known), *self._offsets(block), *self._late(block)
+        )  # fmt: skip
+
+    def _markers(self, error: Float[Tensor, "frames markers"]) -> Iterator[Notice]:
+        missing = ~torch.isfinite(error).any(0)
+        for k in missing.nonzero()[:, 0].tolist():
+            yield Notice("marker", self._labels[k], f"Marker {self._labels[k]} is not seen")
+
+    def _feet(self, block: Block, known: Bool[Tensor, " frames"]) -> Iterator[Notice]:
+        contact = block.contact
+        if contact is None:
+            return
+        for k, foot in enumerate(contact.feet):
+            name = foot.replace("_", " ")
+            if _lasts(contact.unread[:, k] & known):
+                yield Notice("unread", foot, f"The {name} stands on a plate that does not read it")
+            elif _lasts(contact.touching[:, k] & ~contact.supported[:, k] & known):
+                yield Notice("beside", foot, f"The {name} stands beside the plates: these seconds do not count")
+
+    def _offsets(self, block: Block) -> Iterator[Notice]:
+        if block.contact is None:
+            return
+        for k, plate in enumerate(self._plates):
+            free = block.contact.plate[:, k] == -1
+            if _lasts(free) and abs(mean := float(block.vertical[free, k].mean())) > OFFSET_N:
+                yield Notice("offset", plate, f"{plate} reads {mean:.0f} N while nobody is on it: set it to zero")
+
+    def _late(self, block: Block) -> Iterator[Notice]:
+        """By how much the force lags behind that of the model: least squares of the residual on the force's rate."""
+        if len(block.measured) > 2:
+            rate = torch.gradient(block.predicted, dim=0)[0] * block.rate_hz
+            rest = block.measured - block.predicted
+            rest = rest - rest.mean(0)
+            self._clock.append((-float((rest * rate).sum()), float(rate.square().sum()), float(rest.square().sum()),
+                                rest.numel()))  # fmt: skip
+        if not self._clock:
+            return
+        cross, power, square, count = (sum(column) for column in zip(*self._clock, strict=True))
+        late_s, independent = cross / max(power, 1e-12), 2.0 * block.cutoff_hz / block.rate_hz
+        left = max(square - late_s**2 * power, 0.0) / count
+        sd_s = math.sqrt(left / max(power * independent, 1e-12))
+        if abs(late_s) > CLOCK_S and abs(late_s) > CLOCK_SD * sd_s:
+            yield Notice("clock", "", f"Forces come {1e3 * abs(late_s):.0f} ms {'late' if late_s > 0.0 else 'early'}")
+
+
+def _lasts(flag: Bool[Tensor, " frames"]) -> bool:
+    return len(flag) > 0 and float(flag.to(torch.float64).mean()) > SHARE
