@@ -55,8 +55,6 @@ class Address:
 
     port: int
     host: str
-    token: str | None = None
-    """Drawn where None and the host is open to other machines."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +250,7 @@ def _serve(pictures: Queue, found: Queue, pipe: Connection, given: bytes, rest: 
     cutoff_hz, labels, where = rest
     fit, prior, plates, postures = from_bytes(given)
     try:
-        server, address = open_page(where.port, where.host, where.token)
+        server, address = open_page(where.port, where.host)
     except ConfigError as error:
         keys = ("code", "message", "place", "found", "remedy")
         pipe.send(("failed", {key: getattr(error, key) for key in keys}))
