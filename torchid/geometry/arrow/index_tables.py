@@ -54,6 +54,9 @@ class ArrowLayout:
     """Matrix (bodies, bodies) with 1 where the row is the column or an ancestor of it."""
     subtree: Tensor
     """Matrix (bodies, markers) with 1 where the marker is on or below the body."""
+    composite: Tensor
+    """Matrix (36, 10) from mass, first and second moments (``twists.moments``) to the spatial inertia about the
+    origin, forces first."""
 
     def of_entries(self, x: Tensor) -> Tensor:
         """Return the entries' columns of x (frames, columns, 6), as a view where they stand side by side."""
@@ -121,6 +124,7 @@ def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Arr
         offset_map=_coefficient_table(offset, 3 * len(plan.order), like),
         above=above,
         subtree=above[:, problem.body].contiguous(),
+        composite=_composite_inertia().to(like),
     )
 
 
@@ -132,6 +136,22 @@ def _ancestor_matrix(plan: Plan) -> Tensor:
         for ancestor in ancestors:
             above[position[ancestor], position[body]] = 1.0
     return above
+
+
+def _composite_inertia() -> Tensor:
+    """Return the matrix (36, 10) of Featherstone 2008, eq. 2.63, with the rotational inertia from second moments."""
+    inertia = torch.zeros(6, 6, 10)
+    inertia[range(3), range(3), 0] = 1.0
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        inertia[3 + j, i, 1 + k] = inertia[i, 3 + j, 1 + k] = 1.0
+        inertia[3 + i, j, 1 + k] = inertia[j, 3 + i, 1 + k] = -1.0
+        inertia[3 + k, 3 + k, [4, 7, 9]] = 1.0
+    for k, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+        inertia[3 + i, 3 + j, 4 + k] -= 1.0
+        if i != j:
+            inertia[3 + j, 3 + i, 4 + k] -= 1.0
+    return inertia.view(36, 10)
 
 
 Entries = dict[tuple[int, int], dict[int, float]]

@@ -67,7 +67,7 @@ def column_twists(layout: ArrowLayout, at: Poses, sums: Tensor, shared: bool) ->
     turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
     twist = z.new_empty(6 + len(z) + len(t), 6, z.shape[2])
     wrench = torch.empty_like(twist)
-    _fill_base(sums[0], twist[:6], wrench[:6])
+    _fill_base(layout.composite, sums[0], twist[:6], wrench[:6])
     _fill_turns(at, sums.index_select(0, turning), turning, z, twist[6 : 6 + len(z)], wrench[6 : 6 + len(z)])
     _fill_slides(sums.index_select(0, sliding), t, twist[6 + len(z) :], wrench[6 + len(z) :])
     g = torch.empty_like(twist[:, 0])
@@ -117,20 +117,10 @@ def _frames_first(x: Tensor) -> Tensor:
     return x.flatten(0, 1).T.contiguous().view(x.shape[2], x.shape[0], 6)
 
 
-def _fill_base(sums: Tensor, twist: Tensor, wrench: Tensor) -> None:
+def _fill_base(composite: Tensor, sums: Tensor, twist: Tensor, wrench: Tensor) -> None:
     """Fill in the root's translations and rotations: the identity, and the composite inertia of all markers."""
-    first, second = sums[1:4], sums[4:10]
-    twist.zero_()
-    twist[range(6), range(6)] = 1.0
-    wrench.zero_()
-    wrench[0, 0] = wrench[1, 1] = wrench[2, 2] = sums[0]
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        wrench[3 + j, i] = wrench[i, 3 + j] = first[k]
-        wrench[3 + i, j] = wrench[j, 3 + i] = -first[k]
-    trace = second[0] + second[3] + second[5]
-    for k, (i, j) in enumerate(PAIRS):
-        wrench[3 + j, 3 + i] = wrench[3 + i, 3 + j] = trace - second[k] if i == j else -second[k]
+    twist.copy_(torch.eye(6, dtype=twist.dtype, device=twist.device)[:, :, None])
+    torch.mm(composite, sums[:10], out=wrench.view(36, -1))
 
 
 def _fill_turns(at: Poses, sums: Tensor, body: Tensor, z: Tensor, twist: Tensor, wrench: Tensor) -> None:
