@@ -82,7 +82,8 @@ def streamed(given: Trial, spoil: Callable[[Packet], list[Packet]] = lambda pack
                 postures = follower(placed.markers)
                 known += int(postures.known.sum())
                 assert bool(torch.isfinite(postures.q).all())
-                identifier.add(placed.index, postures, placed.sample, placed.wrench)
+                identifier.put(placed.index, postures, placed.sample, placed.wrench)
+                identifier.work()
     return identifier.finish(), known
 
 

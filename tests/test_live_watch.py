@@ -22,10 +22,10 @@ def watched(given: Trial) -> list[tuple[float, tuple[tuple[str, str], ...]]]:
     identifier, said = Identifier(who, RATE, source.plates, source.force_rate_hz), []
     while (packet := source.take()) is not None:
         placed = intake.place(packet)
-        if len(placed.index) and identifier.add(
-            placed.index, follower(placed.markers), placed.sample, placed.wrench
-        ):  # fmt: skip
-            said.append((identifier.done_s, tuple((one.what, one.where) for one in identifier.notices)))
+        if len(placed.index):
+            identifier.put(placed.index, follower(placed.markers), placed.sample, placed.wrench)
+            identifier.work()
+            said += [(end_s, tuple((one.what, one.where) for one in notices)) for end_s, notices in identifier.watched]
     return said
 
 

@@ -150,11 +150,12 @@ def session(person: Person, choose: Choose) -> Result:
 
 def advised(person: Person) -> Choose:
     """What the guide says."""
-    adviser = Adviser(person.guide, RATE)
+    adviser, times = Adviser(person.guide, RATE), list[float]()
 
     def choose(estimator: Estimator, now: int) -> str:
         begun = time.thread_time()
-        advice = adviser.after(estimator, float(now), now - 0.5)
+        times.extend([now - 0.5] * (len(estimator.blocks) - len(times)))
+        advice = adviser.after(estimator, float(now), times)
         person.advising.append(time.thread_time() - begun)
         return advice.name
 

@@ -6,20 +6,24 @@ PYTHONPATH=.:scripts python -m benchmarks.live --config configs/opencap_subject4
 """
 
 import argparse
+import math
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from torchid.config import load_config
 from torchid.experiment import run_experiment
 from torchid.experiment.fits import given_mass
 from torchid.experiment.standing import standing_weight
 from torchid.geometry.arrow import inverse_kinematics
+from torchid.live.estimator import Estimator
 from torchid.live.identifier import Identifier, Subject
 from torchid.live.intake import Intake
+from torchid.live.pipeline import Pipeline
 from torchid.live.pose import Follower
 from torchid.live.replay import Replay
 from torchid.outcome import Outcome
@@ -29,7 +33,8 @@ from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 
 SESSION = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=(), duration_s=4.0)
-PAUSE_S = 1.0
+WARM, LONG = 500, 6000
+"""Frames before a stopwatch is started, and of the whole stream."""
 
 
 def bench_live(seed: int, batches: tuple[int, ...] = (1, 2, 8, 32)) -> dict[str, float]:
@@ -37,31 +42,62 @@ def bench_live(seed: int, batches: tuple[int, ...] = (1, 2, 8, 32)) -> dict[str,
     with tempfile.TemporaryDirectory() as place:
         written = simulate_session(SESSION, seed, Path(place) / "recordings").config
         outcome = run_experiment(load_config(written, [f"out={place}/out", "diagnosis.enabled=false"]))
-    whole = _joined([trial for trial in outcome.session.trials.values() if trial.role == "fit"])
-    found: dict[str, float] = {f"posture in {n} [ms]": _posture_ms(outcome, whole.markers, n) for n in batches}
+    markers = _told(outcome)[0].markers
+    found: dict[str, float] = {f"posture in {n} [ms]": _posture_ms(outcome, markers, n) for n in batches}
     for name, most in (("whole block", 1), ("limb by limb", 0)):
         before, inverse_kinematics.DENSE = inverse_kinematics.DENSE, most
-        found[f"one frame, {name} [ms]"] = _posture_ms(outcome, whole.markers, 1)
+        found[f"one frame, {name} [ms]"] = _posture_ms(outcome, markers, 1)
         inverse_kinematics.DENSE = before
-    return found | _against_run(outcome, whole)
+    return found | _two_processes(outcome) | _against_run(outcome)
 
 
 def bench_recording(config: Path) -> dict[str, float]:
     """Distances of a stream's masses from those of the run on the same recordings, and of held-out forces."""
     with tempfile.TemporaryDirectory() as place:
         outcome = run_experiment(load_config(config, [f"out={place}/out", "diagnosis.enabled=false"]))
-    fit = [trial for trial in outcome.session.trials.values() if trial.role == "fit" and trial.forces is not None]
-    return _against_run(outcome, _joined(fit))
+    return _two_processes(outcome) | _against_run(outcome)
 
 
-def _joined(trials: list[Trial]) -> Trial:
-    """One after the other with a pause, as a session would be streamed."""
-    step = max(float(t.markers.time[-1]) for t in trials) + PAUSE_S
-    markers = [t.markers for t in trials]
-    time_s = torch.cat([k * step + m.time for k, m in enumerate(markers)])
-    forces = [t.forces for t in trials if t.forces is not None]
-    wrench = Forces(time_s, torch.cat([f.wrench for f in forces]), forces[0].plates)
-    return Trial("stream", Markers(markers[0].labels, time_s, torch.cat([m.position for m in markers])), wrench)
+def _told(outcome: Outcome) -> list[Trial]:
+    """Trials that told the run the inertia."""
+    return [trial for trial in outcome.session.fit("inertia").values() if trial.forces is not None]
+
+
+def _subject(outcome: Outcome) -> Subject:
+    config = outcome.config
+    weight = standing_weight(outcome.followed.values(), outcome.session, config)
+    return Subject(config, outcome.fit, outcome.prior, given_mass(config, outcome), weight, outcome.cutoff_hz)
+
+
+def _two_processes(outcome: Outcome) -> dict[str, float]:
+    """Frames a second that a stream's two processes work off, once both have begun."""
+    trial = _there_and_back(max(_told(outcome), key=lambda one: len(one.markers.time)))
+    with Pipeline(_subject(outcome), Replay(trial, float("inf"))) as pipeline:
+        pipeline.run(stop=lambda: pipeline.performance()["frames"] >= WARM)
+        _caught_up(pipeline)
+        begun, warm = time.monotonic(), pipeline.performance()["frames"]
+        pipeline.run()
+        _caught_up(pipeline)
+        return {"frames a second, two processes": (len(trial.markers.time) - warm) / (time.monotonic() - begun)}
+
+
+def _caught_up(pipeline: Pipeline) -> None:
+    while pipeline.performance()["backlog"]:
+        time.sleep(0.01)
+
+
+def _there_and_back(trial: Trial) -> Trial:
+    """A trial forwards and backwards until it is long: the laws of motion are the same."""
+    count, markers, forces = math.ceil(LONG / len(trial.markers.time)), trial.markers, trial.forces
+    assert forces is not None
+
+    def several(x: Tensor) -> Tensor:
+        return torch.cat([x.flip(0) if k % 2 else x for k in range(count)])
+
+    position, wrench = several(markers.position), several(forces.wrench)
+    time_s, own = (torch.arange(len(x)) / rate for x, rate in ((position, markers.rate), (wrench, forces.rate)))
+    return Trial(trial.name, Markers(markers.labels, time_s.double(), position),
+                 Forces(own.double(), wrench, forces.plates))  # fmt: skip
 
 
 def _posture_ms(outcome: Outcome, markers: Markers, batch: int) -> float:
@@ -73,23 +109,17 @@ def _posture_ms(outcome: Outcome, markers: Markers, batch: int) -> float:
     return 1e3 * float(np.median(took[1:]))
 
 
-def _against_run(outcome: Outcome, whole: Trial) -> dict[str, float]:
-    config = outcome.config
-    weight = standing_weight(outcome.followed.values(), outcome.session, config)
-    subject = Subject(config, outcome.fit, outcome.prior, given_mass(config, outcome), weight, outcome.cutoff_hz)
-    rate, source = next(iter(outcome.session.trials.values())).markers.rate, Replay(whole, float("inf"))
-    intake, follower = Intake(rate, rate, 0.5), Follower(outcome.fit, source.labels)
-    identifier, known = Identifier(subject, rate, source.plates, rate), 0
+def _against_run(outcome: Outcome) -> dict[str, float]:
+    """Streams the trials one after the other, each with its own markers and plates, into one estimate."""
+    subject, estimator, frames, known = _subject(outcome), None, 0, 0
     begun = time.thread_time()
-    while (packet := source.take()) is not None:
-        placed = intake.place(packet)
-        postures = follower(placed.markers)
-        known += int(postures.known.sum())
-        identifier.add(placed.index, postures, placed.sample, placed.wrench)
-    frames, spent = len(whole.markers.time), time.thread_time() - begun
+    for trial in _told(outcome):
+        identifier, own = _identifier(subject, trial, estimator)
+        estimator, frames, known = identifier.estimator, frames + len(trial.markers.time), known + own
+        live = identifier.finish()
+    spent = time.thread_time() - begun
     run = outcome.identified
     assert run is not None
-    live = identifier.finish()
     off = (live.fit.mass - run.fit.mass).abs() / run.fit.sd.phi[:, 0]
     own = [outcome.followed[name].wrench for name in outcome.session.part("heldout", "inertia")]
     unseen = [one for one in own if one is not None]
@@ -99,6 +129,21 @@ def _against_run(outcome: Outcome, whole: Trial) -> dict[str, float]:
         "segment masses from a run's, mean [sd]": float(off.mean()), "at most [sd]": float(off.max()),
         "held-out force, run [N]": force, "held-out force, stream [N]": force_live,
     }  # fmt: skip
+
+
+def _identifier(subject: Subject, trial: Trial, estimator: Estimator | None) -> tuple[Identifier, int]:
+    """What a trial has told, behind what is known already; and how many postures were known."""
+    source, known = Replay(trial, float("inf")), 0
+    intake, follower = Intake(source.rate_hz, source.force_rate_hz, 0.5), Follower(subject.fit, source.labels)
+    identifier = Identifier(subject, source.rate_hz, source.plates, source.force_rate_hz)
+    identifier.estimator = identifier.estimator if estimator is None else estimator
+    while (packet := source.take()) is not None:
+        placed = intake.place(packet)
+        postures = follower(placed.markers)
+        known += int(postures.known.sum())
+        identifier.put(placed.index, postures, placed.sample, placed.wrench)
+        identifier.work()
+    return identifier, known
 
 
 if __name__ == "__main__":

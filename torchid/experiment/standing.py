@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.config import Config
@@ -39,9 +39,11 @@ def follow_each(
         config: what the run asks for.
     """
     levels: dict[str, float] = {}
+    phi = subject_prior(config, fit).mean
     for name in sorted(session.trials, key=lambda n: session.trials[n].role != "static"):
         trial, weight = session.trials[name], _weight(levels)
-        one = follow(fit, trial, tracked(name), cutoff_hz, config, weight and short_of(fit, trial, weight, config))
+        short = weight and short_of(fit, trial, weight, phi, config)
+        one = follow(fit, trial, tracked(name), cutoff_hz, config, short)
         level = _level(one, session, config)
         if level is not None:
             levels[name] = level
@@ -75,12 +77,12 @@ def _level(one: Followed, session: Session, config: Config) -> float | None:
 
 
 def short_of(
-    fit: GeometryFit, trial: Trial, weight: Weight, config: Config
+    fit: GeometryFit, trial: Trial, weight: Weight, phi: Float[Tensor, "bodies 10"], config: Config
 ) -> Callable[[Motion], Bool[Tensor, " frames"]] | None:
-    """From a motion to the frames in which the plates miss a part of the weight, with the prior's shares of mass."""
+    """From a motion to the frames in which the plates miss a part of the weight, with the shares of mass of ``phi``."""
     if trial.forces is None:
         return None
-    vertical, phi = trial.forces.total, subject_prior(config, fit).mean
+    vertical = trial.forces.total
     known = torch.isfinite(vertical[:, 2])
 
     def short(motion: Motion) -> Bool[Tensor, " frames"]:

@@ -135,15 +135,15 @@ class Adviser:
         self._labels: list[str] = []
         self.advice: Advice | None = None
 
-    def after(self, estimator: Estimator, now_s: float, rows_s: float) -> Advice:
+    def after(self, estimator: Estimator, now_s: float, times: Sequence[float]) -> Advice:
         """Return what to do next.
 
         Args:
             estimator: with all rows so far.
             now_s: time of the stream.
-            rows_s: time of the newest rows, whose exercise is that of the advice of then.
+            times: of the estimator's blocks, whose exercise is that of the advice of then [s].
         """
-        self._labels += [self._advised(rows_s)] * (len(estimator.blocks) - len(self._labels))
+        self._labels += [self._advised(time_s) for time_s in times[len(self._labels) :]]
         found = self._promises(estimator)
         best = max(found, key=lambda one: one.worth)
         if self.advice is not None:

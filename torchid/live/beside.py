@@ -1,6 +1,7 @@
 """The identifier in a process of its own, so that it never holds up a posture."""
 
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -19,11 +20,14 @@ from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit
 from torchid.inertia.identify import Identified
 from torchid.live.advice import Account, Advice, Adviser
-from torchid.live.identifier import BLOCK_S, Identifier, Reconstructed, Subject
+from torchid.live.identifier import Identifier, Reconstructed, Subject
 from torchid.live.pose import Postures
 from torchid.live.watch import Notice
 from torchid.recording import Plate
 from torchid.snapshot import from_bytes, to_bytes
+
+THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Variables from which libraries for linear algebra read how many threads they may start."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class Beside:
         given = to_bytes((subject.fit, subject.prior, subject.weight, plates, subject.guide))
         rest = (subject.config, subject.mass, subject.cutoff_hz, rate_hz, force_rate_hz)
         self._process = context.Process(target=_serve, args=(self._jobs, theirs, given, rest), daemon=True)
-        with deaf():
+        with apart():
             self._process.start()
         theirs.close()
         self.sent = self.done = 0
@@ -92,13 +96,13 @@ class Beside:
             self.found = Found(*from_bytes(value))
             self.advice = self.found.advice
         elif what == "watched":
-            self._note(*value)
+            self._note(value)
 
-    def _note(self, now_s: float, notices: tuple[Notice, ...]) -> None:
-        self.notices = notices
-        for one in notices:
-            since, _ = self.noted.get((one.what, one.where), (now_s, now_s))
-            self.noted[one.what, one.where] = since, now_s
+    def _note(self, watched: list[tuple[float, tuple[Notice, ...]]]) -> None:
+        for now_s, self.notices in watched:
+            for one in self.notices:
+                since, _ = self.noted.get((one.what, one.where), (now_s, now_s))
+                self.noted[one.what, one.where] = since, now_s
 
     def finish(self) -> Identified:
         """Wait for all that was sent, and identify from all of it; ``account`` has what each exercise brought.
@@ -137,8 +141,27 @@ class Beside:
 
 
 @contextmanager
-def deaf() -> Iterator[None]:
-    """A process that is started here never hears Ctrl-C: it is for the parent, which says when the other is to end."""
+def apart() -> Iterator[None]:
+    """A process that is started here has one thread for its arithmetic, and never hears Ctrl-C.
+
+    Two processes whose libraries each take all cores wait for each other: a factorisation of 2 ms took 180. Ctrl-C is
+    for the parent, which says when the other is to end.
+    """
+    given = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        with _deaf():
+            yield
+    finally:
+        for name, value in given.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # only that one hears it
         yield
         return
@@ -149,31 +172,41 @@ def deaf() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
+def _waiting(jobs: Queue) -> Iterator[list[tuple]]:
+    """All that has come since, again and again, until nothing is to come."""
+    some: list[tuple | None] = []
+    while None not in some:
+        some = [jobs.get()]
+        while some[-1] is not None and not jobs.empty():
+            some.append(jobs.get())
+        yield [one for one in some if one is not None]
+
+
 def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
     torch.set_num_threads(1)
     fit, prior, weight, plates, guide = from_bytes(given)
     config, mass, cutoff_hz, rate_hz, force_rate_hz = rest
     own = Identifier(Subject(config, fit, prior, mass, weight, cutoff_hz), rate_hz, plates, force_rate_hz)
     adviser = None if guide is None else Adviser(guide, rate_hz)
-    count = 0
+    done = 0
     try:
         if adviser is not None:
-            pipe.send(("advice", to_bytes(adviser.after(own.estimator, 0.0, 0.0))))
-        while (message := jobs.get()) is not None:
-            count += 1
-            index, q, error, sample, wrench = (torch.from_numpy(np.asarray(part)) for part in message)
-            if not own.add(index, Postures(q, error), sample, wrench):
-                pipe.send(("done", count))
-                continue
-            pipe.send(("watched", (own.done_s, own.notices)))
-            if own.estimator.fit is not None:
-                newest = int(index[-1])
-                now_s = newest / rate_hz
-                advice = None if adviser is None else adviser.after(own.estimator, now_s, own.done_s - 0.5 * BLOCK_S)
-                pipe.send(("found", to_bytes((own.estimator.fit, newest, now_s, own.forces, advice))))
-            pipe.send(("done", count))
+            pipe.send(("advice", to_bytes(adviser.after(own.estimator, 0.0, own.times))))
+        for messages in _waiting(jobs):
+            for message in messages:
+                index, q, error, sample, wrench = (torch.from_numpy(np.asarray(part)) for part in message)
+                own.put(index, Postures(q, error), sample, wrench)
+            if own.work():
+                pipe.send(("watched", own.watched))
+                if own.estimator.fit is not None:
+                    now_s = own.newest / rate_hz
+                    advice = None if adviser is None else adviser.after(own.estimator, now_s, own.times)
+                    pipe.send(("found", to_bytes((own.estimator.fit, own.newest, now_s, own.forces, advice))))
+            done += len(messages)
+            pipe.send(("done", done))
         try:
             identified = own.finish()
+            pipe.send(("watched", own.watched))
             if adviser is not None:
                 pipe.send(("account", to_bytes(adviser.account(own.estimator, identified))))
             pipe.send(("end", to_bytes(identified)))

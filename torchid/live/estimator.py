@@ -49,20 +49,28 @@ class Estimator:
         self._lenient = replace(self._options, refuse=False, base_parameters=False)
         self.blocks: list[BlockSpectrum] = []
         self.whitening, self._refreshed = initial_whitening(prior.mean), 0
+        self._growing: BlockSpectrum | None = None
+        self._done: NormalEquations | None = None
         self.sums: NormalEquations | None = None
+        """Of all rows, those of the growing run included."""
         self.fit: InertiaFit | None = None
 
-    def add(self, blocks: Sequence[BlockSpectrum]) -> None:
+    def add(self, blocks: Sequence[BlockSpectrum], growing: BlockSpectrum | None = None) -> None:
         """Take in rows, and find the physical parameters that they ask for.
 
         Args:
-            blocks: runs of frames in the frequency domain.
+            blocks: runs of frames in the frequency domain, complete.
+            growing: a run that is not complete, in the place of the one that was given before.
         """
-        if not blocks:
+        if not blocks and growing is None and self._growing is None:
             return
         self.blocks += blocks
-        new = accumulate(blocks, self.whitening)
-        self.sums = new if self.sums is None else self.sums + new
+        self._growing = growing
+        if blocks:
+            self._done = _sum(self._done, accumulate(blocks, self.whitening))
+        self._total()
+        if self.sums is None:
+            return
         count = len(self.blocks)
         if self.fit is not None and (count <= EAGER or count >= GROWTH * self._refreshed):
             self._refresh(self.fit)
@@ -88,6 +96,18 @@ class Estimator:
 
     def _refresh(self, fit: InertiaFit) -> None:
         """Noise from the residuals of all blocks, and all sums under it."""
-        phi = fit.phi.reshape(-1)
-        self.whitening = estimate_whitening(((block, phi) for block in self.blocks), determined(fit))
-        self.sums, self._refreshed = accumulate(self.blocks, self.whitening), len(self.blocks)
+        phi, growing = fit.phi.reshape(-1), self._growing
+        every = self.blocks if growing is None else [*self.blocks, growing]
+        self.whitening = estimate_whitening(((block, phi) for block in every), determined(fit))
+        self._done = accumulate(self.blocks, self.whitening) if self.blocks else None
+        self._refreshed = len(self.blocks)
+        self._total()
+
+    def _total(self) -> None:
+        """Sums of what is complete and of what grows."""
+        growing = None if self._growing is None else accumulate([self._growing], self.whitening)
+        self.sums = self._done if growing is None else _sum(self._done, growing)
+
+
+def _sum(first: NormalEquations | None, second: NormalEquations) -> NormalEquations:
+    return second if first is None else first + second

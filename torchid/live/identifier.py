@@ -20,6 +20,7 @@ from torchid.geometry.tracking import Tracked
 from torchid.inertia.identify import Identified
 from torchid.io.resample import to_clock
 from torchid.live.estimator import Estimator
+from torchid.live.gather import Gatherer
 from torchid.live.guidance import Guide
 from torchid.live.pose import Postures
 from torchid.live.timeline import Timeline
@@ -27,11 +28,12 @@ from torchid.live.watch import Block, Notice, Watch
 from torchid.model.model import InertialPrior
 from torchid.outcome import Followed
 from torchid.recording import Forces, Markers, Plate, Trial
-from torchid.regressor.rows import SHORTEST, WrenchTrial, predict, runs
-from torchid.regressor.whitening import BlockSpectrum, block_spectrum
+from torchid.regressor.rows import SHORTEST, WrenchTrial, predict
 
 BLOCK_S = 1.0
 """Choice. Frames whose rows are taken together: a second holds what a body does most slowly, and is soon over."""
+MOST = 16
+"""Choice. Blocks that are worked off at once where more have come: the context is a ninth of the work then."""
 LAG_PERIODS = 3.0
 """Derived. How many periods of the filter's cut-off a frame waits for its successors: the spline's memory falls by e in
 0.27 of a period (its slowest poles are those of 1 / (1 + (f / f0)^6), ``Smoother``), so that 2e-5 of it is left."""
@@ -98,42 +100,48 @@ class Identifier:
         dofs, markers = len(subject.fit.model.tree.dofs), len(subject.fit.attachment.labels)
         self._q, self._error = Timeline((dofs,)), Timeline((markers,))
         self._wrench = Timeline((len(plates), 6))
-        self._next = 0
+        self._gatherer, self._next = Gatherer(), 0
         self.forces: Reconstructed | None = None
         """Of the last block, where it could be used."""
         self._watch = Watch(subject.fit.attachment.labels, [plate.name for plate in plates])
-        self.notices: tuple[Notice, ...] = ()
-        """What was wrong in the last block."""
+        self.times: list[float] = []
+        """Middle of each block of ``estimator`` [s]."""
+        self.watched: list[tuple[float, tuple[Notice, ...]]] = []
+        """What was wrong in each of the last blocks, by its end [s]."""
 
-    def add(
+    def put(
         self, index: Int[Tensor, " frames"], postures: Postures, sample: Int[Tensor, " samples"],
         wrench: Float[Tensor, "samples plates 6"],
-    ) -> bool:  # fmt: skip
-        """Take in what came, and identify from every block that is complete.
+    ) -> None:  # fmt: skip
+        """Take in what came.
 
         Args:
             index: numbers of the frames.
             postures: at these frames.
             sample: numbers of force samples.
             wrench: of the plates [N, N m].
-
-        Returns:
-            Whether a block was done.
         """
         self._q.put(index, postures.q)
         self._error.put(index, postures.error)
         if self._plates:
             self._wrench.put(sample, wrench)
-        done = False
-        while self._q.stop >= self._next + self._block + self._lag:
-            self._advance(self._next + self._block, self._next + self._block + self._lag)
-            done = True
-        return done
+
+    def work(self) -> bool:
+        """Identify from every block that is complete; blocks that wait are worked off together.
+
+        Returns:
+            Whether there was one.
+        """
+        begun, self.watched = self._next, []
+        while (count := (self._q.stop - self._lag - self._next) // self._block) > 0:
+            stop = self._next + min(count, MOST) * self._block
+            self._advance(stop, stop + self._lag)
+        return self._next > begun
 
     @property
-    def done_s(self) -> float:
-        """Return the time up to which rows have been made [s]."""
-        return self._next / self._rate
+    def newest(self) -> int:
+        """Return the number of the newest frame, -1 before the first."""
+        return self._q.stop - 1
 
     def finish(self) -> Identified:
         """Identify from the frames that are left, and from all rows together.
@@ -141,28 +149,36 @@ class Identifier:
         Raises:
             DataError: as ``Estimator.finished``.
         """
+        self.watched = []
         if self._q.stop > self._next:
             self._advance(self._q.stop, self._q.stop)
+        self._take(None)
         return self.estimator.finished()
 
     def _advance(self, stop: int, known: int) -> None:
         """Rows of the frames up to ``stop``, from all that is known up to another."""
         first = max(self._q.start, self._next - self._context)
-        self.forces, part = None, slice(first, known)
-        inner = slice(self._next - first, stop - first)
-        followed, vertical = self._followed(part)
-        if followed is not None and followed.wrench is not None:
-            rows = followed.wrench
-            self.estimator.add(_spectra(rows, inner))
-            self.forces = self._reconstructed(rows.frames(inner))
-        contact = None if followed is None or followed.contact is None else followed.contact.frames(inner)
-        error = self._error.get(slice(self._next, stop))
-        self.notices = self._watch.after(self._block_of(error, contact, vertical[inner]))
+        followed, vertical = self._followed(slice(first, known))
+        blocks = [slice(a, min(a + self._block, stop)) for a in range(self._next, stop, self._block)]
+        inner = [slice(block.start - first, block.stop - first) for block in blocks]
+        rows = None if followed is None else followed.wrench
+        self._take(None if rows is None else rows.frames(slice(inner[0].start, inner[-1].stop)))
+        for block, part in zip(blocks, inner, strict=True):
+            self.forces = None if rows is None else self._reconstructed(rows.frames(part))
+            contact = None if followed is None or followed.contact is None else followed.contact.frames(part)
+            notices = self._watch.after(self._block_of(self._error.get(block), contact, vertical[part]))
+            self.watched.append((block.stop / self._rate, notices))
         self._next = stop
         kept = self._next - self._context
         for line in (self._q, self._error):
             line.forget(kept)
         self._wrench.forget(round(kept / self._rate * self._force_rate))
+
+    def _take(self, rows: WrenchTrial | None) -> None:
+        """Add the rows of all frames since the last ones; None where there are none."""
+        done = self._gatherer.close() if rows is None else self._gatherer.add(rows)
+        self.times += [middle_s for middle_s, _ in done]
+        self.estimator.add([block for _, block in done], self._gatherer.open)
 
     def _block_of(
         self, error: Float[Tensor, "frames markers"], contact: Contact | None, vertical: Float[Tensor, "frames plates"]
@@ -187,7 +203,7 @@ class Identifier:
             return nothing
         trial = Trial("live", Markers((), time, q.new_zeros(len(q), 0, 3)), forces)
         who = self._subject
-        short = None if who.weight is None else short_of(who.fit, trial, who.weight, who.config)
+        short = None if who.weight is None else short_of(who.fit, trial, who.weight, who.prior.mean, who.config)
         found = follow(who.fit, trial, Tracked(time, _held(q, seen), error, seen), who.cutoff_hz, who.config, short)
         assert found.wrench is not None
         # Beside a gap, as at an end, a filter knows one side only.
@@ -211,12 +227,6 @@ class Identifier:
             return None
         own = torch.arange(part.start, part.stop, dtype=torch.float64) / self._force_rate
         return to_clock(Forces(own, wrench, self._plates), time)
-
-
-def _spectra(rows: WrenchTrial, inner: slice) -> list[BlockSpectrum]:
-    """Blocks of the used frames of a part."""
-    used = [slice(inner.start + a, inner.start + b) for a, b in runs(rows.used[inner]) if b - a >= SHORTEST]
-    return [block_spectrum(rows, part) for part in used]
 
 
 def _bridged(q: Tensor, error: Tensor, longest: int) -> tuple[Tensor, Tensor]:

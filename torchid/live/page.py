@@ -20,7 +20,7 @@ from torchid.errors import ConfigError
 from torchid.geometry.result import GeometryFit
 from torchid.kinematics.chain import chain_poses
 from torchid.live.advice import Advice
-from torchid.live.beside import Found, deaf
+from torchid.live.beside import Found, apart
 from torchid.live.board import Board
 from torchid.live.identifier import BLOCK_S, LAG_PERIODS, Subject
 from torchid.live.pipeline import Moment
@@ -96,7 +96,7 @@ class Page:
         self._process = context.Process(
             target=_serve, args=(self._pictures, self._found, theirs, given, rest), daemon=True
         )
-        with deaf():
+        with apart():
             self._process.start()
         theirs.close()
         self.address = self._opened(pipe)

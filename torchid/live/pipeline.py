@@ -132,6 +132,7 @@ class Pipeline:
 
     def performance(self) -> dict[str, Any]:
         """Return figures of speed and loss, by the keys of the line that ``torchid live`` prints."""
+        self._poll()
         counts, elapsed = self._intake.counts, time.monotonic() - self._begun
         return {
             "frames": counts.frames, "lost": counts.lost, "again": counts.again, "late": counts.late,

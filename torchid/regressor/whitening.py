@@ -121,11 +121,24 @@ def spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"] | None = N
 def block_spectrum(trial: WrenchTrial, part: slice, extra: Float[Tensor, "6 more own"] | None = None) -> BlockSpectrum:
     """One block in the frequency domain, with columns in its frames behind those of the inertial parameters."""
     Y, F = trial.rows(part)
-    frames = part.stop - part.start
-    kept = coefficients(trial, frames)
+    return spectrum(Y if extra is None else torch.cat([Y, extra], 1), F, trial.rate, trial.motion.smoother.cutoff_hz)
+
+
+def spectrum(
+    Y: Float[Tensor, "6 params frames"], F: Float[Tensor, "6 frames"], rate_hz: float, cutoff_hz: float
+) -> BlockSpectrum:
+    """Rows of frames in the frequency domain.
+
+    Args:
+        Y: regressor.
+        F: wrench.
+        rate_hz: frames per second.
+        cutoff_hz: of the filter that both have gone through.
+    """
+    frames = F.shape[1]
+    kept = _kept(frames, rate_hz, cutoff_hz)
     C = cosine_matrix(frames, kept).to(F)
-    both = [own @ C.T for own in ((Y,) if extra is None else (Y, extra))]
-    return BlockSpectrum(torch.cat(both, 1), F @ C.T, frequencies(frames, kept, trial.rate).to(F.device))
+    return BlockSpectrum(Y @ C.T, F @ C.T, frequencies(frames, kept, rate_hz).to(F.device))
 
 
 def column_spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"]) -> list[Float[Tensor, "6 more kept"]]:
@@ -139,8 +152,12 @@ def column_spectra(trial: WrenchTrial, extra: Float[Tensor, "6 more frames"]) ->
 
 def coefficients(trial: WrenchTrial, frames: int) -> int:
     """Number of those of a block that the filter lets live."""
-    cutoff = min(trial.motion.smoother.cutoff_hz * BEYOND, 0.5 * trial.rate)
-    return max(1, min(frames, math.ceil(2.0 * cutoff * frames / trial.rate)))
+    return _kept(frames, trial.rate, trial.motion.smoother.cutoff_hz)
+
+
+def _kept(frames: int, rate_hz: float, cutoff_hz: float) -> int:
+    cutoff = min(cutoff_hz * BEYOND, 0.5 * rate_hz)
+    return max(1, min(frames, math.ceil(2.0 * cutoff * frames / rate_hz)))
 
 
 def frequencies(frames: int, kept: int, rate: float) -> Float[Tensor, " kept"]:
