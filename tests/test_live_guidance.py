@@ -136,16 +136,16 @@ def test_the_account_adds_up_to_all_that_is_known(seed):
     blocks, options = recorded(guide, seed), InertiaOptions(refuse=False)
     estimator, adviser = Estimator(guide.names, guide.prior, options, guide.mass), Adviser(guide, RATE)
     times: list[float] = []
-    first = adviser.after(estimator, 0.0, times)
+    first = adviser.after(estimator, 0.0)
     assert first.gain_nats > 0.0 and first.segments and first.text
     advised = [first.name]
     for k, block in enumerate(blocks):
         estimator.add([block])
         times.append(k + 0.5)
-        advised.append(adviser.after(estimator, float(k + 1), times).name)
+        advised.append(adviser.after(estimator, float(k + 1)).name)
     assert len(set(advised)) > 1, "what is told already is not asked for again and again"
     identified = identify_spectra([blocks], guide.names, guide.prior, options, guide.mass)
-    account = adviser.account(estimator, identified)
+    account = adviser.account(estimator, identified, times)
     total = Knowledge.begin(guide.prior, guide.mass, identified.fit.omega_2)
     _, known = make_ledger(["all"] * len(blocks), blocks, identified.whitening, total)
     assert sum(one.nats for one in account.entries) == pytest.approx(known.nats, rel=1e-9)
@@ -162,13 +162,13 @@ def test_an_advice_stands_for_its_time_unless_it_has_become_useless(seed):
         Estimator(guide.names, guide.prior, InertiaOptions(refuse=False), guide.mass),
         Adviser(guide, RATE),
     )
-    first = adviser.after(estimator, 0.0, [])
-    assert adviser.after(estimator, 1.0, []) is first
+    first = adviser.after(estimator, 0.0)
+    assert adviser.after(estimator, 1.0) is first
     estimator.add(recorded(guide, seed)[:1])
     (k,) = (k for k, one in enumerate(guide.rehearsals) if one.exercise.name == first.name)
     assert estimator.sums is not None
     estimator.sums = replace(estimator.sums, gram=estimator.sums.gram + 1e6 * guide.information(noise(guide), RATE)[k])
-    assert adviser.after(estimator, 2.0, [1.5]).name != first.name
+    assert adviser.after(estimator, 2.0).name != first.name
 
 
 def test_what_is_known_calls_for_nothing_and_then_information_counts():

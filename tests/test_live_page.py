@@ -58,16 +58,16 @@ def watched(one: Connection, seconds: float) -> dict[str, int]:
 
 def moments(page: Page, seconds: float) -> int:
     """Send a trial's frames at a hundred a second; return how many."""
-    trial, follower = moving(), Follower(subject().fit, moving().markers.labels)
+    trial, fit = moving(), subject().fit
+    follower = Follower(fit, trial.markers.labels)
     postures = follower(trial.markers.frames(slice(0, 8)))
     begun, sent = time.monotonic(), 0
     while time.monotonic() - begun < seconds:
         k = sent % 8
         some = Postures(postures.q[k : k + 1], postures.error[k : k + 1])
         assert trial.forces is not None
-        page.show(
-            Moment(torch.tensor([sent]), trial.markers.frames(slice(k, k + 1)), some, trial.forces.wrench[k], None)
-        )
+        markers = trial.markers.frames(slice(k, k + 1))
+        page.show(Moment(torch.tensor([sent]), markers, some, fit, trial.forces.wrench[k], None))
         sent += 1
         time.sleep(0.01)
     return sent

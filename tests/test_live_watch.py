@@ -40,10 +40,10 @@ def offset(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
 
 
 def lost(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
-    """A marker has fallen off."""
+    """A marker falls off within the second second."""
     k = int(rng.integers(len(given.markers.labels)))
     position = given.markers.position.clone()
-    position[:, k] = torch.nan
+    position[int(rng.uniform(1.0, 2.0) * RATE) :, k] = torch.nan
     return replace(given, markers=replace(given.markers, position=position)), f"marker {given.markers.labels[k]}"
 
 
@@ -67,12 +67,11 @@ def silent(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", [offset, lost, late, silent])
 def test_what_is_wrong_is_said_within_seconds(fault: Callable, seed: int):
-    """By its name and place, in most blocks of a moving subject from the third second on."""
+    """By its name and place, before the third second of a moving subject is over."""
     given, expected = fault(np.random.default_rng(seed), moving())
     said = watched(given)
-    late_enough = [names for end, names in said if end >= 3.0]
-    hits = [any(f"{what} {where}".startswith(expected) for what, where in names) for names in late_enough]
-    assert hits and sum(hits) >= 0.5 * len(hits), (expected, said)
+    names = [f"{what} {where}" for end, some in said if end <= 3.0 for what, where in some]
+    assert any(name.startswith(expected) for name in names), (expected, said)
 
 
 @pytest.mark.slow

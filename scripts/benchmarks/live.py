@@ -3,12 +3,14 @@
 PYTHONPATH=.:scripts python -m benchmarks.live            # simulated, a new seed each time
 PYTHONPATH=.:scripts python -m benchmarks.live --seed 7
 PYTHONPATH=.:scripts python -m benchmarks.live --config configs/opencap_subject4.yaml    # a real one, against its run
+PYTHONPATH=.:scripts python -m benchmarks.live --standing --config configs/btk_flatfoot.yaml    # from standing alone
 """
 
 import argparse
 import math
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +18,23 @@ import torch
 from torch import Tensor
 
 from torchid.config import load_config
+from torchid.errors import DataError
 from torchid.experiment import run_experiment
 from torchid.experiment.fits import given_mass
 from torchid.experiment.standing import standing_weight
 from torchid.geometry.arrow import inverse_kinematics
+from torchid.geometry.tracking import track
 from torchid.live.estimator import Estimator
 from torchid.live.identifier import Identifier, Subject
 from torchid.live.intake import Intake
 from torchid.live.pipeline import Pipeline
 from torchid.live.pose import Follower
 from torchid.live.replay import Replay
+from torchid.live.run import prepare_subject
 from torchid.outcome import Outcome
 from torchid.recording import Forces, Markers, Trial
 from torchid.regressor.rows import residual_rms
+from torchid.results import OutputFolder
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 
@@ -56,6 +62,30 @@ def bench_recording(config: Path) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as place:
         outcome = run_experiment(load_config(config, [f"out={place}/out", "diagnosis.enabled=false"]))
     return _two_processes(outcome) | _against_run(outcome)
+
+
+def bench_standing(config: Path) -> dict[str, float]:
+    """The same for a config of one trial, by a geometry that begins with standing alone and is refined on line."""
+    with tempfile.TemporaryDirectory() as place:
+        own = load_config(config, [f"out={place}/out", "diagnosis.enabled=false"])
+        outcome = run_experiment(own)
+        with OutputFolder(own.out, beside=True) as folder:
+            subject, _ = prepare_subject(own, folder, lambda stage, share: None)
+    (trial,), run = _told(outcome), outcome.identified
+    assert run is not None
+    found: dict[str, float] = {}
+    for name, who in (("standing alone", replace(subject, static=None)), ("refined", subject)):
+        with Pipeline(who, Replay(trial, float("inf"))) as pipeline:
+            pipeline.run()
+            try:
+                mass = pipeline.finish().fit.mass
+            except DataError:  # no posture is known
+                mass = run.fit.mass * math.nan
+        off = (mass - run.fit.mass).abs() / run.fit.sd.phi[:, 0]
+        found[f"{name}: markers [mm]"] = 1e3 * track(pipeline.geometry[0], trial.markers).rmse
+        found[f"{name}: masses from a run's, mean [sd]"] = float(off.mean())
+        found[f"{name}: at most [sd]"] = float(off.max())
+    return found
 
 
 def _told(outcome: Outcome) -> list[Trial]:
@@ -150,9 +180,13 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
     parser.add_argument("--config", type=Path, help="a real session instead")
+    parser.add_argument("--standing", action="store_true", help="geometry of the real session from its standing trial")
     torch.set_num_threads(1)
     arguments = parser.parse_args()
     print(arguments.config or f"seed {arguments.seed}")
-    found = bench_live(arguments.seed) if arguments.config is None else bench_recording(arguments.config)
+    if arguments.config is None:
+        found = bench_live(arguments.seed)
+    else:
+        found = (bench_standing if arguments.standing else bench_recording)(Path(arguments.config))
     for what, value in found.items():
         print(f"{what:45s} {value:8.3g}")

@@ -132,18 +132,15 @@ class Adviser:
         self._whitening: Whitening | None = None
         self._information = torch.zeros(0)
         self._given: list[tuple[float, str]] = []
-        self._labels: list[str] = []
         self.advice: Advice | None = None
 
-    def after(self, estimator: Estimator, now_s: float, times: Sequence[float]) -> Advice:
+    def after(self, estimator: Estimator, now_s: float) -> Advice:
         """Return what to do next.
 
         Args:
             estimator: with all rows so far.
             now_s: time of the stream.
-            times: of the estimator's blocks, whose exercise is that of the advice of then [s].
         """
-        self._labels += [self._advised(time_s) for time_s in times[len(self._labels) :]]
         found = self._promises(estimator)
         best = max(found, key=lambda one: one.worth)
         if self.advice is not None:
@@ -154,15 +151,16 @@ class Adviser:
         self.advice = self._advice(best)
         return self.advice
 
-    def account(self, estimator: Estimator, identified: Identified) -> Account:
+    def account(self, estimator: Estimator, identified: Identified, times: Sequence[float]) -> Account:
         """Return what each interval has brought, all under the noise and the weights of the end.
 
         Args:
             estimator: with all rows.
             identified: from all rows.
+            times: of the estimator's blocks, whose exercise is that of the advice of then [s].
         """
         guide, omega_2 = self._guide, identified.fit.omega_2
-        labels = self._labels + [self._advised(float("inf"))] * (len(estimator.blocks) - len(self._labels))
+        labels = [self._advised(time_s) for time_s in times]
         begin = Knowledge.begin(guide.prior, guide.mass, omega_2)
         entries, known = make_ledger(labels, estimator.blocks, identified.whitening, begin)
         outlook = guide.outlook(guide.information(identified.whitening, self._rate_hz), omega_2)

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Int
 from torch import Tensor
 
 from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit
 from torchid.inertia.identify import Identified
 from torchid.live.advice import Account, Advice, Adviser
-from torchid.live.identifier import Identifier, Reconstructed, Subject
+from torchid.live.identifier import Reconstructed, Subject
 from torchid.live.pose import Postures
+from torchid.live.refining import Piece, Refining
 from torchid.live.watch import Notice
 from torchid.recording import Plate
 from torchid.snapshot import from_bytes, to_bytes
@@ -48,19 +48,23 @@ class Found:
 class Beside:
     """An ``Identifier`` that works beside the caller; what is sent waits in order, and results are asked for."""
 
-    def __init__(self, subject: Subject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float) -> None:
-        """Start the process; arguments are those of ``Identifier``."""
+    def __init__(
+        self, subject: Subject, labels: tuple[str, ...], rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float
+    ) -> None:  # fmt: skip
+        """Start the process; arguments are those of ``Refining``."""
         context = multiprocessing.get_context("spawn")
         # A queue, whose thread writes: neither side may wait for the other to read.
         self._jobs = context.Queue()
         self._pipe, theirs = context.Pipe(duplex=False)
-        given = to_bytes((subject.fit, subject.prior, subject.weight, plates, subject.guide))
-        rest = (subject.config, subject.mass, subject.cutoff_hz, rate_hz, force_rate_hz)
+        given = to_bytes((subject.fit, subject.prior, subject.weight, plates, subject.guide, subject.static))
+        rest = (subject.config, subject.mass, subject.cutoff_hz, labels, rate_hz, force_rate_hz)
         self._process = context.Process(target=_serve, args=(self._jobs, theirs, given, rest), daemon=True)
         with apart():
             self._process.start()
         theirs.close()
         self.sent = self.done = 0
+        self.version, self.fit, self.prior = 0, subject.fit, subject.prior
+        """Number of the newest geometry, and what it is."""
         self.found: Found | None = None
         self.notices: tuple[Notice, ...] = ()
         """What is wrong now."""
@@ -69,10 +73,10 @@ class Beside:
         self.advice: Advice | None = None
         self.account: Account | None = None
 
-    def add(self, index: Int[Tensor, " frames"], postures: Postures, sample: Tensor, wrench: Tensor) -> None:
-        """Send what came; arguments are those of ``Identifier.add``."""
-        parts = (index, postures.q, postures.error, sample, wrench)
-        self._jobs.put(tuple(part.numpy() for part in parts))
+    def add(self, piece: Piece, version: int) -> None:
+        """Send what came; arguments are those of ``Refining.put``."""
+        parts = (piece.index, piece.position, piece.postures.q, piece.postures.error, piece.sample, piece.wrench)
+        self._jobs.put((version, *(part.numpy() for part in parts)))
         self.sent += 1
         self.poll()
 
@@ -97,6 +101,9 @@ class Beside:
             self.advice = self.found.advice
         elif what == "watched":
             self._note(value)
+        elif what == "geometry":
+            self.version = self.version + 1
+            self.fit, self.prior = from_bytes(value)
 
     def _note(self, watched: list[tuple[float, tuple[Notice, ...]]]) -> None:
         for now_s, self.notices in watched:
@@ -108,7 +115,7 @@ class Beside:
         """Wait for all that was sent, and identify from all of it; ``account`` has what each exercise brought.
 
         Raises:
-            DataError: as ``Identifier.finish``; ``live.gone``.
+            DataError: as ``Refining.finish``; ``live.gone``.
         """
         self._jobs.put(None)
         what, value = self._received()
@@ -172,45 +179,70 @@ def _deaf() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _waiting(jobs: Queue) -> Iterator[list[tuple]]:
-    """All that has come since, again and again, until nothing is to come."""
+def _waiting(jobs: Queue, own: Refining) -> Iterator[list[tuple]]:
+    """All that has come since, again and again, until nothing is to come; perhaps nothing where there is work."""
     some: list[tuple | None] = []
     while None not in some:
-        some = [jobs.get()]
-        while some[-1] is not None and not jobs.empty():
+        some = [] if own.busy else [jobs.get()]
+        while None not in some and not jobs.empty():
             some.append(jobs.get())
         yield [one for one in some if one is not None]
 
 
 def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
     torch.set_num_threads(1)
-    fit, prior, weight, plates, guide = from_bytes(given)
-    config, mass, cutoff_hz, rate_hz, force_rate_hz = rest
-    own = Identifier(Subject(config, fit, prior, mass, weight, cutoff_hz), rate_hz, plates, force_rate_hz)
+    fit, prior, weight, plates, guide, static = from_bytes(given)
+    config, mass, cutoff_hz, labels, rate_hz, force_rate_hz = rest
+    subject = Subject(config, fit, prior, mass, weight, cutoff_hz, static)
+    own = Refining(subject, labels, rate_hz, plates, force_rate_hz)
     adviser = None if guide is None else Adviser(guide, rate_hz)
-    done = 0
     try:
         if adviser is not None:
-            pipe.send(("advice", to_bytes(adviser.after(own.estimator, 0.0, own.times))))
-        for messages in _waiting(jobs):
-            for message in messages:
-                index, q, error, sample, wrench = (torch.from_numpy(np.asarray(part)) for part in message)
-                own.put(index, Postures(q, error), sample, wrench)
-            if own.work():
-                pipe.send(("watched", own.watched))
-                if own.estimator.fit is not None:
-                    now_s = own.newest / rate_hz
-                    advice = None if adviser is None else adviser.after(own.estimator, now_s, own.times)
-                    pipe.send(("found", to_bytes((own.estimator.fit, own.newest, now_s, own.forces, advice))))
+            pipe.send(("advice", to_bytes(adviser.after(own.identifier.estimator, 0.0))))
+        done = 0
+        for messages in _waiting(jobs, own):
+            for version, *parts in messages:
+                own.put(_piece(*(torch.from_numpy(np.asarray(part)) for part in parts)), version)
+            _work(own, adviser, pipe, rate_hz)
             done += len(messages)
             pipe.send(("done", done))
-        try:
-            identified = own.finish()
-            pipe.send(("watched", own.watched))
-            if adviser is not None:
-                pipe.send(("account", to_bytes(adviser.account(own.estimator, identified))))
-            pipe.send(("end", to_bytes(identified)))
-        except DataError as error:
-            pipe.send(("failed", (error.code, error.message, error.found, error.remedy)))
+        _end(own, adviser, pipe)
     except (EOFError, BrokenPipeError):
         pass  # the parent is gone
+
+
+def _piece(index: Tensor, position: Tensor, q: Tensor, error: Tensor, sample: Tensor, wrench: Tensor) -> Piece:
+    return Piece(index, position, Postures(q, error), sample, wrench)
+
+
+def _work(own: Refining, adviser: Adviser | None, pipe: Connection, rate_hz: float) -> None:
+    """Identify from what has come, and say what was found."""
+    version = own.version
+    done = own.work()
+    if own.version > version:
+        pipe.send(("geometry", to_bytes((own.subject.fit, own.subject.prior))))
+    if not done:
+        return
+    known = own.identifier
+    pipe.send(("watched", known.watched))
+    if known.estimator.fit is not None:
+        now_s = known.newest / rate_hz
+        advice = None if adviser is None else adviser.after(known.estimator, now_s)
+        pipe.send(("found", to_bytes((known.estimator.fit, known.newest, now_s, known.forces, advice))))
+
+
+def _end(own: Refining, adviser: Adviser | None, pipe: Connection) -> None:
+    """Identify from all that has come, and say what was found."""
+    version = own.version
+    try:
+        identified = own.finish()
+    except DataError as error:
+        pipe.send(("failed", (error.code, error.message, error.found, error.remedy)))
+        return
+    if own.version > version:
+        pipe.send(("geometry", to_bytes((own.subject.fit, own.subject.prior))))
+    known = own.identifier
+    pipe.send(("watched", known.watched))
+    if adviser is not None:
+        pipe.send(("account", to_bytes(adviser.account(known.estimator, identified, known.times))))
+    pipe.send(("end", to_bytes(identified)))

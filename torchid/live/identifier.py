@@ -60,6 +60,8 @@ class Subject:
     """What the subject weighs, where standing on plates has told it."""
     cutoff_hz: float
     """Of the filter of motion and forces."""
+    static: Markers | None = None
+    """Standing trial from which geometry is refined while the subject moves; None keeps the geometry."""
     guide: Guide | None = None
     """Exercises from which it is told what to do next; None gives no advice."""
 

@@ -100,7 +100,7 @@ class Page:
             self._process.start()
         theirs.close()
         self.address = self._opened(pipe)
-        self._due_s, self._last, self._missed = 0.0, None, False
+        self._due_s, self._last, self._fit, self._missed = 0.0, None, subject.fit, False
         self.dropped = 0
 
     def show(self, moment: Moment) -> None:
@@ -108,6 +108,9 @@ class Page:
         if not self._process.is_alive():
             self._gone()
             return
+        if moment.fit is not self._fit:
+            self._fit = moment.fit
+            self._found.put(to_bytes(moment.fit))
         if moment.found is not None and moment.found is not self._last:
             self._last = moment.found
             self._found.put(to_bytes(moment.found))
@@ -189,8 +192,11 @@ class Show:
         self._seen_s, self._found_q = time.monotonic(), False
         self._plates: tuple[float, np.ndarray | None] = (-np.inf, None)
 
-    def found(self, some: Found) -> None:
+    def found(self, some: Found | GeometryFit) -> None:
         """Take up what the identifier has found."""
+        if isinstance(some, GeometryFit):
+            self._fit = some
+            return
         if some.forces is not None:
             rows = zip(some.forces.time.tolist(), some.forces.measured.numpy(), some.forces.predicted.numpy(),
                        strict=True)  # fmt: skip

@@ -10,14 +10,17 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import Identified
 from torchid.live.beside import Beside, Found
 from torchid.live.identifier import BLOCK_S, LAG_PERIODS, Subject
 from torchid.live.intake import Intake
 from torchid.live.pose import Follower, Postures
 from torchid.live.recorder import Recorder
+from torchid.live.refining import Piece
 from torchid.live.stream import Packet, Source
 from torchid.live.watch import Notice
+from torchid.model.model import InertialPrior
 from torchid.recording import Markers
 
 IDLE_S = 0.0005
@@ -36,6 +39,8 @@ class Moment:
     """As they came."""
     postures: Postures
     """At these frames."""
+    fit: GeometryFit
+    """By which they were found."""
     wrench: Float[Tensor, "plates 6"] | None
     """Newest reading of the plates [N, N m]."""
     found: Found | None
@@ -57,8 +62,9 @@ class Pipeline:
         """
         self._source, self._recorder, self._cutoff_hz = source, recorder, subject.cutoff_hz
         self._intake = Intake(source.rate_hz, source.force_rate_hz, LAG_PERIODS / subject.cutoff_hz)
-        self._follower = Follower(subject.fit, source.labels)
-        self._beside = Beside(subject, source.rate_hz, source.plates, source.force_rate_hz)
+        self._follower, self._version = Follower(subject.fit, source.labels), 0
+        self._beside = Beside(subject, source.labels, source.rate_hz, source.plates, source.force_rate_hz)
+        self._fit = subject.fit
         self._latency_s: list[float] = []
         self._parameters_s: list[float] = []
         self._arrived: dict[int, float] = {}
@@ -97,6 +103,11 @@ class Pipeline:
         """
         return self._beside.finish()
 
+    @property
+    def geometry(self) -> tuple[GeometryFit, InertialPrior]:
+        """Return the newest geometry, and the prior that goes with it."""
+        return self._beside.fit, self._beside.prior
+
     def guidance(self) -> dict[str, Any] | None:
         """Return what each exercise has brought, once the stream is finished; None where nobody was advised."""
         return None if self._beside.account is None else self._beside.account.table
@@ -115,16 +126,21 @@ class Pipeline:
             del self._latency_s[:-KEPT]
             self._arrived[int(placed.index[-1])] = packet.arrived_s
             wrench = placed.wrench[-1] if len(placed.wrench) else None
-            show(Moment(placed.index, placed.markers, postures, wrench, self._beside.found, self._beside.notices))
+            found, notices = self._beside.found, self._beside.notices
+            show(Moment(placed.index, placed.markers, postures, self._fit, wrench, found, notices))
         else:
             postures = Postures(torch.zeros(0, 0), torch.zeros(0, 0))
-        self._beside.add(placed.index, postures, placed.sample, placed.wrench)
+        piece = Piece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench)
+        self._beside.add(piece, self._version)
         self._poll()
         return True
 
     def _poll(self) -> None:
         """Note when parameters came that know of a frame."""
         self._beside.poll()
+        if self._version != self._beside.version:
+            self._version, self._fit = self._beside.version, self._beside.fit
+            self._follower = self._follower.refined(self._fit, self._source.labels)
         found = self._beside.found
         if found is not None and found.newest in self._arrived:
             self._parameters_s.append(time.monotonic() - self._arrived[found.newest])

@@ -68,6 +68,18 @@ class Follower:
         self._rate = torch.zeros_like(self._near)
         self._held_s, self._sought_s = -math.inf, -math.inf
 
+    def refined(self, fit: GeometryFit, labels: tuple[str, ...]) -> "Follower":
+        """Return a follower of the same stream by another geometry, from where this one is.
+
+        Args:
+            fit: geometry, places of the markers and their scatter.
+            labels: of the stream.
+        """
+        other = Follower(fit, labels)
+        other._near, other._rate = self._near, self._rate
+        other._held_s, other._sought_s = self._held_s, self._sought_s
+        return other
+
     @torch.inference_mode()  # a fifth of the time of a single frame
     def __call__(self, markers: Markers) -> Postures:
         """Follow some frames.

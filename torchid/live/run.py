@@ -16,6 +16,7 @@ from torchid.experiment.read import read_recording, read_session, read_setup
 from torchid.experiment.stages import subject_prior
 from torchid.experiment.standing import follow_each, standing_weight
 from torchid.files import file_sha256, write_json
+from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
 from torchid.inertia.identify import Identified
 from torchid.live.exercises import Possibilities
@@ -25,6 +26,7 @@ from torchid.live.pipeline import Moment, Pipeline
 from torchid.live.recorder import Recorder
 from torchid.live.replay import Replay
 from torchid.live.stream import Source
+from torchid.model.model import InertialPrior
 from torchid.outcome import Outcome
 from torchid.outcome.tables import identified_table
 from torchid.provenance import stage_key
@@ -91,8 +93,8 @@ def run_live(
             subject = guided(subject, possibilities)
         stream = _opened(source, config, speed)
         progress("live", 0.0)
-        performance, identified, guidance = _streamed(subject, stream, record, seconds, page, opened)
-        table = identified_table(replace(base, identified=identified))
+        performance, identified, guidance, (fit, prior) = _streamed(subject, stream, record, seconds, page, opened)
+        table = identified_table(replace(base, fit=fit, prior=prior, identified=identified))
         write_json(folder.path(RESULT), table)
         progress("live", 1.0)
     total = table["total_mass"]
@@ -142,7 +144,9 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     if config.inertia.refuse:
         refuse_unseen(outcome)
     weight = standing_weight(followed.values(), session, config)
-    return Subject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz), outcome
+    static = session.static
+    assert static is not None
+    return Subject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz, static.markers), outcome
 
 
 def guided(subject: Subject, possibilities: Possibilities) -> Subject:
@@ -166,7 +170,7 @@ def guided(subject: Subject, possibilities: Possibilities) -> Subject:
 def _streamed(
     subject: Subject, source: Source, record: Path | None, seconds: float,
     page: Callable[[Subject, Source], Display] | None, opened: Callable[[str], None],
-) -> tuple[dict[str, Any], Identified, dict[str, Any] | None]:  # fmt: skip
+) -> tuple[dict[str, Any], Identified, dict[str, Any] | None, tuple[GeometryFit, InertialPrior]]:  # fmt: skip
     stream = (source.labels, source.rate_hz, source.plates, source.force_rate_hz)
     with ExitStack() as stack:
         recorder = None if record is None else stack.enter_context(Recorder(record, *stream))
@@ -180,7 +184,8 @@ def _streamed(
         pipeline = stack.enter_context(Pipeline(subject, source, recorder))
         with suppress(KeyboardInterrupt):  # how a session ends that has no end of its own
             pipeline.run(seconds, show)
-        return pipeline.performance(), pipeline.finish(), pipeline.guidance()
+        performance = pipeline.performance()
+        return performance, pipeline.finish(), pipeline.guidance(), pipeline.geometry
 
 
 def _replayed(config: Config, name: str, speed: float) -> Source:

@@ -68,6 +68,8 @@ class Watch:
             plates: their names.
         """
         self._labels, self._plates = tuple(labels), tuple(plates)
+        # Many are taken off when the subject has stood: only one that was there is missed.
+        self._seen = torch.zeros(len(self._labels), dtype=torch.bool)
         self._clock: deque[tuple[float, float, float, int]] = deque(maxlen=REMEMBERED)
 
     def after(self, block: Block) -> tuple[Notice, ...]:
@@ -84,7 +86,8 @@ class Watch:
         )  # fmt: skip
 
     def _markers(self, error: Float[Tensor, "frames markers"]) -> Iterator[Notice]:
-        missing = ~torch.isfinite(error).any(0)
+        here = torch.isfinite(error).any(0)
+        missing, self._seen = self._seen & ~here, self._seen | here
         for k in missing.nonzero()[:, 0].tolist():
             yield Notice("marker", self._labels[k], f"Marker {self._labels[k]} is not seen")
 
