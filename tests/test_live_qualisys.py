@@ -251,7 +251,19 @@ def test_loads_that_cannot_be_are_said_once(server, seed, caplog, spoil, words):
     assert said(caplog, *words) and len(caplog.records) == 1
 
 
+def test_a_plate_that_sends_nothing_is_named(server, seed, caplog):
+    """Without it nothing is known of the whole force, and so nothing is handed over."""
+    session = Session(np.random.default_rng(seed), 250)
+    with opened(server) as source:
+        for k in range(250):
+            chunk = session.chunk(EACH * k, EACH * (k + 1), (0,))
+            server.send(data(k + 1, 10_000 * (k + 1), markers_part(session.markers[k]), chunk))
+        found = gather(source, at_least(250))
+    assert not len(found.forces.time) and said(caplog, "no forces of right") and len(caplog.records) == 1
+
+
 def test_forces_that_count_from_another_instant_come_with_their_frames(server, seed, caplog):
+    """And it is said."""
     session = Session(np.random.default_rng(seed), 3)
     with opened(server) as source:
         for k in range(3):
@@ -362,6 +374,7 @@ NONSENSE = {
     "no header of data": packet(qtm_server.DATA, b"\0"),
     "an unknown component": data(1, 1, packet(99, b"")),
     "other markers": data(1, 10_000, markers_part(np.ones((2, 3)))),
+    "forces anew": data(1, 10_000, markers_part(np.ones((3, 3))), forces_part([(1, 5, np.ones((2, 9)))])),
     "another plate": data(1, 10_000, markers_part(np.ones((3, 3))), forces_part([(9, 1, np.ones((2, 9)))])),
 }
 

@@ -15,6 +15,9 @@ from torchid.live.qtm_settings import Settings, fault
 PAUSE_S = 1.5 * JUMP_S
 """Choice. Between two runs: more than the jump by which a clock is known to be set, so that nothing is smoothed across,
 however the server counts and whatever the subject did meanwhile."""
+LAG_S = 0.5
+"""Choice. How far force samples may lie from the frame with which they come: chunks and the work on markers take tenths
+of a second; what lies further was counted from another instant."""
 CHECKED = 10
 """Choice. Frames after which time stamps must agree with the rate: each frame lost by then is seen in both alike."""
 PACE = 0.01
@@ -126,7 +129,7 @@ class Run:
         """How much later samples are than their numbers say: nothing, unless the numbers cannot be those of frames."""
         rate_hz, force_rate_hz = self._settings.rate_hz, self._settings.force_rate_hz
         last_s, frame_s = (number + count - 1) / force_rate_hz, self._frame / rate_hz
-        if -JUMP_S < last_s - frame_s < JUMP_S:
+        if abs(last_s - frame_s) < LAG_S:
             return 0.0
         self._say(f"force sample {number} comes with frame {self._frame}: they do not count from the same instant, and "
                   "forces are taken to be as old as the frame with which they came; they may be late")  # fmt: skip
