@@ -81,7 +81,7 @@ def run(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -
 @app.command()
 def live(
     config: ConfigFile,
-    source: Annotated[str, typer.Option(help="lsl or lsl:NAME, streams on the network; xdf:FILE; or replay:TRIAL.")],
+    source: Annotated[str, typer.Option(help="lsl or lsl:NAME; qualisys[:HOST[:PORT]]; xdf:FILE; or replay:TRIAL.")],
     speed: Annotated[float, typer.Option(min=0.01, help="Multiple of the trial's own pace; inf: without a pause.")] = 1,
     seconds: Annotated[float, typer.Option(min=0, help="Stop after so long.")] = float("inf"),
     record: Annotated[Path | None, typer.Option(help="New folder for what comes, as TRC and MOT.")] = None,

@@ -35,7 +35,7 @@ from torchid.results import OutputFolder
 CUTOFF_HZ = 6.0
 """Cited. Of the filter, where the config leaves it to recordings that have not been made yet: Winter, Biomechanics and
 Motor Control of Human Movement, 4th ed. (2009), section 3.4.4, for walking."""
-REPLAY, XDF, LSL = "replay:", "xdf:", "lsl"
+REPLAY, XDF, LSL, QUALISYS = "replay:", "xdf:", "lsl", "qualisys"
 RESULT = "live.json"
 OnStage = Callable[[str, float], None]
 
@@ -69,7 +69,8 @@ def run_live(
     Args:
         config: the subject, its static trial, and for a replay the trial itself.
         source: ``replay:TRIAL``, a trial of the config; ``lsl`` or ``lsl:NAME``, streams of Lab Streaming Layer;
-            ``xdf:FILE``, a recording of such streams.
+            ``xdf:FILE``, a recording of such streams; ``qualisys``, ``qualisys:HOST`` or ``qualisys:HOST:PORT``,
+            Qualisys Track Manager.
         speed: multiple of a recording's own pace; infinite: as fast as it is worked off.
         seconds: longest duration.
         record: folder for what comes; None keeps nothing.
@@ -204,7 +205,13 @@ def _opened(source: str, config: Config, speed: float) -> Source:
         return _replayed(config, source.removeprefix(REPLAY), speed)
     if source.startswith(XDF):
         return _extra("torchid.live.xdf").replay_xdf(Path(source.removeprefix(XDF)), speed)
+    if _is(QUALISYS, source):
+        return _extra("torchid.live.qualisys").QualisysSource(source.removeprefix(QUALISYS).removeprefix(":"))
     return _extra("torchid.live.lsl").LslSource(source.removeprefix(LSL).removeprefix(":"))
+
+
+def _is(kind: str, source: str) -> bool:
+    return source == kind or source.startswith(f"{kind}:")
 
 
 def _extra(module: str) -> ModuleType:
@@ -225,11 +232,14 @@ def _refuse_other(source: str, config: Config) -> None:
         return
     if source.startswith(XDF) and Path(source.removeprefix(XDF)).is_file():
         _extra("torchid.live.xdf")
-    elif source == LSL or source.startswith(f"{LSL}:"):
+    elif _is(LSL, source):
         _extra("torchid.live.lsl")
+    elif _is(QUALISYS, source):
+        _extra("torchid.live.qualisys").address_of(source.removeprefix(QUALISYS).removeprefix(":"))
     else:
         raise ConfigError(
             "live.source", "is no source", place="--source", found=source[:80],
-            remedy=f"Give {LSL}, {LSL}:NAME, {XDF}FILE with a file that is there, or {REPLAY}TRIAL with one of "
+            remedy=f"Give {LSL}, {LSL}:NAME, {QUALISYS}, {QUALISYS}:HOST, {QUALISYS}:HOST:PORT, {XDF}FILE with a file "
+            f"that is there, or {REPLAY}TRIAL with one of "
             + (", ".join(names) or "the trials of a config that has some"),
         )  # fmt: skip
