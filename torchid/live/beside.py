@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.errors import DataError
@@ -39,6 +39,8 @@ class Found:
     """Of the last block, where it had contacts on plates alone."""
     advice: Advice | None = None
     """What the subject is asked to do next, where it is advised."""
+    known: Float[Tensor, " bodies"] | None = None
+    """How much of each body's determined parameters is known, where the subject is advised."""
 
 
 class Beside:
@@ -170,7 +172,8 @@ def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
                 newest = int(index[-1])
                 now_s = newest / rate_hz
                 advice = None if adviser is None else adviser.after(own.estimator, now_s, own.done_s - 0.5 * BLOCK_S)
-                pipe.send(("found", to_bytes((own.estimator.fit, newest, now_s, own.forces, advice))))
+                known = None if adviser is None else adviser.share
+                pipe.send(("found", to_bytes((own.estimator.fit, newest, now_s, own.forces, advice, known))))
             pipe.send(("done", count))
         try:
             identified = own.finish()

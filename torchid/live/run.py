@@ -53,7 +53,7 @@ class Display(Protocol):
 
 def run_live(
     config: Config,
-    source: str,
+    source: str | Source,
     speed: float = 1.0,
     seconds: float = math.inf,
     record: Path | None = None,
@@ -67,7 +67,7 @@ def run_live(
     Args:
         config: the subject, its static trial, and for a replay the trial itself.
         source: ``replay:TRIAL``, a trial of the config; ``lsl`` or ``lsl:NAME``, streams of Lab Streaming Layer;
-            ``xdf:FILE``, a recording of such streams.
+            ``xdf:FILE``, a recording of such streams; or a source of the caller's own.
         speed: multiple of a recording's own pace; infinite: as fast as it is worked off.
         seconds: longest duration.
         record: folder for what comes; None keeps nothing.
@@ -83,13 +83,14 @@ def run_live(
         TorchidError: the config, its static trial or the source is at fault, a file cannot be written, or the stream
             does not support a result.
     """
-    _refuse_other(source, config)
+    if isinstance(source, str):
+        _refuse_other(source, config)
     with OutputFolder(config.out, beside=True) as folder:
         folder.claim((RESULT,))
         subject, base = prepare_subject(config, folder, progress)
         if possibilities is not None:
             subject = guided(subject, possibilities)
-        stream = _opened(source, config, speed)
+        stream = _opened(source, config, speed) if isinstance(source, str) else source
         progress("live", 0.0)
         performance, identified, guidance = _streamed(subject, stream, record, seconds, page, opened)
         table = identified_table(replace(base, identified=identified))
