@@ -70,7 +70,7 @@ def run_live(
             ``xdf:FILE``, a recording of such streams; or a source of the caller's own.
         speed: multiple of a recording's own pace; infinite: as fast as it is worked off.
         seconds: longest duration.
-        record: folder for what comes; None keeps nothing.
+        record: folder for what comes; None keeps nothing. A disk that gets full ends the recording alone.
         progress: called with stages and fractions.
         page: opens what shows the stream; None shows nothing.
         opened: called with the page's address.
@@ -181,6 +181,8 @@ def _streamed(
         pipeline = stack.enter_context(Pipeline(subject, source, recorder))
         with suppress(KeyboardInterrupt):  # how a session ends that has no end of its own
             pipeline.run(seconds, show)
+        if recorder is not None:
+            recorder.close()  # before it is said how far it goes
         return pipeline.performance(), pipeline.finish(), pipeline.guidance()
 
 
