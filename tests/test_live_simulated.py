@@ -83,7 +83,8 @@ def test_one_exercise_follows_another_without_a_leap_and_plates_bear_what_they_n
     source, packets = performed(seed, who, chosen)
     markers, time = (torch.cat([getattr(one.markers, name) for one in packets]) for name in ("position", "time"))
     wrench = torch.cat([one.forces.wrench for one in packets if one.forces is not None])
-    assert_close(time, torch.arange(len(time), dtype=torch.float64) / RATE) and len(wrench) == 10 * len(markers)
+    assert_close(time, torch.arange(len(time), dtype=torch.float64) / RATE)
+    assert len(wrench) == 10 * len(markers)
     speed = RATE * (markers[1:] - markers[:-1]).norm(dim=2).amax(1)
     assert float(speed.max()) < FASTEST_M_S
     assert [one.exercise for one in source.done] == [one.name for one in chosen]
@@ -165,7 +166,7 @@ def test_the_script_tells_the_two_demonstrations_apart(tmp_path):
 @pytest.mark.slow
 def test_the_demonstration_does_what_is_asked_and_knows_more_after_it(seed, tmp_path):
     """In a process of its own, in real time, without a page."""
-    words = ["--headless", "--seconds", "25", str(seed), "--out", str(tmp_path)]
+    words = ["--headless", "--seconds", "30", str(seed), "--out", str(tmp_path)]
     paths = os.pathsep.join([str(PROJECT), str(PROJECT / "scripts")])
     done = subprocess.run(
         [sys.executable, str(PROJECT / "scripts" / "demo_live.py"), *words], check=False, capture_output=True,
@@ -175,7 +176,8 @@ def test_the_demonstration_does_what_is_asked_and_knows_more_after_it(seed, tmp_
     assert done.returncode == 0
     asked = re.findall(r"^ *(\d+) s  asked for (\w+),", done.stdout, re.MULTILINE)
     did = re.findall(r"^ *(\d+) s  it does (\w+) for", done.stdout, re.MULTILINE)
-    assert did and [name for _, name in did] == [name for _, name in asked][: len(did)]
+    left = iter(asked)
+    assert did and all(any(name == other and int(t) >= int(since) for since, other in left) for t, name in did)
     found = re.search(r"Identified mass ([\d.]+) ± ([\d.]+) kg, in truth ([\d.]+) kg", done.stdout)
     assert found is not None
     mass, _, truth = map(float, found.groups())
