@@ -91,8 +91,9 @@ def simulate_trial(
     options = options or SimulateOptions()
     key = (seed, zlib.crc32((name or motion).encode()))
     subject = replace(subject, trial=name or motion)
-    time = with_margins(STATIC_S if motion == "static" else options.duration_s, options.rate_hz)
-    script, moving = _possible(subject, motion, time, float(time[-1]) - MARGIN_S + 1.0 / options.rate_hz, key)
+    seconds = STATIC_S if motion == "static" else options.duration_s
+    frames = round(seconds * options.rate_hz)
+    script, moving = _possible(subject, motion, with_margins(seconds, options.rate_hz), frames / options.rate_hz, key)
     simulated = record(subject, script, moving, options, role)
     return measure(subject, simulated, options, np.random.default_rng((*key, 2)))
 
