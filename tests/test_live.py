@@ -1,9 +1,13 @@
 """Identification while the subject moves finds what a run finds, and no fault of the stream spoils it."""
 
+import errno
 import functools
 import json
+import math
 import multiprocessing
+import os
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +15,7 @@ import pytest
 import small_session
 import torch
 from inertia_cases import bodies, names, prior
+from test_live_stream import limited
 from torch.testing import assert_close
 from typer.testing import CliRunner
 
@@ -19,6 +24,7 @@ from torchid.config import Config, load_config
 from torchid.config.sections import TrialFile
 from torchid.errors import ConfigError, DataError
 from torchid.experiment.fits import given_mass
+from torchid.experiment.read import read_recording, read_setup
 from torchid.experiment.standing import standing_weight
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import Identified
@@ -27,7 +33,7 @@ from torchid.io.trc import write_trc
 from torchid.live.estimator import Estimator
 from torchid.live.identifier import Identifier, Subject
 from torchid.live.intake import Intake
-from torchid.live.pipeline import Pipeline
+from torchid.live.pipeline import Moment, Pipeline
 from torchid.live.pose import Follower
 from torchid.live.replay import Replay
 from torchid.live.run import run_live
@@ -241,6 +247,55 @@ def test_the_command_streams_a_trial_and_leaves_an_estimate(tmp_path):
     truth = float(small_session.session().subject.phi[:, 0].sum())
     assert said["mass_kg"]["value"] == pytest.approx(truth, rel=0.02)
     assert (record / "live.trc").stat().st_size > 1000 and (record / "live.mot").stat().st_size > 1000
+
+
+class Shown:
+    """What a page would have been told; while it is open, no file grows beyond some bytes."""
+
+    address = ""
+
+    def __init__(self, room: AbstractContextManager[None]) -> None:
+        self.notices: set[tuple[str, str]] = set()
+        self._room = room
+
+    def show(self, moment: Moment) -> None:
+        """Keep what is said to be wrong."""
+        self.notices |= {(one.what, one.text) for one in moment.notices}
+
+    def __enter__(self) -> "Shown":
+        self._room.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._room.__exit__(None, None, None)
+
+
+@pytest.mark.slow
+def test_a_disk_that_gets_full_costs_the_recording_and_nothing_else(tmp_path, seed, caplog):
+    """The estimate is the undisturbed one, to the last digit; what was on the disk is a trial that a run reads."""
+    config = load_config(small_session.config(), [f"out={tmp_path / 'out'}"])
+    source, free = f"replay:{MOVING}", Shown(nullcontext())
+    undisturbed_ = run_live(config, source, math.inf, record=tmp_path / "whole", page=lambda *_: free)
+    estimate = (tmp_path / "out" / "live.json").read_bytes()
+    room = (tmp_path / "whole" / "live.trc").stat().st_size * np.random.default_rng(seed).uniform(0.3, 0.9)
+    caplog.clear()
+    full = Shown(limited(int(room)))
+    found = run_live(config, source, math.inf, record=tmp_path / "part", page=lambda *_: full)
+    assert (tmp_path / "out" / "live.json").read_bytes() == estimate
+    assert found["mass_kg"] == undisturbed_["mass_kg"] and found["frames"] == undisturbed_["frames"]
+    assert undisturbed_["recording"]["fault"] is None and found["recording"]["fault"] == os.strerror(errno.EFBIG)
+    said = [text for what, text in full.notices if what == "recording"]
+    assert len(said) == 1 and found["recording"]["fault"] in said[0]
+    assert not [what for what, _ in free.notices if what == "recording"]
+    assert len([one for one in caplog.records if one.name == "torchid.live.recorder"]) == 1
+    given = TrialFile(name="part", file=tmp_path / "part" / "live.trc", forces=tmp_path / "part" / "live.mot", up="z")
+    read, sent = read_recording(given, config, read_setup(config)[2]), moving()
+    frames = len(read.markers.time)
+    assert abs(frames / RATE - found["recording"]["until_s"]) < 0.1
+    assert read.forces is not None and sent.forces is not None
+    assert_close(read.markers.select(sent.markers.labels).position, sent.markers.position[:frames], atol=1e-5, rtol=0,
+                 equal_nan=True)  # fmt: skip
+    assert_close(read.forces.wrench[:, :, :3], sent.forces.wrench[: len(read.forces.time), :, :3], atol=0.01, rtol=1e-4)
 
 
 def test_what_is_no_source_is_said(tmp_path):

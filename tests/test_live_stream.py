@@ -1,13 +1,18 @@
 """Frames and samples find their places on one clock, whatever a network does to them, and are on the disk at once."""
 
+import errno
 import os
+import resource
 import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from torch.testing import assert_close
 
 from torchid.errors import InputError
 from torchid.io import ReadOptions, read_trial
@@ -182,6 +187,59 @@ def test_a_recording_reads_as_what_came(tmp_path, seed):
         recorded(tmp_path / "new", given)
     holes = read_trial("a", recorded(tmp_path / "holes", given, 7).markers, options=ReadOptions(up="z")).markers
     assert bool(torch.isnan(holes.position[7 * AT_ONCE : 8 * AT_ONCE]).all()) and len(holes.time) == 300
+
+
+@pytest.mark.parametrize("share", ["markers", "forces"])
+def test_a_disk_that_gets_full_ends_the_recording_at_its_last_whole_row(tmp_path, seed, share, caplog):
+    """The system takes no more bytes, amid a row: what came before reads as what was sent, and one warning says so."""
+    rng = np.random.default_rng(seed)
+    given, intake = trial(rng), Intake(RATE, FORCE_RATE, PATIENCE_S)
+    whole = recorded(tmp_path / "whole", given)
+    full = (whole.markers if share == "markers" else whole.forces).stat().st_size
+    recorder = Recorder(tmp_path / "r", given.markers.labels, RATE, PLATES if share == "forces" else (), FORCE_RATE)
+    with limited(int(rng.uniform(0.2, 0.9) * full)), recorder:
+        for packet in packets(given):
+            recorder.add(intake.place(packet))
+    assert recorder.fault == os.strerror(errno.EFBIG) and recorder.table["fault"] == recorder.fault
+    assert [one.levelname for one in caplog.records] == ["WARNING"] and "the stream goes on" in caplog.text
+    forces = recorder.forces if share == "forces" else None
+    found = read_trial("a", recorder.markers, forces, options=ReadOptions(up="z"))
+    frames = round(recorder.table["until_s"] * RATE)
+    assert 0 < frames <= len(found.markers.time) <= frames + AT_ONCE < len(given.markers.time)
+    assert_close(found.markers.position, given.markers.position[: len(found.markers.time)], rtol=1e-6, atol=1e-6)
+    assert recorder.markers.read_bytes() == whole.markers.read_bytes()[: recorder.markers.stat().st_size]
+    if forces is not None:
+        assert given.forces is not None and found.forces is not None
+        assert 4 * (frames - 1) < len(found.forces.time) <= 4 * frames
+        sent = given.forces.wrench[: len(found.forces.time)]
+        assert_close(found.forces.wrench, sent, rtol=1e-5, atol=1e-3)
+
+
+def test_a_recording_whose_last_flush_fails_says_so(tmp_path, seed, monkeypatch, caplog):
+    """As over a network, where a full disk is known only then: nothing is raised when the estimate is there already."""
+    given = trial(np.random.default_rng(seed))
+    recorder = recorded(tmp_path / "r", given)
+    assert recorder.fault is None
+    recorder = Recorder(tmp_path / "s", given.markers.labels, RATE, PLATES, FORCE_RATE)
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    recorder.close()
+    recorder.close()
+    assert recorder.fault == os.strerror(errno.ENOSPC) and len(caplog.records) == 1
+
+
+@contextmanager
+def limited(size: int) -> Iterator[None]:
+    """No file grows beyond so many bytes, as on a disk that is full by then."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_what_a_killed_process_had_taken_is_on_the_disk(tmp_path, seed):

@@ -133,6 +133,8 @@ class Adviser:
         self._information = torch.zeros(0)
         self._given: list[tuple[float, str]] = []
         self.advice: Advice | None = None
+        self.share = torch.zeros(0)
+        """How much of each body's determined parameters is known, once there was advice."""
 
     def after(self, estimator: Estimator, now_s: float) -> Advice:
         """Return what to do next.
@@ -174,7 +176,9 @@ class Adviser:
         known = Knowledge.begin(self._guide.prior, self._guide.mass, omega_2)
         if estimator.sums is not None:
             known = known.after(estimator.sums.gram)
-        return promises(self._guide, self._guide.outlook(self._information, omega_2), known)
+        outlook = self._guide.outlook(self._information, omega_2)
+        self.share = outlook.share(known)
+        return promises(self._guide, outlook, known)
 
     def _advised(self, time_s: float) -> str:
         """Exercise of the newest advice that was given by then."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import DataError
@@ -43,6 +44,8 @@ class Found:
     """Of the last block, where it had contacts on plates alone."""
     advice: Advice | None = None
     """What the subject is asked to do next, where it is advised."""
+    known: Float[Tensor, " bodies"] | None = None
+    """How much of each body's determined parameters is known, where the subject is advised."""
 
 
 class Beside:
@@ -228,7 +231,8 @@ def _work(own: Refining, adviser: Adviser | None, pipe: Connection, rate_hz: flo
     if known.estimator.fit is not None:
         now_s = known.newest / rate_hz
         advice = None if adviser is None else adviser.after(known.estimator, now_s)
-        pipe.send(("found", to_bytes((known.estimator.fit, known.newest, now_s, known.forces, advice))))
+        share = None if adviser is None else adviser.share
+        pipe.send(("found", to_bytes((known.estimator.fit, known.newest, now_s, known.forces, advice, share))))
 
 
 def _end(own: Refining, adviser: Adviser | None, pipe: Connection) -> None:

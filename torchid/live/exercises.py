@@ -19,6 +19,7 @@ from torchid.motion import Motion, smooth_motion
 from torchid.simulate.balance import balance
 from torchid.simulate.legs import LEG
 from torchid.simulate.motions import ARMS, QUIET, TRUNK, Range, make_script
+from torchid.simulate.script import Script
 from torchid.simulate.signals import wander
 from torchid.simulate.subject import SimulatedSubject, Sole
 
@@ -202,12 +203,31 @@ def extremes(motion: Motion) -> Float[Tensor, "postures dofs"]:
     return motion.q[chosen]
 
 
+def intended(
+    exercise: Exercise, who: SimulatedSubject, rng: np.random.Generator, time: Float[Tensor, " frames"],
+    seconds: float, effort: float,
+) -> Script:  # fmt: skip
+    """Return what one who stands intends to do in an exercise; arguments are those of ``make_script``.
+
+    Args:
+        exercise: what is to be done.
+        who: moves.
+        rng: draws the motion.
+        time: of the frames [s].
+        seconds: duration, from time zero on.
+        effort: below one it is somewhat easier.
+    """
+    script = make_script(exercise.motion, rng, who, time, seconds, effort)
+    _wander(script.angles, who, exercise.ranges, rng, time, exercise.band_hz)
+    return script
+
+
 def _standing(
     exercise: Exercise, who: SimulatedSubject, still: Mapping[str, Range], rng: np.random.Generator, time: Tensor,
     rate_hz: float, effort: float,
 ) -> Motion | None:  # fmt: skip
-    script = make_script(exercise.motion, rng, who, time, exercise.seconds, effort)
-    _wander(script.angles, who, {**exercise.ranges, **still}, rng, time, exercise.band_hz)
+    script = intended(exercise, who, rng, time, exercise.seconds, effort)
+    _wander(script.angles, who, still, rng, time, exercise.band_hz)
     moving = balance(who, script, rate_hz)
     return moving.motion if moving.miss <= ASTRAY_M else None
 

@@ -126,14 +126,19 @@ class Pipeline:
             del self._latency_s[:-KEPT]
             self._arrived[int(placed.index[-1])] = packet.arrived_s
             wrench = placed.wrench[-1] if len(placed.wrench) else None
-            found, notices = self._beside.found, self._beside.notices
-            show(Moment(placed.index, placed.markers, postures, self._fit, wrench, found, notices))
+            show(Moment(placed.index, placed.markers, postures, self._fit, wrench, self._beside.found, self._notices))
         else:
             postures = Postures(torch.zeros(0, 0), torch.zeros(0, 0))
         piece = Piece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench)
         self._beside.add(piece, self._version)
         self._poll()
         return True
+
+    @property
+    def _notices(self) -> tuple[Notice, ...]:
+        fault = None if self._recorder is None else self._recorder.fault
+        said = f"Nothing more is recorded: {fault}. The estimate goes on"
+        return self._beside.notices if fault is None else (*self._beside.notices, Notice("recording", "", said))
 
     def _poll(self) -> None:
         """Note when parameters came that know of a frame."""
@@ -164,6 +169,7 @@ class Pipeline:
                 {"what": what, "where": where, "from_s": round(since, 2), "to_s": round(until, 2)}
                 for (what, where), (since, until) in self._beside.noted.items()
             ],
+            **({} if self._recorder is None else {"recording": self._recorder.table}),
         }  # fmt: skip
 
 

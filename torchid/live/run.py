@@ -55,7 +55,7 @@ class Display(Protocol):
 
 def run_live(
     config: Config,
-    source: str,
+    source: str | Source,
     speed: float = 1.0,
     seconds: float = math.inf,
     record: Path | None = None,
@@ -70,10 +70,10 @@ def run_live(
         config: the subject, its static trial, and for a replay the trial itself.
         source: ``replay:TRIAL``, a trial of the config; ``lsl`` or ``lsl:NAME``, streams of Lab Streaming Layer;
             ``xdf:FILE``, a recording of such streams; ``qualisys``, ``qualisys:HOST`` or ``qualisys:HOST:PORT``,
-            Qualisys Track Manager.
+            Qualisys Track Manager; or a source of the caller's own.
         speed: multiple of a recording's own pace; infinite: as fast as it is worked off.
         seconds: longest duration.
-        record: folder for what comes; None keeps nothing.
+        record: folder for what comes; None keeps nothing. A disk that gets full ends the recording alone.
         progress: called with stages and fractions.
         page: opens what shows the stream; None shows nothing.
         opened: called with the page's address.
@@ -86,13 +86,14 @@ def run_live(
         TorchidError: the config, its static trial or the source is at fault, a file cannot be written, or the stream
             does not support a result.
     """
-    _refuse_other(source, config)
+    if isinstance(source, str):
+        _refuse_other(source, config)
     with OutputFolder(config.out, beside=True) as folder:
         folder.claim((RESULT,))
         subject, base = prepare_subject(config, folder, progress)
         if possibilities is not None:
             subject = guided(subject, possibilities)
-        stream = _opened(source, config, speed)
+        stream = _opened(source, config, speed) if isinstance(source, str) else source
         progress("live", 0.0)
         performance, identified, guidance, (fit, prior) = _streamed(subject, stream, record, seconds, page, opened)
         table = identified_table(replace(base, fit=fit, prior=prior, identified=identified))
@@ -185,6 +186,8 @@ def _streamed(
         pipeline = stack.enter_context(Pipeline(subject, source, recorder))
         with suppress(KeyboardInterrupt):  # how a session ends that has no end of its own
             pipeline.run(seconds, show)
+        if recorder is not None:
+            recorder.close()  # before it is said how far it goes
         performance = pipeline.performance()
         return performance, pipeline.finish(), pipeline.guidance(), pipeline.geometry
 

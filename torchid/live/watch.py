@@ -28,7 +28,7 @@ class Notice:
     """Something that a laboratory should look at."""
 
     what: str
-    """Stable name: ``posture``, ``marker``, ``unread``, ``beside``, ``offset`` or ``clock``."""
+    """Stable name: ``posture``, ``marker``, ``unread``, ``beside``, ``offset``, ``clock`` or ``recording``."""
     where: str
     """Marker, foot or plate; empty where it is the whole stream."""
     text: str

@@ -11,9 +11,9 @@ from torch import Tensor
 from torchid.errors import ConfigError
 from torchid.model.skeleton import SIDES
 from torchid.simulate.flight import COUNTERMOVEMENT, leap_height
-from torchid.simulate.script import LEFT, RIGHT, TRANSFER, Script, Stance, Step, foot_path, random_stance, weight_share
+from torchid.simulate.script import TRANSFER, Script, Step, foot_path, random_stance, weight_share
 from torchid.simulate.signals import passages, wander
-from torchid.simulate.subject import SimulatedSubject
+from torchid.simulate.subject import LEFT, RIGHT, SimulatedSubject, Stance
 
 Range = tuple[int | float, int | float]
 """Smallest and largest value of an angle [deg]."""
@@ -141,7 +141,8 @@ def sway_steps(
     while t < duration - 0.9:
         T = float(rng.uniform(0.55, 0.8))
         x, y = stance.place(side)
-        to = (x + float(rng.uniform(-0.03, 0.03)), y + float(rng.uniform(-0.01, 0.01)))
+        beside = (x + float(rng.uniform(-0.03, 0.03)), y + float(rng.uniform(-0.01, 0.01)))
+        to = (x, y) if subject.stance is not None else beside
         steps.append(Step(side, t, T, to, lift=float(rng.uniform(0.08, 0.20)), leave=0.45, land=0.15))
         t += T + float(rng.choice([rng.uniform(0.3, 0.45), rng.uniform(0.9, 1.6)], p=[0.7, 0.3]))
         side = 1 - side

@@ -13,9 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.simulate.signals import passages, wander
-from torchid.simulate.subject import SimulatedSubject, Sole
+from torchid.simulate.subject import LEFT, SimulatedSubject, Sole, Stance
 
-LEFT, RIGHT = 0, 1
 TRANSFER = 0.30
 """Time over which weight passes from one foot to the other [s]."""
 PASS = 0.20
@@ -88,21 +87,10 @@ class Script:
     """How far the longer-stretched leg may be straightened, part of its length."""
 
 
-@dataclass(frozen=True)
-class Stance:
-    """Where the feet start."""
-
-    left: tuple[float, float]
-    right: tuple[float, float]
-    toe_out: float = 0.1
-
-    def place(self, side: int) -> tuple[float, float]:
-        """Ankle of one foot [m]."""
-        return self.left if side == LEFT else self.right
-
-
 def random_stance(rng: np.random.Generator, subject: SimulatedSubject) -> Stance:
-    """Feet side by side about the origin, hips' width apart or somewhat more."""
+    """The subject's own stance, else feet side by side about the origin, hips' width apart or somewhat more."""
+    if subject.stance is not None:
+        return subject.stance
     half = 0.5 * float(subject.geometry.offset[:, 1].abs()[list(_hips(subject))].sum()) + rng.uniform(0.02, 0.05)
     x = rng.uniform(-0.10, -0.02)
     return Stance((x + rng.uniform(-0.02, 0.02), half), (x, -half), float(rng.uniform(0.02, 0.18)))

@@ -22,6 +22,7 @@ from torchid.simulate.options import SimulateOptions
 from torchid.simulate.planting import planted
 
 MARKER_SET = "simulated"
+LEFT, RIGHT = 0, 1
 SIDE_CORRELATION = 0.95
 """Between left and right lengths of one person; legs drawn independently would differ by 4 cm on average."""
 BOUND = 2.2
@@ -65,6 +66,19 @@ class Sole:
 
 
 @dataclass(frozen=True)
+class Stance:
+    """Where the feet start."""
+
+    left: tuple[float, float]
+    right: tuple[float, float]
+    toe_out: float = 0.1
+
+    def place(self, side: int) -> tuple[float, float]:
+        """Ankle of one foot [m]."""
+        return self.left if side == LEFT else self.right
+
+
+@dataclass(frozen=True)
 class SimulatedSubject:
     """The truth about a person."""
 
@@ -95,6 +109,8 @@ class SimulatedSubject:
     """Effects that nobody wrote down."""
     trial: str = ""
     """In which the person moves: some effects concern single trials."""
+    stance: Stance | None = None
+    """Where the feet stand before every motion on the spot, and after it as well; None: each motion draws its own."""
 
 
 def simulate_subject(options: SimulateOptions | None = None, seed: int = 0) -> SimulatedSubject:

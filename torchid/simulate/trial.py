@@ -91,17 +91,41 @@ def simulate_trial(
     options = options or SimulateOptions()
     key = (seed, zlib.crc32((name or motion).encode()))
     subject = replace(subject, trial=name or motion)
-    simulated = _clean_trial(subject, motion, options, key, role)
-    return _measure(subject, simulated, options, np.random.default_rng((*key, 2)))
+    seconds = STATIC_S if motion == "static" else options.duration_s
+    frames = round(seconds * options.rate_hz)
+    script, moving = _possible(subject, motion, with_margins(seconds, options.rate_hz), frames / options.rate_hz, key)
+    simulated = record(subject, script, moving, options, role)
+    return measure(subject, simulated, options, np.random.default_rng((*key, 2)))
 
 
-def _clean_trial(
-    subject: SimulatedSubject, motion: str, options: SimulateOptions, key: tuple[int, int], role: str
+def with_margins(seconds: float, rate_hz: float) -> Float[Tensor, " frames"]:
+    """Times of the frames of a trial that begins at zero, and of those before and after it that are cut away [s].
+
+    Args:
+        seconds: duration of the trial.
+        rate_hz: frames per second.
+    """
+    margin = round(MARGIN_S * rate_hz)
+    return torch.arange(-margin, round(seconds * rate_hz) + margin, dtype=torch.float64) / rate_hz
+
+
+def record(
+    subject: SimulatedSubject, script: Script, moving: Moving, options: SimulateOptions, role: str = "fit"
 ) -> SimulatedTrial:
+    """Record a motion by markers and plates without noise, and keep its truth.
+
+    Args:
+        subject: who moves; its ``trial`` names the recording.
+        script: what was intended, at the times of ``with_margins``.
+        moving: what came of it, at the same times.
+        options: rates, plates, motion of the skin.
+        role: static, fit or heldout.
+
+    Returns:
+        The recording without the margins, as plates with the subject's hidden effects read it.
+    """
     rate, margin = options.rate_hz, round(MARGIN_S * options.rate_hz)
-    frames = round((STATIC_S if motion == "static" else options.duration_s) * rate)
-    time = torch.arange(-margin, frames + margin, dtype=torch.float64) / rate
-    script, moving = _possible(subject, motion, time, frames / rate, key)
+    time, frames = script.time, len(script.time) - 2 * margin
     plates = force_plates(options.plates)
     load = share_load(subject, script, moving.wrench, plates)
     cut = slice(margin, margin + frames)
@@ -127,25 +151,39 @@ def _possible(
     subject: SimulatedSubject, motion: str, time: Tensor, duration: float, key: tuple[int, int]
 ) -> tuple[Script, Moving]:
     """Draw motions, each somewhat easier, until one is in balance, within the joints' limits and above the floor."""
-    dofs = subject.model.tree.dofs
-    low, high = (time.new_tensor([getattr(dof, side) for dof in dofs]) for side in ("lower", "upper"))
     rate = float(1.0 / (time[1] - time[0]))
     found = ""
     for attempt in range(ATTEMPTS):
         effort, rng = 1.0 - 0.07 * attempt, np.random.default_rng((*key, 1, attempt))
         script = make_script(motion, rng, subject, time, duration, effort)
         moving = balance(subject, script, rate) if script.rise is None else leap(subject, script, rate)
-        beyond = ((moving.motion.q < low) | (moving.motion.q > high)).any(0)
-        low_sole = float(lowest_sole(subject, moving.motion).min())
-        if moving.miss <= MISS and not bool(beyond.any()) and low_sole > -SINK:
+        found = impossible(subject, moving)
+        if not found:
             return script, moving
-        limits = [dof.name for dof, out in zip(dofs, beyond.tolist(), strict=True) if out]
-        found = f"centre of pressure {1e3 * moving.miss:.0f} mm off, soles at {1e3 * low_sole:.1f} mm, "
-        found += f"beyond limits: {', '.join(limits) or 'none'}"
     raise ConfigError(
         "simulate.balance", "the subject cannot do this motion in balance", place=subject.trial, found=found,
         remedy="Take another seed",
     )  # fmt: skip
+
+
+def impossible(subject: SimulatedSubject, moving: Moving) -> str:
+    """Return what keeps a person from a motion: balance, the floor, limits of joints; empty where nothing does.
+
+    Args:
+        subject: who moves.
+        moving: the motion.
+    """
+    dofs, q = subject.model.tree.dofs, moving.motion.q
+    low, high = (q.new_tensor([getattr(dof, side) for dof in dofs]) for side in ("lower", "upper"))
+    beyond = ((q < low) | (q > high)).any(0)
+    low_sole = float(lowest_sole(subject, moving.motion).min())
+    if moving.miss <= MISS and not bool(beyond.any()) and low_sole > -SINK:
+        return ""
+    limits = [dof.name for dof, out in zip(dofs, beyond.tolist(), strict=True) if out]
+    return (
+        f"centre of pressure {1e3 * moving.miss:.0f} mm off, soles at {1e3 * low_sole:.1f} mm, "
+        f"beyond limits: {', '.join(limits) or 'none'}"
+    )
 
 
 def _upsample(time: Tensor, wrench: Float[Tensor, "frames plates 6"], rate: float, frames: int) -> Tensor:
@@ -189,9 +227,17 @@ def _markers(subject: SimulatedSubject, motion: Motion, options: SimulateOptions
     return p.contiguous()
 
 
-def _measure(
+def measure(
     subject: SimulatedSubject, simulated: SimulatedTrial, options: SimulateOptions, rng: np.random.Generator
 ) -> SimulatedTrial:
+    """Return a recording with the noise and the gaps that a laboratory adds.
+
+    Args:
+        subject: whose markers they are.
+        simulated: from ``record``.
+        options: sizes of the noise.
+        rng: source of the noise.
+    """
     trial = simulated.trial
     assert trial.forces is not None
     position = noisy_markers(rng, trial.markers.position, 1e-3 * options.marker_noise_mm)
