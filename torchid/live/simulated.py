@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.live.advice import Advice
-from torchid.live.beside import deaf
+from torchid.live.beside import apart
 from torchid.live.clips import STANDING, make_clip, make_standing, stand_still
 from torchid.live.exercises import LIBRARY, Exercise
 from torchid.live.guidance import GOAL
@@ -82,7 +82,7 @@ class SimulatedSource:
     def __enter__(self) -> "SimulatedSource":
         if self._pool is None:
             self._pool = ProcessPoolExecutor(1, get_context("spawn"), _begin)
-            with deaf():
+            with apart():
                 self._pool.submit(_begin)  # a process starts with its first task, and takes seconds
         return self
 
