@@ -42,9 +42,9 @@ def refiner(who: Subject) -> Refining:
     return Refining(who, source.labels, RATE, source.plates, source.force_rate_hz)
 
 
-def worked_off(own: Refining, some: list[Piece], version: int = 0) -> None:
+def worked_off(own: Refining, some: list[Piece]) -> None:
     for piece in some:
-        own.put(piece, version)
+        own.put(piece)
         own.work()
     while own.busy:
         own.work()
@@ -76,10 +76,9 @@ def test_geometry_that_standing_has_left_wrong_is_mended_by_motion(seed, early):
     wrong_m = off_m(own)
     worked_off(own, some[: len(some) // 2])
     assert own.version == 1 and off_m(own) < 0.6 * wrong_m
-    past = sum(len(piece.index) for piece in some[: len(some) // 2])
-    assert own.identifier.newest == past - 1, "nothing is lost where one takes the place of another"
-    worked_off(own, some[len(some) // 2 :])  # followed by the old geometry, and told so
+    worked_off(own, some[len(some) // 2 :])  # followed by the old geometry, as a stream is until it hears of another
     found = own.finish()
+    assert own.identifier.newest == len(moving().markers.time) - 1
     assert own.version > 1 and off_m(own) < 1.15 * right_m()
     again = refiner(replace(own.subject, static=None))
     worked_off(again, pieces(own.subject.fit))

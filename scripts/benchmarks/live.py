@@ -25,10 +25,11 @@ from torchid.experiment.standing import standing_weight
 from torchid.geometry.arrow import inverse_kinematics
 from torchid.geometry.tracking import track
 from torchid.live.estimator import Estimator
-from torchid.live.identifier import Identifier, Subject
+from torchid.live.identifier import Subject
 from torchid.live.intake import Intake
 from torchid.live.pipeline import Pipeline
 from torchid.live.pose import Follower
+from torchid.live.refining import Piece, Refining
 from torchid.live.replay import Replay
 from torchid.live.run import prepare_subject
 from torchid.outcome import Outcome
@@ -57,17 +58,17 @@ def bench_live(seed: int, batches: tuple[int, ...] = (1, 2, 8, 32)) -> dict[str,
     return found | _two_processes(outcome) | _against_run(outcome)
 
 
-def bench_recording(config: Path) -> dict[str, float]:
+def bench_recording(config: Path, overrides: list[str]) -> dict[str, float]:
     """Distances of a stream's masses from those of the run on the same recordings, and of held-out forces."""
     with tempfile.TemporaryDirectory() as place:
-        outcome = run_experiment(load_config(config, [f"out={place}/out", "diagnosis.enabled=false"]))
+        outcome = run_experiment(load_config(config, [f"out={place}/out", "diagnosis.enabled=false", *overrides]))
     return _two_processes(outcome) | _against_run(outcome)
 
 
-def bench_standing(config: Path) -> dict[str, float]:
+def bench_standing(config: Path, overrides: list[str]) -> dict[str, float]:
     """The same for a config of one trial, by a geometry that begins with standing alone and is refined on line."""
     with tempfile.TemporaryDirectory() as place:
-        own = load_config(config, [f"out={place}/out", "diagnosis.enabled=false"])
+        own = load_config(config, [f"out={place}/out", "diagnosis.enabled=false", *overrides])
         outcome = run_experiment(own)
         with OutputFolder(own.out, beside=True) as folder:
             subject, _ = prepare_subject(own, folder, lambda stage, share: None)
@@ -144,9 +145,9 @@ def _against_run(outcome: Outcome) -> dict[str, float]:
     subject, estimator, frames, known = _subject(outcome), None, 0, 0
     begun = time.thread_time()
     for trial in _told(outcome):
-        identifier, own = _identifier(subject, trial, estimator)
-        estimator, frames, known = identifier.estimator, frames + len(trial.markers.time), known + own
-        live = identifier.finish()
+        own, followed = _identifier(subject, trial, estimator)
+        estimator, frames, known = own.identifier.estimator, frames + len(trial.markers.time), known + followed
+        live = own.finish()
     spent = time.thread_time() - begun
     run = outcome.identified
     assert run is not None
@@ -161,25 +162,26 @@ def _against_run(outcome: Outcome) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _identifier(subject: Subject, trial: Trial, estimator: Estimator | None) -> tuple[Identifier, int]:
-    """What a trial has told, behind what is known already; and how many postures were known."""
+def _identifier(subject: Subject, trial: Trial, estimator: Estimator | None) -> tuple[Refining, int]:
+    """What a trial has told, behind what is known already; and how many postures were known at once."""
     source, known = Replay(trial, float("inf")), 0
     intake, follower = Intake(source.rate_hz, source.force_rate_hz, 0.5), Follower(subject.fit, source.labels)
-    identifier = Identifier(subject, source.rate_hz, source.plates, source.force_rate_hz)
-    identifier.estimator = identifier.estimator if estimator is None else estimator
+    own = Refining(subject, source.labels, source.rate_hz, source.plates, source.force_rate_hz)
+    own.identifier.estimator = own.identifier.estimator if estimator is None else estimator
     while (packet := source.take()) is not None:
         placed = intake.place(packet)
         postures = follower(placed.markers)
         known += int(postures.known.sum())
-        identifier.put(placed.index, postures, placed.sample, placed.wrench)
-        identifier.work()
-    return identifier, known
+        own.put(Piece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench))
+        own.work()
+    return own, known
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
     parser.add_argument("--config", type=Path, help="a real session instead")
+    parser.add_argument("overrides", nargs="*", help="key=value of the config")
     parser.add_argument("--standing", action="store_true", help="geometry of the real session from its standing trial")
     torch.set_num_threads(1)
     arguments = parser.parse_args()
@@ -187,6 +189,6 @@ if __name__ == "__main__":
     if arguments.config is None:
         found = bench_live(arguments.seed)
     else:
-        found = (bench_standing if arguments.standing else bench_recording)(Path(arguments.config))
+        found = (bench_standing if arguments.standing else bench_recording)(Path(arguments.config), arguments.overrides)
     for what, value in found.items():
         print(f"{what:45s} {value:8.3g}")

@@ -76,10 +76,10 @@ class Beside:
         self.advice: Advice | None = None
         self.account: Account | None = None
 
-    def add(self, piece: Piece, version: int) -> None:
+    def add(self, piece: Piece) -> None:
         """Send what came; arguments are those of ``Refining.put``."""
         parts = (piece.index, piece.position, piece.postures.q, piece.postures.error, piece.sample, piece.wrench)
-        self._jobs.put((version, *(part.numpy() for part in parts)))
+        self._jobs.put(tuple(part.numpy() for part in parts))
         self.sent += 1
         self.poll()
 
@@ -204,8 +204,8 @@ def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
             pipe.send(("advice", to_bytes(adviser.after(own.identifier.estimator, 0.0))))
         done = 0
         for messages in _waiting(jobs, own):
-            for version, *parts in messages:
-                own.put(_piece(*(torch.from_numpy(np.asarray(part)) for part in parts)), version)
+            for message in messages:
+                own.put(_piece(*(torch.from_numpy(np.asarray(part)) for part in message)))
             _work(own, adviser, pipe, rate_hz)
             done += len(messages)
             pipe.send(("done", done))

@@ -141,6 +141,11 @@ class Identifier:
         return self._next > begun
 
     @property
+    def due(self) -> int:
+        """Return the number of frames with which the next block is complete."""
+        return self._next + self._block + self._lag
+
+    @property
     def newest(self) -> int:
         """Return the number of the newest frame, -1 before the first."""
         return self._q.stop - 1

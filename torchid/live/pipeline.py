@@ -130,7 +130,7 @@ class Pipeline:
         else:
             postures = Postures(torch.zeros(0, 0), torch.zeros(0, 0))
         piece = Piece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench)
-        self._beside.add(piece, self._version)
+        self._beside.add(piece)
         self._poll()
         return True
 

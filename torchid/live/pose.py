@@ -20,6 +20,9 @@ TOLERANCE = 1e-2
 a coordinate by three hundredths of its standard deviation."""
 STEPS = 6
 """Choice. Most steps of a frame from the posture before it: on recordings three are enough from frame to frame."""
+MENDING_TOLERANCE, MENDING_STEPS = 1e-4, 40
+"""Choice. The same where many frames are solved at once, and nobody waits: as for a recording but for what masses do
+not show."""
 ASTRAY_SD, ASTRAY_M = 6.0, 0.05
 """Choice. Distance from the model beyond which a marker is no witness of the posture: in the scatter of its fit, and at
 least as far as skin slides where a standing trial alone has told the geometry."""
@@ -105,6 +108,25 @@ class Follower:
             self._keep(q[:, known], markers.time[known])
         q = torch.where(known, q, self._near[:, None])
         return Postures(q.T, torch.where(known, error, torch.nan).T)
+
+    @torch.inference_mode()
+    def mended(self, markers: Markers, q: Float[Tensor, "frames dofs"]) -> Postures:
+        """Find postures once more, as a run does: by least squares, then by the robust loss, each to its end.
+
+        From frame to frame a robust loss keeps to the markers that it has given up, and is never quite there.
+
+        Args:
+            markers: of the stream.
+            q: postures that are nearly right.
+        """
+        target, seen = self._targets(markers)
+        weight = (seen / self._fit.sigma.square()[:, None]).contiguous()
+        problem, found = replace(self._problem, target=target, weight=weight), q.T.contiguous()
+        for loss in (None, problem.robust):
+            some = replace(problem, robust=loss)
+            found = solve_poses(some, found, self._fit.xi, MENDING_STEPS, MENDING_TOLERANCE, self._prepared)[0]
+        error, known = self._judged(problem, found)
+        return Postures(torch.where(known, found, q.T).T, torch.where(known, error, torch.nan).T)
 
     def _expected(self, time: Float[Tensor, " frames"]) -> Float[Tensor, "dofs frames"]:
         """Postures from the last one on, at its rate for as long as that is worth something."""

@@ -25,9 +25,7 @@ squats halve the distance of markers that standing alone leaves, and an hour is 
 FRAMES = 150
 """Choice. Frames of the motion in a fit: it takes two seconds, and twice as many move no marker by a millimetre."""
 SLICE = 512
-"""Choice. Frames that are identified anew between two messages: the stream's own block is never half a second late."""
-MORE = 1.25
-"""Choice. So many times the frames of the last fit are worth another one when the stream ends."""
+"""Choice. Frames that are identified anew between two blocks of the stream, which is never late by half a second."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class Piece:
 
 
 class Refining:
-    """An ``Identifier`` whose geometry is fitted to more and more of the motion.
+    """An ``Identifier`` whose postures are mended, and whose geometry is fitted to more and more of the motion.
 
     A new geometry means other postures, so that all that came is followed and identified anew, beside the stream and a
     slice at a time; what is known by the old geometry stands until then. One that brings the markers no nearer to the
@@ -66,34 +64,37 @@ class Refining:
             plates: force plates.
             force_rate_hz: samples per second.
         """
-        self._labels, self._rate, self._stream = labels, rate_hz, (rate_hz, plates, force_rate_hz)
-        self.subject, self.identifier = subject, Identifier(subject, *self._stream)
+        self._stream = labels, rate_hz, plates, force_rate_hz
+        self._by, self._next = By(subject, *self._stream), None
+        self._waiting: list[Piece] = []
+        self._past: list[Piece] = []
+        self._due = FIRST_S * rate_hz if subject.static is not None else math.inf
+        self._known = self._fitted = 0
         self.version = 0
         """Number of geometries that have been put in place of one before."""
-        self._due = FIRST_S * rate_hz if subject.static is not None else math.inf
-        self._past: list[Piece] = []
-        self._known = self._fitted = 0
-        self._next: _Anew | None = None
-        self._follower: Follower | None = None
+
+    @property
+    def subject(self) -> Subject:
+        """Return the subject, with its newest geometry."""
+        return self._by.subject
+
+    @property
+    def identifier(self) -> Identifier:
+        """Return what identifies by that geometry."""
+        return self._by.identifier
 
     @property
     def busy(self) -> bool:
         """Return whether there is something to do although nothing has come."""
         return self._next is not None
 
-    def put(self, piece: Piece, version: int) -> None:
+    def put(self, piece: Piece) -> None:
         """Take in what came.
 
         Args:
-            piece: frames and samples.
-            version: of the geometry that the postures are of.
+            piece: frames with postures that are nearly right, and samples.
         """
-        if version != self.version and self._follower is not None and len(piece.index):
-            piece = replace(piece, postures=self._follower(self._markers(piece)))
-        self.identifier.put(piece.index, piece.postures, piece.sample, piece.wrench)
-        if math.isfinite(self._due):
-            self._past.append(piece)
-            self._known += int(piece.postures.known.sum())
+        self._waiting.append(piece)
 
     def work(self) -> bool:
         """Identify from every block that is complete, and go on with a new geometry where one is due.
@@ -101,9 +102,10 @@ class Refining:
         Returns:
             Whether there was a block.
         """
-        done = self.identifier.work()
+        newest = max((int(piece.index.max()) for piece in self._waiting if len(piece.index)), default=-1)
+        done = newest + 1 >= self.identifier.due and self._mend()
         if self._next is not None:
-            self._go_on(SLICE)
+            self._go_on(self._next)
         elif self._known >= self._due:
             self._begin()
         return done
@@ -114,75 +116,98 @@ class Refining:
         Raises:
             DataError: as ``Identifier.finish``.
         """
-        if self._next is None and math.isfinite(self._due) and self._known > MORE * self._fitted:
+        self._mend()
+        while self._next is not None:
+            self._go_on(self._next)
+        if math.isfinite(self._due) and self._known > self._fitted:
             self._begin()
         while self._next is not None:
-            self._go_on(SLICE)
+            self._go_on(self._next)
         return self.identifier.finish()
+
+    def _mend(self) -> bool:
+        """Mend all postures that wait, in one batch, and identify from what is complete."""
+        waiting, self._waiting = self._waiting, []
+        if waiting:
+            piece = self._by.take(joined(waiting))
+            if math.isfinite(self._due):
+                self._past.append(piece)
+                self._known += int(piece.postures.known.sum())
+        return self.identifier.work()
 
     def _begin(self) -> None:
         """Fit the geometry, and be ready to identify anew."""
         self._due, self._fitted = 2.0 * self._due, self._known
         try:
-            subject = refined(self.subject, self._past, self._labels)
+            self._next = By(refined(self.subject, self._past, self._stream[0]), *self._stream)
         except TorchidError as error:
             log.warning("geometry stays as it was: %s", error)
-            return
-        self._next = _Anew(Identifier(subject, *self._stream), subject, Follower(subject.fit, self._labels))
 
-    def _go_on(self, frames: int) -> None:
+    def _go_on(self, anew: "By") -> None:
         """Identify some frames anew; the last ones settle whether the new geometry is the better one."""
-        anew, stop = self._next, 0
-        assert anew is not None
-        while anew.done < len(self._past) and stop < frames:
-            piece = self._past[anew.done]
-            anew.put(piece, self._markers(piece))
-            stop += len(piece.index)
+        frames = 0
+        while len(anew.past) < len(self._past) and frames < SLICE:
+            piece = anew.take(self._past[len(anew.past)])
+            anew.past.append(piece)
+            frames += len(piece.index)
         anew.identifier.work()
-        if anew.done < len(self._past):
+        if len(anew.past) < len(self._past):
             return
         self._next = None
-        if anew.after < anew.before:
-            log.info("markers are %.1f mm from the refined model, %.1f before", 1e3 * anew.after, 1e3 * anew.before)
-            self.subject, self.identifier, self._follower = anew.subject, anew.identifier, anew.follower
-            self.version, self._past = self.version + 1, anew.past
+        before_m, after_m = _distances(self._past, anew.past)
+        if after_m < before_m:
+            log.info("markers are %.1f mm from the refined model, %.1f before", 1e3 * after_m, 1e3 * before_m)
+            self._by, self._past, self.version = anew, anew.past, self.version + 1
             self.identifier.watched = []  # of the past
-        if self._due > LAST_S * self._rate:
+        if self._due > LAST_S * self._stream[1]:
             self._due, self._past = math.inf, []
 
-    def _markers(self, piece: Piece) -> Markers:
-        return Markers(self._labels, piece.index.to(piece.position) / self._rate, piece.position)
 
+class By:
+    """What is found by one geometry."""
 
-class _Anew:
-    """A new geometry, and how far it has come in the past."""
-
-    def __init__(self, identifier: Identifier, subject: Subject, follower: Follower) -> None:
-        self.identifier, self.subject, self.follower = identifier, subject, follower
+    def __init__(
+        self, subject: Subject, labels: tuple[str, ...], rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float
+    ) -> None:  # fmt: skip
+        """Begin with nothing; arguments are those of ``Refining``."""
+        self.subject, self._labels, self._rate = subject, labels, rate_hz
+        self.identifier = Identifier(subject, rate_hz, plates, force_rate_hz)
+        self._follower = Follower(subject.fit, labels)
         self.past: list[Piece] = []
-        self._square, self._count = torch.zeros(2, dtype=torch.float64), 0
+        """What was taken again, from the stream's beginning on."""
 
-    @property
-    def done(self) -> int:
-        return len(self.past)
+    def take(self, piece: Piece) -> Piece:
+        """Hand a piece to the identifier, and return it with postures by this geometry.
 
-    @property
-    def before(self) -> float:
-        return math.sqrt(float(self._square[0]) / max(self._count, 1))
-
-    @property
-    def after(self) -> float:
-        return math.sqrt(float(self._square[1]) / max(self._count, 1))
-
-    def put(self, piece: Piece, markers: Markers) -> None:
-        old = piece.postures
+        Args:
+            piece: with postures that are nearly right.
+        """
         if len(piece.index):
-            piece = replace(piece, postures=self.follower(markers))
-            both = torch.isfinite(old.error) & torch.isfinite(piece.postures.error)
-            errors = torch.stack([old.error[both], piece.postures.error[both]])
-            self._square, self._count = self._square + errors.square().sum(1), self._count + int(both.sum())
-        self.past.append(piece)
+            markers = Markers(self._labels, piece.index.to(piece.position) / self._rate, piece.position)
+            piece = replace(piece, postures=self._follower.mended(markers, piece.postures.q))
         self.identifier.put(piece.index, piece.postures, piece.sample, piece.wrench)
+        return piece
+
+
+def joined(pieces: Sequence[Piece]) -> Piece:
+    """Return all that came with several messages as one.
+
+    Args:
+        pieces: one at least.
+    """
+    some = [piece for piece in pieces if len(piece.index)]
+    some = some or list(pieces[:1])
+    return Piece(
+        torch.cat([one.index for one in some]), torch.cat([one.position for one in some]),
+        Postures(torch.cat([one.postures.q for one in some]), torch.cat([one.postures.error for one in some])),
+        torch.cat([one.sample for one in pieces]), torch.cat([one.wrench for one in pieces]),
+    )  # fmt: skip
+
+
+def _distances(before: Sequence[Piece], after: Sequence[Piece]) -> list[float]:
+    """Root mean square distances of markers from two models, in frames that are known by both [m]."""
+    errors = torch.stack([torch.cat([one.postures.error.reshape(-1) for one in some]) for some in (before, after)])
+    return errors[:, torch.isfinite(errors).all(0)].square().mean(1).sqrt().tolist()
 
 
 def refined(subject: Subject, past: Sequence[Piece], labels: tuple[str, ...]) -> Subject:
