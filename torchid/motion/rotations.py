@@ -50,11 +50,20 @@ def continuous_quaternion(R: Float[Tensor, "frames 3 3"]) -> Float[Tensor, "fram
 
 def turns_to_rotation(turns: Sequence[Turn], q: Float[Tensor, "frames turns"]) -> Float[Tensor, "frames 3 3"]:
     """Product of the turns."""
-    R = torch.eye(3, dtype=q.dtype, device=q.device).expand(len(q), 3, 3)
-    for k, turn in enumerate(turns):
-        unit = q.new_zeros(3)
-        unit[turn.axis] = turn.sign
-        R = R @ roma.rotvec_to_rotmat(q[:, k, None] * unit)
+    R = _about_axis(turns[0], q[:, 0])
+    for k, turn in enumerate(turns[1:], start=1):
+        R = R @ _about_axis(turn, q[:, k])
+    return R
+
+
+def _about_axis(turn: Turn, angle: Float[Tensor, " frames"]) -> Float[Tensor, "frames 3 3"]:
+    """Rotation about an axis of the frame: roma's, of any vector, takes ten times as long for few frames."""
+    k, i, j = (int(turn.axis + n) % 3 for n in range(3))
+    sine, cosine = turn.sign * torch.sin(angle), torch.cos(angle)
+    R = angle.new_zeros(len(angle), 3, 3)
+    R[:, k, k] = 1.0
+    R[:, i, i] = R[:, j, j] = cosine
+    R[:, j, i], R[:, i, j] = sine, -sine
     return R
 
 
@@ -76,11 +85,9 @@ def joint_rates(
     turns: Sequence[Turn], q: Float[Tensor, "frames 3"], moving: AngularMotion
 ) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3"]]:
     """Rates and accelerations of the angles that reproduce the angular motion (damped at the pole)."""
-    axes = []
     R = torch.eye(3, dtype=q.dtype, device=q.device).expand(len(q), 3, 3)
-    for k, turn in enumerate(turns):
-        axes.append(turn.sign * R[:, :, turn.axis])
-        R = turns_to_rotation(turns[: k + 1], q[:, : k + 1])
+    before = [R, *(turns_to_rotation(turns[:k], q[:, :k]) for k in range(1, len(turns)))]
+    axes = [turn.sign * R[:, :, turn.axis] for turn, R in zip(turns, before, strict=True)]
     S = torch.stack(axes, dim=2)
     v = _solve(S, moving.w)
     a0, a1, a2 = (axes[k] * v[:, k, None] for k in range(3))
