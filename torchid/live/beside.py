@@ -57,11 +57,11 @@ class Beside:
         """Start the process; arguments are those of ``Refining``."""
         context = multiprocessing.get_context("spawn")
         # A queue, whose thread writes: neither side may wait for the other to read.
-        self._jobs = context.Queue()
+        self._jobs, self._put = context.Queue(), context.Value("Q", 0, lock=False)
         self._pipe, theirs = context.Pipe(duplex=False)
         given = to_bytes((subject.fit, subject.prior, subject.weight, plates, subject.guide, subject.static))
         rest = (subject.config, subject.mass, subject.cutoff_hz, labels, rate_hz, force_rate_hz)
-        self._process = context.Process(target=_serve, args=(self._jobs, theirs, given, rest), daemon=True)
+        self._process = context.Process(target=_serve, args=(self._jobs, self._put, theirs, given, rest), daemon=True)
         with apart():
             self._process.start()
         theirs.close()
@@ -79,9 +79,14 @@ class Beside:
     def add(self, piece: Piece) -> None:
         """Send what came; arguments are those of ``Refining.put``."""
         parts = (piece.index, piece.position, piece.postures.q, piece.postures.error, piece.sample, piece.wrench)
-        self._jobs.put(tuple(part.numpy() for part in parts))
+        self._send(tuple(part.numpy() for part in parts))
         self.sent += 1
         self.poll()
+
+    def _send(self, message: tuple | None) -> None:
+        """Put a message into the queue, and count it: its pipe holds two, so that nobody sees how many wait."""
+        self._jobs.put(message)
+        self._put.value += 1
 
     def poll(self) -> None:
         """Take in what the process has found since; ``found``, ``advice`` and ``done`` have it.
@@ -120,7 +125,7 @@ class Beside:
         Raises:
             DataError: as ``Refining.finish``; ``live.gone``.
         """
-        self._jobs.put(None)
+        self._send(None)
         what, value = self._received()
         while what not in ("end", "failed"):
             self._keep(what, value)
@@ -182,17 +187,18 @@ def _deaf() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _waiting(jobs: Queue, own: Refining) -> Iterator[list[tuple]]:
+def _waiting(jobs: Queue, put: Any, own: Refining) -> Iterator[list[tuple]]:
     """All that has come since, again and again, until nothing is to come; perhaps nothing where there is work."""
     some: list[tuple | None] = []
+    taken = 0
     while None not in some:
-        some = [] if own.busy else [jobs.get()]
-        while None not in some and not jobs.empty():
-            some.append(jobs.get())
+        some = [jobs.get() for _ in range(put.value - taken)]
+        some = some if some or own.busy else [jobs.get()]
+        taken += len(some)
         yield [one for one in some if one is not None]
 
 
-def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
+def _serve(jobs: Queue, put: Any, pipe: Connection, given: bytes, rest: tuple) -> None:
     torch.set_num_threads(1)
     fit, prior, weight, plates, guide, static = from_bytes(given)
     config, mass, cutoff_hz, labels, rate_hz, force_rate_hz = rest
@@ -203,7 +209,7 @@ def _serve(jobs: Queue, pipe: Connection, given: bytes, rest: tuple) -> None:
         if adviser is not None:
             pipe.send(("advice", to_bytes(adviser.after(own.identifier.estimator, 0.0))))
         done = 0
-        for messages in _waiting(jobs, own):
+        for messages in _waiting(jobs, put, own):
             for message in messages:
                 own.put(_piece(*(torch.from_numpy(np.asarray(part)) for part in message)))
             _work(own, adviser, pipe, rate_hz)
