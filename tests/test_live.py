@@ -23,6 +23,7 @@ from torchid.cli import app
 from torchid.config import Config, load_config
 from torchid.config.sections import TrialFile
 from torchid.errors import ConfigError, DataError
+from torchid.experiment import run_experiment
 from torchid.experiment.fits import given_mass
 from torchid.experiment.read import read_recording, read_setup
 from torchid.experiment.standing import standing_weight
@@ -36,12 +37,13 @@ from torchid.live.intake import Intake
 from torchid.live.pipeline import Moment, Pipeline
 from torchid.live.pose import Follower
 from torchid.live.replay import AT_ONCE, Replay
-from torchid.live.run import run_live
+from torchid.live.run import prepare_subject, run_live
 from torchid.live.stream import Packet
 from torchid.recording import Forces, Markers, Trial
 from torchid.regressor.equations import NormalEquations
 from torchid.regressor.rows import SHORTEST, WrenchTrial, runs
 from torchid.regressor.whitening import BlockSpectrum, accumulate, block_spectrum
+from torchid.results import OutputFolder
 
 MOVING, RATE = "squats", 100.0
 
@@ -180,12 +182,55 @@ def test_blocks_that_come_one_by_one_give_the_batch_solution(seed):
     order = rng.permutation(len(blocks)).tolist()
     while order:
         some, order = order[: (n := int(rng.integers(1, 4)))], order[n:]
-        estimator.add([blocks[k] for k in some])
+        estimator.add([(float(k), blocks[k]) for k in some])
     options = replace(who.config.inertia, noise="known", refuse=False, base_parameters=False)
     batch = fit_inertia(accumulate(blocks, estimator.whitening), o.prior, names_, options, mass=who.mass)
     assert estimator.fit is not None
     assert_close(estimator.fit.phi, batch.phi, rtol=1e-8, atol=1e-8 * float(batch.phi.abs().max()))
     assert_close(estimator.fit.covariance, batch.covariance, rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_finished_run_gives_its_geometry(tmp_path):
+    """As long as its files and options are the stream's; otherwise standing does, whatever lies in the folder."""
+    config = load_config(small_session.config(), [f"out={tmp_path / 'out'}", "diagnosis.enabled=false"])
+    before = run_live(config, f"replay:{MOVING}", math.inf)
+    run = run_experiment(config)
+    after = run_live(config, f"replay:{MOVING}", math.inf)
+    assert (before["geometry"], after["geometry"]) == ("static", "run")
+    with OutputFolder(config.out, beside=True) as folder:
+        found, _ = prepare_subject(config, folder, lambda stage, share: None)
+    assert torch.equal(found.fit.xi, run.fit.xi) and found.static is None
+    other = load_config(small_session.config(), [f"out={tmp_path / 'out'}", "seed=1"])
+    assert run_live(other, f"replay:{MOVING}", math.inf)["geometry"] == "static"
+
+
+@pytest.mark.slow
+def test_with_a_half_life_old_rows_count_less(seed):
+    """The estimate is the batch solution of weighted rows, and goes with a body that has taken up a load."""
+    o, who, rng = small_session.outcome(), subject(), np.random.default_rng(seed)
+    names_, half_life_s = o.fit.model.tree.names, float(rng.uniform(5.0, 15.0))
+    blocks = [block for one in o.followed.values() if one.wrench is not None for block in pieces(one.wrench)]
+    before = o.prior.mean.reshape(-1)
+    after = before.clone()
+    load = float(rng.uniform(3.0, 8.0))
+    after[0] += load
+    rows = [replace(one, F=before @ one.Y) for one in blocks * 4] + [
+        replace(one, F=after @ one.Y) for one in blocks * 4
+    ]
+    estimator = Estimator(names_, o.prior, who.config.inertia, None, None, half_life_s)
+    for k, one in enumerate(rows):
+        estimator.add([(k + 0.5, one)], None, k + 1.0)
+    weighted = [
+        accumulate([one], estimator.whitening).faded(0.5 ** ((len(rows) - k - 0.5) / half_life_s))
+        for k, one in enumerate(rows)
+    ]
+    options = replace(who.config.inertia, noise="known", refuse=False, base_parameters=False)
+    batch = fit_inertia(sum(weighted[1:], weighted[0]), o.prior, names_, options)
+    found = estimator.finished()
+    assert_close(found.fit.phi, batch.phi, rtol=1e-8, atol=1e-8 * float(batch.phi.abs().max()))
+    gone = 0.5 ** (4 * len(blocks) / half_life_s)
+    assert abs(float(found.fit.mass.sum() - o.prior.mean[:, 0].sum()) - load) < (0.1 + 2.0 * gone) * load
 
 
 def pieces(rows: WrenchTrial) -> list[BlockSpectrum]:

@@ -135,17 +135,15 @@ def test_the_account_adds_up_to_all_that_is_known(seed):
     guide = rehearsed()
     blocks, options = recorded(guide, seed), InertiaOptions(refuse=False)
     estimator, adviser = Estimator(guide.names, guide.prior, options, guide.mass), Adviser(guide, RATE)
-    times: list[float] = []
     first = adviser.after(estimator, 0.0)
     assert first.gain_nats > 0.0 and first.segments and first.text
     advised = [first.name]
     for k, block in enumerate(blocks):
-        estimator.add([block])
-        times.append(k + 0.5)
+        estimator.add([(k + 0.5, block)])
         advised.append(adviser.after(estimator, float(k + 1)).name)
     assert len(set(advised)) > 1, "what is told already is not asked for again and again"
     identified = identify_spectra([blocks], guide.names, guide.prior, options, guide.mass)
-    account = adviser.account(estimator, identified, times)
+    account = adviser.account(estimator, identified)
     total = Knowledge.begin(guide.prior, guide.mass, identified.fit.omega_2)
     _, known = make_ledger(["all"] * len(blocks), blocks, identified.whitening, total)
     assert sum(one.nats for one in account.entries) == pytest.approx(known.nats, rel=1e-9)
@@ -164,7 +162,7 @@ def test_an_advice_stands_for_its_time_unless_it_has_become_useless(seed):
     )
     first = adviser.after(estimator, 0.0)
     assert adviser.after(estimator, 1.0) is first
-    estimator.add(recorded(guide, seed)[:1])
+    estimator.add([(1.5, recorded(guide, seed)[0])])
     (k,) = (k for k, one in enumerate(guide.rehearsals) if one.exercise.name == first.name)
     assert estimator.sums is not None
     estimator.sums = replace(estimator.sums, gram=estimator.sums.gram + 1e6 * guide.information(noise(guide), RATE)[k])

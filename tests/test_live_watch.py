@@ -65,6 +65,24 @@ def silent(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
 
 
 @pytest.mark.slow
+def test_plates_that_disagree_about_a_weight_are_named(seed: int):
+    """One plate reads some per cent less or more than the others: which of the two is wrong nobody knows."""
+    rng, given = np.random.default_rng(seed), long()
+    assert given.forces is not None
+    loaded = (
+        given.forces.wrench[..., 2].abs().mean(0).argsort(descending=True)[:2]
+    )  # what is stepped on once tells little
+    k, gain = int(rng.choice(loaded.numpy())), 1.0 + float(rng.choice([-1, 1]) * rng.uniform(0.1, 0.2))
+    wrench = given.forces.wrench.clone()
+    wrench[:, k] *= gain
+    said = watched(replace(given, forces=replace(given.forces, wrench=wrench)))
+    named = [where.split(", ") for _, some in said for what, where in some if what == "gain"]
+    name = given.forces.plates[k].name
+    assert named, (name, gain, said)
+    assert all(name == plates[0 if gain < 1.0 else 1] for plates in named), (name, gain, named)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [offset, lost, late, silent])
 def test_what_is_wrong_is_said_within_seconds(fault: Callable, seed: int):
     """By its name and place, before the third second of a moving subject is over."""

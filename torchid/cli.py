@@ -93,6 +93,9 @@ def live(
     ] = False,
     seated: Annotated[bool, typer.Option("--seated", help="Advise one who sits.")] = False,
     no_arms: Annotated[bool, typer.Option("--no-arms", help="Advise one who does not move the arms.")] = False,
+    half_life: Annotated[
+        float, typer.Option(min=1, help="Seconds after which a row counts half, for a body that changes.")
+    ] = float("inf"),
     overrides: Overrides = None,
     debug: Debug = False,
 ) -> None:
@@ -110,7 +113,9 @@ def live(
         possibilities = Possibilities(seated, not no_arms) if guide or seated or no_arms else None
         with _progress() as progress:
             page = None if headless else _live_page(port, host)
-            found = run_live(loaded, source, speed, seconds, record, progress, page, _announce, possibilities)
+            found = run_live(
+                loaded, source, speed, seconds, record, progress, page, _announce, possibilities, half_life
+            )
         typer.echo(json.dumps(found))
 
 

@@ -132,6 +132,11 @@ class OutputFolder:
         release()
         return load_snapshot(file)["result"]
 
+    def stored(self, name: str, key: str) -> Any | None:
+        """The stored result of a stage, None where there is none of this ``key``."""
+        found = _read_stage(self.state / "stages" / f"{safe_name(name)}.snapshot", key)
+        return None if found is None else found["result"]
+
     def aside(self, value: Result) -> Result:
         """The same value, its tensors in a file of this run: for what is as long as a recording.
 

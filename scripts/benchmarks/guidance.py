@@ -137,7 +137,7 @@ def session(person: Person, choose: Choose) -> Result:
     for now in range(0, LIMIT_S, STEP):
         name = choose(estimator, now)
         blocks = person.done[name, (spent[name] // 10) % REPETITIONS]
-        estimator.add(blocks[spent[name] % 10 : spent[name] % 10 + STEP])
+        estimator.add([(now + 0.5, block) for block in blocks[spent[name] % 10 : spent[name] % 10 + STEP]])
         spent[name] += STEP
         assert estimator.sums is not None
         at[now + STEP] = judge.share(person.begin.after(estimator.sums.gram))
@@ -150,12 +150,11 @@ def session(person: Person, choose: Choose) -> Result:
 
 def advised(person: Person) -> Choose:
     """What the guide says."""
-    adviser, times = Adviser(person.guide, RATE), list[float]()
+    adviser = Adviser(person.guide, RATE)
 
     def choose(estimator: Estimator, now: int) -> str:
         begun = time.thread_time()
-        times.extend([now - 0.5] * (len(estimator.blocks) - len(times)))
-        advice = adviser.after(estimator, float(now), times)
+        advice = adviser.after(estimator, float(now))
         person.advising.append(time.thread_time() - begun)
         return advice.name
 

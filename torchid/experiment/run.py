@@ -85,6 +85,10 @@ def _replay(outcome: Outcome, folder: OutputFolder) -> Replay | None:
         return None
 
 
+GEOMETRY = "geometry"
+"""Stage of the identified geometry."""
+
+
 def _claim(folder: OutputFolder, config: Config) -> None:
     """No work for results that have no place: InputError where a file of the user's has the name of one."""
     folder.claim(result_names(trial.name for trial in config.trials))
@@ -97,13 +101,16 @@ def _inputs(config: Config) -> list:
     return files + [path for path in (config.model, config.markers) if not isinstance(path, str)]
 
 
+def run_key(config: Config) -> str:
+    """Key of a run's stages: files and options."""
+    own = {k: v for k, v in config.model_dump(mode="json").items() if k not in ("out", "threads")}
+    return stage_key(inputs=[file_sha256(path) for path in _inputs(config)], config=own)
+
+
 def _compute(
     config: Config, session: Session, folder: OutputFolder, progress: OnStage
 ) -> tuple[Outcome, DataError | None]:
-    key = stage_key(
-        inputs=[file_sha256(path) for path in _inputs(config)],
-        config={k: v for k, v in config.model_dump(mode="json").items() if k not in ("out", "threads")},
-    )
+    key = run_key(config)
     fit, scaled = _geometry(config, session, folder, key, progress)
     cutoff_hz = cutoff(config, session)
     tracked = _track_all(session, folder, key, {"motion": fit, "scaled": scaled}, progress)
@@ -156,7 +163,7 @@ def _geometry(
     def fit(free: bool) -> GeometryFit:
         return fit_session(config, session, free, progress)
 
-    found = folder.stage("geometry", key, lambda: fit(True)), folder.stage("scaled", key, lambda: fit(False))
+    found = folder.stage(GEOMETRY, key, lambda: fit(True)), folder.stage("scaled", key, lambda: fit(False))
     progress("geometry", 1.0)
     return found
 

@@ -153,16 +153,15 @@ class Adviser:
         self.advice = self._advice(best)
         return self.advice
 
-    def account(self, estimator: Estimator, identified: Identified, times: Sequence[float]) -> Account:
+    def account(self, estimator: Estimator, identified: Identified) -> Account:
         """Return what each interval has brought, all under the noise and the weights of the end.
 
         Args:
             estimator: with all rows.
             identified: from all rows.
-            times: of the estimator's blocks, whose exercise is that of the advice of then [s].
         """
         guide, omega_2 = self._guide, identified.fit.omega_2
-        labels = [self._advised(time_s) for time_s in times]
+        labels = [self._advised(time_s) for time_s in estimator.times]
         begin = Knowledge.begin(guide.prior, guide.mass, omega_2)
         entries, known = make_ledger(labels, estimator.blocks, identified.whitening, begin)
         outlook = guide.outlook(guide.information(identified.whitening, self._rate_hz), omega_2)

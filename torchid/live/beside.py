@@ -60,7 +60,7 @@ class Beside:
         self._jobs, self._put = context.Queue(), context.Value("Q", 0, lock=False)
         self._pipe, theirs = context.Pipe(duplex=False)
         given = to_bytes((subject.fit, subject.prior, subject.weight, plates, subject.guide, subject.static))
-        rest = (subject.config, subject.mass, subject.cutoff_hz, labels, rate_hz, force_rate_hz)
+        rest = (subject.config, subject.mass, subject.cutoff_hz, subject.half_life_s, labels, rate_hz, force_rate_hz)
         self._process = context.Process(target=_serve, args=(self._jobs, self._put, theirs, given, rest), daemon=True)
         with apart():
             self._process.start()
@@ -201,8 +201,8 @@ def _waiting(jobs: Queue, put: Any, own: Refining) -> Iterator[list[tuple]]:
 def _serve(jobs: Queue, put: Any, pipe: Connection, given: bytes, rest: tuple) -> None:
     torch.set_num_threads(1)
     fit, prior, weight, plates, guide, static = from_bytes(given)
-    config, mass, cutoff_hz, labels, rate_hz, force_rate_hz = rest
-    subject = Subject(config, fit, prior, mass, weight, cutoff_hz, static)
+    config, mass, cutoff_hz, half_life_s, labels, rate_hz, force_rate_hz = rest
+    subject = Subject(config, fit, prior, mass, weight, cutoff_hz, static, half_life_s)
     own = Refining(subject, labels, rate_hz, plates, force_rate_hz)
     adviser = None if guide is None else Adviser(guide, rate_hz)
     try:
@@ -254,5 +254,5 @@ def _end(own: Refining, adviser: Adviser | None, pipe: Connection) -> None:
     known = own.identifier
     pipe.send(("watched", known.watched))
     if adviser is not None:
-        pipe.send(("account", to_bytes(adviser.account(known.estimator, identified, known.times))))
+        pipe.send(("account", to_bytes(adviser.account(known.estimator, identified))))
     pipe.send(("end", to_bytes(identified)))

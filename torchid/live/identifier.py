@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchid.config import Config
@@ -62,6 +62,8 @@ class Subject:
     """Of the filter of motion and forces."""
     static: Markers | None = None
     """Standing trial from which geometry is refined while the subject moves; None keeps the geometry."""
+    half_life_s: float = math.inf
+    """Time after which a row counts half, for a body that changes; infinite: all count alike."""
     guide: Guide | None = None
     """Exercises from which it is told what to do next; None gives no advice."""
 
@@ -96,7 +98,8 @@ class Identifier:
         self._subject, self._rate, self._plates, self._force_rate = subject, rate_hz, plates, force_rate_hz
         names = subject.fit.model.tree.names
         box = com_boxes(subject.prior) if subject.config.inertia.com_boxes else None
-        self.estimator = Estimator(names, subject.prior, subject.config.inertia, subject.mass, box)
+        mass = subject.mass if math.isinf(subject.half_life_s) else None  # that of standing is the mass of then
+        self.estimator = Estimator(names, subject.prior, subject.config.inertia, mass, box, subject.half_life_s)
         self._block, self._context = round(BLOCK_S * rate_hz), round(CONTEXT_S * rate_hz)
         self._lag = round(LAG_PERIODS / subject.cutoff_hz * rate_hz)
         dofs, markers = len(subject.fit.model.tree.dofs), len(subject.fit.attachment.labels)
@@ -106,8 +109,6 @@ class Identifier:
         self.forces: Reconstructed | None = None
         """Of the last block, where it could be used."""
         self._watch = Watch(subject.fit.attachment.labels, [plate.name for plate in plates])
-        self.times: list[float] = []
-        """Middle of each block of ``estimator`` [s]."""
         self.watched: list[tuple[float, tuple[Notice, ...]]] = []
         """What was wrong in each of the last blocks, by its end [s]."""
 
@@ -173,7 +174,8 @@ class Identifier:
         for block, part in zip(blocks, inner, strict=True):
             self.forces = None if rows is None else self._reconstructed(rows.frames(part))
             contact = None if followed is None or followed.contact is None else followed.contact.frames(part)
-            notices = self._watch.after(self._block_of(self._error.get(block), contact, vertical[part]))
+            used = None if rows is None else rows.used[part]
+            notices = self._watch.after(self._block_of(self._error.get(block), contact, vertical[part], used))
             self.watched.append((block.stop / self._rate, notices))
         self._next = stop
         kept = self._next - self._context
@@ -184,16 +186,17 @@ class Identifier:
     def _take(self, rows: WrenchTrial | None) -> None:
         """Add the rows of all frames since the last ones; None where there are none."""
         done = self._gatherer.close() if rows is None else self._gatherer.add(rows)
-        self.times += [middle_s for middle_s, _ in done]
-        self.estimator.add([block for _, block in done], self._gatherer.open)
+        self.estimator.add(done, self._gatherer.open, self._q.stop / self._rate)
 
     def _block_of(
-        self, error: Float[Tensor, "frames markers"], contact: Contact | None, vertical: Float[Tensor, "frames plates"]
+        self, error: Float[Tensor, "frames markers"], contact: Contact | None,
+        vertical: Float[Tensor, "frames plates"], used: Bool[Tensor, " frames"] | None,
     ) -> Block:  # fmt: skip
         found, cutoff_hz = self.forces, self._subject.cutoff_hz
         nothing = error.new_zeros(0, 3)
         measured, predicted = (nothing, nothing) if found is None else (found.measured[:, :3], found.predicted[:, :3])
-        return Block(error, contact, vertical, measured, predicted, self._rate, cutoff_hz)
+        used = torch.zeros(len(error), dtype=torch.bool) if used is None or found is None else used
+        return Block(error, contact, vertical, used, measured, predicted, self._rate, cutoff_hz)
 
     def _followed(self, part: slice) -> tuple[Followed | None, Float[Tensor, "frames plates"]]:
         """A window as a trial of its own, None where no posture or no force in it is known; and what plates read."""

@@ -13,6 +13,7 @@ from torchid.config import Config
 from torchid.errors import ConfigError, DataError
 from torchid.experiment.fits import fit_session, given_mass, refuse_unseen
 from torchid.experiment.read import read_recording, read_session, read_setup
+from torchid.experiment.run import GEOMETRY, run_key
 from torchid.experiment.stages import subject_prior
 from torchid.experiment.standing import follow_each, standing_weight
 from torchid.files import file_sha256, write_json
@@ -27,7 +28,7 @@ from torchid.live.recorder import Recorder
 from torchid.live.replay import Replay
 from torchid.live.stream import Source
 from torchid.model.model import InertialPrior
-from torchid.outcome import Outcome
+from torchid.outcome import Outcome, Session
 from torchid.outcome.tables import identified_table
 from torchid.provenance import stage_key
 from torchid.results import OutputFolder
@@ -63,6 +64,7 @@ def run_live(
     page: Callable[[Subject, Source], Display] | None = None,
     opened: Callable[[str], None] = lambda address: None,
     possibilities: Possibilities | None = None,
+    half_life_s: float = math.inf,
 ) -> dict[str, Any]:
     """Identify a subject while a stream comes, and leave the estimate in ``live.json`` of the config's ``out``.
 
@@ -78,6 +80,7 @@ def run_live(
         page: opens what shows the stream; None shows nothing.
         opened: called with the page's address.
         possibilities: of a subject who is to be advised; None gives no advice.
+        half_life_s: time after which a row counts half, for a body that changes; infinite: all count alike.
 
     Returns:
         Figures of speed, loss, mass and progress, as ``torchid live`` prints them, and what each exercise has brought.
@@ -91,6 +94,7 @@ def run_live(
     with OutputFolder(config.out, beside=True) as folder:
         folder.claim((RESULT,))
         subject, base = prepare_subject(config, folder, progress)
+        subject = replace(subject, half_life_s=half_life_s)
         if possibilities is not None:
             subject = guided(subject, possibilities)
         stream = _opened(source, config, speed) if isinstance(source, str) else source
@@ -102,6 +106,7 @@ def run_live(
     total = table["total_mass"]
     return {
         **performance,
+        "geometry": "run" if subject.static is None else "static",
         "mass_kg": {"value": float(total["value_kg"]), "sd": float(total["sd_kg"])},
         "progress": {name: float(one["progress"]) for name, one in table["segments"].items()},
         **({} if guidance is None else {"guidance": guidance}),
@@ -109,7 +114,7 @@ def run_live(
 
 
 def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> tuple[Subject, Outcome]:
-    """Geometry and prior of a config's subject, from its static trials alone.
+    """Geometry and prior of a config's subject, from a run of it that is finished, else from its static trials alone.
 
     Args:
         config: with a static trial.
@@ -134,10 +139,10 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     alone = config.model_copy(update={"trials": static, "geometry": stated})
     progress("read", 0.0)
     session = read_session(alone, folder.aside)
-    paths = [path for file in static for path in (file.file, file.forces) if path is not None]
-    own = alone.model_dump(mode="json", exclude={"out", "threads", "diagnosis", "inertia"})
-    key = stage_key(inputs=[file_sha256(path) for path in paths], config=own)
-    fit = folder.stage("live_geometry", key, lambda: fit_session(alone, session, True, progress))
+    finished = None
+    with suppress(OSError):  # a trial that is not there has no part in a finished run
+        finished = folder.stored(GEOMETRY, run_key(config))
+    fit = finished or _from_standing(alone, session, folder, progress)
     cutoff_hz = CUTOFF_HZ if config.motion.cutoff_hz == "auto" else float(config.motion.cutoff_hz)
     tracked = {name: track(fit, trial.markers) for name, trial in session.trials.items()}
     followed = {one.name: one for one in follow_each(fit, session, tracked.__getitem__, cutoff_hz, config)}
@@ -146,9 +151,16 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     if config.inertia.refuse:
         refuse_unseen(outcome)
     weight = standing_weight(followed.values(), session, config)
-    static = session.static
-    assert static is not None
-    return Subject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz, static.markers), outcome
+    assert session.static is not None
+    refining = session.static.markers if finished is None else None
+    return Subject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz, refining), outcome
+
+
+def _from_standing(config: Config, session: Session, folder: OutputFolder, progress: OnStage) -> GeometryFit:
+    paths = [path for file in config.trials for path in (file.file, file.forces) if path is not None]
+    own = config.model_dump(mode="json", exclude={"out", "threads", "diagnosis", "inertia"})
+    key = stage_key(inputs=[file_sha256(path) for path in paths], config=own)
+    return folder.stage("live_geometry", key, lambda: fit_session(config, session, True, progress))
 
 
 def guided(subject: Subject, possibilities: Possibilities) -> Subject:

@@ -19,8 +19,12 @@ CLOCK_S = 0.02
 """Choice. How late forces may come: those of living bodies come up to 15 ms late by themselves (``body_lag``)."""
 CLOCK_SD = 3.0
 """Choice. Standard deviations by which a clock must be off."""
+GAIN_SD = 6.0
+"""Choice. Standard deviations by which plates must disagree: motion that is modelled wrongly is no noise."""
+GAIN = 0.05
+"""Choice. By how much two plates may disagree about one weight: a tenth of what exchanged sensitivities make of it."""
 REMEMBERED = 10
-"""Choice. Blocks over which a clock is judged: a step or two of every kind of motion."""
+"""Choice. Blocks over which clocks and gains are judged: a step or two of every kind of motion."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class Notice:
     """Something that a laboratory should look at."""
 
     what: str
-    """Stable name: ``posture``, ``marker``, ``unread``, ``beside``, ``offset``, ``clock`` or ``recording``."""
+    """Stable name: ``posture``, ``marker``, ``unread``, ``beside``, ``offset``, ``clock``, ``gain``, ``recording``."""
     where: str
     """Marker, foot or plate; empty where it is the whole stream."""
     text: str
@@ -49,6 +53,8 @@ class Block:
     """Of feet and plates; None without postures or forces."""
     vertical: Float[Tensor, "frames plates"]
     """What each plate reads vertically [N]."""
+    used: Bool[Tensor, " frames"]
+    """Frames whose contacts are all on plates, once there is an estimate."""
     measured: Float[Tensor, "used 3"]
     """Total force of frames that are used [N], ..."""
     predicted: Float[Tensor, "used 3"]
@@ -71,6 +77,7 @@ class Watch:
         # Many are taken off when the subject has stood: only one that was there is missed.
         self._seen = torch.zeros(len(self._labels), dtype=torch.bool)
         self._clock: deque[tuple[float, float, float, int]] = deque(maxlen=REMEMBERED)
+        self._weighed: deque[tuple[Tensor, Tensor]] = deque(maxlen=REMEMBERED)
 
     def after(self, block: Block) -> tuple[Notice, ...]:
         """Return what is wrong now.
@@ -82,7 +89,8 @@ class Watch:
         if float((~known).to(block.error).mean()) > SHARE:
             return (UNKNOWN,)
         return (
-            *self._markers(block.error[known]), *self._feet(block, known), *self._offsets(block), *self._late(block)
+            *self._markers(block.error[known]), *self._feet(block, known), *self._offsets(block), *self._late(block),
+            *self._gains(block),
         )  # fmt: skip
 
     def _markers(self, error: Float[Tensor, "frames markers"]) -> Iterator[Notice]:
@@ -126,6 +134,34 @@ class Watch:
         sd_s = math.sqrt(left / max(power * independent, 1e-12))
         if abs(late_s) > CLOCK_S and abs(late_s) > CLOCK_SD * sd_s:
             yield Notice("clock", "", f"Forces come {1e3 * abs(late_s):.0f} ms {'late' if late_s > 0.0 else 'early'}")
+
+    def _gains(self, block: Block) -> Iterator[Notice]:
+        """Two plates that weigh differently: least squares of the model's vertical force on that of every plate.
+
+        What is wrong with all of them alike goes into the mass.
+        """
+        if len(block.predicted):
+            self._weighed.append((block.vertical[block.used], block.predicted[:, 2]))
+        if not self._weighed or len(self._plates) < 2:
+            return
+        read, needed = (torch.cat(parts) for parts in zip(*self._weighed, strict=True))
+        on = read.abs().mean(0) > OFFSET_N
+        index = on.nonzero()[:, 0].tolist()
+        if len(index) < 2 or len(needed) < 2 * len(index):
+            return
+        inverse = torch.linalg.pinv(read[:, on].T @ read[:, on], hermitian=True)
+        share = inverse @ read[:, on].T @ needed
+        rest = float((needed - read[:, on] @ share).square().mean())
+        independent = 2.0 * block.cutoff_hz / block.rate_hz
+        low, high = int(share.argmax()), int(share.argmin())  # what reads too little counts too much
+        apart = torch.zeros_like(share)
+        apart[low], apart[high] = 1.0, -1.0
+        sd = math.sqrt(rest * float(apart @ inverse @ apart) / independent)
+        off = float(share[low] - share[high])
+        if off > GAIN and off > GAIN_SD * sd:
+            names = [self._plates[index[k]] for k in (low, high)]
+            text = f"{names[0]} reads {100.0 * off:.0f} % less than {names[1]} for the same weight: look at their gains"
+            yield Notice("gain", ", ".join(names), text)
 
 
 def _lasts(flag: Bool[Tensor, " frames"]) -> bool:

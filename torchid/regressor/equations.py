@@ -1,6 +1,6 @@
 """Accumulated least-squares sums: all that an inertial fit needs of a trial, whatever its length."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -58,6 +58,10 @@ class NormalEquations:
     def scale(self, omega: float) -> "NormalEquations":
         """Sums after every row was multiplied by sqrt(omega); the number of rows stays."""
         return NormalEquations(omega * self.gram, omega * self.moment, omega * self.square, self.rows)
+
+    def faded(self, weight: float) -> "NormalEquations":
+        """Sums in which every row counts as this part of one, its number included."""
+        return replace(self.scale(weight), rows=weight * self.rows)
 
     def residual_square(self, phi: Float[Tensor, " params"]) -> float:
         """||Y phi - F||^2, up to rounding of ``square``."""
