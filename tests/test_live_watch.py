@@ -66,12 +66,10 @@ def silent(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
 
 @pytest.mark.slow
 def test_plates_that_disagree_about_a_weight_are_named(seed: int):
-    """One plate reads some per cent less or more than the others: which of the two is wrong nobody knows."""
+    """One of the two that are most stood on reads some per cent less or more: which is wrong nobody knows."""
     rng, given = np.random.default_rng(seed), long()
     assert given.forces is not None
-    loaded = (
-        given.forces.wrench[..., 2].abs().mean(0).argsort(descending=True)[:2]
-    )  # what is stepped on once tells little
+    loaded = given.forces.wrench[..., 2].abs().mean(0).argsort(descending=True)[:2]
     k, gain = int(rng.choice(loaded.numpy())), 1.0 + float(rng.choice([-1, 1]) * rng.uniform(0.1, 0.2))
     wrench = given.forces.wrench.clone()
     wrench[:, k] *= gain
