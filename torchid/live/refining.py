@@ -19,8 +19,8 @@ from torchid.live.pose import Follower, Postures
 from torchid.recording import Markers, Plate
 
 log = logging.getLogger(__name__)
-FIRST_S, LAST_S = 5.0, 160.0
-"""Choice. Seconds of known motion after which geometry is fitted first and, doubling from fit to fit, last: the first
+FIRST_S, LAST_S = 5.0, 180.0
+"""Choice. Seconds of known motion after which geometry is fitted first and, about doubled each time, at most: the first
 squats halve the distance of markers that standing alone leaves, and an hour is not to be kept in memory."""
 FRAMES = 150
 """Choice. Frames of the motion in a fit: it takes two seconds, and twice as many move no marker by a millimetre."""
@@ -70,6 +70,7 @@ class Refining:
         self._past: list[Piece] = []
         self._due = FIRST_S * rate_hz if subject.static is not None else math.inf
         self._known = self._fitted = 0
+        self._newest = -1
         self.version = 0
         """Number of geometries that have been put in place of one before."""
 
@@ -95,6 +96,8 @@ class Refining:
             piece: frames with postures that are nearly right, and samples.
         """
         self._waiting.append(piece)
+        if len(piece.index):
+            self._newest = max(self._newest, int(piece.index.max()))
 
     def work(self) -> bool:
         """Identify from every block that is complete, and go on with a new geometry where one is due.
@@ -102,8 +105,7 @@ class Refining:
         Returns:
             Whether there was a block.
         """
-        newest = max((int(piece.index.max()) for piece in self._waiting if len(piece.index)), default=-1)
-        done = newest + 1 >= self.identifier.due and self._mend()
+        done = self._newest + 1 >= self.identifier.due and self._mend()
         if self._next is not None:
             self._go_on(self._next)
         elif self._known >= self._due:
@@ -137,11 +139,12 @@ class Refining:
 
     def _begin(self) -> None:
         """Fit the geometry, and be ready to identify anew."""
-        self._due, self._fitted = 2.0 * self._due, self._known
+        self._due, self._fitted = 2.0 * self._known, self._known
         try:
             self._next = By(refined(self.subject, self._past, self._stream[0]), *self._stream)
         except TorchidError as error:
             log.warning("geometry stays as it was: %s", error)
+            self._forget()
 
     def _go_on(self, anew: "By") -> None:
         """Identify some frames anew; the last ones settle whether the new geometry is the better one."""
@@ -159,6 +162,10 @@ class Refining:
             log.info("markers are %.1f mm from the refined model, %.1f before", 1e3 * after_m, 1e3 * before_m)
             self._by, self._past, self.version = anew, anew.past, self.version + 1
             self.identifier.watched = []  # of the past
+        self._forget()
+
+    def _forget(self) -> None:
+        """Give up the past after the last fit."""
         if self._due > LAST_S * self._stream[1]:
             self._due, self._past = math.inf, []
 
