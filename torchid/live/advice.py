@@ -162,7 +162,7 @@ class Adviser:
         """
         guide, omega_2 = self._guide, identified.fit.omega_2
         labels = [self._advised(time_s) for time_s in estimator.times]
-        begin = Knowledge.begin(guide.prior, guide.mass, omega_2)
+        begin = Knowledge.begin(estimator.prior, guide.mass, omega_2)  # of the geometry that was refined
         entries, known = make_ledger(labels, estimator.blocks, identified.whitening, begin)
         outlook = guide.outlook(guide.information(identified.whitening, self._rate_hz), omega_2)
         return Account(guide.names, entries, outlook.share(known))
@@ -172,7 +172,7 @@ class Adviser:
             self._whitening = estimator.whitening
             self._information = self._guide.information(estimator.whitening, self._rate_hz)
         omega_2 = 1.0 if estimator.fit is None else estimator.fit.omega_2
-        known = Knowledge.begin(self._guide.prior, self._guide.mass, omega_2)
+        known = Knowledge.begin(estimator.prior, self._guide.mass, omega_2)
         if estimator.sums is not None:
             known = known.after(estimator.sums.gram)
         outlook = self._guide.outlook(self._information, omega_2)

@@ -46,7 +46,7 @@ class Estimator:
             com_box: as for ``fit_inertia``.
             half_life_s: time after which a row counts half, for a body that changes.
         """
-        self._names, self._prior, self._mass, self._box = names, prior, mass, com_box
+        self._names, self.prior, self._mass, self._box = names, prior, mass, com_box
         self._options = replace(options, noise="known")
         self._lenient = replace(self._options, refuse=False, base_parameters=False)
         self._half_life_s, self._now_s = half_life_s, 0.0
@@ -93,9 +93,9 @@ class Estimator:
                 found="no rows", remedy="Stand and move with both feet on the plates",
             )  # fmt: skip
         if math.isinf(self._half_life_s):
-            return identify_spectra([self.blocks], self._names, self._prior, self._options, self._mass, self._box)
+            return identify_spectra([self.blocks], self._names, self.prior, self._options, self._mass, self._box)
         assert self.sums is not None
-        fit = fit_inertia(self.sums, self._prior, self._names, self._options, mass=self._mass, com_box=self._box)
+        fit = fit_inertia(self.sums, self.prior, self._names, self._options, mass=self._mass, com_box=self._box)
         return Identified(fit, self.whitening, int(self.sums.rows))
 
     def _fit(self) -> None:
@@ -108,7 +108,7 @@ class Estimator:
             self._refresh(self.fit)
         try:
             self.fit = fit_inertia(
-                self.sums, self._prior, self._names, self._lenient, mass=self._mass, com_box=self._box
+                self.sums, self.prior, self._names, self._lenient, mass=self._mass, com_box=self._box
             )
         except DataError as error:  # the fit stays that of the blocks before
             log.warning("after %d blocks: %s", count, error)

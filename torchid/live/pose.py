@@ -130,7 +130,8 @@ class Follower:
 
     def _expected(self, time: Float[Tensor, " frames"]) -> Float[Tensor, "dofs frames"]:
         """Postures from the last one on, at its rate for as long as that is worth something."""
-        ahead = (time - self._held_s).clamp(max=AHEAD_S) if math.isfinite(self._held_s) else torch.zeros_like(time)
+        follows = float(time[0]) - self._held_s < AHEAD_S  # nobody knows where a pause has led
+        ahead = (time - self._held_s).clamp(max=AHEAD_S) if follows else torch.zeros_like(time)
         return torch.addcmul(self._near[:, None], self._rate[:, None], ahead)
 
     def _keep(self, q: Float[Tensor, "dofs known"], time: Float[Tensor, " known"]) -> None:
