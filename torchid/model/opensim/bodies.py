@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchid.model.markup import Element
 from torchid.model.opensim.model import Inertias
-from torchid.model.opensim.words import Document
+from torchid.model.opensim.words import Document, child_text
 
 MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Cited. Order of OpenSim 4's ``inertia``; older files have an element each."""
@@ -24,15 +24,14 @@ def read_inertias(bodies: Mapping[str, Element], document: Document) -> Inertias
         document: the file.
 
     Raises:
-        InputError: ``xml.number``, ``osim.mass`` for a negative mass.
+        InputError: ``xml.number``, ``osim.mass`` for a mass that is negative or missing.
     """
     mass, centre, moments = [], [], []
     for element in bodies.values():
-        mass.append(document.number(element, "mass", 1.0))
+        mass.append(document.number(element, "mass", -1.0))
         if mass[-1] < 0.0:
-            raise document.fault(
-                element, "osim.mass", "a mass cannot be negative", f"{mass[-1]:g} kg", remedy="Correct it."
-            )
+            found = child_text(element, "mass") or "none"
+            raise document.fault(element, "osim.mass", "needs a mass of zero or more", found, remedy="Correct it.")
         centre.append(document.vector(element, "mass_center", [0.0] * 3))
         moments.append(matrix(stated_moments(element, document)))
     none = torch.zeros(0, 3, 3, dtype=torch.float64)
@@ -51,7 +50,7 @@ def stated_moments(element: Element, document: Document) -> Float[Tensor, "6"]:
         document: the file.
     """
     if compact(element, document):
-        return document.vector(element, "inertia", [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+        return document.vector(element, "inertia", [0.0] * 6)
     return torch.tensor(
         [document.number(element, tag, float(k < 3)) for k, tag in enumerate(SPELT)], dtype=torch.float64
     )

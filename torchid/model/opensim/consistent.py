@@ -7,7 +7,6 @@ the same axes and its negative eigenvalues cut off.
 Cited. Wensing, Kim, Slotine, IEEE RA-L 3(1), 2018 (consistency); Higham, Linear Algebra Appl 103:103 (1988) (nearest).
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -17,7 +16,7 @@ from torchid.model.opensim.model import Inertias
 from torchid.model.tree_of_links import LEAST_EXTENT
 
 
-def consistent(stated: Inertias, names: Sequence[str], source: str) -> tuple[Inertias, tuple[Note, ...]]:
+def consistent(stated: Inertias, names: tuple[str, ...], source: str) -> tuple[Inertias, tuple[Note, ...]]:
     """Return the nearest inertia that is physically consistent, and what was changed.
 
     A body with mass keeps an extent of ``LEAST_EXTENT`` along every axis, so that its pseudo-inertia has an inverse.

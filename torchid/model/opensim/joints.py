@@ -112,11 +112,10 @@ def _plain(element: Element, first: int, document: Document) -> _Axes:
     turns, slides = KINDS[str(element.tag)]
     count = len(turns) + len(slides)
     names = [document.name(one) for one in coordinate_elements(element)]
-    if len(names) > count:
-        remedy = "Remove what is too much."
+    if len(names) != count:
+        remedy = "State one coordinate for every turn and slide, or save the model again with OpenSim."
         found = f"{len(names)} instead of {count}"
-        raise document.fault(element, "osim.joint", "has more coordinates than its kind", found, remedy=remedy)
-    names += [f"{document.name(element)}_coord_{k}" for k in range(len(names), count)]
+        raise document.fault(element, "osim.joint", "another number of coordinates than its kind", found, remedy=remedy)
     itself = Linear(torch.ones(1, dtype=torch.float64), 0.0)
     axes = [TransformAxis(_unit(axis), (first + k,), itself) for k, axis in enumerate(turns + slides)]
     return axes[: len(turns)], axes[len(turns) :], names

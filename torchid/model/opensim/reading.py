@@ -21,8 +21,8 @@ from torchid.model.opensim.words import Document, child_text, objects
 log = logging.getLogger(__name__)
 
 VERSIONS = ((20000, 30499), (40000, 49999))
-"""Choice. Versions of the format that are read: those of OpenSim 2, 3 and 4. Files of the years between 3 and 4 come from
-development versions."""
+"""Choice. Versions of the format that are read, first and last: those of OpenSim 2 and 3, and those of OpenSim 4.
+Numbers between them belong to development versions."""
 
 
 @dataclass(frozen=True)
@@ -151,19 +151,13 @@ def _joints(parts: Parts) -> tuple[list[Joint], tuple[Coordinate, ...]]:
 def _outwards(joints: list[Joint], parts: Parts) -> tuple[Joint, ...]:
     """Order the joints from ground outwards; one whose child is nearer to ground is turned round."""
     order: list[Joint] = []
-    reached, waiting = {GROUND}, list(enumerate(joints))
-    while waiting:
-        for place, (index, joint) in enumerate(waiting):
-            ends = [end.body in reached for end in (joint.parent, joint.child)]
-            if any(ends):
-                break
-        else:
-            break
-        if all(ends):
-            remedy = "Open the loop: closed chains cannot be read."
-            raise parts.document.fault(parts.joints[index].element, "osim.loop", "a joint closes a loop", remedy=remedy)
-        waiting.pop(place)
-        order.append(replace(joint, outward=ends[0]))
+    reached, waiting = {GROUND}, dict(enumerate(joints))
+    while near := [k for k, joint in waiting.items() if {joint.parent.body, joint.child.body} & reached]:
+        joint = waiting.pop(near[0])
+        if {joint.parent.body, joint.child.body} <= reached:
+            element, remedy = parts.joints[near[0]].element, "Open the loop: closed chains cannot be read."
+            raise parts.document.fault(element, "osim.loop", "a joint closes a loop", remedy=remedy)
+        order.append(replace(joint, outward=joint.parent.body in reached))
         reached |= {joint.parent.body, joint.child.body}
     for body, element in enumerate(parts.bodies.values()):
         if body not in reached:

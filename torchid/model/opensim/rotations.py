@@ -49,7 +49,7 @@ def inverse(X: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
     return pose(R, -(R @ X[..., :3, 3:])[..., 0])
 
 
-def moved(X: Float[Tensor, "*batch 4 4"], p: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+def moved(X: Float[Tensor, "*#batch 4 4"], p: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*batch 3"]:
     """Return points carried by poses.
 
     Args:
