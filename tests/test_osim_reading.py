@@ -322,7 +322,7 @@ def _custom(rest: str) -> str:
         ("osim.coupler", _coupled(COUPLER.format("c", "x", "q2", "true", POINTS)), "found: x"),
         ("osim.coupler", _coupled(COUPLER.format("c", "q2", "q2", "true", POINTS)), "circle"),
         ("osim.coupler", _coupled(*(COUPLER.format(n, n, "q2", "true", POINTS) for n in ("q0", "q1"))), "two others"),
-        ("osim.coupler", _coupled(COUPLER.format("c", "q0", "q2", "true", POINTS).replace("coupled_", "")), "a function"),
+        ("osim.coupler", _coupled(COUPLER.format("c", "q0", "q2", "true", "")).replace("coupled_", ""), "a function"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_refused(code: str, text: str, said: str, tmp_path: Path) -> None:

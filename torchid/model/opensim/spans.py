@@ -129,20 +129,16 @@ def new_text(span: Span, text: str, content: bytes) -> list[Edit]:
     return [Edit(start, stop, text.encode("ascii")), *(Edit(*run, b"") for run in others)]
 
 
-def new_child(span: Span, tag: str, text: str, content: bytes) -> list[Edit]:
+def new_child(span: Span, tag: str, text: str) -> list[Edit]:
     """Return the edits that give an element a first child.
 
     Args:
-        span: the parent.
+        span: the parent, which has other children.
         tag: the child's tag.
         text: the child's text.
-        content: the file's bytes.
     """
-    child = f"<{tag}>{text}</{tag}>".encode("ascii")
-    if span.end > span.start:
-        return [Edit(span.inside, span.inside, child)]
-    close = content.rindex(b"/", span.start, span.inside)
-    return [Edit(close, span.inside, b">" + child + f"</{span.tag}>".encode())]
+    assert span.end > span.start, "a parent that was read has children"
+    return [Edit(span.inside, span.inside, f"<{tag}>{text}</{tag}>".encode("ascii"))]
 
 
 def edited(content: bytes, edits: Iterable[Edit]) -> bytes:

@@ -88,7 +88,7 @@ def write_back(model: OsimModel, path: str | Path) -> None:
         child = one.parent.find(one.tag)
         text = spelt(one.wanted.tolist())
         if child is None:
-            edits += new_child(spans[one.parent], one.tag, text, content)
+            edits += new_child(spans[one.parent], one.tag, text)
         else:
             edits += new_text(spans[child], text, content)
     with atomic_write(path) as file:
