@@ -29,6 +29,7 @@ from torchid.model.opensim.model import Coordinate, Motion, OsimModel
 from torchid.model.opensim.posing import body_poses, coordinate_values, coupled, marker_places
 from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.splines import broken_line, simm_spline
+from torchid.model.opensim.vocabulary import WORDS
 
 CLOSE = 1e-6
 """Largest difference to OpenSim [m, rad]."""
@@ -296,6 +297,9 @@ def _custom(rest: str) -> str:
         ("osim.name", osim(PIN).replace('<Body name="a"', "<Body"), "line 3"),
         ("osim.body", osim(PIN, bodies="aa"), "two bodies"),
         ("osim.body", osim(PIN).replace("<Body name", "<Boddy name").replace("</Body>", "</Boddy>"), "Boddy"),
+        ("osim.body", osim(bodies=""), "no bodies"),
+        ("osim.elsewhere", osim(PIN, rest="<components><WeldConstraint name='w'/></components>"), "'w'"),
+        ("osim.elsewhere", osim(PIN, rest="<defaults><Coordinate name='d'/></defaults>"), "'d'"),
         ("osim.mass", osim(PIN).replace("<mass>2", "<mass>-2"), "found: -2"),
         ("osim.mass", osim(PIN).replace("<mass>2</mass>", ""), "found: none"),
         ("osim.frame", osim(PIN.replace("/bodyset/a", "/bodyset/lost")), "line.*/bodyset/lost"),
@@ -331,6 +335,43 @@ def test_what_cannot_be_read_is_refused(code: str, text: str, said: str, tmp_pat
     with pytest.raises(InputError, match=f"(?s){said}") as caught:
         read_osim(path)
     assert caught.value.code == code and caught.value.source == str(path) and caught.value.remedy
+
+
+def test_misspelt_and_second_elements_are_said(tmp_path: Path) -> None:
+    """What is left out because the format does not have it, or has it once, is named with its line."""
+    text = osim(PIN).replace("mass_center", "mass_centre").replace("</range>", "</range><range>0 1</range>")
+    _, notes = read_osim(_write(tmp_path / "a.osim", text))
+    said = {note.code: note.message for note in notes}
+    assert "<mass_centre>" in said["model.unread"] and "<range>" in said["model.twice"]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", NAMES)
+def test_laboratories_models_have_no_strange_words(name: str, data_dir: Path) -> None:
+    """The only note about them is that of impossible or flat toes."""
+    path = data_dir / name
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    assert {note.code for note in read_osim(path)[1]} <= {"osim.inertia"}
+
+
+def test_the_words_are_those_of_opensim() -> None:
+    """Every property of the classes that are read is known, so that none is called misspelt."""
+    opensim = pytest.importorskip("opensim")
+    tags = set(WORDS) & {name for name in dir(opensim) if hasattr(getattr(opensim, name), "getPropertyByIndex")}
+    assert len(tags) > 20
+    for tag in tags - {
+        "CoordinateSet",
+        "BodySet",
+        "JointSet",
+        "ConstraintSet",
+        "MarkerSet",
+        "SpatialTransform",
+        "Joint",
+    }:
+        one = getattr(opensim, tag)()
+        names = {one.getPropertyByIndex(k).getName() for k in range(one.getNumProperties())} - {"ground"}
+        assert names <= {word.rstrip("*") for word in WORDS[tag][1].split()}, tag
 
 
 def test_a_disabled_constraint_is_passed_over(tmp_path: Path) -> None:

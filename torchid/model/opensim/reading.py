@@ -16,13 +16,17 @@ from torchid.model.opensim.coordinates import read_couplers
 from torchid.model.opensim.frames import Frames, Stated, body_elements
 from torchid.model.opensim.joints import JointElement, joint_elements, read_joint
 from torchid.model.opensim.model import GROUND, Coordinate, Joint, Marker, OsimModel
+from torchid.model.opensim.vocabulary import WORDS
 from torchid.model.opensim.words import Document, child_text, objects
+from torchid.model.vocabulary import unread
 
 log = logging.getLogger(__name__)
 
 VERSIONS = ((20000, 30499), (40000, 49999))
 """Choice. Versions of the format that are read, first and last: those of OpenSim 2 and 3, and those of OpenSim 4.
 Numbers between them belong to development versions."""
+LOOKED_AT = ("BodySet", "JointSet", "ConstraintSet", "MarkerSet")
+"""Wording. Sets of the model whose members are read."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def parts_of(document: Document) -> Parts:
         document: the file.
 
     Raises:
-        InputError: ``osim.body``, ``osim.name``, ``osim.frame``.
+        InputError: ``osim.body``, ``osim.name``, ``osim.frame``, ``osim.elsewhere`` for a part that is not read.
     """
     bodies = body_elements(document)
     frames = Frames(document, bodies)
@@ -98,7 +102,24 @@ def parts_of(document: Document) -> Parts:
         if element.tag == "Marker":
             frame = child_text(element, "socket_parent_frame") or child_text(element, "body")
             markers.append((element, frames.named(frame, element)))
-    return Parts(document, bodies, tuple(joint_elements(document, frames, bodies)), tuple(markers))
+    parts = Parts(document, bodies, tuple(joint_elements(document, frames, bodies)), tuple(markers))
+    _refuse_elsewhere(parts)
+    return parts
+
+
+def _refuse_elsewhere(parts: Parts) -> None:
+    """Refuse parts of the model that stand where they are not looked for, and defaults that change what is left out."""
+    document = parts.document
+    looked_at = {element for tag in LOOKED_AT for element in objects(document.model, tag)}
+    looked_at |= {one.element for one in parts.joints}
+    for element in document.model.iterdescendants():
+        tag = str(element.tag)
+        moves = tag in ("Body", "Marker") or tag != "Joint" and tag.endswith(("Joint", "Constraint"))
+        changes = element.getparent().tag == "defaults" and tag in WORDS
+        if changes or moves and element not in looked_at:
+            remedy = f"Put it into {', '.join(LOOKED_AT)}; write defaults out: saving with OpenSim 4 does."
+            message = "a part of the model that stands where it is not read"
+            raise document.fault(element, "osim.elsewhere", message, remedy=remedy)
 
 
 def model_of(parts: Parts) -> tuple[OsimModel, tuple[Note, ...]]:
@@ -112,6 +133,8 @@ def model_of(parts: Parts) -> tuple[OsimModel, tuple[Note, ...]]:
     """
     document, source = parts.document, str(parts.document.source)
     joints, coordinates = _joints(parts)
+    if not parts.bodies:
+        raise document.fault(document.model, "osim.body", "the model has no bodies", remedy="Name a whole model.")
     stated = read_inertias(parts.bodies, document)
     inertias, notes = consistent(stated, tuple(parts.bodies), source)
     driven = ", ".join(one.name for one in coordinates if one.prescribed)
@@ -130,7 +153,7 @@ def model_of(parts: Parts) -> tuple[OsimModel, tuple[Note, ...]]:
         couplers=read_couplers([one.name for one in coordinates], document),
         markers=_markers(parts),
     )
-    return model, notes
+    return model, (*unread(document.model, WORDS, source), *notes)
 
 
 def _joints(parts: Parts) -> tuple[list[Joint], tuple[Coordinate, ...]]:
