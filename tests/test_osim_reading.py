@@ -1,6 +1,7 @@
 """OpenSim models in: every body and marker of every file is where OpenSim puts it, and what cannot be read is said."""
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from osim_files import (
 from torch.testing import assert_close
 
 from torchid.errors import DataError, InputError
+from torchid.kinematics.chain import chain_points
 from torchid.model.opensim.bodies import MOMENTS
 from torchid.model.opensim.functions import Function
 from torchid.model.opensim.model import Coordinate, Motion, OsimModel
@@ -30,6 +32,8 @@ from torchid.model.opensim.posing import body_poses, coordinate_values, coupled,
 from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.splines import broken_line, simm_spline
 from torchid.model.opensim.vocabulary import WORDS
+from torchid.model.osim import osim_coordinates, osim_names, write_osim
+from torchid.model.whole_body import whole_body
 
 CLOSE = 1e-6
 """Largest difference to OpenSim [m, rad]."""
@@ -247,6 +251,47 @@ def test_poses_are_differentiable(seed: int, tmp_path: Path) -> None:
     model, _ = read_osim(_write(tmp_path / "a.osim", text))
     q = draw(model, np.random.default_rng(seed), 3).requires_grad_()
     assert torch.autograd.gradcheck(lambda x: marker_places(model, x), (q,))
+
+
+@pytest.mark.data
+def test_speeds_come_from_forward_derivatives(data_dir: Path, seed: int) -> None:
+    """``torch.func.jvp`` of all markers of a whole model, twice, is what finite differences say."""
+    path = data_dir / NAMES[0]
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    model, _ = read_osim(path)
+    rng = np.random.default_rng(seed)
+    q, v = draw(model, rng, 3), torch.tensor(rng.normal(size=(3, len(model.coordinates))))
+
+    def speed(at: torch.Tensor) -> torch.Tensor:
+        return torch.func.jvp(lambda x: marker_places(model, x), (at,), (v,))[1]
+
+    step = 1e-6
+    assert_close(speed(q), _central(lambda x: marker_places(model, x), q, v, step), rtol=1e-6, atol=1e-6)
+    assert_close(torch.func.jvp(speed, (q,), (v,))[1], _central(speed, q, v, step), rtol=1e-5, atol=1e-5)
+
+
+def _central(function: Callable, at: torch.Tensor, along: torch.Tensor, step: float) -> torch.Tensor:
+    return (function(at + step * along) - function(at - step * along)) / (2.0 * step)
+
+
+def test_what_torchid_writes_is_read(seed: int, tmp_path: Path) -> None:
+    """Markers of a written body are where the body's own kinematics put them, and every mass is there."""
+    rng = np.random.default_rng(seed)
+    body = whole_body(1.75, 70.0)
+    tree, geometry = body.tree, body.geometry.geometry(body.geometry.mean)
+    marks = {f"M{k}": (name, rng.normal(size=3).tolist()) for k, name in enumerate(tree.names)}
+    write_osim(tree, geometry, body.inertia.mean, tmp_path / "a.osim", marks)
+    model, notes = read_osim(tmp_path / "a.osim")
+    assert not notes and model.bodies == tree.names
+    assert_close(model.inertias.mass, body.inertia.mean[:, 0])
+    q = torch.tensor(0.5 * rng.normal(size=(3, len(tree.dofs))))
+    values = dict(zip(osim_names(tree), osim_coordinates(q).T, strict=True))
+    places = marker_places(model, coordinate_values(model, values), list(marks))
+    points = torch.tensor([p for _, p in marks.values()], dtype=torch.float64)
+    expected = chain_points(tree, q, geometry, torch.arange(len(tree.names)), points)
+    x, y, z = places.unbind(-1)
+    assert_close(torch.stack([x, -z, y], dim=-1), expected, rtol=0, atol=1e-9)
 
 
 def test_impossible_inertia_becomes_the_nearest_and_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
