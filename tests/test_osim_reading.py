@@ -155,6 +155,15 @@ def test_every_function_drives_a_joint_as_in_opensim(case: str, old: bool, seed:
     _compare(_write(tmp_path / "a.osim", text), seed)
 
 
+@pytest.mark.parametrize("function", ["", "<SimmSpline><x>0 1 2</x><y>3 4 6</y></SimmSpline>"])
+def test_functions_without_a_name_or_missing_are_as_in_opensim(function: str, seed: int, tmp_path: Path) -> None:
+    """A function without a name is the axis's; without any, the axis does nothing."""
+    itself = "<LinearFunction><coefficients>1 0</coefficients></LinearFunction>"
+    axes = {"rotation3": ("q0", "0 0 1", itself), "translation1": ("q0", "1 0 0", "<F></F>")}
+    custom = transform(axes).replace('<F name="function"></F>', function)
+    _compare(_write(tmp_path / "a.osim", osim(joint("CustomJoint", "q0", rest=custom))), seed)
+
+
 COUPLER = """<CoordinateCouplerConstraint name="{0}"><isEnforced>{3}</isEnforced><coupled_coordinates_function>
 <SimmSpline>{4}</SimmSpline></coupled_coordinates_function>
 <independent_coordinate_names>{1}</independent_coordinate_names>
@@ -361,6 +370,10 @@ def _custom(rest: str) -> str:
         ("osim.flag", osim(PIN.replace("</Coordinate>", "<locked>maybe</locked></Coordinate>")), "maybe"),
         ("osim.range", osim(PIN.replace("-1.5 1.2", "1.5 1.2")), "1.5 > 1.2"),
         ("osim.coordinate", _custom(SPLINE.replace(">q0<", ">q1<")), "q0"),
+        ("osim.axis", _custom(SPLINE.replace("rotation2", "rotation4")), "rotation4"),
+        ("osim.axis", _custom(SPLINE.replace("rotation2", "rotation1")), "each once"),
+        ("osim.elsewhere", osim().replace("</Body>", f"<Joint>{old_joint('PinJoint', 'q0')}</Joint></Body>"), "'PinJ"),
+        ("osim.function", _custom(SPLINE.replace('Spline name="function"', 'Spline name="f"')), "SimmSpline"),
         ("osim.axis", _custom(SPLINE.replace("<axis>1 0 0", "<axis>0 0 0", 1)), "length zero"),
         ("osim.axis", _custom(SPLINE.replace(">q0<", ">q0 q1<")), "2 for 1"),
         ("osim.function", _custom(SPLINE.replace("SimmSpline", "GCVSpline")), "GCVSpline"),

@@ -65,7 +65,7 @@ def compact(element: Element, document: Document) -> bool:
     """
     if element.find("inertia") is not None:
         return True
-    return document.version >= 40000 and not any(element.find(tag) is not None for tag in SPELT)
+    return document.sets_of_joints and not any(element.find(tag) is not None for tag in SPELT)
 
 
 def matrix(moments: Float[Tensor, "6"]) -> Float[Tensor, "3 3"]:

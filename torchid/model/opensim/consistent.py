@@ -15,6 +15,9 @@ from torchid.errors import Note
 from torchid.model.opensim.model import Inertias
 from torchid.model.tree_of_links import LEAST_EXTENT
 
+ROUNDED = 1e-12
+"""Resolution. Share of the second moments by which an eigenvalue of zero is missed in double precision."""
+
 
 def consistent(stated: Inertias, names: tuple[str, ...], source: str) -> tuple[Inertias, tuple[Note, ...]]:
     """Return the nearest inertia that is physically consistent, and what was changed.
@@ -30,7 +33,7 @@ def consistent(stated: Inertias, names: tuple[str, ...], source: str) -> tuple[I
     trace = stated.moments.diagonal(dim1=-2, dim2=-1).sum(-1)
     values, axes = torch.linalg.eigh(0.5 * trace[:, None, None] * eye - stated.moments)
     least = (stated.mass * LEAST_EXTENT**2)[:, None]
-    short = (values < least).any(1)
+    short = (values < least - ROUNDED * values.abs().sum(1, keepdim=True)).any(1)
     cut = values.clamp(min=least)
     second = (axes * cut[:, None]) @ axes.mT
     nearest = cut.sum(1)[:, None, None] * eye - second

@@ -46,7 +46,8 @@ def body_elements(document: Document) -> dict[str, Element]:
             message = "two bodies have one name" if element.tag == "Body" else "is no body"
             raise document.fault(element, "osim.body", message, name, remedy="Leave it out or rename it.")
         found[name] = element
-    found.pop("ground", None)
+    if not document.sets_of_joints:
+        found.pop("ground", None)  # a body among others in older files
     return found
 
 

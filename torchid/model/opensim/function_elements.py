@@ -13,7 +13,8 @@ from torchid.model.opensim.words import Document
 def function_in(parent: Element, document: Document, tag: str = "function") -> Function | None:
     """Return the function of a property, or None where it is absent.
 
-    OpenSim 4 names the function's own element after the property; older files put it into an element of that name.
+    OpenSim 4 names the function's own element after the property, or leaves the name out; older files put it into an
+    element of that name.
 
     Args:
         parent: element that has the property.
@@ -25,6 +26,7 @@ def function_in(parent: Element, document: Document, tag: str = "function") -> F
     """
     holder = parent.find(tag)
     found = list(holder) if holder is not None else [child for child in parent if child.get("name") == tag]
+    found = found or [child for child in parent if not child.get("name") and child.tag in READERS]
     return read_function(found[0], document) if found else None
 
 

@@ -31,8 +31,6 @@ KINDS: Mapping[str, tuple[str, str]] = {
 """Turns and slides of the joints whose coordinates are their turns, then their slides."""
 PLACES = ("rotation1", "rotation2", "rotation3", "translation1", "translation2", "translation3")
 """Wording. Names of a custom joint's axes: three turns, three slides."""
-NEW_CHILD = 30500
-"""Cited. Version from which files name the child's offset ``location_in_child`` (OpenSim, Joint::updateFromXMLNode)."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +53,27 @@ def joint_elements(document: Document, frames: Frames, bodies: Mapping[str, Elem
     Raises:
         InputError: ``osim.frame`` for a frame that is not there.
     """
-    found = []
-    for joint in objects(document.model, "JointSet"):
-        parent, child = (child_text(joint, f"socket_{side}_frame") for side in ("parent", "child"))
-        found.append(JointElement(joint, frames.named(parent, joint), frames.named(child, joint)))
-    tail = "_in_child" if document.version >= NEW_CHILD else ""
-    for name, body in bodies.items():
-        for joint in (inside for holder in body.findall("Joint") for inside in holder):
-            parent = frames.named(child_text(joint, "parent_body"), joint).frame
-            parent = frames.offset(parent, joint, ("location_in_parent", "orientation_in_parent"))
-            child = frames.offset(frames.named(name, body).frame, joint, (f"location{tail}", f"orientation{tail}"))
-            ends = (child, parent) if document.flag(joint, "reverse", False) else (parent, child)
-            found.append(JointElement(joint, *ends))
-    return found
+    if document.sets_of_joints:
+        stated = objects(document.model, "JointSet")
+        ends = [[child_text(joint, f"socket_{side}_frame") for side in ("parent", "child")] for joint in stated]
+        return [
+            JointElement(one, *(frames.named(end, one) for end in pair)) for one, pair in zip(stated, ends, strict=True)
+        ]
+    return [
+        _in_body(joint, name, document, frames)
+        for name, body in bodies.items()
+        for holder in body.findall("Joint")
+        for joint in holder
+    ]
+
+
+def _in_body(joint: Element, body: str, document: Document, frames: Frames) -> JointElement:
+    """Return a joint of an older file, which stands in the body that it moves."""
+    parent = frames.named(child_text(joint, "parent_body"), joint).frame
+    parent = frames.offset(parent, joint, ("location_in_parent", "orientation_in_parent"))
+    child = frames.offset(frames.named(body, joint).frame, joint, ("location", "orientation"))
+    reverse = document.flag(joint, "reverse", False)
+    return JointElement(joint, child, parent) if reverse else JointElement(joint, parent, child)
 
 
 def read_joint(stated: JointElement, first: int, document: Document) -> tuple[Joint, list[Coordinate]]:
@@ -126,7 +132,11 @@ def _custom(element: Element, first: int, document: Document) -> _Axes:
     if transform is None:
         remedy = "Save the model again with OpenSim 3 or newer."
         raise document.fault(element, "osim.joint", "needs a SpatialTransform", remedy=remedy)
-    stated = {one.get("name"): one for one in transform.findall("TransformAxis")}
+    found = transform.findall("TransformAxis")
+    stated = {one.get("name", ""): one for one in found}
+    if len(stated) < len(found) or not set(stated) <= set(PLACES):
+        remedy = f"Name the axes {', '.join(PLACES)}, each once."
+        raise document.fault(transform, "osim.axis", "its axes have other names", ", ".join(stated), remedy=remedy)
     used = [name for place in PLACES if place in stated for name in child_text(stated[place], "coordinates").split()]
     names = list(dict.fromkeys(used))
     axes = []
@@ -142,17 +152,17 @@ def _axis(element: Element, default: torch.Tensor, rows: Mapping[str, int], docu
     unit = document.vector(element, "axis", default.tolist())
     if not float(unit.norm()) > 0.0:
         raise document.fault(element, "osim.axis", "an axis of length zero", remedy="Give it a direction.")
-    function = function_in(element, document) or _default_function(len(names))
+    function = function_in(element, document)
+    others = [one for one in element if one.tag not in ("coordinates", "axis", "function")]
+    if function is None and others:
+        remedy = 'Use one of the known functions, and name it "function".'
+        raise document.fault(others[0], "osim.function", "no function of its axis", str(others[0].tag), remedy=remedy)
+    function = function or Constant(0.0)  # OpenSim's default
     if function.n_arguments not in (0, len(names)):
         found = f"{len(names)} for {function.n_arguments} argument(s)"
         remedy = "Name one coordinate for every argument of the function."
         raise document.fault(element, "osim.axis", "as many coordinates as arguments are needed", found, remedy=remedy)
     return TransformAxis(unit / unit.norm(), tuple(rows[name] for name in names), function)
-
-
-def _default_function(count: int) -> Function:
-    """Return what OpenSim takes where an axis states no function: the coordinate itself, or zero."""
-    return Linear(torch.ones(count, dtype=torch.float64), 0.0) if count else Constant(0.0)
 
 
 def _moving(axes: list[TransformAxis]) -> tuple[TransformAxis, ...]:

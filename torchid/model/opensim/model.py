@@ -64,7 +64,7 @@ class Frame:
     orientation: Float[Tensor, "3"]
     """Angles of the offset about X, the new Y and the new Z [rad], as the file states them."""
 
-    @property
+    @cached_property
     def X_BF(self) -> Float[Tensor, "4 4"]:
         """Return the pose on the body."""
         return self.base @ pose(body_xyz(self.orientation), self.translation)
@@ -129,7 +129,7 @@ class Marker:
     location: Float[Tensor, "3"]
     """Place in the frame [m]."""
 
-    @property
+    @cached_property
     def p_BM_B(self) -> Float[Tensor, "3"]:
         """Return the place on the body [m]."""
         return moved(self.frame.X_BF, self.location)

@@ -110,7 +110,7 @@ def parts_of(document: Document) -> Parts:
 def _refuse_elsewhere(parts: Parts) -> None:
     """Refuse parts of the model that stand where they are not looked for, and defaults that change what is left out."""
     document = parts.document
-    looked_at = {element for tag in LOOKED_AT for element in objects(document.model, tag)}
+    looked_at = {element for tag in LOOKED_AT if tag != "JointSet" for element in objects(document.model, tag)}
     looked_at |= {one.element for one in parts.joints}
     for element in document.model.iterdescendants():
         tag = str(element.tag)
@@ -161,8 +161,9 @@ def _joints(parts: Parts) -> tuple[list[Joint], tuple[Coordinate, ...]]:
     coordinates: list[Coordinate] = []
     for stated in parts.joints:
         joint, own = read_joint(stated, len(coordinates), parts.document)
-        known = {one.name for one in coordinates} | {one.name for one in joints}
-        twice = [name for name in (joint.name, *(one.name for one in own)) if name in known]
+        known = {one.name for one in coordinates}
+        twice = [joint.name] if joint.name in {one.name for one in joints} else []
+        twice += [one.name for one in own if one.name in known]
         if twice:
             message = "a name of a joint or a coordinate stands twice"
             raise parts.document.fault(stated.element, "osim.twice", message, twice[0], remedy="Rename one of them.")

@@ -23,6 +23,11 @@ class Document:
     version: int
     """Version of the format, such as 40500."""
 
+    @property
+    def sets_of_joints(self) -> bool:
+        """Return True for OpenSim 4, whose joints have a set of their own; older ones stand in the bodies they move."""
+        return self.version >= 40000
+
     def fault(self, element: Element, code: str, message: str, found: str = "", *, remedy: str) -> InputError:
         """Return the error of an element, with its line."""
         return fault(element, self.source, code, message, found, remedy=remedy)
