@@ -325,6 +325,7 @@ def test_a_driven_coordinate_is_said(tmp_path: Path) -> None:
 
 
 PIN = joint("PinJoint", "q0")
+TWO_MARKERS = 2 * MARKER.format("M", "/ground")
 LOOP = joint("PinJoint", "q1", parent="/bodyset/a", child="/bodyset/b") + joint("WeldJoint", child="/bodyset/b")
 BOMB = (
     '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]>'
@@ -366,7 +367,8 @@ def _custom(rest: str) -> str:
         ("osim.loop", osim(PIN, LOOP, bodies="ab"), "loop"),
         ("osim.unjoined", osim(PIN, bodies="ab"), "name='b'"),
         ("osim.twice", osim(PIN, joint("PinJoint", "q0", child="/bodyset/b"), bodies="ab"), "q0"),
-        ("osim.twice", osim(PIN, rest=f"<MarkerSet><objects>{MARKER.format('M', 'a') * 2}</objects></MarkerSet>"), "M"),
+        ("osim.twice", osim(PIN, rest=f"<MarkerSet><objects>{TWO_MARKERS}</objects></MarkerSet>"), "M"),
+        ("osim.twice", osim(joint("BallJoint", "q0", "q1", "q0")), "q0, q1"),
         ("osim.flag", osim(PIN.replace("</Coordinate>", "<locked>maybe</locked></Coordinate>")), "maybe"),
         ("osim.range", osim(PIN.replace("-1.5 1.2", "1.5 1.2")), "1.5 > 1.2"),
         ("osim.coordinate", _custom(SPLINE.replace(">q0<", ">q1<")), "q0"),

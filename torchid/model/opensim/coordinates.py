@@ -50,9 +50,15 @@ def joint_coordinates(
         document: the file.
 
     Raises:
-        InputError: ``osim.coordinate`` for a coordinate that no axis uses, ``osim.range`` for a range upside down.
+        InputError: ``osim.twice`` for two of one name, ``osim.coordinate`` for one that no axis uses,
+            ``osim.range`` for a range upside down.
     """
-    stated = {document.name(one): one for one in coordinate_elements(joint)}
+    elements = coordinate_elements(joint)
+    stated = {document.name(one): one for one in elements}
+    if len(stated) < len(elements):
+        found = ", ".join(stated)
+        remedy = "Rename one of them."
+        raise document.fault(joint, "osim.twice", "two of its coordinates have one name", found, remedy=remedy)
     idle = sorted(set(stated) - set(names))
     if idle:
         remedy = "Let an axis of the joint name it, or remove it."

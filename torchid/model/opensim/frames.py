@@ -1,4 +1,4 @@
-"""Frames that OpenSim files name, found by path or by name.
+"""Frames that OpenSim files name, found by their paths.
 
 OpenSim 4 states joints and markers in PhysicalOffsetFrames, which it finds by a path from the model or from the
 element that asks; older files name bodies.
@@ -88,7 +88,7 @@ class Frames:
         """Return the frame that an element asks for.
 
         Args:
-            name: path from the model or from the element that asks, or a name that no other frame has.
+            name: path from the model or from the element that asks; in older files the name of a body.
             asking: element that is shown when there is none.
 
         Raises:
@@ -97,15 +97,14 @@ class Frames:
         return self._at(self._path(name, asking), asking, ())
 
     def _path(self, name: str, asking: Element) -> str:
-        known = (*self.bodies, *self.offsets)
-        path = posixpath.normpath(posixpath.join(component_path(asking, self.document), name)) if "/" in name else name
-        inside = posixpath.join(component_path(asking, self.document), name)
-        alike = [one for one in known if posixpath.basename(one) == posixpath.basename(path)]
-        found = [one for one in (path, inside) if one in known] or (alike if len(alike) == 1 and name else [])
-        if not found:
-            remedy = "Name a body or a frame of the file, or save the model again with OpenSim 4."
+        if self.document.sets_of_joints:
+            path = posixpath.normpath(posixpath.join(component_path(asking, self.document), name))
+        else:
+            path = "/ground" if name == "ground" else f"/bodyset/{name}"
+        if path not in self.bodies and path not in self.offsets or not name:
+            remedy = "Name a body or a frame of the file; saving with OpenSim 4 writes whole paths."
             raise self.document.fault(asking, "osim.frame", "no such body or frame", name, remedy=remedy)
-        return found[0]
+        return path
 
     def _at(self, path: str, asking: Element, behind: tuple[str, ...]) -> Stated:
         zero = torch.zeros(3, dtype=torch.float64)
