@@ -188,6 +188,16 @@ def test_couplers_hold_whatever_is_given(seed: int, tmp_path: Path) -> None:
     assert_close(coupled(model, full), full, rtol=0, atol=0)
 
 
+@pytest.mark.parametrize("off", [False, True])
+def test_couplers_of_older_files_hold(off: bool, seed: int, tmp_path: Path) -> None:
+    """Older files say that a constraint is disabled, newer ones that it is enforced."""
+    coupler = COUPLER.format("c", "q0", "q1", "true", POINTS)
+    coupler = coupler.replace("<isEnforced>true</isEnforced>", f"<isDisabled>{str(off).lower()}</isDisabled>")
+    rest = f"<ConstraintSet><objects>{coupler}</objects></ConstraintSet>"
+    text = old_osim(OLD_BODY.format("a", old_joint("BallJoint", "q0", "q1", "q2")), rest=rest)
+    assert len(_compare(_write(tmp_path / "a.osim", text), seed).couplers) == (not off)
+
+
 def test_markers_stand_on_any_frame(seed: int, tmp_path: Path) -> None:
     """On ground, on bodies by path or name, and on offset frames of offset frames."""
     offset = """<PhysicalOffsetFrame name="{0}"><socket_parent>{1}</socket_parent><translation>0.1 0 0.2</translation>

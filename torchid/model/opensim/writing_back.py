@@ -62,7 +62,7 @@ def write_back(model: OsimModel, path: str | Path) -> None:
     Masses, centres of mass and inertia of bodies, offsets of joints' frames and places of markers are compared with
     those of ``model.source``; only numbers that differ are written, with all their digits. Names, comments, blanks,
     line ends and all other elements keep their bytes. A body whose inertia was not changed keeps what the file states,
-    even where ``stated`` and ``inertias`` differ.
+    even where ``stated`` and ``inertias`` differ. A frame's own offset is written, not that of a frame it stands on.
 
     Args:
         model: the model that was read, with other ``inertias``, ``joints`` or ``markers``.
