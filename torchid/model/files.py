@@ -24,8 +24,8 @@ def load_model(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mo
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".osim":
-        remedy = "Use `model: whole_body`, or a URDF of the model; OpenSim models are written, not read."
-        raise InputError("model.osim", "OpenSim models cannot be read", source=path, remedy=remedy)
+        remedy = "Use `model: whole_body`, or a URDF of the model; torchid.model.opensim reads and poses it by itself."
+        raise InputError("model.osim", "an OpenSim model cannot be identified yet", source=path, remedy=remedy)
     if suffix not in READERS:
         remedy = f"Known: {', '.join(READERS)}."
         raise ConfigError("model.suffix", "not a model file", source=path, found=suffix, remedy=remedy)

@@ -22,6 +22,15 @@ def read_xml(path: str | Path, root: str) -> Element:
     Raises:
         InputError: no such file, larger than MAX_BYTES, not XML, a document type (entities), or another root element.
     """
+    return parse_xml(read_bytes(path), path, root)
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """Bytes of an XML file.
+
+    Raises:
+        InputError: no such file, or larger than MAX_BYTES.
+    """
     path = Path(path)
     try:
         with path.open("rb") as file:
@@ -31,6 +40,15 @@ def read_xml(path: str | Path, root: str) -> Element:
         raise InputError("xml.unreadable", "cannot be read", source=path, found=str(error), remedy=remedy) from error
     if len(content) > MAX_BYTES:
         raise InputError("xml.too_large", f"larger than {MAX_BYTES} bytes", source=path, remedy="Name a model file.")
+    return content
+
+
+def parse_xml(content: bytes, path: str | Path, root: str) -> Element:
+    """Root element of a file's bytes.
+
+    Raises:
+        InputError: not XML, a document type (entities), or another root element.
+    """
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
     )

@@ -1,0 +1,121 @@
+"""Functions of OpenSim in torch: batched, differentiable twice, with OpenSim's own continuation beyond the ends."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Function(ABC):
+    """A scalar function of some coordinates."""
+
+    @property
+    def n_arguments(self) -> int:
+        """Number of arguments that the function needs; 0 for one that ignores what it is given."""
+        return 1
+
+    @abstractmethod
+    def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
+        """Evaluate the function."""
+
+
+@dataclass(frozen=True)
+class Constant(Function):
+    """A number, whatever the arguments."""
+
+    value: float
+
+    @property
+    def n_arguments(self) -> int:
+        """No argument is needed."""
+        return 0
+
+    def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
+        """Return the value for every entry of the batch."""
+        return x.new_full(x.shape[:-1], self.value)
+
+
+@dataclass(frozen=True)
+class Linear(Function):
+    """A weighted sum of the arguments and a constant."""
+
+    slopes: Float[Tensor, " arguments"]
+    intercept: float
+
+    @property
+    def n_arguments(self) -> int:
+        """One argument for every slope."""
+        return len(self.slopes)
+
+    def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
+        """Return slopes times arguments, plus the intercept."""
+        return x @ self.slopes.to(x) + self.intercept
+
+
+@dataclass(frozen=True)
+class Polynomial(Function):
+    """A polynomial of one argument."""
+
+    coefficients: Float[Tensor, " powers"]
+    """Coefficients from the highest power to the constant, the order of the file."""
+
+    def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
+        """Evaluate by Horner's rule."""
+        total = torch.zeros_like(x[..., 0])
+        for coefficient in self.coefficients.to(x):
+            total = total * x[..., 0] + coefficient
+        return total
+
+
+@dataclass(frozen=True)
+class Scaled(Function):
+    """A multiple of another function."""
+
+    function: Function
+    scale: float
+
+    @property
+    def n_arguments(self) -> int:
+        """The other function's arguments."""
+        return self.function.n_arguments
+
+    def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
+        """Return the scale times the other function."""
+        return self.scale * self.function(x)
+
+
+@dataclass(frozen=True)
+class Sine(Function):
+    """A sine of one argument on a constant."""
+
+    amplitude: float
+    omega: float
+    phase: float
+    offset: float
+
+    def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
+        """Return amplitude sin(omega x + phase) + offset."""
+        return self.amplitude * torch.sin(self.omega * x[..., 0] + self.phase) + self.offset
+
+
+@dataclass(frozen=True)
+class Pieces(Function):
+    """A piecewise cubic (or linear) function, continued by the tangents at its ends."""
+
+    x: Float[Tensor, " knots"]
+    """Knots, increasing."""
+    powers: Float[Tensor, "knots 4"]
+    """Polynomial of the distance to each knot, from the constant to the cube; behind the last knot it is straight."""
+
+    def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
+        """Evaluate the piece that each argument lies on."""
+        value = x[..., 0].contiguous()
+        knots, powers = self.x.to(value), self.powers.to(value)
+        piece = (torch.searchsorted(knots, value.detach(), right=True) - 1).clamp(min=0)
+        a, b, c, d = powers[piece].unbind(-1)
+        step = value - knots[piece]
+        curved = step.clamp(min=0.0)  # below the first knot the tangent goes on
+        return a + b * step + curved * curved * (c + d * curved)

@@ -1,0 +1,201 @@
+"""OpenSim models in: the whole file, from its bytes to a model."""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from torchid.conventions import GRAVITY
+from torchid.errors import InputError, Note
+from torchid.model.markup import Element, parse_xml, read_bytes
+from torchid.model.opensim.bodies import read_inertias
+from torchid.model.opensim.consistent import consistent
+from torchid.model.opensim.coordinates import read_couplers
+from torchid.model.opensim.frames import Frames, Stated, body_elements
+from torchid.model.opensim.joints import JointElement, joint_elements, read_joint
+from torchid.model.opensim.model import GROUND, Coordinate, Joint, Marker, OsimModel
+from torchid.model.opensim.vocabulary import WORDS
+from torchid.model.opensim.words import Document, child_text, objects
+from torchid.model.vocabulary import unread
+
+log = logging.getLogger(__name__)
+
+VERSIONS = ((20000, 30499), (40000, 49999))
+"""Choice. Versions of the format that are read, first and last: those of OpenSim 2 and 3, and those of OpenSim 4.
+Numbers between them belong to development versions."""
+LOOKED_AT = ("BodySet", "JointSet", "ConstraintSet", "MarkerSet")
+"""Wording. Sets of the model whose members are read."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A file's elements that state numbers, beside what they state."""
+
+    document: Document
+    bodies: Mapping[str, Element]
+    joints: tuple[JointElement, ...]
+    markers: tuple[tuple[Element, Stated], ...]
+
+
+def read_osim(path: str | Path) -> tuple[OsimModel, tuple[Note, ...]]:
+    """Read the model of an OpenSim file of version 2, 3 or 4.
+
+    Muscles, other forces, wrapping and looks are passed over.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The model, and notes about what was changed or passed over, which are logged as well.
+
+    Raises:
+        InputError: ``xml.*`` for what is no XML, or has entities; ``osim.*`` for what is no such model, or holds
+            something that cannot be read exactly. It names the line.
+    """
+    path = Path(path)
+    model, notes = model_of(parts_of(open_document(read_bytes(path), path)))
+    for note in notes:
+        log.warning("%s", note)
+    return model, notes
+
+
+def open_document(content: bytes, path: Path) -> Document:
+    """Return the document of a file's bytes.
+
+    Args:
+        content: the bytes.
+        path: the file.
+
+    Raises:
+        InputError: ``xml.*``, ``osim.version``, ``osim.model``.
+    """
+    root = parse_xml(content, path, "OpenSimDocument")
+    text = root.get("Version", "")
+    version = int(text) if text.isdecimal() and len(text) < 10 else 0
+    if not any(first <= version <= last for first, last in VERSIONS):
+        raise InputError(
+            "osim.version", "a version of the format that is not read", source=path, place="<OpenSimDocument>",
+            found=text, remedy="Open it with OpenSim 4 and save it again.",
+        )  # fmt: skip
+    model = root.find("Model")
+    if model is None:
+        remedy = "Name a model file, not a setup file."
+        raise InputError("osim.model", "holds no <Model>", source=path, place="<OpenSimDocument>", remedy=remedy)
+    return Document(path, model, version)
+
+
+def parts_of(document: Document) -> Parts:
+    """Return the elements of a document that state numbers.
+
+    Args:
+        document: the file.
+
+    Raises:
+        InputError: ``osim.body``, ``osim.name``, ``osim.frame``, ``osim.elsewhere`` for a part that is not read.
+    """
+    bodies = body_elements(document)
+    frames = Frames(document, bodies)
+    markers = []
+    for element in objects(document.model, "MarkerSet"):
+        if element.tag == "Marker":
+            frame = child_text(element, "socket_parent_frame") or child_text(element, "body")
+            markers.append((element, frames.named(frame, element)))
+    parts = Parts(document, bodies, tuple(joint_elements(document, frames, bodies)), tuple(markers))
+    _refuse_elsewhere(parts)
+    return parts
+
+
+def _refuse_elsewhere(parts: Parts) -> None:
+    """Refuse parts of the model that stand where they are not looked for, and defaults that change what is left out."""
+    document = parts.document
+    looked_at = {element for tag in LOOKED_AT if tag != "JointSet" for element in objects(document.model, tag)}
+    looked_at |= {one.element for one in parts.joints}
+    for element in document.model.iterdescendants():
+        tag = str(element.tag)
+        moves = tag in ("Body", "Marker") or tag != "Joint" and tag.endswith(("Joint", "Constraint"))
+        changes = element.getparent().tag == "defaults" and tag in WORDS
+        if changes or moves and element not in looked_at:
+            remedy = f"Put it into {', '.join(LOOKED_AT)}; write defaults out: saving with OpenSim 4 does."
+            message = "a part of the model that stands where it is not read"
+            raise document.fault(element, "osim.elsewhere", message, remedy=remedy)
+
+
+def model_of(parts: Parts) -> tuple[OsimModel, tuple[Note, ...]]:
+    """Return the model that elements state, and notes.
+
+    Args:
+        parts: the elements.
+
+    Raises:
+        InputError: as ``read_osim``.
+    """
+    document, source = parts.document, str(parts.document.source)
+    joints, coordinates = _joints(parts)
+    if not parts.bodies:
+        raise document.fault(document.model, "osim.body", "the model has no bodies", remedy="Name a whole model.")
+    stated = read_inertias(parts.bodies, document)
+    inertias, notes = consistent(stated, tuple(parts.bodies), source)
+    driven = ", ".join(one.name for one in coordinates if one.prescribed)
+    if driven:
+        notes += (Note("osim.prescribed", f"{driven}: driven by functions of time, taken as free", source),)
+    model = OsimModel(
+        source=document.source,
+        name=document.model.get("name", ""),
+        version=document.version,
+        gravity=document.vector(document.model, "gravity", [0.0, -GRAVITY, 0.0]),
+        bodies=tuple(parts.bodies),
+        stated=stated,
+        inertias=inertias,
+        coordinates=coordinates,
+        joints=_outwards(joints, parts),
+        couplers=read_couplers([one.name for one in coordinates], document),
+        markers=_markers(parts),
+    )
+    return model, (*unread(document.model, WORDS, source), *notes)
+
+
+def _joints(parts: Parts) -> tuple[list[Joint], tuple[Coordinate, ...]]:
+    joints: list[Joint] = []
+    coordinates: list[Coordinate] = []
+    for stated in parts.joints:
+        joint, own = read_joint(stated, len(coordinates), parts.document)
+        known = {one.name for one in coordinates}
+        twice = [joint.name] if joint.name in {one.name for one in joints} else []
+        twice += [one.name for one in own if one.name in known]
+        if twice:
+            message = "a name of a joint or a coordinate stands twice"
+            raise parts.document.fault(stated.element, "osim.twice", message, twice[0], remedy="Rename one of them.")
+        joints.append(joint)
+        coordinates += own
+    return joints, tuple(coordinates)
+
+
+def _outwards(joints: list[Joint], parts: Parts) -> tuple[Joint, ...]:
+    """Order the joints from ground outwards; one whose child is nearer to ground is turned round."""
+    order: list[Joint] = []
+    reached, waiting = {GROUND}, dict(enumerate(joints))
+    while near := [k for k, joint in waiting.items() if {joint.parent.body, joint.child.body} & reached]:
+        joint = waiting.pop(near[0])
+        if {joint.parent.body, joint.child.body} <= reached:
+            element, remedy = parts.joints[near[0]].element, "Open the loop: closed chains cannot be read."
+            raise parts.document.fault(element, "osim.loop", "a joint closes a loop", remedy=remedy)
+        order.append(replace(joint, outward=joint.parent.body in reached))
+        reached |= {joint.parent.body, joint.child.body}
+    for body, element in enumerate(parts.bodies.values()):
+        if body not in reached:
+            remedy = "Join it to ground or to a body that is; a FreeJoint leaves it free."
+            raise parts.document.fault(element, "osim.unjoined", "no chain of joints leads to ground", remedy=remedy)
+    return tuple(order)
+
+
+def _markers(parts: Parts) -> tuple[Marker, ...]:
+    zero = torch.zeros(3).tolist()
+    document, found = parts.document, dict[str, Marker]()
+    for element, stated in parts.markers:
+        name = document.name(element)
+        if name in found:
+            raise document.fault(element, "osim.twice", "two markers have one name", name, remedy="Rename one of them.")
+        found[name] = Marker(name, stated.frame, document.vector(element, "location", zero))
+    return tuple(found.values())
