@@ -32,10 +32,11 @@ from torchid.inertia.identify import Identified
 from torchid.inertia.options import InertiaOptions
 from torchid.io.trc import write_trc
 from torchid.live.estimator import Estimator
-from torchid.live.identifier import Identifier, Subject
+from torchid.live.identifier import Subject
 from torchid.live.intake import Intake
 from torchid.live.pipeline import Moment, Pipeline
 from torchid.live.pose import Follower
+from torchid.live.refining import Piece, Refining
 from torchid.live.replay import AT_ONCE, Replay
 from torchid.live.run import prepare_subject, run_live
 from torchid.live.stream import Packet
@@ -81,8 +82,7 @@ def streamed(given: Trial, spoil: Callable[[Packet], list[Packet]] = lambda pack
     assert forces is not None
     intake = Intake(RATE, forces.rate, 0.5)
     follower = Follower(who.fit, source.labels)
-    identifier = Identifier(who, RATE, source.plates, forces.rate)
-    known = 0
+    own, known = Refining(who, source.labels, RATE, source.plates, forces.rate), 0
     while (packet := source.take()) is not None:
         for one in spoil(packet):
             placed = intake.place(one)
@@ -90,9 +90,9 @@ def streamed(given: Trial, spoil: Callable[[Packet], list[Packet]] = lambda pack
                 postures = follower(placed.markers)
                 known += int(postures.known.sum())
                 assert bool(torch.isfinite(postures.q).all())
-                identifier.put(placed.index, postures, placed.sample, placed.wrench)
-                identifier.work()
-    return identifier.finish(), known
+                own.put(Piece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench))
+                own.work()
+    return own.finish(), known
 
 
 @functools.cache

@@ -94,7 +94,10 @@ class Follower:
         weight = (seen / self._fit.sigma.square()[:, None]).contiguous()
         problem = replace(self._problem, target=target, weight=weight)
         time = float(markers.time[-1])
-        q = solve_poses(problem, self._expected(markers.time), self._fit.xi, STEPS, TOLERANCE, self._prepared)[0]
+        q, cost = solve_poses(problem, self._expected(markers.time), self._fit.xi, STEPS, TOLERANCE, self._prepared)
+        if STALE_S < float(markers.time[0]) - self._held_s < math.inf:  # a limb may be elsewhere, and look as good
+            other = settled(self._fit, problem)
+            q = torch.where(problem.frame_cost(other, self._fit.xi) < cost, other, q)
         error, known = self._judged(problem, q)
         lost = math.isinf(self._held_s) or not bool(known.any())
         if lost and time - max(self._held_s, self._sought_s) > STALE_S and bool((seen.sum(0) >= FEWEST).any()):
