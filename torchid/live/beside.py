@@ -159,7 +159,7 @@ class Beside:
 def apart() -> Iterator[None]:
     """A process that is started here has one thread for its arithmetic, and never hears Ctrl-C.
 
-    Two processes whose libraries each take all cores wait for each other: a factorisation of 2 ms took 180. Ctrl-C is
+    Two processes whose libraries each take all cores wait for each other: a factorisation of 7 ms took 180. Ctrl-C is
     for the parent, which says when the other is to end.
     """
     given = {name: os.environ.get(name) for name in THREADS}

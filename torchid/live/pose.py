@@ -32,7 +32,7 @@ are exchanged turn the body."""
 FEWEST = 6
 """Choice. Markers that must be seen for a posture to be known at all."""
 AHEAD_S = 0.1
-"""Choice. How far a posture is thought on at the rate of the last two: the steps from there are half as many."""
+"""Choice. How far a posture is thought on at the rate of the last two: it takes a step less from there."""
 STALE_S = 0.5
 """Choice. After so long without a posture the next is looked for from rest, and again after as long."""
 

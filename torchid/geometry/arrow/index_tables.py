@@ -87,8 +87,7 @@ def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Arr
         dtype: precision of the matrices; None takes that of the problem.
     """
     plan, like = problem.plan, problem.target[:0].to(dtype or problem.target.dtype)
-    position = plan.position
-    hinge, offset = _entries(problem)
+    position, (hinge, offset) = plan.position, _entries(problem)
     turns, slides = len(plan.turns), len(plan.slides)
 
     def index(values: list[int]) -> Tensor:
