@@ -25,7 +25,7 @@ squats halve the distance of markers that standing alone leaves, and an hour is 
 FRAMES = 150
 """Choice. Frames of the motion in a fit: it takes two seconds; twice as many bring markers of squats 0.1 mm nearer."""
 SLICE = 512
-"""Choice. Frames that are identified anew between two blocks of the stream, which is never late by half a second."""
+"""Choice. Frames that are identified anew between two blocks of the stream: a part of a second."""
 
 
 @dataclass(frozen=True)
