@@ -79,8 +79,9 @@ class EvaluateOptions:
 
     joints: tuple[Name, ...] = ("hip_flexion", "knee_flexion", "ankle_flexion")
     """Coordinates; one without side stands for both sides."""
-    cycles: Literal["gait"] | EventCycles | CoordinateCycles | tuple[GivenCycle, ...] = "gait"
-    """How cycles are found: foot strikes, events of the files, rests of a coordinate, or a list of intervals."""
+    cycles: Literal["gait", "stance"] | EventCycles | CoordinateCycles | tuple[GivenCycle, ...] = "gait"
+    """How cycles are found: strides or stances by the feet's contacts, events of the files, rests of a coordinate, or a
+    list of intervals."""
     measures: tuple[Literal[MEASURES], ...] = (  # type: ignore[valid-type]
         "peak_torque_Nm", "positive_work_J", "negative_work_J", "cumulative_load_Nms", "range_deg",
     )  # fmt: skip
@@ -100,8 +101,8 @@ class EvaluateOptions:
     lever_arm_m: tuple[Positive, Positive] = (0.05, 0.075)
     """Cited. Lever arms of the equivalent back muscle between which compression is given: 5 cm (Chaffin & Andersson,
     Occupational Biomechanics) and 7.5 cm (McGill & Norman 1987, J Biomech 20:591)."""
-    shortest_s: Positive = 0.4
-    """Choice. A cycle that is shorter is none: the fastest strides of a sprint take as long."""
+    shortest_s: Positive = 0.15
+    """Choice. A cycle that is shorter is none: the stance of a run takes as long."""
     longest_s: Positive = 10.0
     """Choice. A cycle that is longer holds a pause."""
     points: Annotated[Count, Ge(11)] = 101

@@ -43,6 +43,8 @@ class Sample:
     """NaN where a cycle does not tell."""
     draws: Float[Tensor, "draws cycles columns"] | None = None
     """The same with other bodies, each the same body in all cycles."""
+    sides: tuple[str, ...] = ()
+    """Foot of every cycle, empty for the whole body's."""
 
     def of(self, names: Sequence[str]) -> "Sample":
         """The cycles of some conditions.

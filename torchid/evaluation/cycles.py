@@ -76,7 +76,7 @@ def find_cycles(course: Course, options: EvaluateOptions) -> tuple[Cycle, ...]:
     elif isinstance(wanted, tuple):
         found = given_cycles(course, wanted)
     else:
-        found = strides(course)
+        found = stances(course) if wanted == "stance" else strides(course)
     step = float(course.time[1] - course.time[0])
     long = [c for c in found if options.shortest_s <= (c.stop - c.start) * step <= options.longest_s]
     return tuple(sorted(long, key=lambda c: (c.start, c.side)))
@@ -98,6 +98,22 @@ def strides(course: Course) -> list[Cycle]:
     return found
 
 
+def stances(course: Course) -> list[Cycle]:
+    """Cycles from a strike of a foot to where it leaves the ground, for walkways too short for a stride.
+
+    Args:
+        course: its contact tells when a foot's sole rests on the ground.
+    """
+    if course.contact is None:
+        return []
+    rate = 1.0 / float(course.time[1] - course.time[0])
+    found = []
+    for k, foot in enumerate(course.contact.feet):
+        own = settled(course.contact.touching[:, k], rate)
+        found += [Cycle(course.trial, a, b, foot[-1]) for a, b in own if a > 0 and b < len(course.time)]
+    return found
+
+
 def strikes(touching: Bool[Tensor, " frames"], rate_hz: float) -> list[int]:
     """Frames in which a foot comes to the ground after it was in the air.
 
@@ -105,12 +121,22 @@ def strikes(touching: Bool[Tensor, " frames"], rate_hz: float) -> list[int]:
         touching: whether it rests on the ground.
         rate_hz: frames per second.
     """
+    return [start for start, _ in settled(touching, rate_hz) if start > 0]
+
+
+def settled(touching: Bool[Tensor, " frames"], rate_hz: float) -> list[tuple[int, int]]:
+    """First frame of every contact and of the swing behind it, passing over what is too short for either.
+
+    Args:
+        touching: whether the foot rests on the ground.
+        rate_hz: frames per second.
+    """
     held = max(1, round(HELD_S * rate_hz))
     down = touching.clone()
-    for start, stop in runs(~touching):  # a gap in the contact that is too short to be a swing
+    for start, stop in runs(~touching):
         if 0 < start and stop < len(down) and stop - start < held:
             down[start:stop] = True
-    return [start for start, stop in runs(down) if start > 0 and stop - start >= held]
+    return [(start, stop) for start, stop in runs(down) if stop - start >= held]
 
 
 def event_cycles(course: Course, label: str) -> list[Cycle]:

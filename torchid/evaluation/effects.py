@@ -38,7 +38,7 @@ def mean_of(
         coverage: of the interval.
 
     Returns:
-        Intervals that are as wide as the draws where there is one unit; NaN without either.
+        The interval is NaN where there is one unit, which does not say how units scatter.
     """
     value, variance, freedom = _moments(units)
     body = _scatter(None if draws is None else draws.nanmean(1), value)
@@ -100,12 +100,10 @@ def _scatter(draws: Float[Tensor, "draws columns"] | None, like: Tensor) -> Tens
 
 def _interval(value: Tensor, variance: Tensor, body: Tensor, freedom: Tensor, coverage: float) -> Estimate:
     """Interval of a value whose variance between units is told by ``freedom`` and that of the body is known."""
-    none = ~torch.isfinite(variance)
-    alone = torch.where(body > 0.0, body, torch.nan)
-    total = torch.where(none, alone, variance + body)
+    total = variance + body
     # Satterthwaite: a part of the variance is known better than the other.
     better = torch.where(variance > 0.0, freedom * (total / variance.clamp(min=1e-300)).square(), torch.inf)
-    better = torch.where(none, torch.inf, better).clamp(min=1.0, max=1e6)
+    better = better.clamp(min=1.0, max=1e6)
     t = value.new_tensor(stats.t.ppf(0.5 + 0.5 * coverage, better.cpu().numpy()))
     sd = total.sqrt()
     return Estimate(value, sd, value - t * sd, value + t * sd)

@@ -101,7 +101,7 @@ MEASURES: Mapping[str, Measure] = {
 """By the names of ``config.conditions.MEASURES``; the unit ends the name."""
 UNITS = {"Nm": "N m", "J": "J", "W": "W", "Nms": "N m s", "deg": "°", "s": "s", "m": "m", "m_s": "m/s", "N": "N"}
 """Units by the ends of names."""
-PER_MASS = ("Nm", "J", "W", "Nms", "N")
+PER_MASS = ("Nm", "J", "W", "Nms")
 """Ends of names of what is divided by the mass on demand."""
 
 

@@ -72,6 +72,8 @@ def choose_units(
         )
     if _enough(labels, options.level):
         return Units(kind, index, labels, length, reason)
+    if options.units == "auto":
+        kind, (index, labels) = "trials", by_trial
     first, own = len(labels) - int(labels.sum()), int(labels.sum())
     wanted = least_units(options.level)
     reason = (
@@ -79,6 +81,16 @@ def choose_units(
         f"record {wanted} of each condition or more"
     )
     return Units("none", index, labels, length, reason)
+
+
+def trial_units(trials: Sequence[str]) -> Units:
+    """The trials of one condition as units.
+
+    Args:
+        trials: trial of every cycle.
+    """
+    index, labels = _units([(trial,) for trial in trials], [False] * len(trials))
+    return Units("trials", index, labels)
 
 
 def least_units(level: float) -> int:

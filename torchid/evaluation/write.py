@@ -1,0 +1,59 @@
+"""Files of an evaluation, beside those of its run."""
+
+import csv
+from collections.abc import Sequence
+from io import StringIO
+from pathlib import Path
+
+
+from torchid.evaluation.datasets import cycles_dataset
+from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.ledger import Ledger
+from torchid.evaluation.numbers import all_numbers
+from torchid.evaluation.report.page import render_evaluation
+from torchid.evaluation.table import evaluation_table
+from torchid.files import safe_name, write_json, write_text
+from torchid.netcdf import write_netcdf
+from torchid.results import OutputFolder
+
+FILES = ("evaluation.json", "evaluation.csv", "evaluation.html")
+
+
+def write_evaluation(found: Evaluation, folder: OutputFolder) -> None:
+    """Write the tables, the cycles of every condition, and the report.
+
+    Args:
+        found: the evaluation.
+        folder: that of its run, opened to write beside it.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    ledger = Ledger(all_numbers(found))
+    page = render_evaluation(found, ledger)  # before the CSV, which holds what it has shown
+    write_json(folder.path("evaluation.json"), evaluation_table(found))
+    write_text(folder.path("evaluation.csv"), ledger.csv())
+    write_text(folder.path("evaluation.html"), page)
+    for condition in found.config.conditions:
+        write_netcdf(folder.path(f"cycles_{safe_name(condition)}.nc"), [cycles_dataset(found, condition)])
+
+
+def files_of(found: Evaluation) -> list[Path]:
+    """The files that ``write_evaluation`` writes.
+
+    Args:
+        found: the evaluation.
+    """
+    cycles = [f"cycles_{safe_name(condition)}.nc" for condition in found.config.conditions]
+    return [found.config.out / name for name in (*FILES, *cycles)]
+
+
+def csv_rows(text: str) -> Sequence[dict[str, str]]:
+    """Rows of a CSV file that ``Ledger.csv`` has written.
+
+    Args:
+        text: its content.
+    """
+    return list(csv.DictReader(StringIO(text)))
+
+
