@@ -14,3 +14,4 @@ from torchid.devices.result import Determined as Determined
 from torchid.devices.result import IdentifiedDevice as IdentifiedDevice
 from torchid.devices.result import NotDeterminable as NotDeterminable
 from torchid.devices.values import Value as Value
+from torchid.devices.placing import placed as placed

@@ -132,7 +132,15 @@ def point_in_world(point: Point, state: DynamicState, element: str) -> Float[Ten
         point: on a segment, or in W.
         state: poses.
         element: name, for the error.
+
+    Raises:
+        ConfigError: ``device.marker`` where it is a marker's that nobody placed, or ``device.segment``.
     """
+    if point.place is None:
+        raise ConfigError(
+            "device.marker", "the place of a marker that it holds to is not known", place=element, found=point.marker,
+            remedy="Place the device's markers first (torchid.devices.placed)",
+        )  # fmt: skip
     place = state.at.p.new_tensor(point.place)
     if point.segment == WORLD:
         return place[:, None].expand(3, state.at.p.shape[2])

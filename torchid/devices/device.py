@@ -39,7 +39,7 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Axis:
-    """An element acts about an axis that is fixed in the first segment; its angle is the second one's twist about it."""
+    """An element acts about an axis fixed in the first segment; its angle is the second one's twist about it."""
 
     direction: Triple
     """Unit vector in the first segment's axes."""
@@ -50,7 +50,9 @@ class Point:
     """A point of a segment, or of W where the segment is ``world`` [m]."""
 
     segment: str
-    place: Triple
+    place: Triple | None
+    """None where it is that of a marker, until ``placed`` has told it."""
+    marker: str = ""
 
 
 @dataclass(frozen=True)

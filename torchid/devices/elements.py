@@ -67,22 +67,26 @@ def _line(sheet: ElementSheet, place: str, path: Path) -> Line:
         remedy = f"Write type: ground with between: [segment, {WORLD}]; elements between two segments have other types."
         raise fault("element", "ground and world go together", path, place, f"{first}, {last}", remedy=remedy)
     if sheet.channels is not None:
-        if sheet.type != "ground" or last != WORLD or sheet.from_m is None:
+        if sheet.type != "ground" or last != WORLD or not (sheet.from_m or sheet.from_marker):
             remedy = f"Give between: [segment, {WORLD}] and from_m, the point of the segment where it holds."
             raise fault("element", "a recorded support needs its point", path, place, remedy=remedy)
-        return Handle(Point(first, sheet.from_m), sheet.channels)
-    chosen = [key for key in ("coordinate", "axis", "from_m") if getattr(sheet, key) is not None]
-    if len(chosen) != 1 or (sheet.from_m is None) != (sheet.to_m is None):
-        remedy = "Give `coordinate`, or `axis`, or `from_m` and `to_m` (with `via` for pulleys)."
+        return Handle(Point(first, sheet.from_m, sheet.from_marker or ""), sheet.channels)
+    ends = (bool(sheet.from_m or sheet.from_marker), bool(sheet.to_m or sheet.to_marker))
+    chosen = [key for key in ("coordinate", "axis") if getattr(sheet, key) is not None] + ["from, to"] * any(ends)
+    if len(chosen) != 1 or any(ends) != all(ends):
+        remedy = "Give `coordinate`, or `axis`, or from_m and to_m (or from_marker, to_marker; `via` for pulleys)."
         raise fault("element", "needs one line of action", path, place, ", ".join(chosen) or "none", remedy=remedy)
     if sheet.coordinate is not None:
         return Coordinate(sheet.coordinate)
     if sheet.axis is not None:
         return Axis(_unit(sheet.axis, f"{place}.axis", path))
-    assert sheet.from_m is not None and sheet.to_m is not None
-    inner = [Point(via.segment, via.point_m) for via in sheet.via]
+    inner = [Point(via.segment, via.point_m, via.marker or "") for via in sheet.via]
     rail = None if sheet.rail is None else _unit(sheet.rail, f"{place}.rail", path)
-    return Run((Point(first, sheet.from_m), *inner, Point(last, sheet.to_m)), rail)
+    begin, end = Point(first, sheet.from_m, sheet.from_marker or ""), Point(last, sheet.to_m, sheet.to_marker or "")
+    run = (begin, *inner, end)
+    if any((point.place is None) != bool(point.marker) for point in run):
+        raise fault("element", "a point is given twice or not at all", path, place, remedy="Give point or marker.")
+    return Run(run, rail)
 
 
 def _unit(axis: Triple, place: str, path: Path) -> Triple:

@@ -1,4 +1,4 @@
-"""What recordings with and without a device tell of it: masses by base rows, what acts inside the body by its sensor."""
+"""What recordings tell of a device: masses by base rows, what acts inside the body by its own sensor."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ from torchid.devices.sensor import LawFit, Measured, fit_law
 from torchid.devices.values import Value
 from torchid.errors import DataError
 from torchid.inertia.posterior import com_jacobian
-from torchid.inertia.pseudo import com, inertia_com
+from torchid.inertia.pseudo import com
 from torchid.regressor.rows import WrenchTrial
 
 PASSES = 3
@@ -321,8 +321,3 @@ def _worn(
         start = 10 * (bodies + k)
         A[10 * body : 10 * body + 10, start : start + 10] = torch.eye(10, dtype=phi.dtype, device=phi.device)
     return phi, A @ fit.covariance[:n, :n] @ A.mT
-
-
-def inertia_of(fit: Float[Tensor, "parts 10"]) -> Float[Tensor, "parts 3 3"]:
-    """Return the inertia of parts about their centres of mass [kg m^2]."""
-    return inertia_com(fit)

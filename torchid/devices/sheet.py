@@ -1,4 +1,4 @@
-"""A device's YAML as pydantic sections: strict types, no unknown keys; every number is x, {value, sd} or ``unknown``."""
+"""A device's YAML as pydantic sections: strict, no unknown keys; numbers are x, {value, sd} or ``unknown``."""
 
 from typing import Annotated, Literal
 
@@ -59,7 +59,8 @@ class ViaSheet(Section):
     """A pulley on a segment."""
 
     segment: Name
-    point_m: Vector
+    point_m: Vector | None = None
+    marker: Name | None = None
 
 
 class ProfileSheet(Section):
@@ -93,6 +94,9 @@ class ElementSheet(Section):
     axis: Vector | None = None
     from_m: Vector | None = None
     to_m: Vector | None = None
+    from_marker: Name | None = None
+    """Label of a marker on the first end, instead of ``from_m``."""
+    to_marker: Name | None = None
     via: tuple[ViaSheet, ...] = ()
     rail: Vector | None = None
     stiffness_N_m: NumberText | None = None
