@@ -12,8 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.devices.action import Action, action
-from torchid.devices.device import DRIVE, Device, Element, Handle
-from torchid.devices.forces import CHUNK, device_forces, element_force, states
+from torchid.devices.device import Device, Element, Handle
+from torchid.devices.forces import CHUNK, device_forces, element_force, filtered, states
 from torchid.devices.laws import Channels
 from torchid.devices.values import Value
 from torchid.dynamics import wrench_about
@@ -79,7 +79,7 @@ def acting(element: Element, trial: WrenchTrial, recorded: Channels) -> Acting:
         parts.append(action(element, states(trial.tree, trial.geometry, motion, part), motion.q[part].T))
     joined = (torch.cat([getattr(one, key) for one in parts], -1) for key in ("length", "jacobian", "unit"))
     ground = {name: torch.cat([one.ground[name] for one in parts], 1) for name in parts[0].ground}
-    return Acting(element, Action(*joined, ground), trial, recorded)
+    return Acting(element, Action(*joined, ground), trial, filtered([element], recorded, motion))
 
 
 def seen_share(one: Acting) -> float:
@@ -98,15 +98,14 @@ def known_external(device: Device, trial: WrenchTrial, recorded: Channels) -> Fl
     Args:
         device: whose other elements are left out.
         trial: with the motion.
-        recorded: channels on its frames; the recorded forces of handles go through the motion's filter.
+        recorded: channels on its frames.
     """
     own = tuple(one for one in device.elements if one.grounded and not one.unknown)
     total = torch.zeros_like(trial.wrench)
     if not own:
         return total
-    smooth = {n: trial.motion.smoother(x) for n, x in recorded.items()}
     few = Device(device.name, elements=own)
-    for wrench in device_forces(few, trial.tree, trial.geometry, trial.motion, smooth).external.values():
+    for wrench in device_forces(few, trial.tree, trial.geometry, trial.motion, recorded).external.values():
         total = total + wrench
     return total
 
@@ -114,11 +113,6 @@ def known_external(device: Device, trial: WrenchTrial, recorded: Channels) -> Fl
 def about_root(trial: WrenchTrial, wrench: Float[Tensor, "frames 6"]) -> Float[Tensor, "6 frames"]:
     """Return a wrench about the world's origin taken about the root's, as base rows are."""
     return wrench_about(wrench, trial.motion.q[:, :3]).T
-
-
-def is_drive(parameter: str) -> bool:
-    """Return whether a parameter is one of a drive."""
-    return parameter in DRIVE
 
 
 def has_line(element: Element) -> bool:

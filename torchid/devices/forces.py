@@ -1,5 +1,6 @@
 """What a device does to the body at every frame: generalised forces, wrenches from the ground, power."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
@@ -81,18 +82,33 @@ def device_forces(
         tree: of the human model.
         geometry: of the human model.
         motion: q, v, a at marker rate.
-        recorded: channels of the device on the motion's frames, by name; ``phase`` for profiles over phase.
+        recorded: channels of the device on the motion's frames as recorded, by name; ``phase`` for profiles over
+            phase. Commands and handles' forces go through the motion's filter, as everything else has.
 
     Raises:
         ConfigError: ``device.unknown``, ``device.channel``, ``device.segment`` or ``device.coordinate``.
     """
-    recorded = recorded or {}
-    parts = []
+    recorded, parts = filtered(device.elements, recorded or {}, motion), []
     for start in range(0, len(motion.q), CHUNK):
         part = slice(start, start + CHUNK)
         some = {name: values[part] for name, values in recorded.items()}
         parts.append(_some_frames(device, tree, geometry, motion, part, some))
     return _joined(parts)
+
+
+def filtered(elements: Iterable[Element], recorded: Channels, motion: Motion) -> Channels:
+    """Return recorded channels, those that are forces through the filter of the motion.
+
+    Args:
+        elements: whose commands and handles are forces.
+        recorded: channels on the motion's frames, by name.
+        motion: with the filter.
+    """
+    names = {one.drive.channel for one in elements if one.drive is not None}
+    names |= {name for one in elements if isinstance(one.line, Handle) for name in one.line.channels}
+    return {
+        name: motion.smoother(values.to(motion.time)) if name in names else values for name, values in recorded.items()
+    }
 
 
 def states(tree: Tree, geometry: Geometry, motion: Motion, part: slice) -> DynamicState:

@@ -127,8 +127,8 @@ def measured_by(element: Element, trials: Sequence[WrenchTrial], recorded: Recor
             length = channels[sensor.length].to(one.act.length)
             length = length + (one.act.length - length).mean()
             one = replace(one, act=replace(one.act, length=trial.motion.smoother(length)))
-        force = trial.motion.smoother(channels[sensor.force].to(one.act.length))
-        found.append(Measured(one, force, own))
+        raw = channels[sensor.force].to(one.act.length)
+        found.append(Measured(one, raw, trial.motion.smoother(raw), own))
     return found
 
 

@@ -54,9 +54,17 @@ class JointFit:
     covariance: Float[Tensor, "params params"]
     """Of body, parts and supports, in this order; Gaussian, without the LMI."""
     whitening: Whitening
+    log_evidence: float
+    """Of the base rows under this whitening, Gaussian; compare only fits of the same rows and whitening [nat]."""
 
 
-def fit_jointly(trials: Sequence[WrenchTrial], body: BodyBelief, parts: PartsPrior, extra: Extra) -> JointFit:
+def fit_jointly(
+    trials: Sequence[WrenchTrial],
+    body: BodyBelief,
+    parts: PartsPrior,
+    extra: Extra,
+    known_noise: Whitening | None = None,
+) -> JointFit:
     """Update what is known of body, parts and supports by the base rows of trials with the device.
 
     Args:
@@ -64,6 +72,7 @@ def fit_jointly(trials: Sequence[WrenchTrial], body: BodyBelief, parts: PartsPri
         body: as trials without the device told it.
         parts: as the sheet tells them.
         extra: parameters of supports.
+        known_noise: of the rows; None: estimated from their residuals.
 
     Raises:
         DataError: no solution exists.
@@ -73,17 +82,17 @@ def fit_jointly(trials: Sequence[WrenchTrial], body: BodyBelief, parts: PartsPri
     precision = _inverse(covariance)
     E = _map(len(body.phi), parts.body, len(extra.mean), mean)
     blocks = [list(spectra(trial, own)) for trial, own in zip(trials, extra.columns, strict=True)]
-    whitening, z, found = initial_whitening(mean), mean, covariance
-    for k in range(ROUNDS):
-        z, found = _solve(blocks, whitening, E, mean, precision)
-        if k < ROUNDS - 1:
-            lost = float(len(mean) - torch.trace(precision @ found))
-            params = E @ z
-            whitening = estimate_whitening(((b, params) for b in chain.from_iterable(blocks)), max(lost, 0.0))
+    whitening = known_noise or initial_whitening(mean)
+    for _ in range(0 if known_noise else ROUNDS - 1):
+        z, found, _ = _solve(blocks, whitening, E, mean, precision)
+        lost = float(len(mean) - torch.trace(precision @ found))
+        params = E @ z
+        whitening = estimate_whitening(((b, params) for b in chain.from_iterable(blocks)), max(lost, 0.0))
+    z, found, evidence = _solve(blocks, whitening, E, mean, precision)
     n = len(mean) - len(extra.mean)
     z = _physical(z, found, n, torch.cat([body.phi, parts.reference]))
     bodies = 10 * len(body.phi)
-    return JointFit(z[:bodies].reshape(-1, 10), z[bodies:n].reshape(-1, 10), z[n:], found, whitening)
+    return JointFit(z[:bodies].reshape(-1, 10), z[bodies:n].reshape(-1, 10), z[n:], found, whitening, evidence)
 
 
 def _map(bodies: int, on: tuple[int, ...], extra: int, like: Tensor) -> Float[Tensor, "columns params"]:
@@ -98,18 +107,31 @@ def _map(bodies: int, on: tuple[int, ...], extra: int, like: Tensor) -> Float[Te
 
 def _solve(
     blocks: list[list[BlockSpectrum]], whitening: Whitening, E: Tensor, mean: Tensor, precision: Tensor
-) -> tuple[Float[Tensor, " params"], Float[Tensor, "params params"]]:
+) -> tuple[Float[Tensor, " params"], Float[Tensor, "params params"], float]:
+    """Posterior mean, covariance and log evidence."""
     sums = [accumulate(own, whitening) for own in blocks]
     total = sum(sums[1:], sums[0])
     total.check()
     found = _inverse(E.mT @ total.gram @ E + precision)
-    return mean + found @ (E.mT @ (total.moment - total.gram @ (E @ mean))), found
+    start = E @ mean
+    pull = E.mT @ (total.moment - total.gram @ start)
+    miss = total.square - 2.0 * float(total.moment @ start) + float(start @ total.gram @ start)
+    step = found @ pull
+    volume = float(torch.logdet(_scaled(found)[0]) + _scaled(found)[1] + torch.logdet(_scaled(precision)[0]))
+    evidence = 0.5 * (float(pull @ step) - miss + volume + float(_scaled(precision)[1]))
+    return mean + step, found, evidence
+
+
+def _scaled(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """A matrix with unit diagonal, and the logarithm of the determinant that this took out of it."""
+    scale = matrix.diagonal().rsqrt()
+    return scale[:, None] * matrix * scale, -2.0 * scale.log().sum()
 
 
 def _inverse(matrix: Tensor) -> Tensor:
     """Inverse of a positive definite matrix, scaled to a unit diagonal first."""
     scale = matrix.diagonal().rsqrt()
-    factor = torch.linalg.cholesky(scale[:, None] * matrix * scale)
+    factor = torch.linalg.cholesky(_scaled(matrix)[0])
     return scale[:, None] * torch.cholesky_inverse(factor) * scale
 
 

@@ -35,7 +35,10 @@ class Measured:
     """An element, where its trial shows it, and what its sensor says at the same frames."""
 
     acting: Acting
+    raw: Float[Tensor, " frames"]
+    """Of the sensor, as recorded."""
     force: Float[Tensor, " frames"]
+    """The same through the motion's filter."""
     own_length: bool
     """Whether the length is the device's own measurement rather than the markers'."""
 
@@ -88,7 +91,7 @@ def _sensor_noise(measured: Sequence[Measured]) -> float:
     for one in measured:
         smoother = one.acting.trial.motion.smoother
         sd = one.acting.element.sensor.force_sd
-        raw = one.acting.recorded[one.acting.element.sensor.force]
+        raw = one.raw
         sd = float(white_scatter(raw.to(torch.float64)[:, None])[0]) if sd is None else sd
         found.append((sd * min(1.0, 2.0 * smoother.cutoff_hz / smoother.rate_hz) ** 0.5) ** 2)
     scatter = float(torch.cat([one.force for one in measured]).std())
@@ -216,5 +219,5 @@ def _in_proportion(
             move[0, k] = scale_sd * x[k]
         elif name == "rest":
             move[0, k] = scale_sd * (x[k] - middle)
-            move[1, k] = options.length_sd
+            move[1, k] = options.angle_sd if measured[0].acting.element.turns else options.length_sd
     return move.T @ move
