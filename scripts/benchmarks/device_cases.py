@@ -34,12 +34,24 @@ class Case:
     """Coordinate of each motor, and the name of its element."""
 
 
-def draw_case(kind: str, rng: np.random.Generator, places: dict[str, tuple[str, tuple[float, float, float]]]) -> Case:
-    """A device of a kind; ``places`` are the true places of the markers."""
+def draw_case(
+    kind: str,
+    rng: np.random.Generator,
+    places: dict[str, tuple[str, tuple[float, float, float]]],
+    standing: dict[str, np.ndarray],
+) -> Case:
+    """A device of a kind.
+
+    Args:
+        kind: of ``CASES``.
+        rng: of its numbers.
+        places: true places of the markers.
+        standing: where the markers are in W in the neutral pose, by which slack is drawn (3,) [m].
+    """
     on = {"hip": ("pelvis", "thigh_l", "thigh_r"), "back": ("thorax", "pelvis"),
           "ankle": ("shank_l", "shank_r", "foot_l", "foot_r")}[kind]  # fmt: skip
     parts, sheet = _parts(on, rng.uniform(2.0, 6.0), rng)
-    elements = {"hip": _hip, "back": lambda r: _back(r, places), "ankle": _ankle}[kind](rng)
+    elements = {"hip": _hip, "back": lambda r: _back(r, places, standing), "ankle": _ankle}[kind](rng)
     told = tuple(_unknown(e, places) for e in elements)
     motors = {e.line.name: e.name for e in elements if e.drive is not None}
     return Case(Device(kind, parts, elements), Device(kind, sheet, told), motors)
@@ -74,11 +86,13 @@ def _hip(rng: np.random.Generator) -> tuple[Element, ...]:
     )  # fmt: skip
 
 
-def _back(rng: np.random.Generator, places: dict) -> tuple[Element, ...]:
+def _back(rng: np.random.Generator, places: dict, standing: dict) -> tuple[Element, ...]:
     found = []
     for name, (upper, lower) in MARKED.items():
         ends = tuple(Point(places[label][0], places[label][1]) for label in (upper, lower))
-        law = Law(Value(float(rng.uniform(400.0, 1000.0))), Value(float(rng.uniform(0.52, 0.62))), tension_only=True)
+        straight = float(np.linalg.norm(standing[upper] - standing[lower]))
+        rest = straight * rng.uniform(0.98, 1.05)
+        law = Law(Value(float(rng.uniform(400.0, 1000.0))), Value(float(rest)), tension_only=True)
         found.append(Element(name, "cable", (ends[0].segment, ends[1].segment), Path(ends), law,
                              sensor=Sensor(f"{name}_force")))  # fmt: skip
     return tuple(found)

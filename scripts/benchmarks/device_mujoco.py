@@ -1,4 +1,4 @@
-"""A person with a device as a MuJoCo model: parts as bodies, springs as MuJoCo's springs, and MuJoCo's inverse dynamics.
+"""A person with a device as a MuJoCo model, parts as bodies and springs as springs, and its inverse dynamics.
 
 Nothing of ``torchid.devices`` computes here: only its numbers are read.
 """
@@ -61,7 +61,8 @@ def _body(k: int, tree: Tree, offset: np.ndarray, hinge: list[float], phi: np.nd
     body, joint = tree.bodies[k], zero_pose(tree.bodies[k], hinge)
     quat = Rotation.from_matrix(joint.R_PB).as_quat()[[3, 0, 1, 2]]
     inner = '<freejoint name="root"/>' if k == 0 else "".join(
-        f'<joint name="{tree.dofs[row].name}" type="{kind}" axis="{_text(axis)}" {_spring(tree.dofs[row].name, device)}/>'
+        f'<joint name="{tree.dofs[row].name}" type="{kind}" axis="{_text(axis)}" '
+        f"{_spring(tree.dofs[row].name, device)}/>"
         for kind, axes in (("slide", joint.slides), ("hinge", joint.turns))
         for row, axis in axes
     )  # fmt: skip

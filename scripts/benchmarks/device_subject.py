@@ -1,4 +1,4 @@
-"""A simulated subject without and with a device: recordings on disk, channels of the device, and the truth by MuJoCo."""
+"""A simulated subject without and with a device: recordings, channels of the device, and the truth by MuJoCo."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,7 +8,9 @@ import torch
 
 from benchmarks.device_cases import NOISE, OFF, ON, Case, command, draw_case
 from benchmarks.device_mujoco import Truth, inverse, worn
-from torchid.devices.parts import INERTIA_PAIRS
+from torchid.conventions import INERTIA_PAIRS
+from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.recursion import points, poses
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, write_session
 from torchid.simulate.subject import SimulatedSubject, simulate_subject
@@ -36,7 +38,7 @@ def record(kind: str, seed: int, out: Path, options: SimulateOptions) -> Recorde
     subject = simulate_subject(options, seed)
     places = {label: (segment, tuple(place)) for label, segment, place in
               zip(subject.labels, subject.segments, subject.p_BM_B.tolist(), strict=True)}  # fmt: skip
-    case = draw_case(kind, rng, places)
+    case = draw_case(kind, rng, places, standing(subject))
     bare = [simulate_trial(subject, m, options, seed, name=m, role="static" if m == "static" else "fit")
             for m in ("static", *OFF)]  # fmt: skip
     carrying = replace(subject, phi=with_parts(subject, case))
@@ -46,6 +48,15 @@ def record(kind: str, seed: int, out: Path, options: SimulateOptions) -> Recorde
     for item in loaded:
         channels[item.trial.name], truth[item.trial.name] = _device_side(subject, case, item, rng)
     return Recorded(session, case, channels, truth)
+
+
+def standing(subject: SimulatedSubject) -> dict[str, np.ndarray]:
+    """Where the markers are in W in the neutral pose (3,) [m]."""
+    tree, plan = subject.model.tree, plan_tree(subject.model.tree)
+    rest = subject.xi.new_tensor([[dof.rest] for dof in tree.dofs])
+    body = torch.tensor([plan.position[tree.index(segment)] for segment in subject.segments])
+    p = points(poses(plan, rest, subject.geometry), body, subject.p_BM_B)[:, :, 0]
+    return dict(zip(subject.labels, p.numpy(), strict=True))
 
 
 def with_parts(subject: SimulatedSubject, case: Case) -> torch.Tensor:

@@ -137,7 +137,10 @@ def _from_sensors(device: Device, trials: Sequence[WrenchTrial], recorded: Recor
     for element in device.elements:
         free = free_parameters(element)
         measured = measured_by(element, trials, recorded) if free and has_line(element) else []
-        if measured:
+        if measured and not any(float(one.force.abs().max()) > 0.0 for one in measured):
+            why = {(element.name, name): f"its sensor {element.sensor.force} read zero throughout" for name in free}
+            known = known.joined(Known({}, {}, {}, why))
+        elif measured:
             known = known.joined(_of_fit(element, fit_law(measured, free, _stated(element), options)))
     return known
 
