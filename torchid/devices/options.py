@@ -1,0 +1,40 @@
+"""What identifying a device assumes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from torchid.bounds import NonNegative, Positive
+from torchid.devices.values import Value
+
+UNKNOWN: Mapping[str, Value] = MappingProxyType(
+    {
+        "stiffness": Value(1000.0, 3000.0), "preload": Value(0.0, 300.0), "free_play": Value(0.0, 0.05),
+        "damping": Value(0.0, 100.0), "gain": Value(1.0, 1.0), "lag": Value(0.0, 0.1), "rest": Value(0.0, 0.3),
+    }
+)  # fmt: skip
+"""Prior of an unknown parameter of a grounded support [SI]; that of ``rest`` is about the mean length. Chosen so wide
+that a person's weight lies within."""
+
+
+@dataclass(frozen=True)
+class DeviceOptions:
+    """How recordings with a device are read."""
+
+    length_scale_sd: NonNegative = 0.02
+    """Standard deviation of the error in proportion of angles and length changes that follow from markers, which no
+    scatter shows. Calibrated on simulated subjects 351 and following with 5 mm of skin motion per radian at the thigh;
+    it widens the bands of stiffness, rest and damping where the device does not measure its own length."""
+    length_sd: NonNegative = 0.006
+    """Standard deviation of the error of a path's length that is common to all frames [m]: its ends are where markers
+    or the sheet put them on an identified skeleton. Calibrated on the same subjects; it widens the band of rest."""
+    angle_sd: NonNegative = 0.04
+    """The same of an angle [rad]: the zero of a joint's angle is a convention that markers tell to two degrees."""
+    correlation_s: Positive = 2.0
+    """Time within which residuals of a sensor may depend on one another (Bartlett window of Newey & West,
+    Econometrica 55:703 (1987)), chosen: two gait cycles."""
+    told: Positive = 0.5
+    """Share of the prior variance that recordings must remove for an unknown parameter of a grounded support to count
+    as determined, chosen: the rest is prior."""
+    unknown: Mapping[str, Value] = field(default_factory=lambda: UNKNOWN)
+    """Prior of unknown parameters of grounded supports, by name."""
