@@ -23,8 +23,9 @@ from torchid.evaluation.gaps import find_gaps
 from torchid.evaluation.layout import Layout, make_layout
 from torchid.evaluation.rows import CycleRows, Scene, cycle_rows, joined
 from torchid.evaluation.shares import shares
+from torchid.evaluation.simulation import with_conditions
 from torchid.evaluation.trials import ConditionTrial, condition_trials, refuse_still
-from torchid.evaluation.wearing import Worn, channels_of, with_unknowns, worn_devices
+from torchid.evaluation.wearing import Worn, channels_of, identified_devices, worn_devices
 from torchid.evaluation.write import write_evaluation
 from torchid.experiment.fits import OnStage
 from torchid.experiment.run import run_experiment
@@ -61,6 +62,7 @@ def evaluate(config: Config, progress: OnStage = lambda stage, fraction: None) -
     """
     refuse_nothing(config)
     devices = worn_devices(config)
+    config = with_conditions(config, devices)
     outcome = run_experiment(config, progress)
     with OutputFolder(config.out, beside=True) as folder:
         trials = condition_trials(config, outcome, folder, progress)
@@ -102,9 +104,9 @@ def gather(config: Config, outcome: Outcome, trials: tuple[ConditionTrial, ...],
     refuse_still(trials)
     cycles = all_cycles(trials, config.evaluate)
     _refuse_cycleless(config, trials, cycles)
-    files = {file.name: file.channels for file in config.trials}
+    files = {file.name: file for file in config.trials}
     recorded = {t.name: channels_of(t, files[t.name], config.conditions[t.condition]) for t in trials}
-    worn = with_unknowns(devices, outcome, trials, recorded)
+    worn = identified_devices(devices, outcome, trials, recorded)
     every = [cycle for own in cycles.values() for cycle in own]
     mass = float(outcome.phi[:, 0].sum()) if config.evaluate.per_mass else None
     layout = make_layout(config.evaluate, outcome.fit.model.tree, every)

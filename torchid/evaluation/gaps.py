@@ -36,7 +36,9 @@ def _tests(found: Evaluation) -> Iterator[Gap]:
 def _torques(found: Evaluation) -> Iterator[Gap]:
     """Coordinates whose torque is not known in some cycles of a condition."""
     sample, layout = found.identified.sample, found.layout
-    torque = [k for k, column in enumerate(sample.columns) if column.measure in MEASURES and column.measure != "range_deg"]
+    torque = [
+        k for k, column in enumerate(sample.columns) if column.measure in MEASURES and column.measure != "range_deg"
+    ]
     for condition in found.config.conditions:
         lost: dict[tuple[int, int], list[str]] = {}
         for name, side in zip(layout.names, layout.sides, strict=True):
@@ -56,6 +58,11 @@ def _torques(found: Evaluation) -> Iterator[Gap]:
 
 def _device(found: Evaluation) -> Iterator[Gap]:
     for condition, worn in found.worn.items():
+        for element in worn.left_out:
+            yield Gap(
+                f"what {element} of the device of {condition} does",
+                "a number of it is unknown and no sensor tells it: its share is counted as the human's",
+            )
         for name, parameter in worn.parameters.items():
             if "why" in parameter:
                 yield Gap(f"{name} of the device of {condition}", str(parameter["why"]))

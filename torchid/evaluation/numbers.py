@@ -207,4 +207,8 @@ def _courses(found: Evaluation, answer: Answer, body: str) -> Iterator[Entry]:
                 item = f"{100.0 * k / (points - 1):g}"
                 key = Key("course", "", condition, column.where, column.measure, body, item)
                 for name in ("value", "low", "high"):
-                    yield key._replace(statistic=name), float(getattr(mean, name)[k * len(columns) + j]), unit(found, column)
+                    yield (
+                        key._replace(statistic=name),
+                        float(getattr(mean, name)[k * len(columns) + j]),
+                        unit(found, column),
+                    )

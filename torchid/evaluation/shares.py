@@ -6,17 +6,14 @@ force tau_d, grounded supports included: demand = ID(phi + parts; q, v, a) - J' 
 
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchid.evaluation.back import LowBack, low_back
-from torchid.evaluation.conventions import spelt
 from torchid.evaluation.trials import ConditionTrial
 from torchid.evaluation.wearing import Worn, acting, carried
 from torchid.experiment.stages import torques
 from torchid.geometry.result import GeometryFit
-from torchid.model.tree import Tree
 from torchid.outcome import Followed
 
 
@@ -59,19 +56,8 @@ def shares(
         ConfigError: ``device.*``.
     """
     tree, geometry, motion = fit.model.tree, fit.geometry, followed.motion
-    both = carried(worn.device, tree, phi)
+    both = carried(worn, tree, phi)
     demand = torques(followed, tree, geometry, both, trial.recording)
-    action = acting(worn.device, tree, geometry, motion, recorded)
+    action = acting(worn, tree, geometry, motion, recorded)
     back = low_back(tree, geometry, both, motion)
     return Shares(demand, action.torque, action.power, motion.q, motion.v, back)
-
-
-def signs(tree: Tree, convention: str, like: Tensor) -> Float[Tensor, " dofs"]:
-    """Sign of every coordinate in a convention.
-
-    Args:
-        tree: of the model.
-        convention: torchid, isb or opensim.
-        like: a tensor of the wanted kind.
-    """
-    return like.new_tensor([spelt(name, convention)[1] for name in tree.dof_names])

@@ -7,6 +7,7 @@ other trials have identified.
 from dataclasses import dataclass, replace
 
 from torchid.config import Config
+from torchid.config.sections import TrialFile
 from torchid.errors import DataError, InputError
 from torchid.experiment.fits import OnStage
 from torchid.experiment.read import read_recording, read_setup
@@ -35,6 +36,7 @@ class ConditionTrial:
     scaled: Followed
     dofs: tuple[str, ...]
     """Names of the coordinates."""
+    file: TrialFile
 
 
 def condition_trials(
@@ -63,7 +65,7 @@ def condition_trials(
     return tuple(
         ConditionTrial(
             file.name, file.condition, session.trials[file.name], followed[file.name], scaled[file.name],
-            outcome.fit.model.tree.dof_names,
+            outcome.fit.model.tree.dof_names, file,
         )
         for file in config.trials
         if file.condition is not None

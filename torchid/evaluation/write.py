@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
 
-
 from torchid.evaluation.datasets import cycles_dataset
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Ledger
@@ -55,5 +54,3 @@ def csv_rows(text: str) -> Sequence[dict[str, str]]:
         text: its content.
     """
     return list(csv.DictReader(StringIO(text)))
-
-

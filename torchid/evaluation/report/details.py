@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from torchid.devices import Finding
 from torchid.evaluation.comparing import Comparison
 from torchid.evaluation.cycles import APART
 from torchid.evaluation.evaluation import Evaluation
@@ -14,12 +15,12 @@ from torchid.evaluation.report.words import column_words, digits_of, where_words
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
 from torchid.wording import ABSENT, clean, segment
 
-HEAD = ("Measure", "Reference", "Condition", "Difference", "Interval", "Adjusted p", "Hedges' g", "Template: difference",
-        "Template: adjusted p")  # fmt: skip
+HEAD = ("Measure", "Reference", "Condition", "Difference", "Interval", "Adj. p", "Template", "Adj. p", "Hedges' g")
+"""The two columns on the scaled template say what it would have said of the difference."""
 
 
 def difference_rows(
-    found: Evaluation, ledger: Ledger, one: Comparison, columns: Sequence[int], title: str
+    found: Evaluation, ledger: Ledger, one: Comparison, columns: Sequence[int], title: str, effects: bool = True
 ) -> Table:  # fmt: skip
     """Table of differences, found ones in bold.
 
@@ -29,6 +30,7 @@ def difference_rows(
         one: a comparison.
         columns: numbers of its columns.
         title: of the table.
+        effects: whether there is a column of standardised effects.
     """
     rows = []
     for k in columns:
@@ -45,12 +47,12 @@ def difference_rows(
         own = unit(found, column)
         rows.append((
             f"{column_words(column)}{f' [{own}]' if own else ''}", *means, show("value"),
-            f"{show('low')} to {show('high')}", show("p_adjusted", 3), show("g", 2),
-            show("value", digits, "template"), show("p_adjusted", 3, "template"),
+            f"{show('low')} to {show('high')}", show("p_adjusted", 3),
+            show("value", digits, "template"), show("p_adjusted", 3, "template"), *([show("g", 2)] if effects else []),
         ))  # fmt: skip
     own = set(one.found(found.config.evaluate.level))
     strong = frozenset(k for k, column in enumerate(columns) if column in own)
-    return Table(title, HEAD, tuple(rows), strong=strong)
+    return Table(title, HEAD if effects else HEAD[:-1], tuple(rows), strong=strong)
 
 
 def differences_section(found: Evaluation, ledger: Ledger) -> Section:
@@ -132,7 +134,7 @@ def device_section(found: Evaluation, ledger: Ledger) -> Section | None:
             rows.append((where_words(name), ledger.show(peak, 1), ledger.show(load, 2)))
         head = ("Coordinate", f"Device's peak torque [{found.unit('N m')}]", f"Load taken [{found.unit('N m s')}]")
         blocks.append(Table(f"{clean(condition)}: {clean(worn.device.name)}", head, tuple(rows)))
-        blocks += _parameters(ledger, condition, worn.parameters)
+        blocks += [*_parameters(ledger, condition, worn.parameters), *_sheet(ledger, worn.findings)]
         blocks += [Paragraph(ledger.say("device", clean(source, 300))) for source in worn.device.sources]
     if not blocks:
         return None
@@ -144,8 +146,26 @@ def _parameters(ledger: Ledger, condition: str, parameters: dict[str, dict]) -> 
     rows = []
     for name, one in parameters.items():
         if "value" in one:
-            rows.append((name, *(ledger.show(Key("device", part, condition, item=name), 3) for part in ("value", "sd"))))
+            rows.append(
+                (name, *(ledger.show(Key("device", part, condition, item=name), 3) for part in ("value", "sd")))
+            )
     return [Table("Found of what its sheet leaves open", ("Parameter", "Value", "sd"), tuple(rows))] if rows else []
+
+
+def _sheet(ledger: Ledger, findings: Sequence[Finding]) -> list[Block]:
+    """What the recordings say against the device's sheet, and what they cannot say of it."""
+    said = []
+    for one in findings:
+        kind = one.kind.replace("_", " ")
+        if one.found is None:
+            said.append(f"{kind} of {one.where}: cannot be tested, {one.why}.")
+        elif one.wrong:
+            numbers = [x if isinstance(x, str) else f"{x:.4g}" for x in (one.sheet, one.found)]
+            said.append(
+                f"{kind} of {one.where}: the sheet says {numbers[0]}, the recordings {numbers[1]} (sd {one.sd:.2g})."
+            )
+    lines = tuple(ledger.say("device", clean(text, 400)) for text in said)
+    return [Paragraph("The sheet against the recordings:"), Items(lines)] if lines else []
 
 
 def reach_section(found: Evaluation, ledger: Ledger) -> Section:

@@ -30,7 +30,8 @@ def method_section(found: Evaluation, ledger: Ledger) -> Section:
         "of conditions that are compared. Intervals are Welch's, widened by what differs over bodies drawn.",
         f"Bodies drawn differ in: {SAID}; the same bodies for all conditions.",
         f"L5/S1: moment between pelvis and trunk in the pelvis' axes; compression of a single equivalent muscle "
-        f"(Chaffin & Andersson) with a lever arm of {levers[0]} to {levers[1]} cm; limit of NIOSH (Waters et al. 1993).",
+        f"(Chaffin & Andersson) with a lever arm of {levers[0]} to {levers[1]} cm; limit of NIOSH "
+        "(Waters et al. 1993).",
     ]
     blocks: tuple[Block, ...] = (Items(tuple(items)),)
     mass = "" if found.per_mass_kg is None else f"Torques are divided by {ledger.show(Key('method', 'mass'), 1)} kg. "

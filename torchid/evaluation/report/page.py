@@ -22,6 +22,8 @@ STYLES = """
   #summary svg { max-height: 8.6cm; }
   #summary p, #summary ul { margin: .3rem 0; }
   #summary table { font-size: 7pt; }
+  #summary figcaption { font-size: 7.6pt; }
+  th, td { padding-right: .3rem; }
   #summary .finding { font-size: 9.5pt; margin: .2rem 0 .5rem; }
   .maker { font-size: 7pt; }
   h1 { font-size: 14pt; }

@@ -56,16 +56,18 @@ def finding(found: Evaluation, ledger: Ledger, comparison: Comparison, k: int) -
     return (
         f"{words[0].upper()}{words[1:]}: {_change(ledger, comparison, column, digits, own, 'identified')} "
         f"({means[0]} against {means[1]}; {percent} % interval of the difference {low} to {high}; adjusted "
-        f"p = {ledger.show(difference_key(comparison, column, 'p_adjusted'), 3)}). {template(found, ledger, comparison, k)}"
+        f"p = {ledger.show(difference_key(comparison, column, 'p_adjusted'), 3)}). "
+        f"{template(found, ledger, comparison, k)}"
     )
 
 
 def _change(ledger: Ledger, comparison: Comparison, column: Column, digits: int, own: str, body: str) -> str:
     key = difference_key(comparison, column, "value", body)
+    behind = own if own in ("", "°") else f" {own}"
     if column.measure in SIGNED:
-        return f"{ledger.show(key, digits)} {own} different".replace("  ", " ")
+        return f"{ledger.show(key, digits)}{behind} different"
     way = "lower" if ledger.value(key) < 0.0 else "higher"
-    return f"{ledger.size(key, digits)} {own} {way}".replace("  ", " ")
+    return f"{ledger.size(key, digits)}{behind} {way}"
 
 
 def template(found: Evaluation, ledger: Ledger, comparison: Comparison, k: int) -> str:

@@ -53,7 +53,7 @@ def _compared(found: Evaluation, ledger: Ledger, number: int, one: Comparison) -
     rows = ranked(one)[:ROWS]
     if rows and len(found.others) == 1:
         title = f"Largest differences, {clean(one.condition)} minus {clean(one.reference)}"
-        blocks.append(difference_rows(found, ledger, one, rows, title))
+        blocks.append(difference_rows(found, ledger, one, rows, title, effects=False))
     return blocks
 
 

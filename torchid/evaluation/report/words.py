@@ -34,7 +34,9 @@ def where_words(where: str) -> str:
     stem, _, side = where.rpartition("_")
     ours = _THEIRS.get(f"{stem}_{{}}", _THEIRS.get(where, ""))
     if ours:
-        return f"{_SIDES[side]} {ours.replace('_{}_', ' ').replace('_', ' ')}" if "{}" in ours else where.replace("_", " ")
+        return (
+            f"{_SIDES[side]} {ours.replace('_{}_', ' ').replace('_', ' ')}" if "{}" in ours else where.replace("_", " ")
+        )
     parts = where.split("_")
     own = next((part for part in parts if part in SIDED), "")
     rest = " ".join(part for part in parts if part != own)
