@@ -145,7 +145,7 @@ def device_section(found: Evaluation, ledger: Ledger) -> Section | None:
 def _parameters(ledger: Ledger, condition: str, parameters: dict[str, dict]) -> list[Block]:
     rows = []
     for name, one in parameters.items():
-        if "value" in one:
+        if "value" in one and ".com_" not in name:
             rows.append(
                 (name, *(ledger.show(Key("device", part, condition, item=name), 3) for part in ("value", "sd")))
             )

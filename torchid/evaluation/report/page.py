@@ -15,6 +15,8 @@ from torchid.report.page import render_page
 from torchid.wording import clean
 
 STYLES = """
+#summary table, #differences table { font-size: .76rem; }
+#summary th, #summary td, #differences th, #differences td { padding-right: .55rem; }
 @media print {
   #summary { break-after: page; font-size: 8.4pt; line-height: 1.3; }
   #summary h2 { display: none; }
