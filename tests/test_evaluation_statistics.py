@@ -1,6 +1,7 @@
 """Permutation tests that are as wrong as they say, and find what is hidden."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,13 +98,13 @@ def test_adjusting_is_single_step_for_the_largest_and_never_falls(seed):
     torch.testing.assert_close(alone.adjusted, alone.p)
 
 
-def test_units_are_trials_where_these_can_show_anything():
-    """Four against four trials; else blocks of cycles, which say what they take for granted; else nothing."""
+def test_units_are_trials_unless_blocks_are_asked_for():
+    """Too few trials are said to be so; blocks say what they take for granted."""
     rng = np.random.default_rng(0)
     assert compare(sample(rng, 4, 3, 2), "off", "on", OPTIONS, 0).units.kind == "trials"
-    few = compare(sample(rng, 1, 12, 2), "off", "on", OPTIONS, 0)
+    few = compare(sample(rng, 1, 12, 2), "off", "on", replace(OPTIONS, units="blocks"), 0)
     assert few.units.kind == "blocks" and "takes for granted" in few.units.reason
-    none = compare(sample(rng, 3, 1, 2), "off", "on", OPTIONS, 0)
+    none = compare(sample(rng, 3, 8, 2), "off", "on", OPTIONS, 0)
     assert not none.units.testable and "record 4" in none.units.reason and not none.found(0.99)
     assert bool(torch.isnan(none.tested.adjusted).all()) and bool(torch.isfinite(none.difference.value).all())
     assert least_units(0.05) == 4 and least_units(0.001) == 7

@@ -213,7 +213,7 @@ def main() -> None:
     parser.add_argument("--evaluations", type=int, default=200)
     parser.add_argument("--trials", type=int, default=4)
     parser.add_argument("--cycles", type=int, default=5)
-    parser.add_argument("--units", choices=("auto", "trials", "blocks"), default="auto")
+    parser.add_argument("--units", choices=("trials", "blocks"), default="trials")
     parser.add_argument("--permutations", type=int, default=999)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)

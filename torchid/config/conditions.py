@@ -86,8 +86,9 @@ class EvaluateOptions:
         "peak_torque_Nm", "positive_work_J", "negative_work_J", "cumulative_load_Nms", "range_deg",
     )  # fmt: skip
     """What is tested of every coordinate; each one more is another chance to find something that is not there."""
-    units: Literal["auto", "trials", "blocks"] = "auto"
-    """What is exchanged between conditions: trials, or blocks of successive cycles where there are too few trials."""
+    units: Literal["trials", "blocks"] = "trials"
+    """What is exchanged between conditions: trials, or blocks of successive cycles, which takes for granted that whole
+    trials of one condition do not differ."""
     level: Annotated[float, Gt(0), Lt(0.5)] = 0.05
     """Family-wise rate of false findings."""
     permutations: Annotated[int, Ge(99)] = 9999

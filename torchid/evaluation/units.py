@@ -1,9 +1,9 @@
-"""The units that a test exchanges between conditions: trials, or blocks of successive cycles where trials are too few.
+"""The units that a test exchanges between conditions: trials, or on demand blocks of successive cycles.
 
 Cycles of one trial share what that trial got wrong (a marker that was put on again, where the plates stood, how tired
-the subject was), so that a trial is the natural unit. With a single long trial per condition only blocks of cycles are
-left. They are made long enough that neighbouring ones hardly correlate; what differs between whole trials for other
-reasons than the condition is then taken for the condition's, and the result says so.
+the subject was), so that a trial is the unit. With a single long trial per condition only blocks of cycles are left.
+They are made long enough that neighbouring ones hardly correlate; what differs between whole trials for other reasons
+than the condition is then taken for the condition's, and the result says so (docs/evaluate.md has how often).
 """
 
 import math
@@ -50,7 +50,7 @@ def choose_units(
     second: Sequence[bool],
     options: EvaluateOptions,
 ) -> Units:
-    """The units of a comparison, as asked or the first of trials and blocks that can show anything at the level.
+    """The units of a comparison as asked, and whether they can show anything at the level.
 
     Args:
         values: measures of the cycles of both conditions in the order of recording.
@@ -58,22 +58,19 @@ def choose_units(
         second: whether a cycle is of the second condition.
         options: which units are wanted, and the level.
     """
-    by_trial = _units([(trial,) for trial in trials], second)
-    length = memory(values, trials)
-    block = [(trial, k // length) for trial, k in zip(trials, _positions(trials), strict=True)]
-    by_block = _units(block, second)
-    if options.units == "trials" or (options.units == "auto" and _enough(by_trial[1], options.level)):
-        kind, (index, labels), reason = "trials", by_trial, ""
+    kind, length, reason = options.units, 1, ""
+    if kind == "trials":
+        index, labels = _units([(trial,) for trial in trials], second)
     else:
-        kind, (index, labels) = "blocks", by_block
+        length = memory(values, trials)
+        blocks = [(trial, k // length) for trial, k in zip(trials, _positions(trials), strict=True)]
+        index, labels = _units(blocks, second)
         reason = (
-            f"blocks of {length} successive cycles were exchanged, because there are too few trials: this takes for "
-            "granted that trials of one condition differ from each other no more than blocks of one trial do"
+            f"blocks of {length} successive cycles were exchanged instead of trials: this takes for granted that "
+            "whole trials of one condition do not differ from each other, and finds whatever made them differ"
         )
     if _enough(labels, options.level):
         return Units(kind, index, labels, length, reason)
-    if options.units == "auto":
-        kind, (index, labels) = "trials", by_trial
     first, own = len(labels) - int(labels.sum()), int(labels.sum())
     wanted = least_units(options.level)
     reason = (
