@@ -65,7 +65,10 @@ def blinded(sheet: dict) -> dict:
     The zero of a joint's angle is a convention of the model, so that no sheet knows where a spring rests in it.
     """
     parts = [part | {"mass_kg": "unknown"} for part in sheet["parts"]]
-    return sheet | {"parts": parts, "elements": [one | {"stiffness_Nm_rad": "unknown", "rest_rad": "unknown"} for one in sheet["elements"]]}
+    return sheet | {
+        "parts": parts,
+        "elements": [one | {"stiffness_Nm_rad": "unknown", "rest_rad": "unknown"} for one in sheet["elements"]],
+    }
 
 
 def record(config: Config) -> Path:

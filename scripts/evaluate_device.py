@@ -73,7 +73,7 @@ def main(argv: list[str] | None = None) -> None:
             found = compare(sample, reference, other, replace(config.evaluate), config.seed)
             for k, column in enumerate(found.columns):
                 value, low, high = (float(getattr(found.difference, n)[k]) for n in ("value", "low", "high"))
-                print(f"{other}: {column.measure:22s} {value:8.2f} ({low:.2f} to {high:.2f}) {unit_of(column.measure)}, "
+                print(f"{other}: {column.measure:22s} {value:8.2f} ({low:.2f} to {high:.2f}) {unit_of(column.measure)} "
                       f"p {float(found.tested.p[k]):.4f}, adjusted {float(found.tested.adjusted[k]):.4f}")  # fmt: skip
 
         # 5. The same for all coordinates, bands and the scaled template: what `torchid evaluate` writes.

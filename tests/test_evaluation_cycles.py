@@ -89,9 +89,11 @@ def test_a_stride_is_as_long_as_the_way_of_its_heel():
 def test_events_and_given_intervals_make_cycles():
     """Of either side by itself, in the time of the file; what lies outside the recording is none."""
     x = torch.zeros(500, dtype=torch.float64)
-    events = tuple(Event("Foot Strike", s, t) for s, t in (("Left", 0.5), ("Right", 1.0), ("Left", 1.7), ("Right", 9.0)))
-    assert [(c.side, c.start, c.stop) for c in find_cycles(course(x, None, events), EvaluateOptions(cycles=EventCycles()))
-            ] == [("l", 50, 170)]  # fmt: skip
+    events = tuple(
+        Event("Foot Strike", s, t) for s, t in (("Left", 0.5), ("Right", 1.0), ("Left", 1.7), ("Right", 9.0))
+    )
+    struck = find_cycles(course(x, None, events), EvaluateOptions(cycles=EventCycles()))
+    assert [(c.side, c.start, c.stop) for c in struck] == [("l", 50, 170)]
     given = (GivenCycle("t", 1.0, 2.0), GivenCycle("other", 0.0, 1.0), GivenCycle("t", 4.5, 5.5))
     assert [(c.start, c.stop) for c in find_cycles(course(x), EvaluateOptions(cycles=given))] == [(100, 200)]
 

@@ -22,7 +22,9 @@ def sample(
     rng: np.random.Generator, trials: int, cycles: int, columns: int, effect: dict[int, float] | None = None
 ) -> Sample:  # fmt: skip
     """Two conditions whose trials scatter, with cycles that scatter about them; effects in standard deviations."""
-    between = rng.normal(size=(2 * trials, 1, columns)) @ np.linalg.cholesky(0.6 * np.ones(columns) + 0.4 * np.eye(columns)).T
+    between = (
+        rng.normal(size=(2 * trials, 1, columns)) @ np.linalg.cholesky(0.6 * np.ones(columns) + 0.4 * np.eye(columns)).T
+    )
     values = (between + 0.7 * rng.normal(size=(2 * trials, cycles, columns))).reshape(-1, columns)
     for column, size in (effect or {}).items():
         values[trials * cycles :, column] += size
@@ -91,7 +93,9 @@ def test_adjusting_is_single_step_for_the_largest_and_never_falls(seed):
     tested = step_down(statistic, 0.05)
     size = statistic.abs()
     first = int(size[0].argmax())
-    assert float(tested.adjusted[first]) == pytest.approx(float((size.amax(1) >= size[0, first] - 1e-9).double().mean()))
+    assert float(tested.adjusted[first]) == pytest.approx(
+        float((size.amax(1) >= size[0, first] - 1e-9).double().mean())
+    )
     ordered = tested.adjusted[size[0].argsort(descending=True)]
     assert bool((ordered.diff() >= 0.0).all()) and bool((tested.adjusted >= tested.p - 1e-12).all())
     alone = step_down(correlations(values[:, :1].expand(-1, 3), deal(torch.arange(8) < 4, 999, 0).second), 0.05)

@@ -147,7 +147,8 @@ def null(walks: Walks, evaluations: int, trials: int, cycles: int, options: Eval
     rate = wrong / evaluations
     return {
         "evaluations": evaluations, "trials": trials, "cycles": cycles, "units": units, "seed": seed,
-        "false_findings": rate, "sd": (rate * (1.0 - rate) / evaluations) ** 0.5, "of_which_in_courses": courses / evaluations,
+        "false_findings": rate, "sd": (rate * (1.0 - rate) / evaluations) ** 0.5,
+        "of_which_in_courses": courses / evaluations,
         "interval_coverage": float(torch.stack(covered).mean()), "measures": len(found.columns),
     }  # fmt: skip
 
@@ -156,7 +157,7 @@ def power(walks: Walks, evaluations: int, options: EvaluateOptions, seed: int) -
     """Against trials per condition, the part of the assistance at which 80 % of evaluations find it."""
     rows = []
     peak = float(walks.mean[0, :, walks.names.index(HELPED)].abs().max())
-    for trials in (3, 4, 5, 6, 8, 10, 12):
+    for trials in (4, 5, 6, 8, 10, 12):
         chances = []
         for share in SHARES:
             rng = np.random.default_rng((seed, trials))

@@ -195,5 +195,5 @@ class Config(Section):
             raise PydanticCustomError("no_mass", "inertia.known_mass needs subject.mass_kg")
         fault = faults(self.conditions, {trial.name: trial.condition for trial in self.trials})
         if fault is not None:
-            raise PydanticCustomError(fault.kind, "{said}", {"said": fault.said})
+            raise PydanticCustomError(fault.kind, "{said}", {"said": fault.said})  # pyright: ignore[reportArgumentType]
         return self

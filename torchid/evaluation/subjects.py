@@ -22,6 +22,8 @@ from torchid.evaluation.effects import Estimate, mean_of
 from torchid.evaluation.permutation import Tested, sign_means, step_down
 
 FILE = "evaluation.json"
+READ = ("subject", "reference", "conditions", "differences", "template")
+"""Keys of ``evaluation.json`` that are read."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +92,8 @@ def read_subjects(folders: Sequence[Path]) -> list[dict]:
     found = []
     for folder in folders:
         try:
-            found.append(json.loads((folder / FILE).read_text(encoding="utf-8")))
-            found[-1]["differences"], found[-1]["template"]["differences"], found[-1]["conditions"]  # noqa: B018
+            table = json.loads((folder / FILE).read_text(encoding="utf-8"))
+            found.append({key: table[key] for key in READ})
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(
                 "evaluate.subject", "this folder has no finished evaluation", source=folder, found=str(error)[:120],

@@ -20,7 +20,7 @@ def evaluation_table(found: Evaluation) -> dict[str, Any]:
         "reference": found.reference,
         "conditions": {
             name: {
-                "device": None if found.worn[name].device is None else found.worn[name].device.name,
+                "device": getattr(found.worn[name].device, "name", None),
                 "trials": [trial.name for trial in found.trials if trial.condition == name],
                 "cycles": found.conditions.count(name),
             }

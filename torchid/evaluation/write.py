@@ -10,8 +10,8 @@ from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Ledger
 from torchid.evaluation.numbers import all_numbers
 from torchid.evaluation.report.page import render_evaluation
-from torchid.evaluation.table import evaluation_table
 from torchid.evaluation.subjects import compare_subjects, read_subjects, subjects_table
+from torchid.evaluation.table import evaluation_table
 from torchid.files import plain, safe_name, write_json, write_text
 from torchid.netcdf import write_netcdf
 from torchid.results import OutputFolder
