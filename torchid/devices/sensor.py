@@ -77,11 +77,11 @@ def fit_law(
         options: what is assumed.
     """
     noise = _sensor_noise(measured)
-    length_sd, start, best = 0.0, _start(measured, names, numbers), None
+    length_sd, best = 0.0, _start(measured, names, numbers)
+    tries = _starts(measured, names, best)
     for _ in range(ROUNDS):
-        tries = _starts(measured, names, start) if best is None else [best]
         best = min((_minimise(measured, names, numbers, noise, length_sd, x) for x in tries), key=lambda o: o[1])[0]
-        length_sd = _length_error(measured, names, numbers, best, noise)
+        length_sd, tries = _length_error(measured, names, numbers, best, noise), [best]
     return _judged(measured, names, numbers, best, noise, length_sd, options)
 
 
