@@ -65,8 +65,10 @@ FAULTS = {
     "value": ({"parts": [{"segment": "pelvis", "mass_kg": "much"}]}, "unknown"),
     "name_twice": ({"parts": [{"segment": "pelvis"}, {"segment": "pelvis"}]}, "name"),
     "mass": ({"parts": [{"segment": "pelvis", "mass_kg": -1}]}, "negative"),
-    "axis": ({"elements": [{"type": "spring", "between": ["a", "b"], "axis": [0, 0, 0], "stiffness_Nm_rad": 1}]}, "zero"),
-    "table": ({"elements": [{"type": "spring", "between": ["a", "b"], "coordinate": "q", "table": [[1, 0], [0, 1]]}]}, ""),
+    "axis": ({"elements": [{"type": "spring", "between": ["a", "b"], "axis": [0, 0, 0],
+                            "stiffness_Nm_rad": 1}]}, "zero"),
+    "table": ({"elements": [{"type": "spring", "between": ["a", "b"], "coordinate": "q",
+                             "table": [[1, 0], [0, 1]]}]}, ""),
     "profile": ({"elements": [{"type": "torque", "between": ["a", "b"], "coordinate": "q",
                                "profile": {"over": "time", "file": "absent.csv"}}]}, ""),
 }  # fmt: skip
@@ -143,8 +145,8 @@ def test_links_of_a_urdf_are_parts(tmp_path: Path) -> None:
     path = tmp_path / "exo.urdf"
     path.write_text(URDF)
     (tmp_path / "exo.yaml").write_text(
-        "name: exo\nurdf: exo.urdf\nattach: {cuff: {segment: pelvis, xyz: [0.1, 0, 0], rpy: [0, 1.5707963267948966, 0]},"
-        " lever: thigh_l}\n"
+        "name: exo\nurdf: exo.urdf\nattach: {cuff: {segment: pelvis, xyz: [0.1, 0, 0],"
+        " rpy: [0, 1.5707963267948966, 0]}, lever: thigh_l}\n"
     )
     cuff, lever = load_device(tmp_path / "exo.yaml").parts
     assert cuff.segment == "pelvis" and lever.segment == "thigh_l" and lever.mass_kg == Value(0.5)

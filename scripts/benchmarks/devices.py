@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from benchmarks.device_cases import CASES
-from benchmarks.device_subject import Recorded, record, with_parts
+from benchmarks.device_subject import Recorded, record
 from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.devices import BodyBelief, Determined, NotDeterminable, device_forces, identify_device, placed
@@ -137,15 +137,13 @@ def torque_errors(recorded: Recorded, outcome: Outcome, found) -> dict[str, floa
         parts["human"].append(torch.nan_to_num(human - want) * good)
         parts["template"].append(torch.nan_to_num(other - want) * good)
     norm = {key: float(torch.cat(values).norm()) for key, values in parts.items()}
+    kept = [k for k, dof in enumerate(tree.dof_names) if "ankle" not in dof or "flexion" in dof]
+    mine, other = (float(torch.cat(parts[key])[:, kept].norm()) for key in ("human", "template"))
     return {
         "assistance_pct": 100.0 * norm["device"] / norm["true"],
         "torque_ratio": norm["human"] / norm["template"],
+        "torque_ratio_without_subtalar": mine / other,
     }
-
-
-def true_mass(recorded: Recorded) -> float:
-    """Mass of the subject with the device [kg]."""
-    return float(with_parts(recorded.session.subject, recorded.case)[:, 0].sum())
 
 
 if __name__ == "__main__":
