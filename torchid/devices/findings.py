@@ -13,12 +13,13 @@ import torch
 
 from torchid.devices.base_columns import has_line
 from torchid.devices.device import Device, Element
-from torchid.devices.identify import Recorded, identify_device, measured_by
+from torchid.devices.identify import identify_device, measured_by
 from torchid.devices.joint_fit import Extra, fit_jointly
 from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import fit_law
+from torchid.devices.supports import Recorded
 from torchid.devices.values import Value
 from torchid.inertia.pseudo import com
 from torchid.model.tree import Tree
@@ -26,6 +27,10 @@ from torchid.regressor.rows import WrenchTrial
 
 SURE = 3.0
 """Standard deviations from which on a number of the sheet is called wrong, chosen: 1 in 370 where it is right."""
+RELEVANT = {"stiffness": 0.02, "gain": 0.02, "mass_kg": 0.02}
+"""Difference relative to the sheet's number below which no fault is named, chosen: few sensors are calibrated better."""
+LEAST = {"rest": 0.005, "lag": 0.005, "mass_kg": 0.1}
+"""Difference below which none is named [m or rad, s, kg], chosen: a strap's give, half a frame, a cable left hanging."""
 ELSEWHERE = 5.0
 """Log evidence by which another segment must beat the sheet's, chosen: odds of 150, for a handful of segments."""
 SLID = 0.03
@@ -119,7 +124,9 @@ def _numbers(sheet: Device, found: IdentifiedDevice) -> list[Finding]:
             continue
         sd = (one.sd**2 + number.sd**2) ** 0.5
         z = (one.value - number.value) / sd
-        findings.append(Finding(_KINDS[name], key, abs(z) > SURE, number.value, one.value, one.sd, z))
+        least = max(RELEVANT.get(name, 0.0) * abs(number.value), LEAST.get(name, 0.0))
+        wrong = abs(z) > SURE and abs(one.value - number.value) > least
+        findings.append(Finding(_KINDS[name], key, wrong, number.value, one.value, one.sd, z))
     return findings
 
 
