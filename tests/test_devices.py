@@ -59,6 +59,15 @@ def test_markers_are_placed(sheet: Path) -> None:
         placed(device, {"RTHI": ("shank_r", (0.0, 0.0, 0.0))})
 
 
+def test_the_sheet_of_the_page_is_one(tmp_path: Path) -> None:
+    """What docs/devices.md shows is read as printed."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "devices.md").read_text(encoding="utf-8")
+    text = page.split('```yaml title="exo.yaml"\n')[1].split("```")[0]
+    (tmp_path / "exo.yaml").write_text(text)
+    device = load_device(tmp_path / "exo.yaml")
+    assert len(device.parts) == 2 and [one.kind for one in device.elements] == ["spring", "cable", "torque", "ground"]
+
+
 FAULTS = {
     "unknown_key": ({"elements": [{"type": "spring", "between": ["a", "b"], "stifness_N_m": 3}]}, "stiffness_N_m"),
     "missing_key": ({"parts": [{"mass_kg": 1}]}, "segment"),

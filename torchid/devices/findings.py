@@ -28,9 +28,9 @@ from torchid.regressor.rows import WrenchTrial
 SURE = 3.0
 """Standard deviations from which on a number of the sheet is called wrong, chosen: 1 in 370 where it is right."""
 RELEVANT = {"stiffness": 0.02, "gain": 0.02, "mass_kg": 0.02}
-"""Difference relative to the sheet's number below which no fault is named, chosen: few sensors are calibrated better."""
+"""Difference relative to the sheet's number below which no fault is named, chosen: sensors are no better calibrated."""
 LEAST = {"rest": 0.005, "lag": 0.005, "mass_kg": 0.1}
-"""Difference below which none is named [m or rad, s, kg], chosen: a strap's give, half a frame, a cable left hanging."""
+"""Difference below which none is named [m or rad, s, kg], chosen: a strap's give, half a frame, a cable."""
 ELSEWHERE = 5.0
 """Log evidence by which another segment must beat the sheet's, chosen: odds of 150, for a handful of segments."""
 SLID = 0.03
