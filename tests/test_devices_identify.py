@@ -12,6 +12,7 @@ from torchid.devices import (
     Determined,
     Device,
     NotDeterminable,
+    device_draws,
     device_findings,
     device_forces,
     identify_device,
@@ -100,6 +101,10 @@ def test_springs_come_from_their_sensor(body: BodyBelief, seed: int) -> None:
         one = value(found.parameters, key)
         assert abs(one.value - want) < most and abs(one.value - want) < 4.0 * one.sd, (key, one)
     assert not [key for key in found.device.unknown if not key.endswith("com_m")]
+    drawn = device_draws(found, 400, seed)
+    stiff = torch.tensor([one.element("hip").law.stiffness.value for one in drawn])  # pyright: ignore
+    sd = value(found.parameters, "hip.stiffness_Nm_rad").sd
+    assert 0.85 * sd < float(stiff.std()) < 1.15 * sd
 
 
 def test_without_a_sensor_nothing_is_claimed_and_that_is_true(body: BodyBelief, seed: int) -> None:
@@ -183,6 +188,7 @@ def test_faults_of_a_device_are_found(body: BodyBelief, seed: int) -> None:
     blind_one = found["stiffness", "back.stiffness_N_m"]
     assert not blind_one.wrong and blind_one.found is None and "inside the body" in blind_one.why
     assert not any(one.wrong for (kind, _), one in found.items() if kind in ("mass", "carried_elsewhere"))
+    assert found["unexplained", "hip"].wrong and not found["unexplained", "knee"].wrong
 
 
 def test_a_part_on_another_segment_is_found(body: BodyBelief, seed: int) -> None:
