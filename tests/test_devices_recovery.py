@@ -19,9 +19,8 @@ def test_a_device_is_recovered(kind: str, tmp_path: Path, no_report: None, seed:
     """Assistance within 10 %, mass within 0.2 kg, and nothing that a sensor measured stays unknown."""
     options = SimulateOptions(duration_s=6.0, skin_motion_mm=5.0)
     figures = subject(kind, seed % 1000, tmp_path, options, blind=False).figures
-    print(figures)
-    assert figures["not_determinable"] == 0.0
-    assert figures["assistance_pct"] < 10.0 and figures["mass_kg"] < 0.2
+    assert figures["not_determinable"] == 0.0, figures
+    assert figures["assistance_pct"] < 10.0 and figures["mass_kg"] < 0.2, figures
 
 
 @pytest.mark.slow
@@ -29,5 +28,4 @@ def test_without_a_sensor_nothing_is_claimed(tmp_path: Path, no_report: None, se
     """Both numbers of both springs are not determinable; the mass is found all the same."""
     options = SimulateOptions(duration_s=6.0, skin_motion_mm=5.0)
     figures = subject("hip", seed % 1000, tmp_path, options, blind=True).figures
-    print(figures)
-    assert figures["not_determinable"] == 4.0 and figures["mass_kg"] < 0.2
+    assert figures["not_determinable"] == 4.0 and figures["mass_kg"] < 0.2, figures
