@@ -59,14 +59,25 @@ def test_markers_are_placed(sheet: Path) -> None:
         placed(device, {"RTHI": ("shank_r", (0.0, 0.0, 0.0))})
 
 
+def test_the_sheet_of_the_page_is_one(tmp_path: Path) -> None:
+    """What docs/devices.md shows is read as printed."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "devices.md").read_text(encoding="utf-8")
+    text = page.split('```yaml title="exo.yaml"\n')[1].split("```")[0]
+    (tmp_path / "exo.yaml").write_text(text)
+    device = load_device(tmp_path / "exo.yaml")
+    assert len(device.parts) == 2 and [one.kind for one in device.elements] == ["spring", "cable", "torque", "ground"]
+
+
 FAULTS = {
     "unknown_key": ({"elements": [{"type": "spring", "between": ["a", "b"], "stifness_N_m": 3}]}, "stiffness_N_m"),
     "missing_key": ({"parts": [{"mass_kg": 1}]}, "segment"),
     "value": ({"parts": [{"segment": "pelvis", "mass_kg": "much"}]}, "unknown"),
     "name_twice": ({"parts": [{"segment": "pelvis"}, {"segment": "pelvis"}]}, "name"),
     "mass": ({"parts": [{"segment": "pelvis", "mass_kg": -1}]}, "negative"),
-    "axis": ({"elements": [{"type": "spring", "between": ["a", "b"], "axis": [0, 0, 0], "stiffness_Nm_rad": 1}]}, "zero"),
-    "table": ({"elements": [{"type": "spring", "between": ["a", "b"], "coordinate": "q", "table": [[1, 0], [0, 1]]}]}, ""),
+    "axis": ({"elements": [{"type": "spring", "between": ["a", "b"], "axis": [0, 0, 0],
+                            "stiffness_Nm_rad": 1}]}, "zero"),
+    "table": ({"elements": [{"type": "spring", "between": ["a", "b"], "coordinate": "q",
+                             "table": [[1, 0], [0, 1]]}]}, ""),
     "profile": ({"elements": [{"type": "torque", "between": ["a", "b"], "coordinate": "q",
                                "profile": {"over": "time", "file": "absent.csv"}}]}, ""),
 }  # fmt: skip
@@ -143,8 +154,8 @@ def test_links_of_a_urdf_are_parts(tmp_path: Path) -> None:
     path = tmp_path / "exo.urdf"
     path.write_text(URDF)
     (tmp_path / "exo.yaml").write_text(
-        "name: exo\nurdf: exo.urdf\nattach: {cuff: {segment: pelvis, xyz: [0.1, 0, 0], rpy: [0, 1.5707963267948966, 0]},"
-        " lever: thigh_l}\n"
+        "name: exo\nurdf: exo.urdf\nattach: {cuff: {segment: pelvis, xyz: [0.1, 0, 0],"
+        " rpy: [0, 1.5707963267948966, 0]}, lever: thigh_l}\n"
     )
     cuff, lever = load_device(tmp_path / "exo.yaml").parts
     assert cuff.segment == "pelvis" and lever.segment == "thigh_l" and lever.mass_kg == Value(0.5)

@@ -1,21 +1,27 @@
 """Devices from recordings: what base rows tell, what a sensor tells, and what nobody can."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from device_cases import filled, made, person, with_parts, worn_trial
+from device_cases import filled, made, moving, person, with_parts, worn_trial
 
 from torchid.devices import (
     BodyBelief,
     Determined,
     Device,
+    DeviceOptions,
     NotDeterminable,
+    device_draws,
     device_findings,
     device_forces,
     identify_device,
 )
+from torchid.devices.identify import measured_by
+from torchid.devices.sensor import fit_law
+from torchid.devices.supports import stated
 from torchid.errors import DataError
 from torchid.inertia.identify import identify_inertia
 from torchid.inertia.options import InertiaOptions
@@ -100,6 +106,10 @@ def test_springs_come_from_their_sensor(body: BodyBelief, seed: int) -> None:
         one = value(found.parameters, key)
         assert abs(one.value - want) < most and abs(one.value - want) < 4.0 * one.sd, (key, one)
     assert not [key for key in found.device.unknown if not key.endswith("com_m")]
+    drawn = device_draws(found, 400, seed)
+    stiff = torch.tensor([one.element("hip").law.stiffness.value for one in drawn])  # pyright: ignore
+    sd = value(found.parameters, "hip.stiffness_Nm_rad").sd
+    assert 0.85 * sd < float(stiff.std()) < 1.15 * sd
 
 
 def test_without_a_sensor_nothing_is_claimed_and_that_is_true(body: BodyBelief, seed: int) -> None:
@@ -183,6 +193,7 @@ def test_faults_of_a_device_are_found(body: BodyBelief, seed: int) -> None:
     blind_one = found["stiffness", "back.stiffness_N_m"]
     assert not blind_one.wrong and blind_one.found is None and "inside the body" in blind_one.why
     assert not any(one.wrong for (kind, _), one in found.items() if kind in ("mass", "carried_elsewhere"))
+    assert found["unexplained", "hip"].wrong and not found["unexplained", "knee"].wrong
 
 
 def test_a_part_on_another_segment_is_found(body: BodyBelief, seed: int) -> None:
@@ -192,3 +203,27 @@ def test_a_part_on_another_segment_is_found(body: BodyBelief, seed: int) -> None
     trials, _ = worn(seed, made(parts=true))
     found = {one.kind: one for one in device_findings(made(parts=sheet), body, trials)}
     assert found["carried_elsewhere"].wrong and found["carried_elsewhere"].found == "pelvis"
+
+
+@pytest.mark.parametrize("tight", [False, True])
+def test_intervals_of_a_sensor_hold_what_they_say(tight: bool, seed: int) -> None:
+    """Angles that err by half a degree for tenths of a second: most 95 % intervals cover, and the mean is right."""
+    sensed = {**HIP, "tension_only": tight, "sensor": {"torque": "hip"}}
+    sheet = made(elements=[sensed])
+    true = filled(sheet, hip={"stiffness": 150.0, "rest": 0.05})
+    exact = DeviceOptions(length_scale_sd=0.0, angle_sd=0.0)
+    z, rng = [], np.random.default_rng(seed)
+    for _ in range(20):
+        motion = moving(rng, TREE, 8.0)
+        force = device_forces(true, TREE, GEOMETRY, motion).elements["hip"].force
+        off = motion.smoother(0.03 * torch.tensor(rng.normal(size=tuple(motion.q.shape))))
+        measured = force + 0.3 * torch.tensor(rng.normal(size=len(force)))
+        used = torch.ones(len(off), dtype=torch.bool)
+        trial = WrenchTrial("on", TREE, GEOMETRY, replace(motion, q=motion.q + off), off.new_zeros(len(off), 6), used)
+        element = sheet.elements[0]
+        fit = fit_law(measured_by(element, [trial], {"on": {"hip": measured}}), ("stiffness", "rest"),
+                      stated(element), exact)  # fmt: skip
+        z.append((fit.value - [150.0, 0.05]) / fit.sd)
+    errors = np.array(z)
+    assert np.mean(np.abs(errors) < 1.96) > 0.75, errors
+    assert np.abs(np.median(errors, axis=0)).max() < 1.0, errors

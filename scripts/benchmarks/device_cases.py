@@ -2,6 +2,7 @@
 nothing but where things are."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,8 +17,8 @@ ON = {
     "ankle": ("squats", "sway_steps", "walk"),
 }
 """Motions without and with the device."""
-MARKED = {"back_l": ("RBAK", "LTHAP"), "back_r": ("T10", "RTHAP")}
-"""Markers that sit on the ends of the back springs."""
+MARKED = {"back_l": ("RBAK", "LPSI", "LTHI"), "back_r": ("RBAK", "RPSI", "RTHI")}
+"""Markers that sit on a back spring's upper end, where it bends over the pelvis, and on its lower end."""
 GYRATION = 0.08
 """Radius of gyration of a part [m]."""
 NOISE = 0.01
@@ -88,12 +89,12 @@ def _hip(rng: np.random.Generator) -> tuple[Element, ...]:
 
 def _back(rng: np.random.Generator, places: dict, standing: dict) -> tuple[Element, ...]:
     found = []
-    for name, (upper, lower) in MARKED.items():
-        ends = tuple(Point(places[label][0], places[label][1]) for label in (upper, lower))
-        straight = float(np.linalg.norm(standing[upper] - standing[lower]))
-        rest = straight * rng.uniform(0.98, 1.05)
+    for name, labels in MARKED.items():
+        run = tuple(Point(places[label][0], places[label][1]) for label in labels)
+        straight = sum(float(np.linalg.norm(standing[a] - standing[b])) for a, b in pairwise(labels))
+        rest = straight * rng.uniform(0.99, 1.05)
         law = Law(Value(float(rng.uniform(400.0, 1000.0))), Value(float(rest)), tension_only=True)
-        found.append(Element(name, "cable", (ends[0].segment, ends[1].segment), Path(ends), law,
+        found.append(Element(name, "cable", (run[0].segment, run[-1].segment), Path(run), law,
                              sensor=Sensor(f"{name}_force")))  # fmt: skip
     return tuple(found)
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from benchmarks.device_cases import CASES
-from benchmarks.device_subject import Recorded, record, with_parts
+from benchmarks.device_subject import Recorded, record
 from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.devices import BodyBelief, Determined, NotDeterminable, device_forces, identify_device, placed
@@ -119,11 +119,12 @@ def torque_errors(recorded: Recorded, outcome: Outcome, found) -> dict[str, floa
     """Assistance, and human torques with the identified body and with the scaled template, against MuJoCo."""
     tree, session = outcome.fit.model.tree, outcome.session
     template = outcome.prior_scaled.mean + (found.phi_on - found.body.phi)
-    parts: dict[str, list] = {"device": [], "true": [], "human": [], "template": []}
+    parts: dict[str, list] = {key: [] for key in ("device", "true", "human", "template", "force", "pull")}
     for name, truth in recorded.truth.items():
         followed, scaled, trial = outcome.followed[name], outcome.followed_scaled[name], session.trials[name]
         channels = recorded.channels[name]
-        mine = device_forces(found.device, tree, outcome.fit.geometry, followed.motion, channels).torque
+        forces = device_forces(found.device, tree, outcome.fit.geometry, followed.motion, channels)
+        mine, used = forces.torque, followed.contact.used
         scaled_device = device_forces(found.device, tree, outcome.scaled.geometry, scaled.motion, channels).torque
         human = torques(followed, tree, outcome.fit.geometry, found.phi_on, trial) - mine
         other = torques(scaled, tree, outcome.scaled.geometry, template, trial) - scaled_device
@@ -131,21 +132,24 @@ def torque_errors(recorded: Recorded, outcome: Outcome, found) -> dict[str, floa
         device, want = (followed.motion.smoother(torch.as_tensor(x)) for x in (truth.device, truth.human))
         good = (torch.isfinite(human) & torch.isfinite(other)).double()
         good[:, :6] = 0.0
-        good[~followed.contact.used] = 0.0
-        parts["device"].append((mine - device)[followed.contact.used, 6:])
-        parts["true"].append(device[followed.contact.used, 6:])
+        good[~used] = 0.0
+        for name, force in truth.force.items():
+            want_force = followed.motion.smoother(torch.as_tensor(force))[used]
+            parts["force"].append(forces.elements[name].force[used] - want_force)
+            parts["pull"].append(want_force)
+        parts["device"].append((mine - device)[used, 6:])
+        parts["true"].append(device[used, 6:])
         parts["human"].append(torch.nan_to_num(human - want) * good)
         parts["template"].append(torch.nan_to_num(other - want) * good)
     norm = {key: float(torch.cat(values).norm()) for key, values in parts.items()}
+    kept = [k for k, dof in enumerate(tree.dof_names) if "ankle" not in dof or "flexion" in dof]
+    mine, other = (float(torch.cat(parts[key])[:, kept].norm()) for key in ("human", "template"))
     return {
         "assistance_pct": 100.0 * norm["device"] / norm["true"],
+        "element_force_pct": 100.0 * norm["force"] / norm["pull"],
         "torque_ratio": norm["human"] / norm["template"],
+        "torque_ratio_without_subtalar": mine / other,
     }
-
-
-def true_mass(recorded: Recorded) -> float:
-    """Mass of the subject with the device [kg]."""
-    return float(with_parts(recorded.session.subject, recorded.case)[:, 0].sum())
 
 
 if __name__ == "__main__":

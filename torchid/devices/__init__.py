@@ -3,6 +3,7 @@
 from torchid.devices.device import Device as Device
 from torchid.devices.device import Element as Element
 from torchid.devices.device import Part as Part
+from torchid.devices.draws import device_draws as device_draws
 from torchid.devices.findings import Finding as Finding
 from torchid.devices.findings import device_findings as device_findings
 from torchid.devices.forces import DeviceForces as DeviceForces

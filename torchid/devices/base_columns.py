@@ -22,6 +22,8 @@ from torchid.regressor.rows import WrenchTrial
 INNER = 1e-9
 """Base rows relative to joint rows below which an element acts inside the body, derived: rounding leaves 1e-15, and a
 support from the ground about one."""
+LINES = ("length", "jacobian", "unit")
+"""Fields of an ``Action`` that run over frames."""
 STEP = 1e-4
 """Step of a derivative with respect to a parameter relative to its scale, chosen between rounding and curvature; laws
 are piecewise linear in theirs."""
@@ -77,9 +79,9 @@ def acting(element: Element, trial: WrenchTrial, recorded: Channels) -> Acting:
     for start in range(0, len(motion.q), CHUNK):
         part = slice(start, start + CHUNK)
         parts.append(action(element, states(trial.tree, trial.geometry, motion, part), motion.q[part].T))
-    joined = (torch.cat([getattr(one, key) for one in parts], -1) for key in ("length", "jacobian", "unit"))
+    length, jacobian, unit = (torch.cat([getattr(one, key) for one in parts], -1) for key in LINES)
     ground = {name: torch.cat([one.ground[name] for one in parts], 1) for name in parts[0].ground}
-    return Acting(element, Action(*joined, ground), trial, filtered([element], recorded, motion))
+    return Acting(element, Action(length, jacobian, unit, ground), trial, filtered([element], recorded, motion))
 
 
 def seen_share(one: Acting) -> float:

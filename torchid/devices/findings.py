@@ -13,12 +13,13 @@ import torch
 
 from torchid.devices.base_columns import has_line
 from torchid.devices.device import Device, Element
-from torchid.devices.identify import Recorded, identify_device, measured_by
+from torchid.devices.identify import identify_device, measured_by
 from torchid.devices.joint_fit import Extra, fit_jointly
 from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import fit_law
+from torchid.devices.supports import Recorded
 from torchid.devices.values import Value
 from torchid.inertia.pseudo import com
 from torchid.model.tree import Tree
@@ -26,11 +27,20 @@ from torchid.regressor.rows import WrenchTrial
 
 SURE = 3.0
 """Standard deviations from which on a number of the sheet is called wrong, chosen: 1 in 370 where it is right."""
+RELEVANT = {"stiffness": 0.02, "gain": 0.02, "mass_kg": 0.02}
+"""Difference relative to the sheet's number below which no fault is named, chosen: sensors are no better calibrated."""
+LEAST = {"rest": 0.005, "lag": 0.005, "mass_kg": 0.1}
+"""Difference below which none is named [m or rad, s, kg], chosen: a strap's give, half a frame, a cable."""
 ELSEWHERE = 5.0
 """Log evidence by which another segment must beat the sheet's, chosen: odds of 150, for a handful of segments."""
 SLID = 0.03
 """Part of the mean way beyond rest by which rest must differ between trials to matter, chosen: 3 % of the force."""
-Kind = Literal["stiffness", "rest", "command_late", "command_gain", "strap_slides", "mass", "carried_elsewhere"]
+UNEXPLAINED = 0.1
+"""RMS that a law leaves of a measured force, relative to it, from which on something is unexplained, chosen: what a
+fault of stiffness or rest of a tenth leaves, ten times the noise of a good sensor."""
+Kind = Literal[
+    "stiffness", "rest", "command_late", "command_gain", "strap_slides", "mass", "carried_elsewhere", "unexplained"
+]
 _KINDS: dict[str, Kind] = {
     "stiffness": "stiffness", "rest": "rest", "lag": "command_late", "gain": "command_gain", "mass_kg": "mass"
 }  # fmt: skip
@@ -80,6 +90,7 @@ def device_findings(
         *_numbers(device, found),
         *(one for e in device.elements for one in _slid(e, found, trials, recorded, options)),
         *_elsewhere(device, body, trials),
+        *(one for e in found.device.elements for one in _unexplained(e, trials, recorded)),
     )
 
 
@@ -119,7 +130,9 @@ def _numbers(sheet: Device, found: IdentifiedDevice) -> list[Finding]:
             continue
         sd = (one.sd**2 + number.sd**2) ** 0.5
         z = (one.value - number.value) / sd
-        findings.append(Finding(_KINDS[name], key, abs(z) > SURE, number.value, one.value, one.sd, z))
+        least = max(RELEVANT.get(name, 0.0) * abs(number.value), LEAST.get(name, 0.0))
+        wrong = abs(z) > SURE and abs(one.value - number.value) > least
+        findings.append(Finding(_KINDS[name], key, wrong, number.value, one.value, one.sd, z))
     return findings
 
 
@@ -147,6 +160,17 @@ def _slid(
     text = "markers knocked in that trial look the same"
     return [Finding("strap_slides", f"{key} in {measured[k].acting.trial.name}", abs(z) > SURE and abs(moved) > least,
                     mean, float(rest[k]), float(sd[k]), z, text)]  # fmt: skip
+
+
+def _unexplained(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded) -> list[Finding]:
+    """What the best law of this kind leaves of what the sensor measured."""
+    measured = measured_by(element, trials, recorded) if has_line(element) and not element.unknown else []
+    if not measured:
+        return []
+    left = torch.cat([one.force - one.acting.force({}) for one in measured]).square().mean().sqrt()
+    share = float(left / torch.cat([one.force for one in measured]).square().mean().sqrt().clamp_min(1e-12))
+    text = "friction, a strap that gives, a law of another shape, or a strap that slid between trials"
+    return [Finding("unexplained", element.name, share > UNEXPLAINED, 0.0, share, why=text)]
 
 
 def _elsewhere(device: Device, body: BodyBelief, trials: Sequence[WrenchTrial]) -> list[Finding]:

@@ -1,7 +1,7 @@
 """What recordings tell of a device: masses by base rows, what acts inside the body by its own sensor."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -10,29 +10,22 @@ from torch import Tensor
 from torchid.conventions import Inertial
 from torchid.devices.base_columns import (
     INNER,
-    Acting,
     acting,
     has_line,
-    known_external,
     seen_share,
 )
 from torchid.devices.device import Device, Element, Part
-from torchid.devices.joint_fit import Extra, JointFit, fit_jointly
-from torchid.devices.laws import Channels
+from torchid.devices.joint_fit import JointFit
 from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import PartsPrior, parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import LawFit, Measured, fit_law
+from torchid.devices.supports import Known, Recorded, fit_by_base_rows, stated
 from torchid.devices.values import Value
 from torchid.errors import DataError
 from torchid.inertia.posterior import com_jacobian
 from torchid.inertia.pseudo import com
 from torchid.regressor.rows import WrenchTrial
-
-PASSES = 3
-"""Linearisations of the laws of grounded supports, chosen: a law is piecewise linear, and the third changes nothing."""
-Recorded = Mapping[str, Channels]
-"""Channels of the device on the frames of each trial, by the trial's name."""
 
 
 def identify_device(
@@ -70,7 +63,7 @@ def identify_device(
     filled = _filled(device, known.numbers)
     supports = [e for e in filled.elements if e.unknown and has_line(e) and _seen(e, trials, recorded)]
     prior = parts_prior(filled, trials[0].tree, com(body.phi))
-    fit, told = _by_base_rows(filled, supports, trials, body, prior, recorded, options)
+    fit, told = fit_by_base_rows(filled, supports, trials, body, prior, recorded, options)
     known = known.joined(told)
     parameters = {**_part_parameters(fit, prior), **_element_parameters(device, known, trials, recorded)}
     device = _with_parts(_filled(device, known.numbers), parameters)
@@ -80,24 +73,6 @@ def identify_device(
         device, parameters, BodyBelief(fit.body, fit.covariance[:bodies, :bodies]), fit.parts, phi_on, covariance,
         known.covariance, known.keys, fit.whitening,
     )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Known:
-    """Parameters of elements that were determined, and why others were not."""
-
-    numbers: dict[str, dict[str, Value]]
-    """By element and parameter."""
-    covariance: dict[str, Tensor]
-    keys: dict[str, tuple[str, ...]]
-    why: dict[tuple[str, str], str]
-
-    def joined(self, other: "Known") -> "Known":
-        """Return both together."""
-        return Known(
-            {**self.numbers, **other.numbers}, {**self.covariance, **other.covariance}, {**self.keys, **other.keys},
-            {**self.why, **other.why},
-        )  # fmt: skip
 
 
 def free_parameters(element: Element) -> tuple[str, ...]:
@@ -141,12 +116,8 @@ def _from_sensors(device: Device, trials: Sequence[WrenchTrial], recorded: Recor
             why = {(element.name, name): f"its sensor {element.sensor.force} read zero throughout" for name in free}
             known = known.joined(Known({}, {}, {}, why))
         elif measured:
-            known = known.joined(_of_fit(element, fit_law(measured, free, _stated(element), options)))
+            known = known.joined(_of_fit(element, fit_law(measured, free, stated(element), options)))
     return known
-
-
-def _stated(element: Element) -> dict[str, Value]:
-    return {name: number for name, number in element.numbers() if number is not None}
 
 
 def _of_fit(element: Element, fit: LawFit) -> Known:
@@ -155,8 +126,8 @@ def _of_fit(element: Element, fit: LawFit) -> Known:
     names = tuple(fit.names[k] for k in good)
     covariance = torch.as_tensor(fit.covariance[good][:, good])
     value = torch.as_tensor(fit.value[good])
-    stated = _stated(element)
-    sheet = [stated[n] if n in stated else None for n in names]
+    said = stated(element)
+    sheet = [said.get(n) for n in names]
     if any(sheet):
         weight = torch.diag(torch.tensor([1.0 / s.sd**2 if s else 0.0 for s in sheet], dtype=torch.float64))
         mean = torch.tensor([s.value if s else 0.0 for s in sheet], dtype=torch.float64)
@@ -178,76 +149,6 @@ def _filled(device: Device, numbers: Mapping[str, dict[str, Value]]) -> Device:
 def _seen(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded) -> bool:
     """Whether base rows hold anything of an element."""
     return any(seen_share(acting(element, t, recorded.get(t.name, {}))) > INNER for t in trials)
-
-
-def _by_base_rows(
-    device: Device, supports: list[Element], trials: Sequence[WrenchTrial], body: BodyBelief, prior: PartsPrior,
-    recorded: Recorded, options: DeviceOptions,
-) -> tuple[JointFit, Known]:  # fmt: skip
-    """Fit body, parts and unknown supports; laws are linearised anew a few times."""
-    own = [[acting(e, t, recorded.get(t.name, {})) for t in trials] for e in supports]
-    names = [(e, name) for e in supports for name in e.unknown]
-    start = [_prior_of(one, name, options) for e, one in zip(supports, own, strict=True) for name in e.unknown]
-    at = [value.value for value in start]
-    known = [known_external(device, t, recorded.get(t.name, {})) for t in trials]
-    for _ in range(PASSES if supports else 1):
-        moved, columns = _linearised(supports, own, trials, at, known)
-        like = body.phi
-        extra = Extra(like.new_tensor([v.value - x for v, x in zip(start, at, strict=True)]),
-                      like.new_tensor([v.sd for v in start]), tuple(columns))  # fmt: skip
-        fit = fit_jointly(moved, body, prior, extra)
-        at = [x + float(step) for x, step in zip(at, fit.extra, strict=True)]
-    n = len(fit.covariance) - len(at)
-    variance = fit.covariance.diagonal()[n:]
-    return fit, _told(supports, names, at, fit.covariance[n:, n:], variance, start, options)
-
-
-def _prior_of(own: list[Acting], name: str, options: DeviceOptions) -> Value:
-    value = options.unknown[name]
-    if name != "rest":
-        return value
-    return Value(float(torch.cat([one.act.length for one in own]).mean()), value.sd)
-
-
-def _linearised(
-    supports: list[Element], own: list[list[Acting]], trials: Sequence[WrenchTrial], at: list[float],
-    known: list[Tensor],
-) -> tuple[list[WrenchTrial], list[Float[Tensor, "6 extra frames"]]]:  # fmt: skip
-    """Trials with what supports carry at ``at`` added to their wrench, and columns of small changes of it."""
-    moved, columns = [], []
-    for k, trial in enumerate(trials):
-        total, some, first = known[k], [], 0
-        for element, acts in zip(supports, own, strict=True):
-            values = dict(zip(element.unknown, (Value(x) for x in at[first:]), strict=False))
-            first += len(element.unknown)
-            full = {**_stated(element), **values}
-            force = acts[k].force(full)
-            for unit in acts[k].act.ground.values():
-                total = total + (unit * force).T
-            some.append(-acts[k].act.unit[None, :6] * acts[k].slopes(full, element.unknown)[:, None])
-        moved.append(replace(trial, wrench=trial.wrench + total))
-        empty = trial.wrench.new_zeros(6, 0, len(trial.wrench))
-        columns.append(torch.cat(some).movedim(0, 1) if some else empty)
-    return moved, columns
-
-
-def _told(
-    supports: list[Element], names: list[tuple[Element, str]], at: list[float], covariance: Tensor, variance: Tensor,
-    start: list[Value], options: DeviceOptions,
-) -> Known:  # fmt: skip
-    known = Known({}, {}, {}, {})
-    share = [1.0 - float(v) / s.sd**2 for v, s in zip(variance, start, strict=True)]
-    for element in supports:
-        rows = [k for k, (e, _) in enumerate(names) if e is element]
-        good = [k for k in rows if share[k] >= options.told]
-        why = {(element.name, names[k][1]): f"these motions remove {100.0 * max(share[k], 0.0):.0f} % of the variance "
-               "that it had before: what is left is the prior" for k in rows if k not in good}  # fmt: skip
-        numbers = {names[k][1]: Value(at[k], float(variance[k]) ** 0.5) for k in good}
-        keys = tuple(names[k][1] for k in good)
-        known = known.joined(
-            Known({element.name: numbers}, {element.name: covariance[good][:, good]}, {element.name: keys}, why)
-        )
-    return known
 
 
 def _part_parameters(fit: JointFit, prior: PartsPrior) -> dict[str, Determined | NotDeterminable]:

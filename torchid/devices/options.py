@@ -21,14 +21,14 @@ that a person's weight lies within."""
 class DeviceOptions:
     """How recordings with a device are read."""
 
-    length_scale_sd: NonNegative = 0.02
+    length_scale_sd: NonNegative = 0.008
     """Standard deviation of the error in proportion of angles and length changes that follow from markers, which no
     scatter shows. Calibrated on simulated subjects 351 and following with 5 mm of skin motion per radian at the thigh;
     it widens the bands of stiffness, rest and damping where the device does not measure its own length."""
-    length_sd: NonNegative = 0.006
+    length_sd: NonNegative = 0.002
     """Standard deviation of the error of a path's length that is common to all frames [m]: its ends are where markers
     or the sheet put them on an identified skeleton. Calibrated on the same subjects; it widens the band of rest."""
-    angle_sd: NonNegative = 0.04
+    angle_sd: NonNegative = 0.03
     """The same of an angle [rad]: the zero of a joint's angle is a convention that markers tell to two degrees."""
     correlation_s: Positive = 2.0
     """Time within which residuals of a sensor may depend on one another (Bartlett window of Newey & West,

@@ -44,7 +44,7 @@ def load_device(source: Path | str, attachments: Attachments | None = None) -> D
     """
     path = Path(source)
     if path.suffix.lower() == ".urdf":
-        return Device(path.stem, attached_parts(path, attachments or {}))
+        return Device(path.stem, tuple(attached_parts(path, attachments or {})))
     if path.suffix.lower() not in SUFFIXES:
         known = library()
         if str(source) not in known:
@@ -97,7 +97,8 @@ def _part(sheet: PartSheet, k: int, path: Path) -> Part:
 
 
 def _inertia(text: Any) -> tuple[Value, Value, Value, Value, Value, Value]:
-    matrix, sd = (text.value, text.sd) if isinstance(text, MatrixWithSd) else (text, 0.0)
+    matrix: Any = text.value if isinstance(text, MatrixWithSd) else text
+    sd = text.sd if isinstance(text, MatrixWithSd) else 0.0
     if isinstance(matrix[0], tuple):
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix
     else:
@@ -129,7 +130,7 @@ def _place(steps: tuple[str | int, ...], document: Any) -> tuple[str | int, ...]
         inside = isinstance(document, dict) and step in document
         inside |= isinstance(document, list) and isinstance(step, int) and step < len(document)
         if inside:
-            document = document[step]
+            document = document[step]  # pyright: ignore[reportArgumentType, reportCallIssue]
         elif k < len(steps) - 1:
             continue
         place.append(step)

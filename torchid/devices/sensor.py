@@ -6,7 +6,7 @@ error of the length that the residuals then ask for. The covariance is White's s
 lags (Econometrica 55:703 (1987)), so that residuals that go on for a second count once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,8 @@ STARTS = (0.02, 0.2, 0.4, 0.6, 0.8)
 """Quantiles of the length at which a law may begin, chosen: a kink has minima of its own."""
 LEAST_NOISE = 1e-3
 """Least noise of a sensor relative to the scatter of its force, chosen: a good one has 0.1 %."""
+SECANT = 1.0
+"""Half width of secants in standard deviations, chosen: a law's kink is smooth on this scale."""
 ALIKE = 1e-6
 """Singular value of the scaled derivatives, relative to the largest, below which parameters act alike, chosen."""
 
@@ -77,11 +79,11 @@ def fit_law(
         options: what is assumed.
     """
     noise = _sensor_noise(measured)
-    length_sd, start, best = 0.0, _start(measured, names, numbers), None
+    length_sd, best = 0.0, _start(measured, names, numbers)
+    tries = _starts(measured, names, best)
     for _ in range(ROUNDS):
-        tries = _starts(measured, names, start) if best is None else [best]
         best = min((_minimise(measured, names, numbers, noise, length_sd, x) for x in tries), key=lambda o: o[1])[0]
-        length_sd = _length_error(measured, names, numbers, best, noise)
+        length_sd, tries = _length_error(measured, names, numbers, best, noise), [best]
     return _judged(measured, names, numbers, best, noise, length_sd, options)
 
 
@@ -122,7 +124,10 @@ def _starts(measured: Sequence[Measured], names: tuple[str, ...], start: np.ndar
 
 
 def _residual(one: Measured, numbers: dict[str, Value]) -> Tensor:
-    return one.force - one.acting.force(numbers)
+    """Measured less fitted force, both through the filter: a kink has frequencies that no filtered motion has."""
+    law, force = one.acting.element.law, one.acting.force(numbers)
+    bent = law is not None and (law.tension_only or bool(law.table) or numbers["free_play"].value > 0.0)
+    return one.force - (one.acting.trial.motion.smoother(force) if bent else force)
 
 
 def _steepness(one: Measured, numbers: dict[str, Value]) -> Tensor:
@@ -133,6 +138,18 @@ def _steepness(one: Measured, numbers: dict[str, Value]) -> Tensor:
     return one.acting.slopes(numbers, ("rest",))[0]
 
 
+def _white(
+    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], noise: float, length_sd: float,
+    x: np.ndarray,
+) -> list[np.ndarray]:  # fmt: skip
+    """Residuals by trial over their standard deviation, which the errors of force and length give at these numbers."""
+    values, parts = _values(names, x, numbers), []
+    for one in measured:
+        sd = noise if length_sd == 0.0 else (noise**2 + (_steepness(one, values) * length_sd) ** 2).sqrt()
+        parts.append((_residual(one, values) / sd).cpu().numpy())
+    return parts
+
+
 def _minimise(
     measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], noise: float, length_sd: float,
     start: np.ndarray,
@@ -140,12 +157,7 @@ def _minimise(
     scale = np.array([SCALE[name] for name in names])
 
     def white(x: np.ndarray) -> np.ndarray:
-        values = _values(names, x * scale, numbers)
-        parts = []
-        for one in measured:
-            sd = noise if length_sd == 0.0 else (noise**2 + (_steepness(one, values) * length_sd) ** 2).sqrt()
-            parts.append((_residual(one, values) / sd).cpu().numpy())
-        return np.concatenate(parts)
+        return np.concatenate(_white(measured, names, numbers, noise, length_sd, x * scale))
 
     found = least_squares(white, start / scale, x_scale="jac", method="trf", max_nfev=60)
     return found.x * scale, float(found.cost)
@@ -169,28 +181,71 @@ def _judged(
 ) -> LawFit:  # fmt: skip
     values = _values(names, x, numbers)
     scale = np.array([SCALE[name] for name in names])
-    bread, meat, squares, n = np.zeros((len(names),) * 2), np.zeros((len(names),) * 2), 0.0, 0
+    slopes = []
     for one in measured:
         sd = (noise**2 + (_steepness(one, values) * length_sd) ** 2).sqrt().cpu().numpy()
-        r = _residual(one, values).cpu().numpy()
-        J = (one.acting.slopes(values, names).cpu().numpy() / sd).T * scale
-        bread += J.T @ J
-        lags = round(options.correlation_s * one.acting.trial.rate)
-        meat += _long_run(J * (r / sd)[:, None], lags)
-        squares, n = squares + float(r @ r), n + len(r)
+        slopes.append((one.acting.slopes(values, names).cpu().numpy() / sd).T * scale)
+    bread = sum((J.T @ J for J in slopes), np.zeros((len(names),) * 2))
     alike = _alike(bread, names)
-    inverse = np.linalg.pinv(bread, rcond=ALIKE**2, hermitian=True)
-    covariance = inverse @ meat @ inverse * np.outer(scale, scale)
+    residual = float(torch.cat([_residual(one, values) for one in measured]).square().mean().sqrt())
+    covariance = np.linalg.pinv(bread, rcond=ALIKE**2, hermitian=True)
+    if not alike:
+        step = SECANT * np.sqrt(np.diagonal(covariance)) * max(1.0, residual / noise)
+
+        def white(move: np.ndarray) -> list[np.ndarray]:
+            return _white(measured, names, numbers, noise, length_sd, x + move * scale)
+
+        lags = [round(options.correlation_s * one.acting.trial.rate) for one in measured]
+        covariance = _sandwich(white, step, lags)
     markers = not all(one.own_length for one in measured)
-    covariance = covariance + _in_proportion(measured, names, x, options, markers)
-    return LawFit(names, x, covariance, alike, noise, length_sd, (squares / n) ** 0.5)
+    spread = _in_proportion(measured, names, x, options, markers)
+    return LawFit(names, x, covariance * np.outer(scale, scale) + spread, alike, noise, length_sd, residual)
+
+
+def _sandwich(
+    white: Callable[[np.ndarray], list[np.ndarray]], step: np.ndarray, lags: Sequence[int]
+) -> Float[np.ndarray, "params params"]:
+    """Covariance of the minimiser of half the sum of squares, by secants as wide as ``step``.
+
+    The weights follow the parameters, and laws have kinks: scores are secants of each frame's own half square, and the
+    curvature is that of the sum.
+    """
+    n = len(step)
+    moves = np.diag(step)
+    ups, downs = ([[0.5 * e**2 for e in white(side * move)] for move in moves] for side in (1.0, -1.0))
+    cost = sum(0.5 * float(e @ e) for e in white(np.zeros(n)))
+    curvature, meat = np.zeros((n, n)), np.zeros((n, n))
+    for i in range(n):
+        curvature[i, i] = sum(float(u.sum() + d.sum()) for u, d in zip(ups[i], downs[i], strict=True)) - 2.0 * cost
+        for j in range(i):
+            corners = [(a * b, white(a * moves[i] + b * moves[j])) for a in (1.0, -1.0) for b in (1.0, -1.0)]
+            mixed = sum(sign * sum(0.5 * float(e @ e) for e in parts) for sign, parts in corners)
+            curvature[i, j] = curvature[j, i] = 0.25 * mixed
+    for k, lag in enumerate(lags):
+        scores = np.stack([0.5 * (ups[i][k] - downs[i][k]) for i in range(n)], 1)
+        meat += _long_run(scores, lag)
+    inverse = np.linalg.pinv(curvature, hermitian=True)
+    frames = sum(len(e) for e in ups[0])
+    return inverse @ meat @ inverse * np.outer(step, step) * _short(float(np.mean(lags)) / frames)
+
+
+def _short(b: float) -> float:
+    """Factor on a variance so that 1.96 standard deviations cover 95 %, where the lags are a part b of the frames.
+
+    The statistic is then no normal one; its 97.5 % point is that of Kiefer & Vogelsang, Econometric Theory 21:1130
+    (2005), table 1, Bartlett's weights.
+    """
+    b = min(b, 1.0)
+    return ((1.96 + 2.9694 * b + 0.4160 * b**2 - 0.5324 * b**3) / 1.96) ** 2
 
 
 def _long_run(scores: Float[np.ndarray, "frames params"], lags: int) -> np.ndarray:
     """Covariance of the sum of scores, with Bartlett's weights on their lagged products."""
-    total = scores.T @ scores
-    for lag in range(1, min(lags, len(scores) - 1) + 1):
-        product = scores[lag:].T @ scores[:-lag]
+    lags = min(lags, len(scores) // 3)
+    centred = scores - scores.mean(0)
+    total = centred.T @ centred
+    for lag in range(1, lags + 1):
+        product = centred[lag:].T @ centred[:-lag]
         total += (1.0 - lag / (lags + 1)) * (product + product.T)
     values, vectors = np.linalg.eigh(total)
     return (vectors * np.clip(values, 0.0, None)) @ vectors.T
