@@ -27,7 +27,7 @@ from torchid.evaluation.simulation import with_conditions
 from torchid.evaluation.subjects import read_subjects
 from torchid.evaluation.trials import ConditionTrial, condition_trials, refuse_still
 from torchid.evaluation.wearing import Worn, channels_of, identified_devices, worn_devices
-from torchid.evaluation.write import write_evaluation
+from torchid.evaluation.write import file_names, write_evaluation
 from torchid.experiment.fits import OnStage
 from torchid.experiment.run import run_experiment
 from torchid.experiment.stages import soles
@@ -67,6 +67,7 @@ def evaluate(config: Config, progress: OnStage = lambda stage, fraction: None) -
     config = with_conditions(config, devices)
     outcome = run_experiment(config, progress)
     with OutputFolder(config.out, beside=True) as folder:
+        folder.claim(file_names(config))
         trials = condition_trials(config, outcome, folder, progress)
         progress("evaluation", 0.0)
         material = gather(config, outcome, trials, devices)

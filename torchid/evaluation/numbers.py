@@ -139,7 +139,7 @@ def cycle_name(trial: str, count: int, side: str) -> str:
         count: from one.
         side: l, r or empty.
     """
-    return f"{trial}/{count}{side}"
+    return f"{trial}_{count}{side}"
 
 
 def _contacts(found: Evaluation) -> Iterator[Entry]:

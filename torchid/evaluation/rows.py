@@ -68,6 +68,8 @@ def cycle_rows(
     q, v = (x[:, list(layout.rows)] * sign for x in (own.q, own.v))
     step = float(scene.trial.followed.motion.time[1] - scene.trial.followed.motion.time[0])
     human, demand, device = (_courses(x, layout, own.back, sign, scene) for x in (own.human, own.demand, own.device))
+    if layout.back:
+        device[..., -1] = demand[..., -1] - human[..., -1]  # compression is no linear function of torque
     drawn = None
     if deviations is not None:
         drawn = _courses(own.human + deviations, layout, own.back, sign, scene, scene.levers)

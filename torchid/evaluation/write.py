@@ -1,10 +1,6 @@
 """Files of an evaluation, beside those of its run."""
 
-import csv
-from collections.abc import Sequence
-from io import StringIO
-from pathlib import Path
-
+from torchid.config import Config
 from torchid.evaluation.datasets import cycles_dataset
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Ledger
@@ -43,20 +39,11 @@ def write_evaluation(found: Evaluation, folder: OutputFolder) -> None:
         write_netcdf(folder.path(f"cycles_{safe_name(condition)}.nc"), [cycles_dataset(found, condition)])
 
 
-def files_of(found: Evaluation) -> list[Path]:
-    """The files that ``write_evaluation`` writes.
+def file_names(config: Config) -> list[str]:
+    """Names of the files that ``write_evaluation`` writes.
 
     Args:
-        found: the evaluation.
+        config: of the evaluation.
     """
-    cycles = [f"cycles_{safe_name(condition)}.nc" for condition in found.config.conditions]
-    return [found.config.out / name for name in (*FILES, *cycles)]
-
-
-def csv_rows(text: str) -> Sequence[dict[str, str]]:
-    """Rows of a CSV file that ``Ledger.csv`` has written.
-
-    Args:
-        text: its content.
-    """
-    return list(csv.DictReader(StringIO(text)))
+    cycles = [f"cycles_{safe_name(condition)}.nc" for condition in config.conditions]
+    return [*FILES, *(["subjects.json"] if config.evaluate.subjects else []), *cycles]

@@ -13,7 +13,8 @@ from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Tabl
 from torchid.wording import clean
 
 FINDINGS, ROWS, PANELS, GAPS = 3, 6, 4, 3
-"""Choice. Of findings, differences, courses and gaps, so many fit on the first page; all of them are behind it."""
+"""Choice. Of findings, differences, courses and gaps, so many fit on the first page, shared by the comparisons; all of
+them are behind it."""
 
 
 def summary_section(found: Evaluation, ledger: Ledger) -> Section:
@@ -42,14 +43,17 @@ def _who(found: Evaluation, ledger: Ledger) -> Table:
 
 
 def _compared(found: Evaluation, ledger: Ledger, number: int, one: Comparison) -> list[Block]:
-    own = one.found(found.config.evaluate.level)
+    own, share = one.found(found.config.evaluate.level), len(found.others)
     order = [k for k in ranked(one) if k in own]
     blocks: list[Block] = []
     if order:
-        blocks.append(Items(tuple(finding(found, ledger, one, k) for k in order[:FINDINGS])))
+        blocks.append(Items(tuple(finding(found, ledger, one, k) for k in order[: max(1, FINDINGS // share)])))
     elif not one.units.testable:
         blocks.append(Paragraph(ledger.say("test", f"{one.units.reason[0].upper()}{one.units.reason[1:]}.")))
-    blocks.append(Figure(draw_courses(found, number, shown_courses(found, one), f"s{number}"), caption(found, ledger)))
+    panels = PANELS // share
+    if panels > 1:
+        drawing = draw_courses(found, number, shown_courses(found, one, panels), f"s{number}")
+        blocks.append(Figure(drawing, caption(found, ledger)))
     rows = ranked(one)[:ROWS]
     if rows and len(found.others) == 1:
         title = f"Largest differences, {clean(one.condition)} minus {clean(one.reference)}"
@@ -57,12 +61,13 @@ def _compared(found: Evaluation, ledger: Ledger, number: int, one: Comparison) -
     return blocks
 
 
-def shown_courses(found: Evaluation, one: Comparison) -> list[int]:
+def shown_courses(found: Evaluation, one: Comparison, panels: int) -> list[int]:
     """Courses for the first page: those of which most was found, the back's compression last.
 
     Args:
         found: the evaluation.
         one: a comparison.
+        panels: how many.
     """
     courses = found.layout.courses
     best: dict[str, float] = {}
@@ -71,7 +76,7 @@ def shown_courses(found: Evaluation, one: Comparison) -> list[int]:
     torque = [j for j, column in enumerate(courses) if column.where != "L5/S1"]
     torque.sort(key=lambda j: best.get(courses[j].where, math.inf))
     back = [j for j, column in enumerate(courses) if column.measure == "compression_N"]
-    return [*torque[: PANELS - len(back)], *back]
+    return [*torque[: panels - len(back)], *back]
 
 
 def caption(found: Evaluation, ledger: Ledger) -> str:
