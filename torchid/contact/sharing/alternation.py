@@ -24,8 +24,8 @@ RELAXATION = 1.6
 """Over-relaxation; cited: 1.5 to 1.8 (Boyd et al. 2011, section 3.4.3)."""
 EVERY = 10
 """Iterations from one look at the residuals to the next; chosen: a look costs as much as an iteration."""
-ADAPT = 50
-"""Iterations from one change of the penalty to the next; chosen: a change costs as much as some ten iterations."""
+ADAPT = 20
+"""Iterations from one change of the penalty to the next; chosen: a change costs as much as some five iterations."""
 UNBALANCED = 3.0
 """Ratio of the residuals from which on the penalty changes; chosen, as OSQP's 5 for its root."""
 TINY = 1e-12
@@ -54,17 +54,22 @@ class Bending:
     """Forces of the other frames, NaN where nobody knows them."""
     stiffness: Float[Tensor, "3"]
 
-    def smooth(self, wanted: Float[Tensor, "frames contacts 3"], penalty: float) -> Float[Tensor, "frames contacts 3"]:
+    def gain(self, penalty: float) -> Float[Tensor, "frequencies 1 3"]:
+        """Return what ``smooth`` leaves of every frequency: penalty / (penalty + stiffness (2 - 2 cos)^2)."""
+        frames = len(self.given)
+        angle = math.pi / frames * torch.arange(frames + 1, device=self.given.device, dtype=self.given.dtype)
+        bend = (2.0 - 2.0 * torch.cos(angle)).square()
+        return (penalty / (penalty + bend[:, None] * self.stiffness))[:, None]
+
+    def smooth(
+        self, wanted: Float[Tensor, "frames contacts 3"], gain: Float[Tensor, "frequencies 1 3"]
+    ) -> Float[Tensor, "frames contacts 3"]:
         """Return argmin 1/2 stiffness |D2 s|^2 + penalty/2 |s - wanted|^2, by the transform that diagonalises D2'D2.
 
         Beyond both ends the forces are mirrored, of which the cosine transform is made (Strang, SIAM Review 41, 1999).
         """
-        frames = len(wanted)
-        angle = math.pi / frames * torch.arange(frames + 1, device=wanted.device, dtype=wanted.dtype)
-        bend = (2.0 - 2.0 * torch.cos(angle)).square()
-        gain = penalty / (penalty + bend[:, None] * self.stiffness)
         both = torch.fft.rfft(torch.cat([wanted, wanted.flip(0)]), dim=0)
-        return torch.fft.irfft(both * gain[:, None], n=2 * frames, dim=0)[:frames]
+        return torch.fft.irfft(both * gain, n=2 * len(wanted), dim=0)[: len(wanted)]
 
     def course(self, forces: Float[Tensor, "sought forces"], last: Tensor) -> Float[Tensor, "frames contacts 3"]:
         """Return forces of all frames: the sought ones, those given, and the last ones where nobody knows them."""
@@ -152,7 +157,7 @@ class _Alternation:
         forces, before = self._forces(), self.s
         mixed = RELAXATION * forces + (1.0 - RELAXATION) * before[bend.sought].flatten(1)
         wanted = bend.course(mixed, before)
-        self.s = bend.smooth(wanted + self.v, self.penalty)
+        self.s = bend.smooth(wanted + self.v, self.gain)
         self.v = torch.where(self.free, 0.0, self.v + wanted - self.s)
         if not measure:
             return math.inf, math.inf
@@ -180,6 +185,7 @@ class _Alternation:
         H = f.R.mT @ f.R
         if self.bend is not None:
             H = H + self.penalty * f.W.mT @ f.W
+            self.gain = self.bend.gain(self.penalty)
         H.diagonal(dim1=1, dim2=2).add_(self.ridge + self.penalty)
         inverse = torch.cholesky_inverse(torch.linalg.cholesky(H))
         EH = f.E @ inverse

@@ -12,8 +12,9 @@ class SolverOptions:
     tolerance: Positive = 1e-5
     """Residuals at which it ends, as a part of the largest total force."""
     iterations: Count = 4000
-    penalty: Positive = 1.0
-    """Of the first iterations."""
+    penalty: Positive = 1e3
+    """Of the first iterations: between the ridge and the cost of a point force as large as the largest total, which is
+    1e4 to 1e5 for a foot whose centre of pressure is known to 15 mm."""
     ridge: Positive = 1e-2
     """Cost of a point force as large as the largest total: spreads pressure where nothing else tells."""
     give: NonNegative = 1e4

@@ -14,6 +14,7 @@ from torchid.contact.sharing.problem import SharingProblem, checked, grasp
 from torchid.dynamics import wrench_about
 from torchid.errors import DataError
 
+
 class SharingStatus(Enum):
     """How a solution came about."""
 
@@ -21,6 +22,11 @@ class SharingStatus(Enum):
     RELAXED = "relaxed"
     """Totals that the patches cannot bear: some cones had to give, by ``violation``."""
     UNCONVERGED = "unconverged"
+
+
+def worse(one: SharingStatus, other: SharingStatus) -> SharingStatus:
+    """Return the one of two that says less of its solution."""
+    return max(one, other, key=list(SharingStatus).index)
 
 
 @dataclass(frozen=True)
@@ -75,5 +81,3 @@ def share(problem: SharingProblem, options: SolverOptions | None = None, throw: 
             remedy="Ask for more iterations or a wider tolerance, or take the result with its status (throw=False).",
         )  # fmt: skip
     return SharedWrenches(out, gone, status, done, residual)
-
-
