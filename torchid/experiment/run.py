@@ -227,7 +227,8 @@ def _with_torques(outcome: Outcome, folder: OutputFolder) -> Outcome:
     def each(followed: dict[str, Followed], fit: GeometryFit, phi: torch.Tensor) -> dict[str, torch.Tensor]:
         found = {}
         for name, one in followed.items():
-            feet = folder.aside(foot_wrenches(one, fit, phi, trials[name], outcome.config.contact))
+            feet = foot_wrenches(one, fit, phi, trials[name], outcome.config.contact)
+            feet = None if feet is None else folder.aside(feet)
             if fit is outcome.fit and feet is not None:
                 under[name] = feet
             found[name] = folder.aside(torques(one, fit.model.tree, fit.geometry, phi, trials[name], feet))

@@ -53,6 +53,6 @@ def share_by_clarabel(
         bent = mirrored[2:] - 2.0 * mirrored[1:-1] + mirrored[:-2]
         cost += 0.5 * cvxpy.sum_squares(cvxpy.multiply(bent, np.tile(stiff, (frames, 1))))
     cvxpy.Problem(cvxpy.Minimize(cost), kept).solve(solver=cvxpy.CLARABEL)
-    found = torch.as_tensor(np.stack([one.value for one in x])).to(problem.total)
+    found = torch.as_tensor(np.stack([np.asarray(one.value) for one in x])).to(problem.total)
     wrench = size * (grasp(problem, about) @ found.flatten(1)[:, None, :, None])[..., 0]
     return wrench_about(wrench, -about[:, None].expand(-1, problem.contacts, -1))

@@ -92,11 +92,11 @@ def hand_over(support: Support) -> Handover:
     first, last = 0, len(support.total) - 1
     sure = support.single
     raw = torch.linspace(0.0, 1.0, last + 1, dtype=support.total.dtype, device=support.total.device)
-    centre, known = support.centre, (None, None)
+    centre, known = support.centre, (_untold(0), _untold(1))
     for _ in range(PASSES):
-        known = tuple(
-            _told(support, foot, frame) if told else _untold(foot)
-            for foot, (frame, told) in enumerate(zip((first, last), sure, strict=True))
+        known = (
+            _told(support, 0, first) if sure[0] else _untold(0),
+            _told(support, 1, last) if sure[1] else _untold(1),
         )
         raw = _shares(support, centre, known, raw)
         begun, going = raw > BEGUN, raw < 1.0 - BEGUN
@@ -132,7 +132,7 @@ def _untold(foot: int) -> Known:
 
 
 def _centres(support: Support, known: tuple, share: Tensor) -> tuple[Tensor, Tensor]:
-    """Where both press, given the leading foot's share: the one goes to its toes' middle, the other comes from its heel."""
+    """Where both press, given the leading foot's share: one ends at its toes, the other comes from its heel."""
     trailing, leading = support.axes
     behind = known[0].part + (TOE_OFF - known[0].part) * share.pow(TOE_POWER)
     before = known[1].part + (HEEL_STRIKE - known[1].part) * (1.0 - share)

@@ -172,24 +172,23 @@ def _shared(contact: Contact, wide: Tensor, raw: Tensor, own: Tensor) -> _Task:
     A plate's pressure lies under one foot still when the other begins to bear; such frames belong to the run of frames
     in which both may bear and no other plate reads the second foot.
     """
-    feet = range(len(contact.feet))
-    total, bearing, open_ = torch.zeros_like(raw.sum(1)), torch.zeros_like(wide), wide.new_zeros(len(wide))
+    feet = torch.arange(len(contact.feet), device=raw.device)
+    total, bearing, opened = torch.zeros_like(raw.sum(1)), torch.zeros_like(wide), wide.new_zeros(len(wide))
     given = own.clone()
     for p in range(raw.shape[1]):
         mine = contact.plate[:, p]
         others = torch.cat([contact.plate[:, :p], contact.plate[:, p + 1 :]], dim=1)
-        elsewhere = torch.stack([(others == k).any(dim=1) for k in feet], dim=1)
-        may = wide & ~elsewhere
+        may = wide & ~(others[..., None] == feet).any(dim=1)
         several = (may.sum(dim=1) > 1) & (mine != -1)
         untold = mine == -2
         sure = untold | (several & (contact.touching.sum(dim=1) > 1) & untold.any())
         frames = spread(sure, several) & may.any(dim=1)
         total += torch.where(frames[:, None], raw[:, p], 0.0)
         bearing |= frames[:, None] & may
-        given -= torch.where((frames[:, None] & (mine[:, None] == torch.arange(len(feet), device=mine.device)))[..., None],
-                             raw[:, p, None], 0.0)  # fmt: skip
-        open_ |= frames
-    return _Task(total, bearing, open_, given)
+        told = frames[:, None] & (mine[:, None] == feet)
+        given -= torch.where(told[..., None], raw[:, p, None], 0.0)
+        opened |= frames
+    return _Task(total, bearing, opened, given)
 
 
 def _beside(gone: Tensor, needed: Needed, plates: Tensor, frames: int) -> _Task:
