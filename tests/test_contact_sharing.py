@@ -1,7 +1,6 @@
 """Contacts that share a plate: exact sums, forces within cones, the optimum that Clarabel finds, flags of sources."""
 
 import sys
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,8 +30,8 @@ from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit
 from torchid.recording import Forces, Plate
 
-TOLERANCE_N = 0.05
-"""Of a solution: some 1e-4 of the load, which is what Clarabel's own tolerance leaves."""
+TOLERANCE_N = 0.2
+"""Of a solution at the default tolerance: some 3e-4 of the weight."""
 
 
 def centre_of(wrench: torch.Tensor) -> torch.Tensor:
@@ -45,11 +44,10 @@ def test_the_batched_solver_finds_clarabels_optimum(bend: bool, seed: int) -> No
     """Wrenches agree, frame by frame, with coupled frames and without."""
     for k in range(3):
         problem, _ = random_problem(12, seed + k, bend)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Clarabel's own accuracy
-            reference = share_by_clarabel(problem)
-        found = share(problem)
-        torch.testing.assert_close(found.wrench[..., :3], reference[..., :3], atol=TOLERANCE_N, rtol=1e-4)
+        reference = share_by_clarabel(problem)
+        fine = share(problem, SolverOptions(tolerance=1e-8, iterations=20000), throw=False)
+        torch.testing.assert_close(fine.wrench[..., :3], reference[..., :3], atol=0.02, rtol=1e-5)
+        torch.testing.assert_close(share(problem).wrench[..., :3], fine.wrench[..., :3], atol=TOLERANCE_N, rtol=1e-3)
 
 
 def test_sums_are_exact_and_forces_stay_in_their_cones(seed: int) -> None:

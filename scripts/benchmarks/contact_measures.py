@@ -79,9 +79,10 @@ def errors(split: Split, wrench: Tensor) -> Errors:
     pressing = (truth[..., 2] > PRESSING * split.weight) & (found[..., 2] > PRESSING * split.weight)
     apart = (_centre(found, split.height) - _centre(truth, split.height)).norm(dim=-1)[pressing]
     sums = (found.sum(1) - split.total[split.frames]).abs()
+    worst = float(sums[:, :3].max()), float(sums[:, 3:].max())
     return Errors(
         100 * _rms(gap[..., 2]), 100 * _rms(gap[..., :2] @ split.forward), 100 * _rms(gap[..., :2] @ side),
-        1e3 * _rms(apart), 100 * _rms(gap[..., 2].sum(1)), float(sums[:, :3].max()), float(sums[:, 3:].max()), len(truth),
+        1e3 * _rms(apart), 100 * _rms(gap[..., 2].sum(1)), *worst, len(truth),
     )  # fmt: skip
 
 
@@ -109,7 +110,8 @@ def table(report: dict) -> Iterator[str]:
     cost = report["cost"].values()
     if cost:
         sums = {key: sum(one[key] for one in cost) for key in next(iter(cost))}
-        yield f"\n{sums['frames'] / sums['seconds']:.0f} frames/s; {sums['shared']} of {sums['double']} frames shared; "
+        yield f"\n{sums['frames'] / sums['seconds']:.0f} frames per second of one core; "
+        yield f"{sums['shared']} of {sums['double']} frames shared; "
         yield f"{100 * sums['inside_95'] / max(1, sums['judged']):.0f} % of vertical forces inside 95 % bands"
 
 

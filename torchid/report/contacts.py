@@ -17,8 +17,8 @@ from torchid.report.figure import IDENTIFIED, MUTED, SCALED, SHADE, draw, tidy
 from torchid.wording import clean, plural
 
 LOOKS: dict[Source, tuple[str, dict[str, Any]]] = {
-    Source.MEASURED: ("a plate of its own", {"facecolor": IDENTIFIED, "edgecolor": IDENTIFIED}),
-    Source.SHARED: ("a plate it shares", {"facecolor": "#ffffff", "edgecolor": IDENTIFIED, "hatch": "////"}),
+    Source.MEASURED: ("alone on a plate", {"facecolor": IDENTIFIED, "edgecolor": IDENTIFIED}),
+    Source.SHARED: ("shares a plate", {"facecolor": "#ffffff", "edgecolor": IDENTIFIED, "hatch": "////"}),
     Source.PREDICTED: ("predicted by the body", {"facecolor": SCALED, "edgecolor": SCALED}),
     Source.UNKNOWN: ("touches, not known", {"facecolor": SHADE, "edgecolor": MUTED}),
 }

@@ -36,8 +36,10 @@ TINY = 1e-12
 class FrameBlocks:
     """Sought frames, forces as parts of the largest total, about a point of each frame."""
 
-    W: Float[Tensor, "sought forces columns"]
-    """From point forces to the contacts' forces."""
+    W: Float[Tensor, "forces columns"]
+    """From point forces to the contacts' forces, the same in every frame."""
+    active: Float[Tensor, "sought columns"]
+    """One for point forces of contacts that bear, else zero."""
     R: Float[Tensor, "sought rows columns"]
     y: Float[Tensor, "sought rows"]
     E: Float[Tensor, "sought totals columns"]
@@ -90,7 +92,11 @@ def frame_blocks(own: SharingProblem, about: Float[Tensor, "frames 3"], size: fl
     R = torch.einsum("trcw,tcwn->trn", moved_rows(own.rows, about), G)
     E = torch.einsum("gc,tcwn->tgwn", summed(own), G).flatten(1, 2)
     b = wrench_about(own.total, about[:, None].expand(-1, own.total.shape[1], -1)).flatten(1)
-    return FrameBlocks(G[:, :, :3].flatten(1, 2), R * size, own.aim, E, b / size, own.friction)
+    turned = torch.block_diag(*own.axes.mT.to(R))
+    same = torch.nn.functional.one_hot(own.owner, own.contacts).to(R)
+    W = torch.kron(same.T.contiguous(), torch.eye(3).to(R)) @ turned
+    active = own.bearing[:, own.owner].to(R).repeat_interleave(3, dim=1)
+    return FrameBlocks(W, active, R * size, own.aim, E, b / size, own.friction)
 
 
 def bending(problem: SharingProblem, sought: Bool[Tensor, " frames"], size: float) -> Bending | None:
@@ -140,7 +146,7 @@ class _Alternation:
         before = self.z
         if self.bend is not None:
             pulled = (self.s - self.v)[self.bend.sought].flatten(1)
-            g = g + self.penalty * (self.f.W.mT @ pulled[..., None])[..., 0]
+            g = g + self.penalty * (pulled @ self.f.W) * self.f.active
         self.x = self._solve(g)
         mixed = RELAXATION * self.x + (1.0 - RELAXATION) * self.z
         cones = (mixed + self.u).unflatten(1, (-1, 3))
@@ -184,7 +190,7 @@ class _Alternation:
         f = self.f
         H = f.R.mT @ f.R
         if self.bend is not None:
-            H = H + self.penalty * f.W.mT @ f.W
+            H = H + self.penalty * (f.W.mT @ f.W) * f.active[:, None] * f.active[..., None]
             self.gain = self.bend.gain(self.penalty)
         H.diagonal(dim1=1, dim2=2).add_(self.ridge + self.penalty)
         inverse = torch.cholesky_inverse(torch.linalg.cholesky(H))
@@ -196,7 +202,8 @@ class _Alternation:
         self.Kb = (self.K @ f.b[..., None])[..., 0]
 
     def _solve(self, g: Tensor) -> Tensor:
-        return torch.baddbmm(self.Kb[..., None], self.M, g[..., None])[..., 0]
+        # M is symmetric, and rows times matrices take half as long as matrices times columns.
+        return torch.baddbmm(self.Kb[:, None], g[:, None], self.M)[:, 0]
 
     def _forces(self) -> Tensor:
-        return (self.f.W @ self.x[..., None])[..., 0]
+        return (self.x * self.f.active) @ self.f.W.T

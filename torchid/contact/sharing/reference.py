@@ -1,4 +1,4 @@
-"""The same problem by Clarabel through CVXPY: slow, and what the batched solver is held against."""
+"""The same problem by Clarabel through CVXPY, its cones hard: slow, and what the batched solver is held against."""
 
 import cvxpy
 import numpy as np
@@ -18,8 +18,8 @@ def share_by_clarabel(
     """Return the wrenches of contacts about the world's origin, of a problem whose frames are all sought.
 
     Args:
-        problem: totals, contacts and costs; ``open`` and ``given`` are not read.
-        options: weights; tolerances are Clarabel's own.
+        problem: totals that its contacts can bear, and costs; ``open`` and ``given`` are not read.
+        options: the ridge; tolerances are Clarabel's own.
 
     Raises:
         DataError: what ``problem.checked`` finds.
@@ -31,23 +31,20 @@ def share_by_clarabel(
     size = float(problem.total[..., :3].norm(dim=-1).max().clamp(min=1.0))
     about = problem.points.mean(1)
     f = frame_blocks(problem, about, size)
-    W, R, y, E, b, friction = (t.numpy() for t in (f.W, f.R, f.y, f.E, f.b, f.friction))
+    W, active, R, y, E, b, friction = (t.numpy() for t in (f.W, f.active, f.R, f.y, f.E, f.b, f.friction))
     frames, points = len(R), len(friction)
     x = [cvxpy.Variable((points, 3)) for _ in range(frames)]
     flat = [cvxpy.reshape(one, (3 * points,), order="C") for one in x]
     cost, kept = 0.0, []
     for t in range(frames):
-        off = cvxpy.Variable((points, 3))
         cost += 0.5 * cvxpy.sum_squares(R[t] @ flat[t] - y[t]) + 0.5 * options.ridge * cvxpy.sum_squares(flat[t])
-        cost += options.give * cvxpy.norm(cvxpy.vec(off, order="C"))
         borne = [row for row in range(len(b[t])) if np.abs(E[t][row]).max() > 0.0]
         kept.append(E[t][borne] @ flat[t] == b[t][borne])
-        held = x[t] - off
-        kept += [cvxpy.norm(held[k, :2]) <= friction[k] * held[k, 2] for k in range(points) if np.isfinite(friction[k])]
-        kept += [off[k] == 0.0 for k in range(points) if not np.isfinite(friction[k])]
+        slips = [k for k in range(points) if np.isfinite(friction[k])]
+        kept += [cvxpy.norm(x[t][k, :2]) <= friction[k] * x[t][k, 2] for k in slips]
     if problem.bend_sd is not None:
         stiff = np.tile(size / problem.bend_sd.numpy(), problem.contacts)
-        force = cvxpy.vstack([W[t] @ flat[t] for t in range(frames)])
+        force = cvxpy.vstack([W @ cvxpy.multiply(active[t], flat[t]) for t in range(frames)])
         around = [force[:1], force, force[-1:]]
         mirrored = cvxpy.vstack(around)
         bent = mirrored[2:] - 2.0 * mirrored[1:-1] + mirrored[:-2]
