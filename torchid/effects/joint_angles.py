@@ -42,7 +42,8 @@ def lively(scenes: Sequence[Scene], body: int) -> tuple[str, ...]:
         body: number of a body in the tree; the root has no such coordinate.
     """
     tree = scenes[0].tree
-    rows = [turn.row for turn in tree.bodies[body].turns if turn.moving]
+    rows = [turn.row for turn in tree.bodies[body].turns if turn.moving and turn.row < len(tree.dofs)]
+    rows = rows or list(tree.driving(body))
     spread = {row: max(float(s.q[row].std()) for s in scenes) for row in rows}
     order = sorted(rows, key=lambda row: -spread[row])
     return tuple(tree.dof_names[row] for row in order if spread[row] >= 0.5 * spread[order[0]])
