@@ -119,6 +119,14 @@ class Tree:
         """What belongs to the coordinates (dofs, ..., frames) of covectors of the axes (axes, ..., frames)."""
         return x if self.coupling is None else self.coupling.fold(q, x)
 
+    @cached_property
+    def uncoupled(self) -> "Tree":
+        """The tree whose coordinates are this one's axis values, for formats that know no functions."""
+        if self.coupling is None:
+            return self
+        followers = tuple(Dof(one.name, "rad") for one in self.coupling.followers)
+        return Tree(self.bodies, (*self.dofs, *followers), self.hinges)
+
     def driving(self, body: int) -> tuple[int, ...]:
         """Rows of q that move a body's joint, by themselves or through followers."""
         own = self.bodies[body]

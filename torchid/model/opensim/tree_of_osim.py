@@ -147,6 +147,8 @@ class _Builder:
 
     def follow(self, name: str, rows: tuple[int, ...], function: Function) -> int:
         """A new follower's row."""
+        taken = {one.name for one in self.followers}
+        name = name if name not in taken else f"{name}_{len(self.followers)}"
         self.followers.append(Follower(name, rows, function))
         return self.n_dofs + len(self.followers) - 1
 
