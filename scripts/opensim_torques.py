@@ -111,7 +111,9 @@ def states(model: OsimModel, source: Storage, cutoff_hz: float | None) -> tuple[
         if name not in model.coordinate_names:
             continue
         scale = np.pi / 180.0 if source.in_degrees and kinds[name] == "rad" else 1.0
-        for out, values in zip(found, derivatives(time, scale * np.asarray(source.values)[:, k], cutoff_hz), strict=True):
+        for out, values in zip(
+            found, derivatives(time, scale * np.asarray(source.values)[:, k], cutoff_hz), strict=True
+        ):
             out[:, model.coordinate_names.index(name)] = torch.tensor(values)
     return time, following(model, *found)
 
@@ -143,7 +145,7 @@ def padded(values: Series) -> Series:
 
 
 def filtered(values: Series, cutoff_hz: float, rate_hz: float) -> Series:
-    """Butterworth of third order, forwards and backwards (OpenSim, Signal::LowpassIIR), from rest at its first value."""
+    """Butterworth of third order, forwards and backwards, from rest at its first value (OpenSim, Signal::LowpassIIR)."""
     b, a = scipy.signal.butter(3, cutoff_hz, fs=rate_hz)
     start = scipy.signal.lfilter_zi(b, a)
     for _ in range(2):

@@ -152,10 +152,14 @@ def mjcf_of(tree: Tree, geometry: Geometry, phi: torch.Tensor) -> str:
         quat = np.roll(R.from_matrix(joint.R_PB).as_quat(), 1)
         mass, centre, inertia = phi_to_centre(phi[k].numpy(), tree.names[k])
         full = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-        moving = "<freejoint/>" if k == 0 else "".join(
-            f'<joint name="{tree.dofs[row].name}" type="{kind}" axis="{spelt(axis)}"/>'
-            for kind, axes in (("slide", joint.slides), ("hinge", joint.turns))
-            for row, axis in axes
+        moving = (
+            "<freejoint/>"
+            if k == 0
+            else "".join(
+                f'<joint name="{tree.dofs[row].name}" type="{kind}" axis="{spelt(axis)}"/>'
+                for kind, axes in (("slide", joint.slides), ("hinge", joint.turns))
+                for row, axis in axes
+            )
         )
         own = f'<inertial mass="{mass:.17g}" pos="{spelt(centre)}" fullinertia="{spelt(full)}"/>'
         inside = "".join(body(child) for child in children[k])

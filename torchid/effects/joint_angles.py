@@ -102,9 +102,10 @@ def _reordered(tree: Tree, follows: Angle) -> tuple[Turn, ...]:
 
 def _three(tree: Tree, dof: str) -> tuple[Turn, ...]:
     """The turns about three different axes of the joint whose first is this coordinate; none of any other."""
-    for body in tree.bodies:
-        turns = tuple(body.turns)
-        if len({turn.axis for turn in turns if turn.moving}) == len(turns) == 3 and tree.dof_names[turns[0].row] == dof:
+    for k, body in enumerate(tree.bodies):
+        turns = tuple(tree.own_turns(k))
+        alone = len({turn.axis for turn in turns}) == len(turns) == len(body.turns) == 3
+        if alone and tree.dof_names[turns[0].row] == dof:
             return turns
     return ()
 

@@ -14,8 +14,9 @@ from torchid.kinematics.recursion import cross
 
 
 def joint_name(scene: Scene, body: int) -> str:
-    """Return the name of the proximal joint of a body: that of its coordinates up to the last word; the body's own where
-    functions drive joints, whose coordinates may move several.
+    """Return the name of the proximal joint of a body: that of its coordinates up to the last word.
+
+    Where functions drive joints, whose coordinates may move several, it is the body's own.
     """
     if scene.tree.coupling is not None:
         return scene.tree.names[body]

@@ -9,7 +9,7 @@ are all followers. Poses and equations of motion see s; whoever asks for coordin
 Derivatives are exact (forward-mode, ``torch.func``). All tensors have the frames last.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,6 +18,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.model.opensim.functions import Constant, Function
+
+
+def pushed(function: Callable[..., Tensor], at: tuple[Tensor, ...], along: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+    """Return a function's value and its derivative along a direction, exactly (forward mode).
+
+    Args:
+        function: of tensors, built of differentiable operations.
+        at: its arguments.
+        along: direction of each argument.
+    """
+    found = torch.func.jvp(function, at, along)
+    return found[0], found[1]
 
 
 @dataclass(frozen=True)
@@ -80,7 +92,7 @@ class Coupling:
 
     def _rate(self, q: Tensor, v: Tensor) -> Tensor:
         """Return the followers' rates (followers, frames)."""
-        return torch.func.jvp(self._values, (q,), (v,))[1]
+        return pushed(self._values, (q,), (v,))[1]
 
     def rates(
         self, q: Float[Tensor, "dofs frames"], v: Float[Tensor, "dofs frames"], a: Float[Tensor, "dofs frames"]
@@ -94,7 +106,7 @@ class Coupling:
         """
         if not self.followers:
             return v, a
-        rate, acceleration = torch.func.jvp(self._rate, (q, v), (v, a))
+        rate, acceleration = pushed(self._rate, (q, v), (v, a))
         return torch.cat([v, rate]), torch.cat([a, acceleration])
 
     def jacobian(self, q: Float[Tensor, "dofs frames"]) -> Float[Tensor, "followers dofs frames"]:

@@ -139,9 +139,7 @@ class _Builder:
         self.bodies.append(Body(body.name, body.parent, tuple(turns), tuple(slides), R_PJ, as_rotation(R_slide.T)))
 
 
-def leaning_turn(
-    name: str, unit: Array, row: int, hinges: list[str], angles: list[float]
-) -> list[Turn]:
+def leaning_turn(name: str, unit: Array, row: int, hinges: list[str], angles: list[float]) -> list[Turn]:
     """A turn about any unit axis by axis value ``row``: lean there, turn, lean back.
 
     Args:

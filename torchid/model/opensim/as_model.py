@@ -1,4 +1,4 @@
-"""An OpenSim model as a model of torchid: tree, and priors of geometry, inertia and markers about what the file states."""
+"""An OpenSim model as a model of torchid: its tree, and priors of geometry, inertia and markers about the file's."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ from torchid.model.tree import Tree
 from torchid.model.tree_of_links import LEAST_EXTENT, FileScatter, file_geometry, file_inertia
 
 LEAST_MASS = 0.01
-"""Chosen. Mass that a body without any gets, since identification asks for one [kg]: 10 g, far below what plates see."""
+"""Chosen. Mass that a body without any gets, since identification asks for one [kg]: 10 g, which plates cannot see."""
 MARKER_SD = 0.02
 """Cited. Scatter of a file's own markers about where they are, per component [m]: OpenSim's user's guide calls a scaled
 model good whose markers miss by 20 mm; those of ``example3DWalking`` miss by 12 to 54 mm."""
@@ -130,4 +130,3 @@ def _size(model: OsimModel) -> float:
     q = coupled(model, model.defaults)
     points = torch.cat([body_poses(model, q)[:, :3, 3], marker_places(model, q)])
     return float(torch.cdist(points, points).max())
-

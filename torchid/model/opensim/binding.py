@@ -1,8 +1,8 @@
 """How a tree hangs together with the OpenSim model that it was made of: whose bodies, and the file's first joint.
 
-Each of the tree's bodies T is one or several bodies B of the file, welded together. Its axes are X forward, Y left, Z up
-where those of the file are X forward, Y up, Z right; its origin is its proximal joint centre. The file's first joint,
-which carries the root from ground, is the tree's floating base; all other coordinates keep name, value and sign.
+Each of the tree's bodies T is one or several bodies B of the file, welded together. Its axes are X forward, Y left,
+Z up where those of the file are X forward, Y up, Z right; its origin is its proximal joint centre. The file's first
+joint, which carries the root from ground, is the tree's floating base; all other coordinates keep name, value and sign.
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.model.coupling import pushed
 from torchid.model.opensim.functions import Function
 from torchid.model.opensim.model import Joint, OsimModel
 from torchid.model.opensim.posing import coupled, joint_pose
@@ -85,10 +86,10 @@ class OsimBinding:
         """
 
         def rate(q: Tensor, v: Tensor) -> Tensor:
-            return torch.func.jvp(self.base_pose, (q,), (v,))[1]
+            return pushed(self.base_pose, (q,), (v,))[1]
 
         X = self.base_pose(q)
-        once, twice = torch.func.jvp(rate, (q, v), (v, a))
+        once, twice = pushed(rate, (q, v), (v, a))
         R = X[:, :3, :3]
         spin, turning = (x[:, :3, :3] @ R.mT for x in (once, twice))
         alpha = turning + once[:, :3, :3] @ once[:, :3, :3].mT
@@ -101,9 +102,7 @@ class OsimBinding:
         q, v, a = (torch.cat([b, x[:, rows]], dim=1) for b, x in zip(base, (q, v, a), strict=True))
         return q, v, a
 
-    def from_tree(
-        self, names: tuple[str, ...], q: Float[Tensor, "frames dofs"]
-    ) -> Float[Tensor, "frames coordinates"]:
+    def from_tree(self, names: tuple[str, ...], q: Float[Tensor, "frames dofs"]) -> Float[Tensor, "frames coordinates"]:
         """Return all coordinates of the file [rad, m]: couplers hold, what the tree does not move is at its default.
 
         Args:
@@ -132,7 +131,7 @@ class OsimBinding:
         for row in self.root.rows:
             seed = torch.zeros_like(q)
             seed[:, row] = 1.0
-            rate = torch.func.jvp(self.base_pose, (q,), (seed,))[1]
+            rate = pushed(self.base_pose, (q,), (seed,))[1]
             twist = torch.cat([rate[:, :3, 3], _vee(rate[:, :3, :3] @ X[:, :3, :3].mT)], dim=1)
             columns.append((twist * wrench).sum(1))
         return torch.stack(columns, dim=1)

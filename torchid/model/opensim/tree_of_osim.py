@@ -229,8 +229,7 @@ class _Builder:
         rest = self.binding.to_tree((), q, torch.zeros_like(q), torch.zeros_like(q))[0][0].tolist()
         units = [(axis, "m") for axis in "xyz"] + [(f"r{axis}", "rad") for axis in "xyz"]
         base = [
-            Dof(f"{root}_{axis}", unit, rest=value, sd=BASE_SD)
-            for (axis, unit), value in zip(units, rest, strict=True)
+            Dof(f"{root}_{axis}", unit, rest=value, sd=BASE_SD) for (axis, unit), value in zip(units, rest, strict=True)
         ]
         return (*base, *(_dof(model, row) for row in self.free))
 
