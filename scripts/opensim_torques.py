@@ -145,7 +145,7 @@ def padded(values: Series) -> Series:
 
 
 def filtered(values: Series, cutoff_hz: float, rate_hz: float) -> Series:
-    """Butterworth of third order, forwards and backwards, from rest at its first value (OpenSim, Signal::LowpassIIR)."""
+    """Butterworth of third order, forwards and backwards, from rest at its start (OpenSim, Signal::LowpassIIR)."""
     b, a = scipy.signal.butter(3, cutoff_hz, fs=rate_hz)
     start = scipy.signal.lfilter_zi(b, a)
     for _ in range(2):
