@@ -8,11 +8,13 @@ import torch
 import yaml
 from osim_dynamics import opensim_consistency, opensim_forces
 from osim_files import NAMES, draw, joint, osim, transform
+from osim_session import write_osim_session
 from torch import Tensor
 from torch.testing import assert_close
 
 from torchid.config import load_config
 from torchid.errors import ConfigError, InputError
+from torchid.experiment import run_experiment
 from torchid.experiment.read import read_setup
 from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.files import load_model
@@ -25,6 +27,7 @@ from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.rotations import R_OW
 from torchid.model.opensim.tree_of_osim import as_free, tree_of_osim
 from torchid.model.opensim.writing_back import write_back
+from torchid.model.whole_body import lock_bodies
 from torchid.osim_dynamics import file_forces, osim_inverse_dynamics
 
 FUNCTION_KNEES = "opensim_rajagopal_walk/subject_walk_scaled.osim"
@@ -193,6 +196,7 @@ def test_identified_models_are_what_opensim_opens(name: str, data_dir: Path, see
     assert_close(moved, expected @ R_OW.T, rtol=0, atol=1e-9)
 
 
+@pytest.mark.data
 def test_bodies_share_what_their_group_is(data_dir: Path, seed: int) -> None:
     """Inertia of welded bodies, divided among them, is again that of the group; what did not change stays."""
     made, _ = read_osim_model(_path(FUNCTION_KNEES, data_dir))
@@ -204,6 +208,7 @@ def test_bodies_share_what_their_group_is(data_dir: Path, seed: int) -> None:
     assert_close(of_groups(made.osim, of_bodies(made.osim, new).phi), new, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.data
 def test_torques_in_the_files_coordinates_do_the_same_work(data_dir: Path, seed: int) -> None:
     """Power of the file's generalised forces equals that of the tree's, whatever either calls its coordinates."""
     made, _ = read_osim_model(_path(FUNCTION_KNEES, data_dir))
@@ -305,6 +310,15 @@ def test_bodies_without_mass_get_a_little_and_it_is_said(tmp_path: Path) -> None
     assert {"osim.massless", "osim.welded"} <= {note.code for note in notes}
 
 
+def _config(folder: Path, markers: str) -> Path:
+    """A config of ``a.osim`` in a folder, with an empty recording."""
+    (folder / "a.trc").write_text("")
+    trials = [{"name": "a", "file": "a.trc"}]
+    settings = {"subject": {"name": "a"}, "model": "a.osim", "markers": markers, "trials": trials}
+    (folder / "a.yaml").write_text(yaml.safe_dump(settings))
+    return folder / "a.yaml"
+
+
 def test_what_a_run_does_not_use_is_said(tmp_path: Path) -> None:
     """Locked coordinates and another gravity are named; without markers in the file there is no ``markers: model``."""
     text = osim(joint("FreeJoint", *SIX), joint("PinJoint", "q6", parent="/bodyset/a", child="/bodyset/b"), bodies="ab")
@@ -315,16 +329,8 @@ def test_what_a_run_does_not_use_is_said(tmp_path: Path) -> None:
     made, notes = read_osim_model(tmp_path / "a.osim")
     assert {"osim.locked", "osim.gravity"} <= {note.code for note in notes}
     assert made.tree.dof_names[6:] == ()
-    (tmp_path / "a.trc").write_text("")
-    settings = {
-        "subject": {"name": "a"},
-        "model": "a.osim",
-        "markers": "model",
-        "trials": [{"name": "a", "file": "a.trc"}],
-    }
-    (tmp_path / "a.yaml").write_text(yaml.safe_dump(settings))
     with pytest.raises(ConfigError, match=r"markers\.own"):
-        read_setup(load_config(tmp_path / "a.yaml"))
+        read_setup(load_config(_config(tmp_path, "model")))
 
 
 def test_marker_sets_may_name_any_body_of_the_file(tmp_path: Path) -> None:
@@ -332,13 +338,52 @@ def test_marker_sets_may_name_any_body_of_the_file(tmp_path: Path) -> None:
     weld = joint("WeldJoint", parent="/bodyset/a", child="/bodyset/b")
     (tmp_path / "a.osim").write_text(osim(joint("FreeJoint", *SIX), weld, bodies="ab"))
     (tmp_path / "m.yaml").write_text("M1: b\nM2: a\n")
-    (tmp_path / "a.trc").write_text("")
-    settings = {
-        "subject": {"name": "a"},
-        "model": "a.osim",
-        "markers": "m.yaml",
-        "trials": [{"name": "a", "file": "a.trc"}],
-    }
-    (tmp_path / "a.yaml").write_text(yaml.safe_dump(settings))
-    model, _, markers = read_setup(load_config(tmp_path / "a.yaml"))
+    model, _, markers = read_setup(load_config(_config(tmp_path, "m.yaml")))
     assert {spec.segment for spec in markers.specs.values()} == set(model.tree.names)
+
+
+@pytest.mark.data
+def test_bodies_without_markers_go_on_following(data_dir: Path, seed: int) -> None:
+    """Kneecaps that no marker shows stay on their knees; toes that no marker shows stay at rest."""
+    made, _ = read_osim_model(_path(FUNCTION_KNEES, data_dir))
+    held, notes = lock_bodies(made, ("patella_r", "toes_r"))
+    assert set(made.tree.dof_names) - set(held.tree.dof_names) == {"mtp_angle_r"}
+    assert "mtp_angle_r" in notes[0].message and "knee_angle_r" not in notes[0].message
+    assert made.osim is not None
+    q, v, a = _state(made.osim.model, np.random.default_rng(seed))
+    q[:, made.osim.model.coordinate_names.index("mtp_angle_r")] = 0.0
+    before, after = (
+        chain_poses(
+            one.tree, made.osim.to_tree(one.tree.dof_names, q, v, a)[0], one.geometry.geometry(one.geometry.mean)
+        )
+        for one in (made, held)
+    )
+    assert_close(before, after, rtol=0, atol=1e-12)
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_report")
+def test_a_body_of_functions_is_recovered_by_a_run(data_dir: Path, seed: int, tmp_path: Path) -> None:
+    """Somebody whose knees and kneecaps follow functions, on two plates: masses and joint centres within their
+    deviations, and the written model means the same body in OpenSim's words."""
+    truth = write_osim_session(tmp_path, _path(FUNCTION_KNEES, data_dir), np.random.default_rng(seed))
+    outcome = run_experiment(load_config(tmp_path / "config.yaml"))
+    assert outcome.identified is not None and outcome.fit.uncertainty is not None
+    tree = outcome.fit.model.tree
+    assert tree.names == truth.model.tree.names
+    named = len(outcome.fit.prior.mean)
+    sd = outcome.fit.uncertainty.sd[:named]
+    rows = [truth.model.geometry.names.index(name) for name in outcome.fit.prior.names]
+    true = (truth.geometry.offset.reshape(-1)[3:])[rows]
+    wrong = (outcome.fit.xi[:named] - true) / sd
+    assert float(wrong.square().mean().sqrt()) < 2.0, wrong
+    mass = outcome.phi[:, 0] - truth.phi[:, 0]
+    known = outcome.identified.fit.sd.mass
+    assert float((mass / known).square().mean().sqrt()) < 2.0, mass / known
+    prior = outcome.prior.mean[:, 0] - truth.phi[:, 0]
+    assert float(mass.square().sum()) < float(prior.square().sum())
+    written, _ = read_osim(tmp_path / "out" / "model.osim")
+    _, read, binding = tree_of_osim(written)
+    assert_close(read.offset, outcome.fit.geometry.offset, rtol=0, atol=1e-9)
+    assert_close(of_groups(binding, written.inertias.phi), outcome.phi, rtol=1e-6, atol=1e-9)
