@@ -26,6 +26,8 @@ from torchid.recording import Trial
 from torchid.regressor.rows import WrenchTrial
 from torchid.results import OutputFolder
 
+FEET = ("foot", "calcn")
+"""Wording. Bodies that stand on the ground, by the beginning of their names: the built-in model's, and OpenSim's."""
 SOLE = ("heel", "mt5", "mt1", "toe")
 """Landmarks of a sole, heel first, toes last."""
 TIP = 1.01 / 0.80
@@ -210,7 +212,6 @@ def legs(tree: Tree) -> dict[str, list[int]]:
     """Rows of q of the joints between the root and each foot."""
     found = {}
     for k, body in enumerate(tree.bodies):
-        if body.name.startswith("foot"):
-            above = [tree.bodies[j] for j in tree.ancestors[k]]
-            found[body.name] = [turn.row for b in above for turn in b.turns if turn.moving]
+        if body.name.startswith(FEET):
+            found[body.name] = list(dict.fromkeys(row for j in sorted(tree.ancestors[k]) for row in tree.driving(j)))
     return found
