@@ -22,13 +22,14 @@ from torchid.dynamics import (
     wrench_about,
 )
 from torchid.errors import Note
-from torchid.experiment.stages import CHUNK, SPREAD, legs, soles
+from torchid.experiment.stages import SPREAD, legs, soles
 from torchid.geometry.result import GeometryFit
 from torchid.model.model import Geometry
 from torchid.model.tree import Tree
 from torchid.motion import Motion
 from torchid.outcome import Followed
 from torchid.recording import Forces, Trial
+from torchid.torque.inverse import CHUNK
 
 TORQUE_SD = 1.0
 """Chosen: standard deviation of a joint torque over the body's mass [N m/kg]: the largest of walking are 0.5 at the
@@ -124,7 +125,7 @@ def _effort(tree: Tree, geometry: Geometry, motion: Motion, phi: Tensor, feet: t
         part = slice(part.start, min(part.stop, len(motion.q)))
         state = dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
         needed = generalised_forces(state, body_wrenches(state.plan, body_rows(state), phi))
-        S, _ = joint_axes(state)
+        S = tree.fold(state.at.q, joint_axes(state)[0])
         own = S[[row for row, _ in rows]].permute(2, 0, 1)
         root = motion.q[part, None, :3].expand(-1, len(rows), -1)
         force, moment = own[..., :3], own[..., 3:]

@@ -9,7 +9,6 @@ from torch import Tensor
 from torchid.config import Config
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.sharing.wrenches import ContactWrenches, Source
-from torchid.dynamics import body_rows, body_wrenches, dynamic_state, generalised_forces, wrench_about
 from torchid.experiment.read import SHORTEST
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit
@@ -25,6 +24,7 @@ from torchid.outcome import Followed, Session
 from torchid.recording import Trial
 from torchid.regressor.rows import WrenchTrial
 from torchid.results import OutputFolder
+from torchid.torque.inverse import CHUNK, Load, joint_torques
 
 FEET = ("foot", "calcn")
 """Wording. Bodies that stand on the ground, by the beginning of their names: the built-in model's, and OpenSim's."""
@@ -38,7 +38,6 @@ SPREAD = 0.25
 ENDS = 0.2
 """So are frames closer to an end of the recording: a filter that knows one side only knows no acceleration. On exact
 synthetic data the residual is 110 N in the two outermost frames, 50 N a fifth of a period in, 9 N inside."""
-CHUNK = 2048
 
 
 def cutoff(config: Config, session: Session) -> float:
@@ -159,16 +158,8 @@ def torques(
         under: wrenches under the feet, each with its source (``experiment.contacts.foot_wrenches``); None takes what
             plates measure of one foot alone.
     """
-    motion, external = followed.motion, _external(followed, trial, under)
-    out = torch.empty_like(motion.q)
-    for start in range(0, len(motion.q), CHUNK):
-        part = slice(start, start + CHUNK)
-        state = dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
-        needed = body_wrenches(state.plan, body_rows(state), phi)
-        for body, wrench in external.items():
-            position = state.plan.position[tree.names.index(body)]
-            needed[position] -= wrench_about(wrench[part], motion.q[part, :3]).T
-        out[part] = generalised_forces(state, needed).T
+    loads = [Load(body, wrench) for body, wrench in _external(followed, trial, under).items()]
+    out = joint_torques(tree, geometry, phi, followed.motion, loads)
     return _masked(out, followed, tree, under)
 
 
