@@ -167,18 +167,22 @@ def _height(forces: Forces) -> float:
     return sum(corners) / len(corners) if corners else 0.0
 
 
-def _over(soles: dict[str, Tensor], forces: Forces, margin: float) -> Bool[Tensor, "frames plates feet"]:
-    """Feet that are over a plate with the whole sole; none over a plate without corners."""
-    frames = len(forces.time)
-    out = torch.zeros(frames, len(forces.plates), len(soles), dtype=torch.bool, device=forces.wrench.device)
+def _over(
+    soles: dict[str, Tensor], forces: Forces, margin: float
+) -> tuple[Bool[Tensor, "frames plates feet"], Bool[Tensor, "frames plates feet"]]:
+    """Feet that are over a plate with some of the sole, and with all of it; a plate without corners may be anywhere."""
+    shape = len(forces.time), len(forces.plates), len(soles)
+    some = torch.ones(shape, dtype=torch.bool, device=forces.wrench.device)
+    whole = torch.zeros_like(some)
     for p, plate in enumerate(forces.plates):
         if plate.corners is not None:
-            for k, sole in enumerate(soles.values()):
-                out[:, p, k] = over_plates(sole, [plate.corners], margin).all(dim=1)
-    return out
+            inside = [over_plates(sole, [plate.corners], margin) for sole in soles.values()]
+            some[:, p] = torch.stack([one.any(dim=1) for one in inside], dim=1)
+            whole[:, p] = torch.stack([one.all(dim=1) for one in inside], dim=1)
+    return some, whole
 
 
-def _shared(contact: Contact, wide: Tensor, raw: Tensor, own: Tensor, over: Tensor) -> _Task:
+def _shared(contact: Contact, wide: Tensor, raw: Tensor, own: Tensor, over: tuple[Tensor, Tensor]) -> _Task:
     """Frames of plates that bear more than one foot: those that tell none or have two, and double support around them.
 
     A plate's pressure lies under one foot still when the other begins to bear; such frames belong to the run of frames
@@ -190,11 +194,11 @@ def _shared(contact: Contact, wide: Tensor, raw: Tensor, own: Tensor, over: Tens
     for p in range(raw.shape[1]):
         mine = contact.plate[:, p]
         others = torch.cat([contact.plate[:, :p], contact.plate[:, p + 1 :]], dim=1)
-        may = wide & ~(others[..., None] == feet).any(dim=1)
+        may = wide & over[0][:, p] & ~(others[..., None] == feet).any(dim=1)
         several = (may.sum(dim=1) > 1) & (mine != -1)
         untold = mine == -2
         both = contact.touching & may
-        sure = untold | (several & (((both & over[:, p]).sum(dim=1) > 1) | (untold.any() & (both.sum(dim=1) > 1))))
+        sure = untold | (several & (((both & over[1][:, p]).sum(dim=1) > 1) | (untold.any() & (both.sum(dim=1) > 1))))
         frames = spread(sure, several) & may.any(dim=1)
         total += torch.where(frames[:, None], raw[:, p], 0.0)
         bearing |= frames[:, None] & may
