@@ -29,6 +29,7 @@ from torchid.experiment.stages import follow, legs, torques
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit
 from torchid.recording import Forces, Plate
+from torchid.report.contacts import contacts_figure
 
 TOLERANCE_N = 0.2
 """Of a solution at the default tolerance: some 3e-4 of the weight."""
@@ -229,6 +230,20 @@ def test_two_feet_on_one_plate_are_shared() -> None:
     assert [note.code for note in sharing_notes({"a": found})] == ["contact.shared"]
 
 
+def test_feet_over_one_plate_share_it_wherever_it_presses() -> None:
+    """Pressure under one foot is no proof that it bears alone, where the other stands on the same plate."""
+    soles, truth, com = standing()
+    leaning = torch.stack([truth.sum(1), 0.0 * truth[:, 0]], dim=1)
+    p = torch.tensor([0.11, 0.12, 0.0]).double().expand(FRAMES, 3)
+    leaning[:, 0, 3:] = torch.linalg.cross(p, leaning[:, 0, :3])
+    forces = one_plate(leaning.sum(1, keepdim=True))
+    contact = judged(soles, forces)
+    assert bool((contact.plate == 0).all())
+    found = contact_wrenches(contact, soles, forces, com, Smoother(10.0, RATE))
+    assert bool((found.source == Source.SHARED).all())
+    assert 0.0 < float(found.wrench[:, 1, 2].mean()) < 0.25 * 700.0
+
+
 def test_a_foot_beside_the_plate_is_unknown_or_predicted() -> None:
     """Without the body its wrench is not known; with it, it bears what the plate does not."""
     soles, truth, com = standing()
@@ -315,6 +330,14 @@ def test_merged_plates_of_a_simulated_session_give_the_feet_their_truth() -> Non
     truth = smoother(small_session.session().trial(name).truth.feet.wrench[: len(total)])
     weight = float(total[:, 2].median())
     assert float((under.wrench - truth)[open_][..., 2].square().mean().sqrt()) < 0.08 * weight
+    told = replace(
+        outcome,
+        followed={name: followed},
+        under={name: under},
+        session=replace(outcome.session, trials={name: both}),
+    )
+    figure = contacts_figure(told)
+    assert figure is not None and "shares a plate" in figure.svg and f"{int(open_.sum())} frames" in figure.caption
     known = torques(followed, fit.model.tree, fit.geometry, outcome.phi, both, under)
     hidden = torques(followed, fit.model.tree, fit.geometry, outcome.phi, both)
     rows = [row for own in legs(fit.model.tree).values() for row in own]

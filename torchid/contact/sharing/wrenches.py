@@ -18,6 +18,7 @@ from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.problem import SharingProblem
 from torchid.contact.sharing.soles import sole_patch
 from torchid.contact.sharing.solver import SharingStatus, share, worse
+from torchid.contact.support import over_plates
 from torchid.filters import Smoother
 from torchid.recording import Forces
 
@@ -136,7 +137,7 @@ def contact_wrenches(
     height = _height(forces)
     raw = torch.nan_to_num(forces.wrench)
     own = torch.stack([(raw * (contact.plate == k)[..., None]).sum(1) for k in range(len(contact.feet))], dim=1)
-    shared = _shared(contact, wide, raw, own)
+    shared = _shared(contact, wide, raw, own, _over(soles, forces, options.margin_m))
     costs = _Costs(soles, com, height, effort, smoother, options, solver)
     found = costs.share(shared)
     gone = contact.touching & ~contact.supported & ~shared.part
@@ -166,8 +167,23 @@ def _height(forces: Forces) -> float:
     return sum(corners) / len(corners) if corners else 0.0
 
 
-def _shared(contact: Contact, wide: Tensor, raw: Tensor, own: Tensor) -> _Task:
-    """Frames of plates that bear more than one foot: those that tell none, and the double support around them.
+def _over(
+    soles: dict[str, Tensor], forces: Forces, margin: float
+) -> tuple[Bool[Tensor, "frames plates feet"], Bool[Tensor, "frames plates feet"]]:
+    """Feet that are over a plate with some of the sole, and with all of it; a plate without corners may be anywhere."""
+    shape = len(forces.time), len(forces.plates), len(soles)
+    some = torch.ones(shape, dtype=torch.bool, device=forces.wrench.device)
+    whole = torch.zeros_like(some)
+    for p, plate in enumerate(forces.plates):
+        if plate.corners is not None:
+            inside = [over_plates(sole, [plate.corners], margin) for sole in soles.values()]
+            some[:, p] = torch.stack([one.any(dim=1) for one in inside], dim=1)
+            whole[:, p] = torch.stack([one.all(dim=1) for one in inside], dim=1)
+    return some, whole
+
+
+def _shared(contact: Contact, wide: Tensor, raw: Tensor, own: Tensor, over: tuple[Tensor, Tensor]) -> _Task:
+    """Frames of plates that bear more than one foot: those that tell none or have two, and double support around them.
 
     A plate's pressure lies under one foot still when the other begins to bear; such frames belong to the run of frames
     in which both may bear and no other plate reads the second foot.
@@ -178,10 +194,11 @@ def _shared(contact: Contact, wide: Tensor, raw: Tensor, own: Tensor) -> _Task:
     for p in range(raw.shape[1]):
         mine = contact.plate[:, p]
         others = torch.cat([contact.plate[:, :p], contact.plate[:, p + 1 :]], dim=1)
-        may = wide & ~(others[..., None] == feet).any(dim=1)
+        may = wide & over[0][:, p] & ~(others[..., None] == feet).any(dim=1)
         several = (may.sum(dim=1) > 1) & (mine != -1)
         untold = mine == -2
-        sure = untold | (several & (contact.touching.sum(dim=1) > 1) & untold.any())
+        both = contact.touching & may
+        sure = untold | (several & (((both & over[1][:, p]).sum(dim=1) > 1) | (untold.any() & (both.sum(dim=1) > 1))))
         frames = spread(sure, several) & may.any(dim=1)
         total += torch.where(frames[:, None], raw[:, p], 0.0)
         bearing |= frames[:, None] & may
