@@ -172,13 +172,15 @@ def test_deviations_are_those_of_the_least_squares(seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     problem, _ = random_problem(1, seed, bend=False)
     sums, rows = summed(problem), problem.rows
-    sd = spread_of_shares(rows, sums, problem.bearing)[0].flatten()
+    factor = spread_of_shares(rows, sums, problem.bearing)[0]
+    sd = factor.square().sum(1).sqrt()
     R = rows[0].flatten(1)
     E = torch.cat([torch.eye(6, dtype=torch.float64)] * 2, dim=1)
     null = torch.cat([torch.eye(6, dtype=torch.float64), -torch.eye(6, dtype=torch.float64)])
     aims = torch.randn(len(R), 4000, generator=generator, dtype=torch.float64)
     moved = null @ torch.linalg.lstsq(R @ null, aims).solution
     assert float((E @ moved).abs().max()) < 1e-6
+    assert float((E @ factor).abs().max()) < 1e-6 * float(factor.abs().max())
     torch.testing.assert_close(moved.std(dim=1), sd, rtol=0.1, atol=1e-9)
 
 

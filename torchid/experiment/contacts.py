@@ -109,7 +109,7 @@ def _needed(followed: Followed, contact: Contact, needed: Tensor, motion: Motion
     if followed.wrench is not None and bool(contact.used.any()):
         gap = wrench_about(needed - followed.wrench.wrench, motion.q[:, :3])
         sd = gap[contact.used].square().mean(0).sqrt()
-    return Needed(needed, known, sd)
+    return Needed(needed, known, sd, motion.q[:, :3])
 
 
 def _effort(tree: Tree, geometry: Geometry, motion: Motion, phi: Tensor, feet: tuple[str, ...]) -> Effort:

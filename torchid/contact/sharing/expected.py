@@ -66,15 +66,19 @@ def spread_of_shares(
     rows: Float[Tensor, "frames rows contacts 6"],
     sums: Float[Tensor, "groups contacts"],
     bearing: Tensor,
-) -> Float[Tensor, "frames contacts 6"]:
-    """Return standard deviations of shared wrenches about the world's origin, without the cones.
+) -> Float[Tensor, "frames wrenches causes"]:
+    """Return how shared wrenches about the world's origin scatter, as a factor of their covariance, without the cones.
 
-    The covariance is the upper left block of the inverse of the optimality conditions [[R'R, E'], [E, 0]].
+    The covariance is the upper left block of the inverse of the optimality conditions [[R'R, E'], [E, 0]]; the factor
+    is its symmetric root, which changes as smoothly along the frames as the covariance does.
 
     Args:
         rows: of the cost, over their standard deviations.
         sums: which contacts each total sums.
         bearing: contacts that may bear; the others have no wrench and no deviation.
+
+    Returns:
+        Wrenches contact by contact, per independent standard normal cause [N, N m].
     """
     frames, _, contacts, _ = rows.shape
     active = bearing.to(rows.dtype)
@@ -91,5 +95,7 @@ def spread_of_shares(
     upper = torch.cat([R.mT @ R + idle, E.mT], dim=2)
     lower = torch.cat([E, -vain], dim=2)
     inverse = torch.linalg.inv(torch.cat([upper, lower], dim=1))
-    variance = inverse.diagonal(dim1=1, dim2=2)[:, : 6 * contacts].clamp(min=0.0) * scale.square()
-    return (variance * active.repeat_interleave(6, 1)).sqrt().unflatten(1, (contacts, 6))
+    own = inverse[:, : 6 * contacts, : 6 * contacts]
+    value, vector = torch.linalg.eigh(0.5 * (own + own.mT))
+    root = (vector * value.clamp(min=0.0).sqrt()[:, None]) @ vector.mT
+    return root * (scale * active.repeat_interleave(6, 1))[:, :, None]

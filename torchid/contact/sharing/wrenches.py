@@ -56,7 +56,18 @@ class Needed:
     """About the world's origin [N, N m]."""
     known: Bool[Tensor, " frames"]
     sd: Float[Tensor, "6"]
-    """Of the force and of the moment about the body, as far as plates told them apart from what was measured."""
+    """Of the force and of the moment about ``about``, as far as plates told them apart from what was measured."""
+    about: Float[Tensor, "frames 3"] | None = None
+    """Point in W [m]; None: the world's origin."""
+
+    @property
+    def factor(self) -> Float[Tensor, "frames 6 6"]:
+        """Wrench about the world's origin per standard normal error of each component [N, N m]."""
+        found = torch.diag(self.sd).repeat(len(self.wrench), 1, 1)
+        if self.about is not None:
+            force = found[:, :3].mT
+            found[:, 3:] += torch.linalg.cross(self.about[:, None].expand_as(force), force).mT
+        return found
 
 
 @dataclass(frozen=True)
@@ -68,10 +79,21 @@ class ContactWrenches:
     """About the world's origin, in W [N, N m]; of an unknown contact, what plates measured of it."""
     source: Int[Tensor, "frames contacts"]
     """``Source`` of every one."""
-    sd: Float[Tensor, "frames contacts 6"]
-    """Standard deviations of what is not measured, about the world's origin [N, N m]; 0 where it is, NaN if unknown."""
+    doubtful: Int[Tensor, " some"]
+    """Frames in which some wrench is not measured."""
+    doubt: Float[Tensor, "some wrenches causes"]
+    """What is added to the wrenches of these frames, contact by contact, per standard normal cause [N, N m]. Causes are
+    common to the frames: an expectation that is wrong stays wrong for a step."""
     status: SharingStatus = SharingStatus.SOLVED
     """The worst that any block of frames ended with; contacts of an unconverged block are unknown."""
+
+    @property
+    def sd(self) -> Float[Tensor, "frames contacts 6"]:
+        """Standard deviations of what is not measured, about the world's origin [N, N m]; 0 where it is, NaN if
+        unknown."""
+        found = torch.zeros_like(self.wrench)
+        found[self.doubtful] = self.doubt.square().sum(2).sqrt().unflatten(1, found.shape[1:])
+        return torch.where((self.source == Source.UNKNOWN)[..., None], torch.nan, found)
 
     def of(self, contact: str) -> Float[Tensor, "frames 6"]:
         """The wrench under one contact."""
@@ -94,10 +116,10 @@ class _Task:
 
 
 class _Found(NamedTuple):
-    """Given wrenches and shares together, deviations of the shares, how they came about, and what did not settle."""
+    """Given wrenches and shares together, doubts of the shares, how they came about, and what did not settle."""
 
     wrench: Tensor
-    sd: Tensor
+    doubt: Tensor
     status: SharingStatus
     lost: Tensor
 
@@ -144,17 +166,25 @@ def contact_wrenches(
     stray = contact.touching & ((contact.plate == -2).any(dim=1) & ~shared.open)[:, None]
     source = torch.where(shared.part, int(Source.SHARED), int(Source.MEASURED))
     source = torch.where(gone | stray | (shared.part & found.lost[:, None]), int(Source.UNKNOWN), source)
-    wrench, sd, status = smoother(found.wrench), found.sd, found.status
+    wrench, doubt, status = smoother(found.wrench), found.doubt, found.status
     if needed is not None and bool(gone.any()):
         beside = _beside(gone, needed, smoother(raw.sum(1)), round(WIDER_S * smoother.rate_hz))
         more = costs.share(beside)
         part = beside.part & ~more.lost[:, None] & ~shared.part
         wrench = wrench + torch.where(part[..., None], more.wrench, 0.0)
-        sd = torch.where(part[..., None], (more.sd.square() + needed.sd.square()).sqrt(), sd)
+        doubt = _with_needed(doubt, more.doubt, needed.factor, part)
         source = torch.where(part, int(Source.PREDICTED), source)
         status = worse(status, more.status)
-    sd = torch.where((source == Source.UNKNOWN)[..., None], torch.nan, sd)
-    return ContactWrenches(contact.feet, wrench, source, sd, status)
+    doubtful = doubt.flatten(1).any(dim=1).nonzero()[:, 0]
+    return ContactWrenches(contact.feet, wrench, source, doubtful, doubt[doubtful], status)
+
+
+def _with_needed(doubt: Tensor, more: Tensor, needed: Tensor, part: Tensor) -> Tensor:
+    """Doubts of shares, with those of contacts that bear a part of what the body needs, and so of its error."""
+    each = (part / part.sum(dim=1, keepdim=True).clamp(min=1)).to(needed)
+    whole = torch.cat([more, (each[..., None, None] * needed[:, None]).flatten(1, 2)], dim=2)
+    known = torch.cat([doubt, torch.zeros_like(needed[:, :1]).expand(-1, doubt.shape[1], -1)], dim=2)
+    return torch.where(part.repeat_interleave(6, dim=1)[..., None], whole, known)
 
 
 def _wide(contact: Contact, frames: int) -> Bool[Tensor, "frames feet"]:
@@ -230,7 +260,9 @@ class _Costs:
 
     def share(self, task: _Task) -> _Found:
         """Share the totals of a task, block by block."""
-        found = _Found(task.given.clone(), torch.zeros_like(task.given), SharingStatus.SOLVED, ~task.open & task.open)
+        size = task.given[0].numel()
+        none = task.given.new_zeros(len(task.given), size, size)
+        found = _Found(task.given.clone(), none, SharingStatus.SOLVED, ~task.open & task.open)
         if not bool(task.open.any()):
             return found
         own = torch.where(task.open[:, None], task.total, task.given.sum(1))
@@ -250,7 +282,7 @@ class _Costs:
         shares = share(problem, self.solver, throw=False)
         found.wrench[part][some] += shares.wrench[some]
         sums = problem.total.new_ones(1, problem.contacts)
-        found.sd[part][some] = spread_of_shares(problem.rows[some], sums, problem.bearing[some])
+        found.doubt[part][some] = spread_of_shares(problem.rows[some], sums, problem.bearing[some])
         found.lost[part] = some & (shares.status is SharingStatus.UNCONVERGED)
         return shares.status
 
