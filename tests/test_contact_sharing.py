@@ -43,10 +43,10 @@ def centre_of(wrench: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize("bend", [False, True])
 def test_the_batched_solver_finds_clarabels_optimum(bend: bool, seed: int) -> None:
     """Wrenches agree, frame by frame, with coupled frames and without."""
-    for k in range(3):
-        problem, _ = random_problem(12, seed + k, bend)
+    for k in range(2):
+        problem, _ = random_problem(6, seed + k, bend)
         reference = share_by_clarabel(problem)
-        fine = share(problem, SolverOptions(tolerance=1e-8, iterations=20000), throw=False)
+        fine = share(problem, SolverOptions(tolerance=1e-7, iterations=10000), throw=False)
         torch.testing.assert_close(fine.wrench[..., :3], reference[..., :3], atol=0.02, rtol=1e-5)
         torch.testing.assert_close(share(problem).wrench[..., :3], fine.wrench[..., :3], atol=TOLERANCE_N, rtol=1e-3)
 

@@ -103,6 +103,8 @@ def table(report: dict) -> Iterator[str]:
         return
     columns = ("vertical", "fore_aft", "sideways", "centre_mm", "total_vertical", "sums_N", "sums_Nm", "frames")
     for part in ("merged", "no plates"):
+        if not report[part]:
+            continue
         yield f"\n### {part}\n\n| walk | by | " + " | ".join(columns) + " |\n" + "| --- " * (2 + len(columns)) + "|"
         for walk, ways in {**report[part], **_pooled(report[part])}.items():
             for way, found in ways.items():
@@ -116,10 +118,10 @@ def table(report: dict) -> Iterator[str]:
 
 
 def _pooled(walks: dict) -> dict:
-    """Each recording's errors over all frames of its walks."""
+    """Each recording's errors over all frames of its walks, and those of all recordings."""
     out: dict = {}
-    for name in dict.fromkeys(walk.split("/")[0] for walk in walks):
-        own = [ways for walk, ways in walks.items() if walk.startswith(f"{name}/")]
+    for name in (*dict.fromkeys(walk.split("/")[0] for walk in walks), "all"):
+        own = [ways for walk, ways in walks.items() if name == "all" or walk.startswith(f"{name}/")]
         out[f"**{name}**"] = {way: _pool([ways[way] for ways in own]) for way in own[0]}
     return out
 

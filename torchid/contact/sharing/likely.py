@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.contact.runs import runs
-from torchid.contact.sharing.expected import CENTRE_SD_M, LIGHT, Expected
+from torchid.contact.sharing.expected import CENTRE_SD_M, FAINT_N, LIGHT, Expected
 from torchid.contact.sharing.rolling import Support, hand_over
 from torchid.contact.sharing.soles import SoleAxes, sole_axes
 
@@ -19,8 +19,6 @@ STANDING_SD_M = 0.04, 0.015
 AHEAD = 0.3
 """Chosen: part of a sole's length by which a foot is before the other if the body is handed over; feet side by side
 stand."""
-FAINT_N = 20.0
-"""Chosen: a total below this, at which a plate counts as loaded, has no centre of pressure [N]."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +47,11 @@ def likely(feet: Feet) -> Expected:
     out = _standing(feet, axes)
     loaded = feet.bearing & (feet.total[:, 2:3] > FAINT_N)
     for start, stop in runs(loaded.sum(dim=1) == 2):
-        pair = loaded[start].nonzero()[:, 0].tolist()
-        cuts = [
-            start,
-            *(int(k) + start + 1 for k in (loaded[start : stop - 1] != loaded[start + 1 : stop]).any(1).nonzero()),
-            stop,
-        ]
+        changes = (loaded[start : stop - 1] != loaded[start + 1 : stop]).any(dim=1).nonzero()[:, 0] + start + 1
+        cuts = [start, *changes.tolist(), stop]
         for a, b in zip(cuts, cuts[1:], strict=False):
-            pair = loaded[a].nonzero()[:, 0].tolist()
-            _hand(feet, axes, loaded, (a, b), (pair[0], pair[1]), out)
+            first, second = loaded[a].nonzero()[:, 0].tolist()
+            _hand(feet, axes, loaded, (a, b), (first, second), out)
     return out
 
 
@@ -77,7 +71,10 @@ def _standing(feet: Feet, axes: list[SoleAxes]) -> Expected:
 def _hand(
     feet: Feet, axes: list[SoleAxes], loaded: Tensor, part: tuple[int, int], pair: tuple[int, int], out: Expected
 ) -> None:
-    """Fill in one run of frames on one pair of feet, in place, if it is a step."""
+    """Fill in one run of frames on one pair of feet, in place, if it is a step.
+
+    A total below the load at which a plate counts as loaded has no centre of pressure, and begins no step.
+    """
     a, b = part
     before, after = (_alone(loaded, frame, pair) for frame in (a - 1, b))
     order = _order(axes, slice(a, b), pair, before, after)
