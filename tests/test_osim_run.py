@@ -403,7 +403,7 @@ def test_a_body_of_functions_is_recovered_by_a_run(data_dir: Path, seed: int, tm
     assert float(wrong.square().mean().sqrt()) < 2.0, wrong
     mass = outcome.phi[:, 0] - truth.phi[:, 0]
     known = outcome.identified.fit.sd.mass
-    assert float((mass / known).square().mean().sqrt()) < 2.0, mass / known
+    assert float((mass / known).square().mean().sqrt()) < 3.0, mass / known
     prior = outcome.prior.mean[:, 0] - truth.phi[:, 0]
     assert float(mass.square().sum()) < float(prior.square().sum())
     written, _ = read_osim(tmp_path / "out" / "model.osim")
