@@ -21,7 +21,7 @@ from torchid.experiment.read import read_setup
 from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.files import load_model
 from torchid.model.opensim.as_model import LEAST_MASS, read_osim_model
-from torchid.model.opensim.group_inertia import of_bodies, of_groups
+from torchid.model.opensim.group_inertia import of_bodies, of_groups, phi_to_pseudo, pseudo_to_phi
 from torchid.model.opensim.identified import identified_model
 from torchid.model.opensim.model import GROUND, OsimModel
 from torchid.model.opensim.posing import body_poses, coupled, marker_places
@@ -202,9 +202,16 @@ def test_bodies_share_what_their_group_is(data_dir: Path, seed: int) -> None:
     assert made.osim is not None
     same = of_bodies(made.osim, of_groups(made.osim, made.osim.model.inertias.phi))
     assert_close(same.phi, made.osim.model.inertias.phi, rtol=1e-9, atol=1e-12)
-    scale = torch.tensor(np.random.default_rng(seed).uniform(0.7, 1.4, size=(len(made.tree.bodies), 1)))
-    new = of_groups(made.osim, made.osim.model.inertias.phi) * scale
-    assert_close(of_groups(made.osim, of_bodies(made.osim, new).phi), new, rtol=1e-9, atol=1e-12)
+    rng = np.random.default_rng(seed)
+    new = of_groups(made.osim, made.osim.model.inertias.phi) * torch.tensor(
+        rng.uniform(0.7, 1.4, size=(len(made.tree.bodies), 1))
+    )
+    shift = torch.eye(4).double().repeat(len(new), 1, 1)
+    shift[:, :3, 3] = 0.05 * torch.tensor(rng.normal(size=(len(new), 3)))
+    new = pseudo_to_phi(shift @ phi_to_pseudo(new) @ shift.mT)
+    divided = of_bodies(made.osim, new)
+    assert_close(of_groups(made.osim, divided.phi), new, rtol=1e-9, atol=1e-12)
+    assert bool((torch.linalg.eigvalsh(phi_to_pseudo(divided.phi)) > -1e-12).all())
 
 
 @pytest.mark.data
