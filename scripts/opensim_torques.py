@@ -103,7 +103,7 @@ tool.run()
 
 
 def states(model: OsimModel, source: Storage, cutoff_hz: float | None) -> tuple[Series, tuple[torch.Tensor, ...]]:
-    """Times of the file, and all coordinates of the model with rates and accelerations there."""
+    """Times of the file, and all coordinates of the model with rates and accelerations there; None filters nothing."""
     time, columns = np.asarray(source.time), [column.removesuffix("/value").split("/")[-1] for column in source.columns]
     kinds = {one.name: one.unit for one in model.coordinates}
     found = [model.defaults.expand(len(time), -1).clone() * (order == 0) for order in range(3)]
@@ -173,15 +173,15 @@ def at_times(data: Storage, name: str, time: Series) -> Series:
     return np.stack([np.interp(time, data.time, np.asarray(data.values)[:, k]) for k in columns], axis=1)
 
 
-def compared(case: Case) -> dict[str, dict[str, float]]:
-    """Of each coordinate the reference's range, and deviations from the reference and from OpenSim's tool in percent
-    of it."""
+def compared(case: Case, again: bool = True) -> dict[str, dict[str, float]]:
+    """Of each coordinate the reference's range, and deviations from the reference and, where OpenSim is asked again,
+    from its tool in percent of it."""
     model = with_centres(read_osim(DATA / case.model)[0], case.centres)
     source = read_storage(DATA / case.coordinates)
     time, (q, v, a) = states(model, source, case.cutoff_hz)
     ours = osim_inverse_dynamics(as_free(model), q, v, a, external(DATA / case.loads, time))
     reference, found = read_storage(DATA / case.reference), {}
-    todays = tool(case, model, time, states(model, source, None)[1][0])
+    todays = tool(case, model, time, states(model, source, None)[1][0]) if again else None
     for k, column in enumerate(reference.columns):
         name, theirs = column.rsplit("_", 1)[0], np.asarray(reference.values)[:, k]
         own = np.interp(reference.time, time, ours[name].numpy())
@@ -189,8 +189,8 @@ def compared(case: Case) -> dict[str, dict[str, float]]:
         found[name] = {"range": span} | percent("reference", own - theirs, span)
         if todays is not None:
             at = list(todays.columns).index(column)
-            again = np.interp(reference.time, todays.time, np.asarray(todays.values)[:, at])
-            found[name] |= percent("tool", own - again, span) | percent("tool_from_reference", again - theirs, span)
+            new = np.interp(reference.time, todays.time, np.asarray(todays.values)[:, at])
+            found[name] |= percent("tool", own - new, span) | percent("tool_from_reference", new - theirs, span)
     return found
 
 

@@ -17,6 +17,7 @@ from torchid.kinematics.chain import chain_points
 from torchid.kinematics.plan import plan_tree
 from torchid.model.model import Geometry, Model
 from torchid.model.opensim.as_model import read_osim_model
+from torchid.model.opensim.group_inertia import phi_to_pseudo
 from torchid.motion import smooth_motion
 from torchid.recording import Forces, Markers, Plate, Trial
 from torchid.regressor.rows import WrenchTrial, predict
@@ -42,11 +43,10 @@ def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, sec
     model, _ = read_osim_model(source)
     prior = model.geometry
     geometry = prior.geometry(prior.mean + 0.7 * prior.sd * torch.tensor(rng.normal(size=len(prior.mean))))
-    scale = torch.tensor(np.exp(0.12 * rng.normal(size=(len(model.tree.bodies), 1))))
     marks = {marker.name: model.landmarks[marker.name] for marker in model.osim.model.markers}  # type: ignore[union-attr]
     mean = torch.tensor([mark.p_BM_B for mark in marks.values()], dtype=torch.float64)
     place = mean + 0.01 * torch.tensor(rng.normal(size=mean.shape))
-    truth = Truth(model, geometry, model.inertia.mean * scale, place, tuple(marks))
+    truth = Truth(model, geometry, _inertia(model, rng), place, tuple(marks))
     for name, moving in (("static", 0.0), ("fit", 1.0), ("heldout", 1.0)):
         write_c3d(folder / f"{name}.c3d", _trial(truth, name, moving, rng, seconds if moving else 1.0))
     mass = float(truth.phi[:, 0].sum())
@@ -61,6 +61,17 @@ def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, sec
     }
     (folder / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     return truth
+
+
+def _inertia(model: Model, rng: np.random.Generator) -> Tensor:
+    """Drawn from the prior, body by body, again until a body can have it (bodies, 10)."""
+    found = model.inertia.mean.clone()
+    for k, mean in enumerate(model.inertia.mean):
+        block = slice(10 * k, 10 * k + 10)
+        L = torch.linalg.cholesky(model.inertia.covariance[block, block] + 1e-18 * torch.eye(10).double())
+        while bool((found[k] == mean).all()) or bool((torch.linalg.eigvalsh(phi_to_pseudo(found[k])) <= 0.0).any()):
+            found[k] = mean + L @ torch.tensor(rng.normal(size=10))
+    return found
 
 
 def _trial(truth: Truth, name: str, moving: float, rng: np.random.Generator, seconds: float) -> Trial:

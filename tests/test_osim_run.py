@@ -1,5 +1,7 @@
 """A laboratory's own OpenSim model as the model of everything: poses, forces, fits, results in its own words."""
 
+import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,7 @@ from torchid.experiment.read import read_setup
 from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.files import load_model
 from torchid.model.opensim.as_model import LEAST_MASS, read_osim_model
-from torchid.model.opensim.group_inertia import of_bodies, of_groups
+from torchid.model.opensim.group_inertia import of_bodies, of_groups, phi_to_pseudo, pseudo_to_phi
 from torchid.model.opensim.identified import identified_model
 from torchid.model.opensim.model import GROUND, OsimModel
 from torchid.model.opensim.posing import body_poses, coupled, marker_places
@@ -138,15 +140,12 @@ def test_accelerations_of_opensims_function_knees_are_no_rates(data_dir: Path, s
     path = _path(FUNCTION_KNEES, data_dir)
     model, _ = read_osim(path)
     q, v, _ = _state(model, np.random.default_rng(seed), frames=1)
-    difference, acceleration = (
-        np.array(x) for x in opensim_consistency(path, model.coordinate_names, "tibia_r", q.tolist(), v.tolist())
-    )
-    assert np.abs(difference[3:] - acceleration[3:]).max() < 1e-4 * np.abs(difference).max()  # of the origin
-    thigh, rate = (
-        np.array(x) for x in opensim_consistency(path, model.coordinate_names, "femur_r", q.tolist(), v.tolist())
-    )
-    assert np.abs(thigh - rate).max() < 1e-5 * np.abs(thigh).max()
-    assert np.abs(difference[:3] - acceleration[:3]).max() > 10.0 * np.abs(thigh - rate).max()
+    missed = {}
+    for body in ("femur_r", "tibia_r"):
+        asked = path, model.coordinate_names, body, q.tolist(), torch.ones_like(v).tolist()
+        difference, acceleration = (np.array(x) for x in opensim_consistency(*asked))
+        missed[body] = np.abs(difference - acceleration).max() / np.abs(difference).max()
+    assert missed["femur_r"] < 1e-6 and missed["tibia_r"] > 1e-4, missed
 
 
 @pytest.mark.data
@@ -203,9 +202,16 @@ def test_bodies_share_what_their_group_is(data_dir: Path, seed: int) -> None:
     assert made.osim is not None
     same = of_bodies(made.osim, of_groups(made.osim, made.osim.model.inertias.phi))
     assert_close(same.phi, made.osim.model.inertias.phi, rtol=1e-9, atol=1e-12)
-    scale = torch.tensor(np.random.default_rng(seed).uniform(0.7, 1.4, size=(len(made.tree.bodies), 1)))
-    new = of_groups(made.osim, made.osim.model.inertias.phi) * scale
-    assert_close(of_groups(made.osim, of_bodies(made.osim, new).phi), new, rtol=1e-9, atol=1e-12)
+    rng = np.random.default_rng(seed)
+    new = of_groups(made.osim, made.osim.model.inertias.phi) * torch.tensor(
+        rng.uniform(0.7, 1.4, size=(len(made.tree.bodies), 1))
+    )
+    shift = torch.eye(4).double().repeat(len(new), 1, 1)
+    shift[:, :3, 3] = 0.05 * torch.tensor(rng.normal(size=(len(new), 3)))
+    new = pseudo_to_phi(shift @ phi_to_pseudo(new) @ shift.mT)
+    divided = of_bodies(made.osim, new)
+    assert_close(of_groups(made.osim, divided.phi), new, rtol=1e-9, atol=1e-12)
+    assert bool((torch.linalg.eigvalsh(phi_to_pseudo(divided.phi)) > -1e-12).all())
 
 
 @pytest.mark.data
@@ -222,6 +228,30 @@ def test_torques_in_the_files_coordinates_do_the_same_work(data_dir: Path, seed:
     rows = [binding.model.coordinate_names.index(name) for name in found]
     power = (torch.stack(list(found.values()), dim=1) * v[:, rows]).sum(1)
     assert_close(power, (tau * states[1]).sum(1), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("case", range(3))
+def test_torques_of_laboratories_are_opensims(case: int, data_dir: Path) -> None:
+    """On two recordings, with OpenSim's filter and splines, torques are the reference's within 2 % of each range.
+
+    Trunk and pelvis of the second are so where the torso's centre is what it was when the reference was made; legs
+    anyway (``docs/opensim.md``).
+    """
+    path = Path(__file__).resolve().parents[1] / "scripts" / "opensim_torques.py"
+    spec = importlib.util.spec_from_file_location("opensim_torques", path)
+    assert spec is not None and spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = script  # its dataclasses look for their module there
+    spec.loader.exec_module(script)
+    one = script.CASES[case]
+    _path(one.reference, data_dir)
+    found = {name: row["reference_rms_pct"] for name, row in script.compared(one, again=False).items()}
+    legs = {
+        name: value for name, value in found.items() if name.startswith(("hip", "knee", "ankle", "subtalar", "mtp"))
+    }
+    assert max(legs.values()) < (2.0 if case == 0 else 0.01), legs
+    assert case == 1 or max(found.values()) < (2.0 if case == 0 else 0.01), found
 
 
 SIX = ("q0", "q1", "q2", "q3", "q4", "q5")
@@ -380,7 +410,7 @@ def test_a_body_of_functions_is_recovered_by_a_run(data_dir: Path, seed: int, tm
     assert float(wrong.square().mean().sqrt()) < 2.0, wrong
     mass = outcome.phi[:, 0] - truth.phi[:, 0]
     known = outcome.identified.fit.sd.mass
-    assert float((mass / known).square().mean().sqrt()) < 2.0, mass / known
+    assert float((mass / known).square().mean().sqrt()) < 3.0, mass / known
     prior = outcome.prior.mean[:, 0] - truth.phi[:, 0]
     assert float(mass.square().sum()) < float(prior.square().sum())
     written, _ = read_osim(tmp_path / "out" / "model.osim")

@@ -109,4 +109,4 @@ def _model(config: Config) -> tuple[Model, tuple[Note, ...]]:
     if config.model == "whole_body":
         who = config.subject
         return whole_body(who.height_m, who.mass_kg, who.sex, who.mass_sd_kg), ()
-    return load_model(config.model)
+    return load_model(config.model, config.scatter)

@@ -22,9 +22,6 @@ from torchid.model.tree_of_links import LEAST_EXTENT, FileScatter, file_geometry
 
 LEAST_MASS = 0.01
 """Chosen. Mass that a body without any gets, since identification asks for one [kg]: 10 g, which plates cannot see."""
-MARKER_SD = 0.02
-"""Cited. Scatter of a file's own markers about where they are, per component [m]: OpenSim's user's guide calls a scaled
-model good whose markers miss by 20 mm; those of ``example3DWalking`` miss by 12 to 54 mm."""
 FEET = ("calcn", "foot")
 """Cited. What OpenSim's gait models call the body that stands on the ground, by the beginning of its name."""
 HEADS = {"toe": (1.0, 0.0), "mt1": (0.73 / 0.79, -0.18 / 0.79), "mt5": (0.64 / 0.79, 0.18 / 0.79)}
@@ -68,7 +65,7 @@ def model_of_osim(model: OsimModel, scatter: FileScatter | None = None) -> tuple
         tree=tree,
         geometry=file_geometry(tree, geometry, scatter.offset),
         inertia=file_inertia(phi, scatter),
-        landmarks=_soles(binding, tree, geometry.offset, MARKER_SD) | _markers(binding, tree, MARKER_SD),
+        landmarks=_soles(binding, tree, geometry.offset, scatter.landmark) | _markers(binding, tree, scatter.marker),
         height=_size(model),
         sources=(f"geometry, inertia and markers: {source}", "scatter: chosen, the same for every body"),
         osim=binding,

@@ -88,7 +88,7 @@ class OsimBinding:
         def rate(q: Tensor, v: Tensor) -> Tensor:
             return pushed(self.base_pose, (q,), (v,))[1]
 
-        X = self.base_pose(q)
+        X = self.base_pose(q)  # first: frames keep their poses, which must not be made inside a derivative
         once, twice = pushed(rate, (q, v), (v, a))
         R = X[:, :3, :3]
         spin, turning = (x[:, :3, :3] @ R.mT for x in (once, twice))

@@ -59,32 +59,38 @@ def of_groups(binding: OsimBinding, phi: Float[Tensor, "bodies 10"]) -> Float[Te
 def of_bodies(binding: OsimBinding, phi: Float[Tensor, "groups 10"]) -> Inertias:
     """Return mass, centre and inertia of the file's bodies whose groups have these parameters.
 
-    The heaviest body of a group takes what is new; the others keep centre and shape and change their mass as the group
-    does. Where the heaviest would be left with what no body has, all of the group do likewise, and the group's own
-    centre and shape are lost: that takes masses a tenth of the heaviest's moved by their own size.
+    With P = U U' of a group before and now (U upper triangular), A = U_now U_before^-1 is an affine map: its last row
+    moves no place into mass. A P_k A' of the group's bodies are pseudo-inertias again, and add up to the group's new
+    one: all of its mass is moved and stretched alike.
 
     Args:
         binding: tree and file.
         phi: parameters of the tree's bodies.
     """
-    stated = binding.model.inertias
-    P = binding.X_TB @ phi_to_pseudo(stated.phi) @ binding.X_TB.mT
-    new = torch.empty_like(P)
+    P = binding.X_TB @ phi_to_pseudo(binding.model.inertias.phi) @ binding.X_TB.mT
+    new = torch.zeros_like(P)
     for wanted, members in zip(phi_to_pseudo(phi), binding.groups, strict=True):
-        before = P[list(members)].sum(0)
-        for body in members:
-            new[body] = P[body] * (wanted[3, 3] / before[3, 3])
-        rest = wanted - new[list(members[1:])].sum(0)
-        if bool((torch.linalg.eigvalsh(rest) > 0.0).all()):
-            new[members[0]] = rest
+        rows = list(members)
+        before, massless = _upper(P[rows].sum(0))
+        if massless or len(rows) == 1:
+            new[rows[0]] = wanted  # what has no mass cannot be stretched
+        else:
+            A = _upper(wanted)[0] @ torch.linalg.inv(before)
+            new[rows] = A @ P[rows] @ A.mT
     X_BT = inverse(binding.X_TB)
     return _centred(pseudo_to_phi(X_BT @ new @ X_BT.mT))
+
+
+def _upper(P: Float[Tensor, "4 4"]) -> tuple[Float[Tensor, "4 4"], bool]:
+    """U of P = U U', and whether P has none because it is singular."""
+    L, info = torch.linalg.cholesky_ex(P.flip(0, 1))
+    return L.flip(0, 1), bool(info)
 
 
 def _centred(phi: Float[Tensor, "bodies 10"]) -> Inertias:
     """Mass, centre and inertia about the centre."""
     P = phi_to_pseudo(phi)
-    mass, centre = P[:, 3, 3], P[:, :3, 3] / P[:, 3:, 3]
+    mass, centre = P[:, 3, 3], P[:, :3, 3] / P[:, 3:, 3].clamp(min=torch.finfo(P.dtype).tiny)
     second = P[:, :3, :3] - mass[:, None, None] * centre[:, :, None] * centre[:, None]
     trace = second.diagonal(dim1=1, dim2=2).sum(1)[:, None, None]
     return Inertias(mass, centre, trace * torch.eye(3).to(phi) - second)
