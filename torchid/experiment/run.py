@@ -43,12 +43,15 @@ UNFILTERED_HZ = 20.0
 def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: None) -> Outcome:
     """Everything the config asks for, into its ``out`` folder; a second call takes up finished stages.
 
+    Trials that were recorded with a device on are left to ``torchid evaluate``.
+
     Raises:
         TorchidError: bad input (what is in ``out`` stays), or data that do not support a result (what there is, is).
     """
     if config.threads:
         torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
+    config = config.body
     with OutputFolder(config.out) as folder:
         _claim(folder, config)
         config = with_recordings(config, progress)
