@@ -13,6 +13,7 @@ import torch
 
 from torchid.config import load_config
 from torchid.evaluation.comparing import Sample, compare
+from torchid.evaluation.contacts import feet_of
 from torchid.evaluation.cycles import normalise
 from torchid.evaluation.evaluate import gather, judge
 from torchid.evaluation.measures import measure, unit_of
@@ -53,9 +54,10 @@ def main(argv: list[str] | None = None) -> None:
 
         # 3. demand = ID(phi + parts) - J' F of the plates; human = demand - device, for one coordinate.
         row, rows, names, labels = tree.dof_names.index(args.joint), [], [], []
+        feet = feet_of(config, trials, fit, outcome.phi, scaled=False)
         for trial in trials:
-            own = shares(trial, trial.followed, fit, outcome.phi, material.worn[trial.condition],
-                         material.recorded[trial.name])  # fmt: skip
+            worn, recorded = material.worn[trial.condition], material.recorded[trial.name]
+            own = shares(trial, trial.followed, fit, outcome.phi, worn, recorded, feet[trial.name])
             human, step = own.human[:, row : row + 1], float(trial.followed.motion.time[1])
             for cycle in material.cycles[trial.name]:
                 q, v = own.q[:, row : row + 1], own.v[:, row : row + 1]

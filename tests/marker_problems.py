@@ -2,7 +2,7 @@
 
 import numpy as np
 import torch
-from trees import random_tree
+from trees import coupled_tree, random_tree
 
 from torchid.geometry.problem import MarkerProblem, PosturePrior
 from torchid.kinematics.plan import plan_tree
@@ -10,10 +10,16 @@ from torchid.model.model import GeometryPrior
 
 
 def random_problem(
-    rng: np.random.Generator, frames: int = 4, bodies: int = 7, robust: float | None = None, noise: float = 0.005
+    rng: np.random.Generator,
+    frames: int = 4,
+    bodies: int = 7,
+    robust: float | None = None,
+    noise: float = 0.005,
+    coupled: bool = False,
 ) -> tuple[MarkerProblem, torch.Tensor, torch.Tensor]:
     """A tree with slides, hinges and constant rotations, tied parameters, gaps and free places; with true q and xi."""
     tree, geometry = random_tree(rng, bodies)
+    tree = coupled_tree(rng, tree) if coupled else tree
     plan, n = plan_tree(tree), len(tree.dofs)
     body = torch.tensor([plan.position[k] for k in range(bodies) for _ in range(4)])
     place = torch.tensor(rng.normal(size=(len(body), 3)) * 0.15)

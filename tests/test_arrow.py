@@ -37,10 +37,12 @@ def _scipy_cost(problem, q: torch.Tensor, xi: torch.Tensor) -> float:
     return float(least_squares(residuals, start, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12).cost)
 
 
+@pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize("case", range(2))
-def test_arrow_reaches_the_optimum_of_scipy(case: int, seed: int) -> None:
+def test_arrow_reaches_the_optimum_of_scipy(case: int, coupled: bool, seed: int) -> None:
     """From a perturbed start the arrow ends where scipy's least_squares does."""
-    problem, q, xi = random_problem(np.random.default_rng([seed, case]), frames=3, bodies=4, noise=5e-4)
+    rng = np.random.default_rng([seed, case])
+    problem, q, xi = random_problem(rng, frames=3, bodies=4, noise=5e-4, coupled=coupled)
     start = q + 0.01
     solution = solve_arrow(problem, start, xi, tolerance=1e-12, iterations=60)
     best = _scipy_cost(problem, start, xi)

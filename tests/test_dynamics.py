@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+import roma
 import torch
 from torch.testing import assert_close
-from trees import pinocchio_state, pinocchio_twin, random_inertia, random_motion, random_tree
+from trees import coupled_tree, mjcf_of, pinocchio_state, pinocchio_twin, random_inertia, random_motion, random_tree
 
 from torchid.dynamics import base_gram, base_rows, body_rows, dynamic_state, inverse_dynamics
 
@@ -36,6 +37,50 @@ def _pinocchio_rnea(twin, tree, q, v, a) -> torch.Tensor:
     out = [*(R_WB @ tau[:3]), *(R_WB @ tau[3:6])]
     out += [tau[twin.joints[twin.getJointId(f"q{k}")].idx_v] for k in range(6, len(tree.dofs))]
     return torch.tensor(np.array(out))
+
+
+@pytest.mark.parametrize("case", range(4))
+def test_forces_of_leading_coordinates_bear_those_of_followers(case: int, seed: int) -> None:
+    """Where functions drive joints, forces are Pinocchio's by the principle of virtual work, base rows are the same."""
+    rng = np.random.default_rng([seed, case])
+    tree, geometry = random_tree(rng)
+    tree, phi = coupled_tree(rng, tree), random_inertia(rng, len(tree.bodies))
+    q, v, a = (x.T.contiguous() for x in random_motion(rng, tree, FRAMES))
+    tau = inverse_dynamics(tree, geometry, phi, q, v, a)
+    (sv, sa), s = tree.rates(q, v, a), tree.axes(q)
+    twin = pinocchio_twin(tree.uncoupled, geometry, phi)
+    theirs = [_pinocchio_rnea(twin, tree.uncoupled, s[:, t], sv[:, t], sa[:, t]) for t in range(FRAMES)]
+    expected = torch.stack(theirs, dim=1)
+    assert_close(tau, tree.fold(q, expected), rtol=1e-9, atol=1e-9)
+    assert_close(tau[:6], expected[:6], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("case", range(4))
+def test_forces_equal_mujocos(case: int, seed: int) -> None:
+    """Inverse dynamics of any tree equals that of MuJoCo."""
+    mujoco = pytest.importorskip("mujoco")
+    rng = np.random.default_rng([seed, case])
+    tree, geometry = random_tree(rng)
+    phi = random_inertia(rng, len(tree.bodies))
+    q, v, a = (x.T.contiguous() for x in random_motion(rng, tree, FRAMES))
+    tau = inverse_dynamics(tree, geometry, phi, q, v, a)
+    model = mujoco.MjModel.from_xml_string(mjcf_of(tree, geometry, phi))
+    data = mujoco.MjData(model)
+    for t in range(FRAMES):
+        expected = _mujoco_inverse(mujoco, model, data, tree, q[:, t], v[:, t], a[:, t])
+        assert_close(tau[:, t], expected, rtol=1e-8, atol=1e-8 * float(expected.abs().max()))
+
+
+def _mujoco_inverse(mujoco, model, data, tree, q, v, a) -> torch.Tensor:
+    """MuJoCo's forces in our order; its free joint has rates and torques of turning in the body's axes."""
+    R_WB = roma.rotvec_to_rotmat(q[3:6])
+    data.qpos[:3], data.qpos[3:7] = q[:3], np.roll(roma.rotvec_to_unitquat(q[3:6]).numpy(), 1)
+    data.qvel[:6], data.qacc[:6] = (np.concatenate([x[:3], R_WB.T @ x[3:6]]) for x in (v, a))
+    rows = [model.joint(dof.name).dofadr[0] for dof in tree.dofs[6:]]
+    data.qpos[[row + 1 for row in rows]], data.qvel[rows], data.qacc[rows] = q[6:], v[6:], a[6:]
+    mujoco.mj_inverse(model, data)
+    found = torch.tensor(data.qfrc_inverse.copy())
+    return torch.cat([found[:3], R_WB @ found[3:6], found[rows]])
 
 
 def test_sums_of_a_stream_equal_the_rows(seed):

@@ -32,10 +32,11 @@ def _jacobian(problem, layout, q, xi) -> torch.Tensor:
 
 @pytest.mark.parametrize("case", range(5))
 @pytest.mark.parametrize("robust", [None, 2.0])
-def test_blocks_equal_finite_differences(case: int, robust: float | None, seed: int) -> None:
+@pytest.mark.parametrize("coupled", [False, True])
+def test_blocks_equal_finite_differences(case: int, robust: float | None, coupled: bool, seed: int) -> None:
     """Gradient and every block of J'WJ equal those of a numerical marker Jacobian, for any tree, ties and gaps."""
     rng = np.random.default_rng([seed, case])
-    problem, q, xi = random_problem(rng, robust=robust)
+    problem, q, xi = random_problem(rng, robust=robust, coupled=coupled)
     q, layout = q + 0.02, make_layout(problem)
     blocks = assemble(problem, layout, q, xi, shared=True)
     J, n = _jacobian(problem, layout, q, xi), len(q)
@@ -55,10 +56,11 @@ def test_blocks_equal_finite_differences(case: int, robust: float | None, seed: 
     assert_close(blocks.g_x, g[:, n:], rtol=0, atol=1e-7 * scale)
 
 
+@pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize("case", range(3))
-def test_gradient_is_that_of_the_robust_cost(case: int, seed: int) -> None:
+def test_gradient_is_that_of_the_robust_cost(case: int, coupled: bool, seed: int) -> None:
     """The gradient equals the finite difference of the cost itself, posture, limits and robust loss included."""
-    problem, q, xi = random_problem(np.random.default_rng([seed, case]), robust=2.0)
+    problem, q, xi = random_problem(np.random.default_rng([seed, case]), robust=2.0, coupled=coupled)
     layout = make_layout(problem)
     blocks = assemble(problem, layout, q, xi, shared=True)
     cost, g_q, g_x = make_gradient(problem, layout, q, xi, shared=True)
@@ -71,11 +73,12 @@ def test_gradient_is_that_of_the_robust_cost(case: int, seed: int) -> None:
         assert_close(blocks.g_q[:, k], (up - down) / (2 * STEP), rtol=1e-4, atol=1e-4 * float(blocks.g_q.abs().max()))
 
 
+@pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize("case", range(6))
-def test_elimination_by_branches_equals_dense_algebra(case: int, seed: int) -> None:
+def test_elimination_by_branches_equals_dense_algebra(case: int, coupled: bool, seed: int) -> None:
     """Reduced matrix, step and predicted cost by branches equal those of the dense normal matrix."""
     rng = np.random.default_rng([seed, case])
-    problem, q, xi = random_problem(rng, bodies=int(rng.integers(2, 12)) if case else 2)
+    problem, q, xi = random_problem(rng, bodies=int(rng.integers(2, 12)) if case else 3, coupled=coupled)
     layout, n = make_layout(problem), len(xi)
     partition = make_partition(problem.plan, layout, n)
     dense = assemble(problem, layout, q, xi, shared=True)

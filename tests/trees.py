@@ -1,12 +1,18 @@
 """Random trees and their twins in other libraries, for tests."""
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import roma
 import torch
 from scipy.spatial.transform import Rotation as R
 
+from torchid.model.coupling import Coupling, Follower
+from torchid.model.mechanics import phi_to_centre, zero_pose
 from torchid.model.model import Geometry
+from torchid.model.opensim.functions import Constant, Function, Linear, Polynomial, Scaled, Sine
+from torchid.model.opensim.splines import simm_spline
 from torchid.model.tree import Body, Dof, Slide, Tree, Turn
 
 BASE = tuple(Dof(name, "m" if k < 3 else "rad") for k, name in enumerate(("x", "y", "z", "rx", "ry", "rz")))
@@ -34,6 +40,41 @@ def random_tree(rng: np.random.Generator, bodies: int = 9, constant: bool = True
     offset[0] = 0.0
     hinge = torch.tensor(rng.normal(size=len(hinges)) * 0.2)
     return Tree(tuple(made), tuple(dofs), tuple(hinges)), Geometry(offset, hinge)
+
+
+def coupled_tree(rng: np.random.Generator, tree: Tree) -> Tree:
+    """The same tree, about every other coordinate now a function of those that are left, or of followers before it."""
+    rows = list(range(6, len(tree.dofs)))
+    held = [row for row in rows[1:] if rng.random() < 0.5] or rows[1:2]
+    kept = [row for row in range(len(tree.dofs)) if row not in held]
+    place = {row: k for k, row in enumerate((*kept, *held))}
+    followers = []
+    for k, row in enumerate(held):
+        function = _function(rng, len(kept) - 6 + k)
+        given = rng.permutation(np.arange(6, len(kept) + k))[: function.n_arguments]
+        followers.append(Follower(tree.dofs[row].name, tuple(given.tolist()), function))
+    bodies = [
+        replace(
+            body,
+            turns=tuple(replace(t, row=place[t.row]) if t.moving else t for t in body.turns),
+            slides=tuple(replace(one, row=place[one.row]) for one in body.slides),
+        )
+        for body in tree.bodies
+    ]
+    coupling = Coupling(str(rng.integers(2**62)), len(kept), tuple(followers))
+    return Tree(tuple(bodies), tuple(tree.dofs[row] for row in kept), tree.hinges, coupling)
+
+
+def _function(rng: np.random.Generator, known: int) -> Function:
+    x = torch.tensor(np.sort(rng.uniform(-1.5, 1.5, size=6)))
+    options = [
+        Constant(float(rng.normal())),
+        Polynomial(torch.tensor(0.5 * rng.normal(size=4))),
+        Scaled(simm_spline(x, torch.tensor(0.3 * rng.normal(size=6))), float(rng.normal())),
+        Sine(0.3, 1.3, 0.2, -0.1),
+        Linear(torch.tensor(rng.normal(size=min(2, known))), 0.1),
+    ]
+    return options[int(rng.integers(len(options)))]
 
 
 def random_motion(rng: np.random.Generator, tree: Tree, frames: int) -> tuple[torch.Tensor, ...]:
@@ -97,6 +138,36 @@ def pinocchio_state(model, tree: Tree, q, v, a) -> tuple[np.ndarray, np.ndarray,
         j = model.joints[model.getJointId(f"q{k}")]
         Q[j.idx_q], V[j.idx_v], A[j.idx_v] = q[k], v[k], a[k]
     return Q, V, A
+
+
+def mjcf_of(tree: Tree, geometry: Geometry, phi: torch.Tensor) -> str:
+    """The tree as MJCF: joints of a body one after the other, about axes in its own frame."""
+    children = {k: [j for j, body in enumerate(tree.bodies) if body.parent == k] for k in range(-1, len(tree.bodies))}
+
+    def spelt(values) -> str:
+        return " ".join(f"{float(x):.17g}" for x in values)
+
+    def body(k: int) -> str:
+        joint = zero_pose(tree.bodies[k], geometry.hinge.tolist())
+        quat = np.roll(R.from_matrix(joint.R_PB).as_quat(), 1)
+        mass, centre, inertia = phi_to_centre(phi[k].numpy(), tree.names[k])
+        full = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+        moving = (
+            "<freejoint/>"
+            if k == 0
+            else "".join(
+                f'<joint name="{tree.dofs[row].name}" type="{kind}" axis="{spelt(axis)}"/>'
+                for kind, axes in (("slide", joint.slides), ("hinge", joint.turns))
+                for row, axis in axes
+            )
+        )
+        own = f'<inertial mass="{mass:.17g}" pos="{spelt(centre)}" fullinertia="{spelt(full)}"/>'
+        inside = "".join(body(child) for child in children[k])
+        place = spelt(geometry.offset[k] if k else np.zeros(3))
+        return f'<body name="{tree.names[k]}" pos="{place}" quat="{spelt(quat)}">{moving}{own}{inside}</body>'
+
+    option = '<option gravity="0 0 -9.80665"><flag contact="disable"/></option>'
+    return f'<mujoco><compiler angle="radian"/>{option}<worldbody>{body(0)}</worldbody></mujoco>'
 
 
 def _rotation(rng: np.random.Generator):

@@ -178,14 +178,15 @@ def body_wrenches(plan: Plan, rows: BodyRows, phi: Float[Tensor, "bodies 10"]) -
     return torch.cat([force, moment], dim=1)
 
 
-def joint_axes(state: DynamicState) -> tuple[Float[Tensor, "dofs 6 frames"], Tensor]:
-    """Twist about the root's origin per unit rate of every dof, and the plan position of the body it carries."""
+def joint_axes(state: DynamicState) -> tuple[Float[Tensor, "axes 6 frames"], Tensor]:
+    """Twist about the root's origin per unit rate of every axis value (of every dof, where the tree has no coupling),
+    and the plan position of the body it carries."""
     plan, at = state.plan, state.at
     frames = at.p.shape[2]
-    S = at.p.new_zeros(len(plan.tree.dofs), 6, frames)
+    S = at.p.new_zeros(plan.tree.n_axes, 6, frames)
     S[range(6), range(6)] = 1.0
     position = plan.position
-    body = torch.zeros(len(plan.tree.dofs), dtype=torch.long, device=at.p.device)
+    body = torch.zeros(plan.tree.n_axes, dtype=torch.long, device=at.p.device)
     for columns, axes in ((plan.turns, at.turn_axis), (plan.slides, at.slide_axis)):
         if not columns:
             continue
@@ -206,7 +207,7 @@ def generalised_forces(state: DynamicState, wrenches: Float[Tensor, "bodies 6 fr
     above = state.at.tables.above
     total = (above.mT @ wrenches.flatten(1)).view_as(wrenches)
     S, body = joint_axes(state)
-    return (S * total.index_select(0, body)).sum(1)
+    return state.plan.tree.fold(state.at.q, (S * total.index_select(0, body)).sum(1))
 
 
 def inverse_dynamics(

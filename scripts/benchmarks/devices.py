@@ -18,7 +18,15 @@ from benchmarks.device_cases import CASES
 from benchmarks.device_subject import Recorded, record
 from torchid.allocator import keep_memory
 from torchid.config import load_config
-from torchid.devices import BodyBelief, Determined, NotDeterminable, device_forces, identify_device, placed
+from torchid.devices import (
+    BodyBelief,
+    Determined,
+    DeviceOptions,
+    NotDeterminable,
+    device_forces,
+    identify_device,
+    placed,
+)
 from torchid.experiment import run_experiment
 from torchid.experiment.stages import torques
 from torchid.outcome import Outcome
@@ -80,7 +88,7 @@ def subject(kind: str, seed: int, out: Path, options: SimulateOptions, blind: bo
     trials = [outcome.followed[name].wrench for name in recorded.truth]
     found = identify_device(
         sheet, BodyBelief(fit.phi, fit.covariance), [t for t in trials if t is not None],
-        {} if blind else recorded.channels,
+        {} if blind else recorded.channels, DeviceOptions(plate_gain_sd=0.0),  # as the simulated plates are
     )  # fmt: skip
     figures, covered, z = parameter_errors(recorded, found)
     if not blind:
@@ -133,9 +141,9 @@ def torque_errors(recorded: Recorded, outcome: Outcome, found) -> dict[str, floa
         good = (torch.isfinite(human) & torch.isfinite(other)).double()
         good[:, :6] = 0.0
         good[~used] = 0.0
-        for name, force in truth.force.items():
+        for key, force in truth.force.items():
             want_force = followed.motion.smoother(torch.as_tensor(force))[used]
-            parts["force"].append(forces.elements[name].force[used] - want_force)
+            parts["force"].append(forces.elements[key].force[used] - want_force)
             parts["pull"].append(want_force)
         parts["device"].append((mine - device)[used, 6:])
         parts["true"].append(device[used, 6:])

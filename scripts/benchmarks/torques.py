@@ -43,7 +43,7 @@ def compare(session: Session, outcome: Outcome, draws: int, seed: int) -> dict[s
     drawn = outcome_draws(outcome, names, draws, seed, PlateErrors(0.0, 0.0))
     seconds = time.perf_counter() - began
     found = {"seconds": seconds}
-    inside, error, template, width = [], [], [], []
+    inside, error, template, width, filtered, template_filtered = [], [], [], [], [], []
     for name in names:
         true, published, scaled = true_torques(session, name), outcome.torque[name], outcome.torque_scaled[name]
         used = outcome.followed[name].wrench.used
@@ -53,6 +53,9 @@ def compare(session: Session, outcome: Outcome, draws: int, seed: int) -> dict[s
         inside.append((off.abs() < WITHIN * sd)[kept])
         error.append(off[kept])
         template.append((scaled - true)[kept])
+        alike = outcome.followed[name].motion.smoother(true)
+        filtered.append((published - alike)[kept])
+        template_filtered.append((scaled - alike)[kept])
         width.append(sd[kept])
     rms = lambda parts: float(torch.cat(parts).square().mean().sqrt())  # noqa: E731
     off = outcome.phi[:, 0] - session.subject.phi[:, 0]
@@ -62,6 +65,7 @@ def compare(session: Session, outcome: Outcome, draws: int, seed: int) -> dict[s
     return found | {
         "coverage": float(torch.cat(inside).double().mean()),
         "rmse_Nm": rms(error), "template_rmse_Nm": rms(template), "sd_Nm": rms(width),
+        "rmse_filtered_Nm": rms(filtered), "template_rmse_filtered_Nm": rms(template_filtered),
     }  # fmt: skip
 
 

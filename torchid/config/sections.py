@@ -20,6 +20,7 @@ from torchid.geometry.options import GeometryOptions
 from torchid.inertia.options import InertiaOptions
 from torchid.io.mend import ForcesAs, PlateAs
 from torchid.io.options import ReadOptions
+from torchid.model.tree_of_links import FileScatter
 from torchid.simulate.options import SimulateOptions
 
 BUILTIN_MODELS = ("whole_body",)
@@ -131,6 +132,8 @@ class Config(Section):
 
     subject: Subject
     model: ModelSource = "whole_body"
+    scatter: FileScatter = FileScatter()
+    """How uncertain the numbers of a model file are."""
     markers: MarkerSource
     unlisted: Literal["assign", "leave_out"] | None = None
     """Labels that the marker set does not list: assigned by how they move, or left out; absent: left out by a set of

@@ -19,7 +19,7 @@ from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import fit_law
-from torchid.devices.supports import Recorded
+from torchid.devices.supports import Recorded, plate_gain
 from torchid.devices.values import Value
 from torchid.inertia.pseudo import com
 from torchid.model.tree import Tree
@@ -89,7 +89,7 @@ def device_findings(
     return (
         *_numbers(device, found),
         *(one for e in device.elements for one in _slid(e, found, trials, recorded, options)),
-        *_elsewhere(device, body, trials),
+        *_elsewhere(device, body, trials, options),
         *(one for e in found.device.elements for one in _unexplained(e, trials, recorded)),
     )
 
@@ -147,7 +147,7 @@ def _slid(
         why = "needs a sensor of the element in two trials or more"
         return [Finding("strap_slides", key, False, "", None, why=why)] if element.law is not None else []
     numbers = {n: v for n, v in found.device.element(element.name).numbers() if v is not None}
-    narrow = replace(options, length_scale_sd=0.0, length_sd=0.0, angle_sd=0.0)
+    narrow = replace(options, length_scale_sd=0.0, angle_scale_sd=0.0, length_sd=0.0, angle_sd=0.0)
     fits = [fit_law([one], ("rest",), numbers, narrow) for one in measured]
     rest = torch.tensor([float(fit.value[0]) for fit in fits], dtype=torch.float64)
     sd = torch.tensor([max(float(fit.sd[0]), 1e-9) for fit in fits], dtype=torch.float64)
@@ -173,13 +173,16 @@ def _unexplained(element: Element, trials: Sequence[WrenchTrial], recorded: Reco
     return [Finding("unexplained", element.name, share > UNEXPLAINED, 0.0, share, why=text)]
 
 
-def _elsewhere(device: Device, body: BodyBelief, trials: Sequence[WrenchTrial]) -> list[Finding]:
+def _elsewhere(
+    device: Device, body: BodyBelief, trials: Sequence[WrenchTrial], options: DeviceOptions
+) -> list[Finding]:
     """Evidence of each part on the neighbours of its segment against the sheet's."""
     trials = [trial for trial in trials if any(True for _ in trial.blocks())]
     if not device.parts or not trials:
         return []
     tree, none = trials[0].tree, body.phi.new_zeros(0)
     extra = Extra(none, none, tuple(body.phi.new_zeros(6, 0, len(t.wrench)) for t in trials))
+    extra = plate_gain(extra, trials, options)
     free = replace(device, mass_kg=None)
     sheet = fit_jointly(trials, body, parts_prior(free, tree, com(body.phi)), extra)
     findings = []

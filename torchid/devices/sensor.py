@@ -268,11 +268,12 @@ def _in_proportion(
     move = np.zeros((2, len(names)))
     length = torch.cat([m.acting.act.length for m in measured])
     middle = float(length.median())
-    scale_sd = options.length_scale_sd if markers else 0.0
+    turns = measured[0].acting.element.turns
+    scale_sd = (options.angle_scale_sd if turns else options.length_scale_sd) if markers else 0.0
     for k, name in enumerate(names):
         if name in ("stiffness", "damping"):
             move[0, k] = scale_sd * x[k]
         elif name == "rest":
             move[0, k] = scale_sd * (x[k] - middle)
-            move[1, k] = options.angle_sd if measured[0].acting.element.turns else options.length_sd
+            move[1, k] = options.angle_sd if turns else options.length_sd
     return move.T @ move

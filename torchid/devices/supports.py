@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.devices.base_columns import Acting, acting, known_external
+from torchid.devices.base_columns import Acting, about_root, acting, known_external
 from torchid.devices.device import Device, Element
 from torchid.devices.joint_fit import Extra, JointFit, fit_jointly
 from torchid.devices.laws import Channels
@@ -69,13 +69,39 @@ def fit_by_base_rows(
     for _ in range(PASSES if supports else 1):
         moved, columns = _linearised(supports, own, trials, at, known)
         like = body.phi
-        extra = Extra(like.new_tensor([v.value - x for v, x in zip(start, at, strict=True)]),
-                      like.new_tensor([v.sd for v in start]), tuple(columns))  # fmt: skip
+        miss = [v.value - x for v, x in zip(start, at, strict=True)]
+        extra = plate_gain(
+            Extra(like.new_tensor(miss), like.new_tensor([v.sd for v in start]), tuple(columns)), trials, options
+        )
         fit = fit_jointly(moved, body, prior, extra)
-        at = [x + float(step) for x, step in zip(at, fit.extra, strict=True)]
-    n = len(fit.covariance) - len(at)
-    variance = fit.covariance.diagonal()[n:]
-    return fit, _told(supports, names, at, fit.covariance[n:, n:], variance, start, options)
+        at = [x + float(step) for x, step in zip(at, fit.extra[: len(at)], strict=True)]
+    own_rows = slice(len(fit.covariance) - len(fit.extra), len(fit.covariance) - len(fit.extra) + len(at))
+    covariance = fit.covariance[own_rows, own_rows]
+    return fit, _told(supports, names, at, covariance, covariance.diagonal(), start, options)
+
+
+def plate_gain(extra: Extra, trials: Sequence[WrenchTrial], options: DeviceOptions) -> Extra:
+    """Return the parameters with two more: gain and zero of the plates against those without the device.
+
+    Of what they read about the root, F, the parts g F and z mean(F) are not there: Y E z + g F + z mean(F) = F. The
+    forces of accelerations tell a gain, as far as the bare body is known, but no zero that moved.
+
+    Args:
+        extra: parameters of supports with their columns.
+        trials: with the device, as measured.
+        options: with the scatter of both; zero leaves them out.
+    """
+    if options.plate_gain_sd == 0.0:
+        return extra
+    columns = tuple(torch.cat([own, _read(trial)], 1) for own, trial in zip(extra.columns, trials, strict=True))
+    zero, sd = extra.mean.new_zeros(2), extra.mean.new_tensor([options.plate_gain_sd] * 2)
+    return Extra(torch.cat([extra.mean, zero]), torch.cat([extra.sd, sd]), columns)
+
+
+def _read(trial: WrenchTrial) -> Float[Tensor, "6 2 frames"]:
+    """What plates read about the root, and its mean."""
+    wrench = about_root(trial, trial.wrench)
+    return torch.stack([wrench, wrench[:, trial.used].mean(1, keepdim=True).expand_as(wrench)], 1)
 
 
 def _prior_of(own: list[Acting], name: str, options: DeviceOptions) -> Value:

@@ -101,13 +101,14 @@ def carriage(scene: Scene) -> Float[Tensor, "frames rows dofs"]:
     turn = mask * S[None, :, 3:]
     arm = (scene.state.at.p - scene.state.at.p[:1])[:, None].expand_as(turn)
     both = torch.cat([mask * S[None, :, :3] + cross(turn, arm), turn], 2)
+    both = scene.tree.fold(scene.state.at.q, both.transpose(0, 1)).transpose(0, 1)
     return both.permute(3, 0, 2, 1).flatten(1, 2).contiguous()
 
 
 def supports(scene: Scene) -> Tensor:
-    """(bodies, dofs) whether a body, by plan position, moves with a coordinate."""
+    """(bodies, axes) whether a body, by plan position, moves with an axis value."""
     plan = scene.state.plan
-    above = torch.zeros(len(plan.order), len(plan.tree.dofs), dtype=torch.bool)
+    above = torch.zeros(len(plan.order), plan.tree.n_axes, dtype=torch.bool)
     above[:, :6] = True
     for column in plan.motion:
         for body, ancestors in enumerate(plan.tree.ancestors):

@@ -24,6 +24,8 @@ SHORTEST_S, LONGEST = 0.2, 0.7
 
 def in_intervals(places: Sequence[Place], observed: Sequence[TrialEvidence]) -> tuple[Place, ...]:
     """Every place in each of the intervals that the residuals of the trials suggest, with the odds of both."""
+    if not places:
+        return ()
     found = [window for one in observed for window in windows(one)]
     share = 1.0 / (len(places) * len(observed))
     return tuple(replace(place, when=(own,), odds=share * odds) for place in places for own, odds in found)

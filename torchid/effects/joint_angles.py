@@ -42,7 +42,8 @@ def lively(scenes: Sequence[Scene], body: int) -> tuple[str, ...]:
         body: number of a body in the tree; the root has no such coordinate.
     """
     tree = scenes[0].tree
-    rows = [turn.row for turn in tree.bodies[body].turns if turn.moving]
+    rows = [turn.row for turn in tree.bodies[body].turns if turn.moving and turn.row < len(tree.dofs)]
+    rows = rows or list(tree.driving(body))
     spread = {row: max(float(s.q[row].std()) for s in scenes) for row in rows}
     order = sorted(rows, key=lambda row: -spread[row])
     return tuple(tree.dof_names[row] for row in order if spread[row] >= 0.5 * spread[order[0]])
@@ -101,9 +102,10 @@ def _reordered(tree: Tree, follows: Angle) -> tuple[Turn, ...]:
 
 def _three(tree: Tree, dof: str) -> tuple[Turn, ...]:
     """The turns about three different axes of the joint whose first is this coordinate; none of any other."""
-    for body in tree.bodies:
-        turns = tuple(body.turns)
-        if len({turn.axis for turn in turns if turn.moving}) == len(turns) == 3 and tree.dof_names[turns[0].row] == dof:
+    for k, body in enumerate(tree.bodies):
+        turns = tuple(tree.own_turns(k))
+        alone = len({turn.axis for turn in turns}) == len(turns) == len(body.turns) == 3
+        if alone and tree.dof_names[turns[0].row] == dof:
             return turns
     return ()
 

@@ -14,7 +14,12 @@ from torchid.kinematics.recursion import cross
 
 
 def joint_name(scene: Scene, body: int) -> str:
-    """Return the name of the proximal joint of a body: that of its coordinates up to the last word."""
+    """Return the name of the proximal joint of a body: that of its coordinates up to the last word.
+
+    Where functions drive joints, whose coordinates may move several, it is the body's own.
+    """
+    if scene.tree.coupling is not None:
+        return scene.tree.names[body]
     rows = [turn.row for turn in scene.tree.bodies[body].turns if turn.moving]
     return scene.tree.dof_names[rows[0]].rpartition("_")[0] if rows else scene.tree.names[body]
 

@@ -207,4 +207,4 @@ def cues(scenes: Sequence[Scene], segment: str) -> tuple[str, ...]:
     """The coordinates that skin of a segment may follow: at each end, the one of the joint that moves most."""
     tree = scenes[0].tree
     ends = [tree.index(segment), *(k for k, body in enumerate(tree.bodies) if body.parent == tree.index(segment))]
-    return tuple(dof for k in ends for dof in lively(scenes, k)[:1])
+    return tuple(dict.fromkeys(dof for k in ends for dof in lively(scenes, k)[:1]))

@@ -15,7 +15,7 @@ from torchid.config.conditions import EvaluateOptions
 from torchid.errors import ConfigError, DataError
 from torchid.evaluation.answers import answer
 from torchid.evaluation.back import lever_arms
-from torchid.evaluation.contacts import count_contacts
+from torchid.evaluation.contacts import Feet, count_contacts, feet_of
 from torchid.evaluation.cycles import Course, Cycle, find_cycles, outliers
 from torchid.evaluation.draws import torque_deviations
 from torchid.evaluation.evaluation import Answer, Evaluation
@@ -153,9 +153,11 @@ def judge(config: Config, outcome: Outcome, material: Material) -> Evaluation:
         material: from ``gather``.
     """
     options, trials = config.evaluate, material.trials
-    deviations = torque_deviations(outcome, trials, options.draws, config.seed)
-    known = _rows(config, outcome.fit, outcome.phi, material, deviations, scaled=False)
-    plain = _rows(config, outcome.scaled, outcome.prior_scaled.mean, material, None, scaled=True)
+    bodies = (outcome.fit, outcome.phi, False), (outcome.scaled, outcome.prior_scaled.mean, True)
+    feet, plain_feet = (feet_of(config, trials, fit, phi, scaled) for fit, phi, scaled in bodies)
+    deviations = torque_deviations(outcome, trials, feet, options.draws, config.seed)
+    known = _rows(config, *bodies[0], material, feet, deviations)
+    plain = _rows(config, *bodies[1], material, plain_feet, None)
     cycles = tuple(c for trial in trials for c in material.cycles[trial.name])
     conditions = tuple(trial.condition for trial in trials for _ in material.cycles[trial.name])
     identified, template = (
@@ -163,13 +165,13 @@ def judge(config: Config, outcome: Outcome, material: Material) -> Evaluation:
     )
     found = Evaluation(
         config, outcome, trials, cycles, conditions, material.layout, identified, template,
-        _apart(identified, conditions), material.worn, count_contacts(trials), (), material.mass_kg,
+        _apart(identified, conditions), material.worn, count_contacts(trials, feet), (), material.mass_kg,
     )  # fmt: skip
     return replace(found, gaps=find_gaps(found))
 
 
 def _rows(
-    config: Config, fit: GeometryFit, phi: Tensor, material: Material, deviations: dict | None, scaled: bool
+    config: Config, fit: GeometryFit, phi: Tensor, scaled: bool, material: Material, feet: Feet, deviations: dict | None
 ) -> list[CycleRows]:
     options = config.evaluate
     levers = lever_arms(options.lever_arm_m, options.draws, phi, config.seed)
@@ -179,7 +181,8 @@ def _rows(
         heels = {foot: points[:, 0] for foot, points in soles(fit, followed.tracked).items()}
         middle = 0.5 * sum(options.lever_arm_m)
         scene = Scene(trial, material.cycles[trial.name], heels, levers, middle, material.mass_kg)
-        own = shares(trial, followed, fit, phi, material.worn[trial.condition], material.recorded[trial.name])
+        worn, recorded = material.worn[trial.condition], material.recorded[trial.name]
+        own = shares(trial, followed, fit, phi, worn, recorded, feet[trial.name])
         moved = None if deviations is None else deviations[trial.name]
         found.append(cycle_rows(scene, material.layout, own, moved, options.points))
     return found

@@ -33,9 +33,9 @@ class ContactCount:
     measured: float
     """On a plate of its own."""
     shared: float
-    """On a plate with the other foot, shared out or left out."""
+    """On a plate with the other foot, and shared out."""
     beside: float
-    """On no plate."""
+    """On no plate, or on one that does not tell: predicted where that was asked for, else left out."""
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def _torques(found: Evaluation) -> Iterator[Gap]:
             if unknown:
                 yield Gap(
                     f"torque of {listing(names)} in {unknown} of {plural(every, 'cycle')} of {condition}",
-                    "the foot's force is not known throughout: it stood beside the plates or shared one",
+                    "a foot's force is not known throughout: it stood beside the plates, or on one that does not tell",
                 )
 
 

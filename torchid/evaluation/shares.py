@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.contact.sharing.wrenches import ContactWrenches
 from torchid.evaluation.back import LowBack, low_back
 from torchid.evaluation.trials import ConditionTrial
 from torchid.evaluation.wearing import Worn, acting, carried
@@ -41,6 +42,7 @@ def shares(
     phi: Float[Tensor, "bodies 10"],
     worn: Worn,
     recorded: dict[str, Tensor],
+    under: ContactWrenches | None = None,
 ) -> Shares:
     """Shares of one trial.
 
@@ -51,13 +53,14 @@ def shares(
         phi: inertial parameters of this body alone.
         worn: the condition's device.
         recorded: the device's channels on the motion's frames.
+        under: wrenches under the feet, shared and predicted ones too; None takes what plates bear of one foot alone.
 
     Raises:
         ConfigError: ``device.*``.
     """
     tree, geometry, motion = fit.model.tree, fit.geometry, followed.motion
     both = carried(worn, tree, phi)
-    demand = torques(followed, tree, geometry, both, trial.recording)
+    demand = torques(followed, tree, geometry, both, trial.recording, under)
     action = acting(worn, tree, geometry, motion, recorded)
     back = low_back(tree, geometry, both, motion)
     return Shares(demand, action.torque, action.power, motion.q, motion.v, back)

@@ -1,23 +1,26 @@
 """Recordings and model of a config, ready for the fits."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from torchid.agreement.session import Recording, refuse_disagreement
 from torchid.config import Config
 from torchid.config.sections import TrialFile
-from torchid.errors import DataError, Note
+from torchid.errors import ConfigError, DataError, Note
 from torchid.experiment.tracks import look_at_session, taken_out
 from torchid.geometry.assign import assign_markers
 from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
-from torchid.model.marker_set import MarkerSet, load_marker_set
+from torchid.model.marker_set import MarkerSet, MarkerSpec, load_marker_set
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
 from torchid.outcome import Session
 from torchid.recording import Trial
 from torchid.tracking.statement import notes_of
 
+OWN = "model"
+"""Wording. The ``markers`` of a config that are the model's own."""
 SHORTEST = 6
 """Frames of the shortest trial whose accelerations a quintic spline tells; a static trial may be shorter."""
 
@@ -53,7 +56,32 @@ def read_setup(config: Config) -> tuple[Model, tuple[Note, ...], MarkerSet]:
         TorchidError: one of them is at fault.
     """
     model, said = _model(config)
-    return model, said, load_marker_set(config.markers, model.tree.names, tuple(model.landmarks))
+    if config.markers == OWN:
+        return model, said, _own_markers(model, config)
+    segments = _segments(model)
+    given = load_marker_set(config.markers, tuple(segments), tuple(model.landmarks))
+    specs = {label: replace(spec, segment=segments[spec.segment]) for label, spec in given.specs.items()}
+    return model, said, replace(given, specs=specs)
+
+
+def _segments(model: Model) -> dict[str, str]:
+    """Names by which a marker set may call the bodies of a model, and the bodies: bodies welded to others too."""
+    own = {name: name for name in model.tree.names}
+    if model.osim is None:
+        return own
+    bodies, groups = model.osim.model.bodies, model.osim.groups
+    return {bodies[body]: model.tree.names[k] for k, members in enumerate(groups) for body in members} | own
+
+
+def _own_markers(model: Model, config: Config) -> MarkerSet:
+    """The markers that an OpenSim file brings, each a landmark of its own name."""
+    if model.osim is None or not model.osim.model.markers:
+        raise ConfigError(
+            "markers.own", "the model brings no markers of its own", source=str(config.model), place="markers",
+            found=OWN, remedy="Name a marker set, or an OpenSim model that has a MarkerSet.",
+        )  # fmt: skip
+    names = [marker.name for marker in model.osim.model.markers if marker.name in model.landmarks]
+    return MarkerSet(OWN, {name: MarkerSpec(model.landmarks[name].segment, name) for name in names})
 
 
 def read_recording(file: TrialFile, config: Config, markers: MarkerSet) -> Trial:
@@ -81,4 +109,4 @@ def _model(config: Config) -> tuple[Model, tuple[Note, ...]]:
     if config.model == "whole_body":
         who = config.subject
         return whole_body(who.height_m, who.mass_kg, who.sex, who.mass_sd_kg), ()
-    return load_model(config.model)
+    return load_model(config.model, config.scatter)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import torch
 
 from torchid.contact.contact import Contact
+from torchid.contact.sharing.wrenches import ContactWrenches
 from torchid.effects.scene import make_scene
 from torchid.experiment.diagnosis_stage import plate_frames
 from torchid.experiment.fits import given_mass
@@ -55,9 +56,28 @@ def seen_trials(outcome: Outcome, names: Sequence[str]) -> list[SeenTrial]:
         item, trial = outcome.followed[name], outcome.session.trials[name]
         scene = make_scene(name, outcome.fit.model.tree, outcome.fit.geometry, item.motion, outcome.phi)
         response = make_response(scene, outcome.fit, trial.markers, item.tracked)
-        loads = () if trial.forces is None else plate_loads(item, trial.forces, [one.name for one in frames[name]])
-        found.append(SeenTrial(name, item.motion, response, loads, item.wrench))
+        plates = [one.name for one in frames[name]] if trial.forces is not None else []
+        loads = () if trial.forces is None else plate_loads(item, trial.forces, plates)
+        more = computed_loads(outcome.under[name], loads) if name in outcome.under else ()
+        found.append(SeenTrial(name, item.motion, response, (*loads, *more), item.wrench))
     return found
+
+
+def computed_loads(under: ContactWrenches, read: Sequence[Load]) -> tuple[Load, ...]:
+    """Return what each contact bears beyond what a plate has read of it alone.
+
+    Args:
+        under: wrenches of all contacts, shared and predicted ones with their doubts.
+        read: what plates have read.
+    """
+    found = []
+    for k, contact in enumerate(under.contacts):
+        left = under.of(contact) - sum(load.wrench for load in read if load.body == contact)
+        doubt = left.new_zeros(len(left), 6, under.doubt.shape[2])
+        doubt[under.doubtful] = under.doubt[:, 6 * k : 6 * k + 6]
+        if bool(doubt.any()):
+            found.append(Load(contact, left, doubt=doubt))
+    return tuple(found)
 
 
 def plate_loads(followed: Followed, forces: Forces, plates: Sequence[str]) -> tuple[Load, ...]:

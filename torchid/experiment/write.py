@@ -5,16 +5,24 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import torch
 import xarray
+from jaxtyping import Float
+from torch import Tensor
 
+from torchid.contact.sharing.wrenches import Source
 from torchid.dynamics import wrench_about
 from torchid.errors import DataError
 from torchid.files import safe_name, write_json
 from torchid.geometry.tracking import modelled
 from torchid.io.storage import write_storage
 from torchid.kinematics.chain import chain_poses
+from torchid.model.model import Model
+from torchid.model.opensim.identified import identified_model
+from torchid.model.opensim.model import Motion
+from torchid.model.opensim.writing_back import write_back
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.urdf import write_urdf
 from torchid.netcdf import write_netcdf
+from torchid.osim_dynamics import file_forces
 from torchid.outcome import Followed, Outcome
 from torchid.outcome.tables import diagnosis_table, geometry_table, inertia_table
 from torchid.recording import Plate
@@ -27,6 +35,9 @@ PIECE = 8192
 TABLES = (
     "geometry.json", "inertia.json", "diagnosis.json", "model.urdf", "model.osim", "report.html", "provenance.json"
 )  # fmt: skip
+COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
+"""Names of a wrench's components in files."""
+_SOURCES = ", ".join(f"{one.value} {one.name.lower()}" for one in Source)
 SERIES = ("motion_{}.nc", "forces_{}.nc", "{}_ik.mot", "{}_id.sto")
 """Names of a trial's files."""
 
@@ -53,8 +64,13 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
             outcome.fit.attachment.labels, outcome.fit.attachment.body, outcome.fit.place, strict=True
         )
     }
-    write_urdf(tree, geometry, outcome.phi, folder.path("model.urdf"), places)
-    write_osim(tree, geometry, outcome.phi, folder.path("model.osim"), places)
+    write_urdf(tree.uncoupled, geometry, outcome.phi, folder.path("model.urdf"), places)
+    if outcome.fit.model.osim is None:
+        write_osim(tree, geometry, outcome.phi, folder.path("model.osim"), places)
+    else:
+        named = zip(outcome.fit.attachment.landmark, outcome.fit.place, strict=True)
+        own = {name: place for name, place in named if name is not None}
+        write_back(identified_model(outcome.fit.model.osim, geometry, outcome.phi, own), folder.path("model.osim"))
 
 
 def _write_trial(outcome: Outcome, name: str, folder: OutputFolder) -> None:
@@ -64,11 +80,37 @@ def _write_trial(outcome: Outcome, name: str, folder: OutputFolder) -> None:
     write_netcdf(motion, (_piece(outcome, name, piece) for piece in pieces))
     if item.wrench is not None:
         write_netcdf(forces, [forces_dataset(outcome, item)])
-    tree, time = outcome.fit.model.tree, item.motion.time.numpy()
-    names = osim_names(tree)
-    write_storage(kinematics, names, time, osim_coordinates(item.motion.q).numpy(), title=f"{name} kinematics")
-    columns = tuple(f"{n}_{'force' if tree.dofs[k].unit == 'm' else 'moment'}" for k, n in enumerate(names))
-    write_storage(dynamics, columns, time, outcome.torque[name].numpy(), title=f"{name} dynamics")
+    time = item.motion.time.numpy()
+    coordinates, forces_by_name = opensim_tables(outcome.fit.model, item.motion.q, outcome.torque[name])
+    for path, table, title in ((kinematics, coordinates, "kinematics"), (dynamics, forces_by_name, "dynamics")):
+        values = torch.stack(list(table.values()), dim=1).numpy()
+        write_storage(path, tuple(table), time, values, title=f"{name} {title}")
+
+
+def opensim_tables(
+    model: Model, q: Float[Tensor, "frames dofs"], torque: Float[Tensor, "frames dofs"]
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Columns of ``_ik.mot`` and ``_id.sto``, for the model that is written beside them.
+
+    Where the model came from an OpenSim file, they are that file's coordinates, all of them, and the generalised forces
+    of those that are free.
+
+    Args:
+        model: the model.
+        q: coordinates [m, rad].
+        torque: generalised forces [N, N m].
+    """
+    tree, binding = model.tree, model.osim
+    if binding is None:
+        names = osim_names(tree)
+        columns = [f"{n}_{'force' if tree.dofs[k].unit == 'm' else 'moment'}" for k, n in enumerate(names)]
+        table = dict(zip(names, osim_coordinates(q).unbind(1), strict=True))
+        return table, dict(zip(columns, torque.unbind(1), strict=True))
+    values = binding.from_tree(tree.dof_names, q)
+    kind = {one.name: "moment" if one.motion is Motion.ROTATIONAL else "force" for one in binding.model.coordinates}
+    found = file_forces(binding, tree, q, torque)
+    table = dict(zip(binding.model.coordinate_names, values.unbind(1), strict=True))
+    return table, {f"{name}_{kind[name]}": value for name, value in found.items()}
 
 
 def _piece(outcome: Outcome, name: str, part: slice) -> xarray.Dataset:
@@ -95,10 +137,11 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "markers_measured": (by_marker, trial.markers.frames(part).select(labels).position.numpy()),
             "markers_modelled": (by_marker, modelled(fit, tracked.q[part]).numpy()),
             "observable": (("time",), tracked.observable[part].numpy()),
+            **_under(outcome, name, part),
         },
         coords={
             "time": motion.time[part].numpy(), "dof": list(tree.dof_names), "body": list(tree.names),
-            "marker": list(labels), "axis": list("xyz"),
+            "marker": list(labels), "axis": list("xyz"), **_contacts(outcome, name),
         },
         attrs={
             "trial": name, "cutoff_hz": motion.smoother.cutoff_hz, "filter": motion.smoother.kind, "units": "SI, rad",
@@ -107,6 +150,23 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "acceleration in W; torque 0-5: residual force and moment at the root's origin, in W",
         },
     )  # fmt: skip
+
+
+def _under(outcome: Outcome, name: str, part: slice) -> dict[str, tuple]:
+    """Wrench under every contact about the world's origin, its standard deviation, and its ``Source``."""
+    found, by_contact = outcome.under.get(name), ("time", "contact", "component")
+    if found is None:
+        return {}
+    return {
+        "contact_wrench": (by_contact, found.wrench[part].numpy()),
+        "contact_wrench_sd": (by_contact, found.sd[part].numpy()),
+        "contact_source": (("time", "contact"), found.source[part].numpy(), {"meaning": _SOURCES}),
+    }
+
+
+def _contacts(outcome: Outcome, name: str) -> dict[str, list[str]]:
+    found = outcome.under.get(name)
+    return {} if found is None else {"contact": list(found.contacts), "component": list(COMPONENTS)}
 
 
 def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
@@ -134,7 +194,7 @@ def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
             "plate_corners": (("plate", "corner", "axis"), _corners(trial.forces.plates)),
         },
         coords={
-            "time": item.motion.time.numpy(), "component": ["fx", "fy", "fz", "mx", "my", "mz"],
+            "time": item.motion.time.numpy(), "component": list(COMPONENTS),
             "plate": [plate.name for plate in trial.forces.plates],
         },
         attrs={"cutoff_hz": smoother.cutoff_hz, "filter": smoother.kind, "feet": ", ".join(item.contact.feet)},

@@ -10,6 +10,7 @@ from torchid.errors import DataError, Note
 from torchid.geometry.attachment import Attachment, rigid_scatter
 from torchid.model.marker_set import MarkerSet, MarkerSpec, marker_prior
 from torchid.model.model import Model
+from torchid.model.tree import Tree
 from torchid.model.whole_body import lock_bodies
 from torchid.recording import Markers, Trial
 from torchid.wording import listing
@@ -18,6 +19,9 @@ RIGID = 0.02
 """An unlisted label joins a segment when its distances to the segment's markers scatter less than this [m]; chosen."""
 FIRM = 0.1
 """A body without markers between marked ones has joint angles that scatter this much about rest [rad]; chosen."""
+HINGES = 2
+"""Coordinates between marked bodies that need no holding; chosen: markers on both sides tell an ankle and a subtalar
+joint apart, but three turns only with three good markers on either side."""
 SEEN = 0.2
 """A marker takes part when it is visible in at least this share of the frames of some trial; chosen."""
 
@@ -98,13 +102,24 @@ def _settle_bare(model: Model, marked: set[str]) -> tuple[Model, tuple[Note, ...
     bare = [k for k, name in enumerate(tree.names) if k and name not in marked]
     between = [k for k in bare if any(tree.names[below] in marked for below in tree.subtree(k))]
     model, said = lock_bodies(model, tuple(tree.names[k] for k in bare if k not in between))
-    if not between:
+    names = [tree.names[k] for k in between if _undetermined(tree, k, marked)]
+    if not names:
         return model, said
-    names = [tree.names[k] for k in between]
-    rows = {turn.row for body in model.tree.bodies if body.name in names for turn in body.turns if turn.moving}
+    rows = {row for k, name in enumerate(model.tree.names) if name in names for row in model.tree.driving(k)}
     dofs = tuple(replace(dof, sd=FIRM) if row in rows else dof for row, dof in enumerate(model.tree.dofs))
     message = f"{', '.join(names)} without markers of its own: its joint is held within about {FIRM} rad of rest"
     return replace(model, tree=replace(model.tree, dofs=dofs)), (*said, Note("model.between", message))
+
+
+def _undetermined(tree: Tree, body: int, marked: set[str]) -> bool:
+    """Return whether more than ``HINGES`` coordinates lie between the marked bodies above and below an unmarked one."""
+
+    def bare_above(k: int) -> list[int]:
+        parent = tree.bodies[k].parent
+        return [k, *(bare_above(parent) if parent > 0 and tree.names[parent] not in marked else [])]
+
+    ends = [k for k in tree.subtree(body) if tree.names[k] in marked and body in bare_above(k)]
+    return any(len({row for k in bare_above(end) for row in tree.driving(k)}) > HINGES for end in ends)
 
 
 def _visible_labels(trials: tuple[Trial, ...]) -> tuple[str, ...]:

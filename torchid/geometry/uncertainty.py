@@ -78,10 +78,14 @@ def chain_jacobian(
     turn = torch.linalg.cross(z[:, None].expand_as(arm), arm)
     column = torch.where(chain.chain._dof_is_revolute[:, None], turn, z[:, None])
     column = column * (chain.chain._dof_ancestor_mask[:, frame].T * chain.signs)[:, :, None]
-    raw = p.new_zeros(*p.shape[:2], len(tree.dofs) + len(problem.geometry.constant), 3)
+    n = tree.n_axes
+    raw = p.new_zeros(*p.shape[:2], n + len(problem.geometry.constant), 3)
     raw.index_add_(2, chain.q_rows, column)
     raw = raw.transpose(2, 3).reshape(len(p), 3 * p.shape[1], -1)
-    J_q, J_g = raw[:, :, : len(tree.dofs)].clone(), raw[:, :, len(tree.dofs) :] @ problem.geometry.map
+    J_q, J_g = (
+        tree.fold(q, raw[:, :, :n].permute(2, 1, 0)).permute(2, 1, 0).clone(),
+        raw[:, :, n:] @ problem.geometry.map,
+    )
     J_q[:, :, :BASE_DOFS] = _base_columns(p - q[:3].T[:, None])
     return J_q, torch.cat([J_g, _place_columns(problem, X[:, frame, :3, :3])], dim=2)
 

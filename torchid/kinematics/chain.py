@@ -26,13 +26,14 @@ class ChainMap:
 
     chain: pk.Chain
     q_rows: Tensor
-    """For each joint of the chain: row of (q, offset flattened, hinge) stacked."""
+    """For each joint of the chain: row of (axis values, offset flattened, hinge) stacked."""
     signs: Tensor
     frames: Tensor
     """Frame index of each body."""
     joint_frames: Tensor
     """Frame index of each chain joint."""
     names: tuple[str, ...]
+    tree: Tree
 
 
 @lru_cache(maxsize=16)
@@ -50,6 +51,7 @@ def chain_of(tree: Tree, dtype: torch.dtype = torch.float64, device: str = "cpu"
         frames=torch.tensor([chain.frame_to_idx[body.name] for body in tree.bodies], device=device),
         joint_frames=torch.tensor([frame[name] for name in names], device=device),
         names=tuple(names),
+        tree=tree,
     )
 
 
@@ -59,7 +61,7 @@ class _Builder:
     def __init__(self, tree: Tree, dtype: torch.dtype, device: str) -> None:
         self.tree, self.dtype, self.device = tree, dtype, device
         self.source: dict[str, tuple[int, float]] = {}
-        n, self.root = len(tree.dofs), Frame(tree.bodies[0].name, Link(tree.bodies[0].name))
+        n, self.root = tree.n_axes, Frame(tree.bodies[0].name, Link(tree.bodies[0].name))
         self.offset_row, self.hinge_row = n, n + 3 * len(tree.bodies)
         ends = {0: self.root}
         for k, body in enumerate(tree.bodies[1:], start=1):
@@ -102,7 +104,7 @@ def joint_values(
 ) -> Float[Tensor, "frames joints"]:
     """Values of all chain joints: motion and geometry side by side; differentiable in all of them."""
     raw = torch.cat([geometry.offset.reshape(-1), geometry.hinge])
-    both = torch.cat([q, raw.expand(len(q), -1)], dim=1)
+    both = torch.cat([chain.tree.axes(q.T).T, raw.expand(len(q), -1)], dim=1)
     return both.index_select(1, chain.q_rows) * chain.signs
 
 

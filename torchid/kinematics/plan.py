@@ -85,6 +85,8 @@ class Plan:
     def branches(self) -> tuple[tuple[int, ...], ...]:
         """Plan positions of the bodies of each limb; limbs meet only through what is in none of them, the core."""
         tree, position = self.tree, self.position
+        if tree.coupling:  # coordinates may move several limbs
+            return ()
         moving = {column.body for column in (*self.turns, *self.slides)}
         alive = [bool(moving & set(tree.subtree(k))) for k in range(len(tree.bodies))]
         living = [body.parent for k, body in enumerate(tree.bodies) if alive[k]]
@@ -126,7 +128,9 @@ def plan_tree(tree: Tree) -> Plan:
     turns = sorted((c for joint in joints for c in joint.turns), key=lambda c: place[c.body, c.slot])
     slides = tuple(c for joint in joints for c in joint.slides)
     covered = sorted(column.row for column in (*turns, *slides))
-    assert covered == list(range(BASE_DOFS, len(tree.dofs))), "every dof but the base's drives exactly one joint axis"
+    rows = list(range(BASE_DOFS, tree.n_axes))
+    alone = covered == sorted(set(covered) & set(rows)) if tree.coupling else covered == rows
+    assert alone, "every axis value but the base's drives exactly one joint axis"
     return Plan(
         tree,
         order,

@@ -35,10 +35,13 @@ class Poses:
     """p_WB_W [m]."""
     local: Float[Tensor, "turns 3 3 frames"]
     """Rotation of the parent's axes by each turn and those before it in the same joint."""
+    q: Float[Tensor, "dofs frames"]
+    """Coordinates [m, rad]."""
 
     def about_root(self, dtype: torch.dtype) -> "Poses":
         """The same with places measured from the root's, in another precision."""
-        return Poses(self.joints.to(dtype), self.R.to(dtype), (self.p - self.p[:1]).to(dtype), self.local.to(dtype))
+        p = self.p - self.p[:1]
+        return Poses(self.joints.to(dtype), self.R.to(dtype), p.to(dtype), self.local.to(dtype), self.q)
 
     @property
     def tables(self) -> Tables:
@@ -102,7 +105,8 @@ def poses(plan: Plan, q: Float[Tensor, "dofs frames"], geometry: Geometry | Join
     """
     joints = geometry if isinstance(geometry, Joints) else make_joints(plan, geometry)
     tables = joints.tables
-    turns = rodrigues(joints.generators, q.index_select(0, tables.turn_row))
+    s = plan.tree.axes(q)
+    turns = rodrigues(joints.generators, s.index_select(0, tables.turn_row))
     slots = [turns[: tables.first]]
     for start, stop, before in tables.slots:
         slots.append(compose(slots[-1].index_select(0, before), turns[start:stop]))
@@ -114,10 +118,10 @@ def poses(plan: Plan, q: Float[Tensor, "dofs frames"], geometry: Geometry | Join
     R = torch.cat(levels)
     offset = joints.offset[:, :, None]
     if plan.slides:
-        slid = joints.slide[:, :, None] * q.index_select(0, tables.slide_row)[:, None]
+        slid = joints.slide[:, :, None] * s.index_select(0, tables.slide_row)[:, None]
         offset = offset.expand(-1, -1, q.shape[1]).index_add(0, tables.slide_link, slid)
     arm = turned(R.index_select(0, tables.parent), offset)
-    return Poses(joints, R, _summed(q[:3], tables.above[:, 1:], arm), local)
+    return Poses(joints, R, _summed(q[:3], tables.above[:, 1:], arm), local, q)
 
 
 def body_motion(plan: Plan, at: Poses, v: Float[Tensor, "dofs frames"], a: Float[Tensor, "dofs frames"]) -> BodyMotion:
@@ -130,6 +134,7 @@ def body_motion(plan: Plan, at: Poses, v: Float[Tensor, "dofs frames"], a: Float
         a: accelerations, likewise.
     """
     tables, z = at.tables, at.turn_axis
+    v, a = plan.tree.rates(at.q, v, a)
     rate = z * v.index_select(0, tables.turn_row)[:, None]
     w = _summed(v[3:BASE_DOFS], tables.turns_above, rate)
     own = torch.addcmul(cross(_carried(tables, w, rate), rate), z, a.index_select(0, tables.turn_row)[:, None])

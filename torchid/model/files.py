@@ -1,18 +1,19 @@
-"""Models from files: URDF and MJCF."""
+"""Models from files: URDF, MJCF and OpenSim."""
 
 from pathlib import Path
 
-from torchid.errors import ConfigError, InputError, Note
+from torchid.errors import ConfigError, Note
 from torchid.model.mjcf import read_mjcf
 from torchid.model.model import Model
+from torchid.model.opensim.as_model import read_osim_model
 from torchid.model.tree_of_links import FileScatter
 from torchid.model.urdf import read_urdf
 
-READERS = {".urdf": read_urdf, ".xml": read_mjcf}
+READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".osim": read_osim_model}
 
 
 def load_model(path: str | Path, scatter: FileScatter | None = None) -> tuple[Model, tuple[Note, ...]]:
-    """Model of a ``.urdf`` or MJCF ``.xml`` file, and what was changed in reading it.
+    """Model of a ``.urdf``, MJCF ``.xml`` or ``.osim`` file, and what was changed in reading it.
 
     Args:
         path: the file.
@@ -23,9 +24,6 @@ def load_model(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mo
         InputError: what the reader says.
     """
     suffix = Path(path).suffix.lower()
-    if suffix == ".osim":
-        remedy = "Use `model: whole_body`, or a URDF of the model; torchid.model.opensim reads and poses it by itself."
-        raise InputError("model.osim", "an OpenSim model cannot be identified yet", source=path, remedy=remedy)
     if suffix not in READERS:
         remedy = f"Known: {', '.join(READERS)}."
         raise ConfigError("model.suffix", "not a model file", source=path, found=suffix, remedy=remedy)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.model.opensim.binding import OsimBinding
 from torchid.model.tree import Tree
 
 
@@ -77,3 +78,5 @@ class Model:
     """Stature the template was scaled to [m]."""
     sources: tuple[str, ...] = ()
     """Where the numbers come from."""
+    osim: OsimBinding | None = None
+    """The OpenSim model that it was made of, in whose coordinates results are written; None for any other."""

@@ -19,10 +19,11 @@ from torchid.errors import DataError
 from torchid.model.markup import Element, document, node, plain_name, spelt, write_xml
 from torchid.model.mechanics import Array, Markers, matrix_to_rpy, phi_to_centre, zero_pose
 from torchid.model.model import Geometry
+from torchid.model.opensim import rotations
 from torchid.model.tree import BASE_DOFS, Body, Dof, Tree
 
 VERSION = "40000"
-R_OW = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+R_OW = rotations.R_OW.numpy()
 """Our axes in OpenSim's."""
 BASE_ANGLES = ("tilt", "list", "rotation")
 PARALLEL = 1e-6

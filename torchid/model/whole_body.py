@@ -68,6 +68,8 @@ def lock_bodies(model: Model, bodies: tuple[str, ...]) -> tuple[Model, tuple[Not
     locked = {_known(tree, name) for name in bodies}
     if not locked:
         return model, ()
+    if tree.coupling is not None:
+        return _hold_coordinates(model, locked)
     dofs = _kept([turn.row for k, b in enumerate(tree.bodies) if k not in locked for turn in b.turns if turn.moving]
                  + [slide.row for k, b in enumerate(tree.bodies) if k not in locked for slide in b.slides]
                  + list(range(BASE_DOFS)))  # fmt: skip
@@ -81,6 +83,26 @@ def lock_bodies(model: Model, bodies: tuple[str, ...]) -> tuple[Model, tuple[Not
     gone = [dof.name for k, dof in enumerate(tree.dofs) if k not in dofs]
     message = f"{', '.join(tree.names[k] for k in sorted(locked))} fixed to the parent; no longer moves: "
     message += ", ".join(gone) + (f"; held at the prior's mean: {', '.join(held)}" if held else "")
+    return replace(model, tree=reduced, geometry=geometry), (Note("model.locked", message),)
+
+
+def _hold_coordinates(model: Model, bodies: set[int]) -> tuple[Model, tuple[Note, ...]]:
+    """Hold the coordinates that move none but these bodies at rest; what follows other coordinates goes on to."""
+    tree, hinges = model.tree, {k: k for k in range(len(model.tree.hinges))}
+    assert tree.coupling is not None
+    moved = {row: {k for k in range(len(tree.bodies)) if row in tree.driving(k)} for row in range(len(tree.dofs))}
+    rows = [row for row in range(BASE_DOFS, len(tree.dofs)) if moved[row] <= bodies]
+    place = tree.coupling.renumber(rows)
+    reduced = Tree(
+        tuple(_rewired(body, place, hinges, False) for body in tree.bodies),
+        tuple(dof for k, dof in enumerate(tree.dofs) if k not in rows),
+        tree.hinges,
+        tree.coupling.hold({row: tree.dofs[row].rest for row in rows}),
+    )
+    geometry, held = _hold(model.geometry, tree, bodies, hinges)
+    message = f"{', '.join(tree.names[k] for k in sorted(bodies))} without markers"
+    message += f"; held at rest: {', '.join(tree.dof_names[row] for row in rows)}" if rows else ""
+    message += f"; held at the prior's mean: {', '.join(held)}" if held else ""
     return replace(model, tree=reduced, geometry=geometry), (Note("model.locked", message),)
 
 

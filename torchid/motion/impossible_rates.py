@@ -15,7 +15,7 @@ SHOULDER_RAD_S = 196.0
 1270 between people (Fleisig et al., J Biomech 32:1371 (1999)); three standard deviations above that mean."""
 JOINT_RAD_S = 57.0
 """Cited. The fastest of all others, an elbow that extends in a pitch: 2380 +- 300 deg/s (ibid.), as far above."""
-SHOULDERS = ("upper_arm",)
+SHOULDERS = ("upper_arm", "humerus")
 """Segments that a shoulder turns, by the beginning of their names."""
 LEAST_RAD = 0.35
 """Choice. Turn between two frames that noise of markers may feign where these are close in time [rad]: of a forearm
@@ -49,7 +49,7 @@ def impossible_steps(tree: Tree, q: Float[Tensor, "frames dofs"], rate_hz: float
     """
     found = []
     for k, body in enumerate(tree.bodies):
-        turns = [turn for turn in body.turns if turn.moving]
+        turns = [turn for turn in body.turns if turn.moving and turn.row < len(tree.dofs)]
         if not turns and k:
             continue
         if k == 0:

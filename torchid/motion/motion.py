@@ -55,8 +55,8 @@ def smooth_motion(
     v, a = differentiate(smooth, rate)
     base = filter_rotation(roma.rotvec_to_rotmat(q[:, 3:6]), smoother, weight)
     smooth[:, 3:6], v[:, 3:6], a[:, 3:6] = roma.rotmat_to_rotvec(base.R), base.w, base.alpha
-    for body in tree.bodies:
-        turns = [turn for turn in body.turns if turn.moving]
+    for k, body in enumerate(tree.bodies):
+        turns = tree.own_turns(k)
         if len(turns) == 3 and len(turns) == len(body.turns):
             rows = [turn.row for turn in turns]
             moving: AngularMotion = filter_rotation(turns_to_rotation(turns, q[:, rows]), smoother, weight)

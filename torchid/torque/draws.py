@@ -94,23 +94,25 @@ def _drawn(
     both = zip(
         by_body(trial, fit, list(bodies.xi), bodies.skin.shift(trial)), by_markers(trial, count, generator), strict=True
     )
-    # Of what plates show beyond the filter, joints bear anything between nothing and all; the rest, inertia does.
-    borne = torch.rand(count, generator=generator, dtype=torch.float64).to(out)
     for k, (body, markers) in enumerate(both):
         motion = shifted(trial.motion, body + markers)
-        loads = [_misread(load, maps, k, borne[k], generator) for load in trial.loads]
+        loads = _misread(trial.loads, {name: found[k] for name, found in maps.items()}, generator)
         out[k] = joint_torques(fit.model.tree, geometry_of(fit, bodies.xi[k]), bodies.phi[k], motion, loads)
     return out
 
 
-def _misread(load: Load, maps: Mapping[str, Tensor], draw: int, borne: Tensor, generator: torch.Generator) -> Load:
-    """A load as another plate would have read it, with a part of what the filter took from it.
-
-    One that was computed scatters by its own standard deviation.
-    """
-    wrench = load.wrench if load.fast is None else load.wrench + borne * load.fast
-    if load.plate is not None:
-        wrench = wrench + wrench @ maps[load.plate][draw].mT
-    if load.sd is not None:
-        wrench = wrench + load.sd * torch.randn(6, generator=generator, dtype=torch.float64).to(wrench)
-    return replace(load, wrench=wrench)
+def _misread(loads: Sequence[Load], maps: Mapping[str, Tensor], generator: torch.Generator) -> list[Load]:
+    """Loads as other plates would have read them, with a part of what the filter took, and computed ones in error."""
+    # Of what plates show beyond the filter, joints bear anything between nothing and all; the rest, inertia does.
+    borne = float(torch.rand((), generator=generator))
+    most = max((load.doubt.shape[2] for load in loads if load.doubt is not None), default=0)
+    causes = torch.randn(most, generator=generator, dtype=torch.float64)
+    found = []
+    for load in loads:
+        wrench = load.wrench if load.fast is None else load.wrench + borne * load.fast
+        if load.plate is not None:
+            wrench = wrench + wrench @ maps[load.plate].mT
+        if load.doubt is not None:
+            wrench = wrench + load.doubt @ causes[: load.doubt.shape[2]].to(wrench)
+        found.append(replace(load, wrench=wrench))
+    return found

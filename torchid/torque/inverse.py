@@ -27,8 +27,9 @@ class Load:
     """Plate that has read it, one list for the session; None where it is no plate's reading."""
     fast: Float[Tensor, "frames 6"] | None = None
     """What the filter has taken from the reading [N, N m]."""
-    sd: Float[Tensor, "frames 6"] | None = None
-    """Standard deviation of a wrench that was not read but computed [N, N m]."""
+    doubt: Float[Tensor, "frames 6 causes"] | None = None
+    """What is added to a wrench that was not read but computed, per standard normal cause [N, N m]; all loads of a
+    trial have the causes in common."""
 
 
 def joint_torques(

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchid.geometry.arrow.limb_partition import Group, Partition, pick
-from torchid.geometry.arrow.normal_blocks import Pieces
+from torchid.geometry.arrow.normal_blocks import Pieces, fold_rows
 
 ROUNDING = (1e-3, 0.1, 10.0)
 """Damping, relative to the diagonal, that a block made indefinite by rounding gets, one after the other; chosen."""
@@ -71,17 +71,22 @@ def _group_rows(group: Group, pieces: Pieces, floor: Tensor, damping: Tensor) ->
     S = pick(columns.S, group.columns)
     wide = torch.cat([S, pick(columns.S, group.core), columns.S.index_select(1, group.entries)], dim=1)
     H = torch.bmm(pick(columns.F, group.columns), wide.mT).mul_(group.inside)
+    if len(group.entries):
+        Fe = columns.F.index_select(1, group.entries)
+        H[:, :, -len(group.entries) :] += torch.bmm(S, Fe.mT).mul_(group.around)
+    g = pick(columns.g, group.columns)
+    if pieces.fold is not None:
+        n = H.shape[1]
+        H, beside = fold_rows(pieces.fold, H[:, :, :n], torch.cat([H[:, :, n:], g[:, :, None]], dim=2))
+        H, g = torch.cat([H, beside[:, :, :-1]], dim=2), beside[:, :, -1]
     diagonal = torch.diagonal(H, dim1=1, dim2=2)
     diagonal += pick(pieces.curvature, group.motion)
     scale = diagonal + floor[:, None]
     diagonal += damping[:, None] * scale + floor[:, None]
-    if len(group.entries):
-        Fe = columns.F.index_select(1, group.entries)
-        H[:, :, -len(group.entries) :] += torch.bmm(S, Fe.mT).mul_(group.around)
     start = H.shape[2] - len(group.entries)
     for column, entry in group.extra:
         H[:, :, start + column] += H[:, :, start + entry]
-    g = pick(columns.g, group.columns) + pick(pieces.pull, group.motion)
+    g = g + pick(pieces.pull, group.motion)
     return torch.cat([H[:, :, : start + len(group.xi)], g[:, :, None]], dim=2), scale
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchid.geometry.problem import MarkerProblem
 from torchid.kinematics.plan import Plan
+from torchid.model.coupling import Coupling
 from torchid.model.tree import BASE_DOFS
 
 
@@ -28,8 +29,12 @@ class ArrowLayout:
     """Column of each coordinate of motion where geometry has columns too."""
     motion_alone: Tensor
     """Column of each coordinate of motion where geometry has none."""
+    axis_rows: Tensor
+    """Row of the axis values that drives each column of motion."""
     dof_rows: Tensor
-    """Row of q of each coordinate of motion."""
+    """Row of q of each coordinate of motion: the same rows, or all of q where a coupling makes axis values of it."""
+    coupling: Coupling | None
+    """Coupling of the tree; columns of motion are folded into coordinates by it (``normal_blocks.Pieces.fold``)."""
     motion_body: Tensor
     """Body whose subtree each coordinate of motion moves; the root for the six of the base."""
     entries: Tensor
@@ -100,11 +105,13 @@ def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Arr
     rank = {k: place for place, k in enumerate(turn_order)}
     column = [BASE_DOFS + rank[k] if k < turns else first_slide + k - turns for k in plan.motion_order]
     alone = [BASE_DOFS + rank.get(k, k) for k in plan.motion_order]
-    above = _ancestor_matrix(plan).to(like)
+    above, rows = _ancestor_matrix(plan).to(like), base + [c.row for c in plan.motion]
     return ArrowLayout(
         motion=index(base + column),
         motion_alone=index(base + alone),
-        dof_rows=index(base + [c.row for c in plan.motion]),
+        axis_rows=index(rows),
+        dof_rows=index(list(range(len(plan.tree.dofs))) if plan.tree.coupling else rows),
+        coupling=plan.tree.coupling,
         motion_body=index([0] * BASE_DOFS + [position[c.body] for c in plan.motion]),
         entries=index(
             [BASE_DOFS + turns + k for k in range(len(hinge))]

@@ -33,8 +33,8 @@ class Prepared:
     layout: ArrowLayout
     partition: Partition
     shape: Shape
-    inside: Float[Tensor, "dofs dofs"]
-    """1 where the bodies that the row's coordinate moves are among those that the column's moves."""
+    inside: Float[Tensor, "columns columns"]
+    """1 where the bodies that the row's column of motion moves are among those that the column's moves."""
 
 
 def prepare(problem: MarkerProblem, xi: Float[Tensor, " xi"]) -> Prepared:
@@ -127,13 +127,14 @@ def _dense_step(ready: Prepared, pieces: Pieces, damping: Tensor) -> Tensor:
     motion, given = ready.layout.motion_alone, damping.to(pieces.pull.dtype)
     S, F = (x.index_select(1, motion) for x in (pieces.columns.S, pieces.columns.F))
     half = torch.bmm(F, S.mT) * ready.inside
-    H = half + half.mT * (1.0 - ready.inside)
+    H, gradient = half + half.mT * (1.0 - ready.inside), pieces.columns.g.index_select(1, motion)
+    if pieces.fold is not None:
+        H, gradient = pieces.fold.mT @ H @ pieces.fold, (pieces.fold.mT @ gradient[:, :, None])[:, :, 0]
     floor = 1e-9 * pieces.columns.F[:, 0, 0] + 1e-12
     diagonal = torch.diagonal(H, dim1=1, dim2=2)
     diagonal += pieces.curvature
     diagonal += given[:, None] * (diagonal + floor[:, None]) + floor[:, None]
-    gradient = pieces.columns.g.index_select(1, motion) + pieces.pull
-    d = -torch.cholesky_solve(gradient[:, :, None], torch.linalg.cholesky_ex(H).L)[:, :, 0]
+    d = -torch.cholesky_solve((gradient + pieces.pull)[:, :, None], torch.linalg.cholesky_ex(H).L)[:, :, 0]
     return _in_rows(d, ready.layout.dof_rows, damping)
 
 

@@ -4,7 +4,7 @@ Limbs share no marker: their blocks of the normal matrix are coupled by the root
 branch by itself leaves out the zeros between them (sparsity of a tree's mass matrix; Featherstone 2008, section 6.4).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import torch
@@ -98,6 +98,9 @@ def make_partition(plan: Plan, layout: ArrowLayout, n_xi: int) -> Partition:
     rows = torch.tensor(list(chain(*motion)), device=layout.motion.device)
     everything = _group(layout, motion[core], [], order, list(range(len(order))), common)
     xi = torch.tensor(order, device=rows.device, dtype=torch.long)
+    if layout.coupling is not None:  # columns of motion, all in the core, are folded into the coordinates
+        n = len(layout.dof_rows)
+        rows, everything = torch.arange(n, device=rows.device), replace(everything, size=n, motion=slice(0, n))
     return Partition(tuple(groups), everything, layout.dof_rows[rows], rows, xi, common)
 
 

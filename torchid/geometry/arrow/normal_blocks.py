@@ -47,6 +47,38 @@ class Pieces:
     """Diagonal of the posture prior's second derivative (frames, motion)."""
     marker_weight: Tensor
     """Sum of the weights of each free marker over the frames, three times (3 * free,)."""
+    fold: Tensor | None = None
+    """Derivatives of the columns of motion by the coordinates (frames, columns, dofs); None where they are the same."""
+
+
+def fold_matrix(layout: ArrowLayout, q: Tensor, dtype: torch.dtype) -> Tensor | None:
+    """Return the derivatives of the columns of motion by the coordinates (frames, columns, dofs); None for identity.
+
+    Args:
+        layout: index tables.
+        q: coordinates (dofs, frames).
+        dtype: precision of the result.
+    """
+    if layout.coupling is None:
+        return None
+    own = torch.eye(len(q)).to(q)[:, :, None].expand(-1, -1, q.shape[1])
+    both = torch.cat([own, layout.coupling.jacobian(q)]).index_select(0, layout.axis_rows)
+    return both.permute(2, 0, 1).to(dtype)
+
+
+def fold_rows(fold: Tensor, lower: Tensor, beside: Tensor) -> tuple[Tensor, Tensor]:
+    """Fold the block of the columns of motion and what stands beside it into those of the coordinates.
+
+    Args:
+        fold: from ``fold_matrix``.
+        lower: lower triangle of the block (frames, columns, columns).
+        beside: mixed columns or gradient (frames, columns, some).
+
+    Returns:
+        The whole block (frames, dofs, dofs), and what stands beside it (frames, dofs, some).
+    """
+    whole = lower + torch.tril(lower, -1).mT
+    return fold.mT @ whole @ fold, fold.mT @ beside
 
 
 def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: Evaluation, shared: bool) -> Pieces:
@@ -68,7 +100,7 @@ def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: Evaluation, s
         R = at.R.index_select(0, problem.body[free])
         columns = with_markers(columns, R, p[free], weight[free], pull[free])
     pull, curvature = (x.to(dtype).index_select(0, layout.dof_rows).T for x in (seen.pull, seen.curvature))
-    return Pieces(seen.cost, columns, pull, curvature, total)
+    return Pieces(seen.cost, columns, pull, curvature, total, fold_matrix(layout, seen.at.q, dtype))
 
 
 def make_gradient(
@@ -90,6 +122,8 @@ def make_gradient(
     at, pull = seen.at.about_root(q.dtype), seen.weight[:, None] * seen.residual
     columns = column_gradient(layout, at, seen.p - seen.at.p[:1], pull, shared)
     g_q = columns.index_select(0, layout.motion if shared else layout.motion_alone)
+    fold = fold_matrix(layout, q, q.dtype)
+    g_q = g_q if fold is None else torch.einsum("tcd,ct->dt", fold, g_q)
     g_q += seen.pull.index_select(0, layout.dof_rows)
     if not shared:
         return seen.cost, g_q, columns[:0]
@@ -112,9 +146,11 @@ def assemble(problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor,
     pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared)
     motion = layout.motion if shared else layout.motion_alone
     S, F = pieces.columns.S[:, motion], pieces.columns.F[:, motion]
-    H_qq = torch.bmm(F, S.mT).mul_(lower_mask(layout, layout.motion_body))
+    H_qq, g_q = torch.bmm(F, S.mT).mul_(lower_mask(layout, layout.motion_body)), pieces.columns.g[:, motion, None]
+    if pieces.fold is not None:
+        H_qq, g_q = fold_rows(pieces.fold, H_qq, g_q)
     torch.diagonal(H_qq, dim1=1, dim2=2).add_(pieces.curvature)
-    blocks = Blocks(pieces.cost, pieces.columns.g[:, motion] + pieces.pull, H_qq)
+    blocks = Blocks(pieces.cost, g_q[:, :, 0] + pieces.pull, H_qq)
     return _with_shared(layout, pieces, blocks, S, F, len(xi)) if shared else blocks
 
 
@@ -129,6 +165,7 @@ def _with_shared(layout: ArrowLayout, pieces: Pieces, blocks: Blocks, S: Tensor,
     inside, around = layout.nesting(layout.motion_body)
     fold = torch.nn.functional.one_hot(layout.entry_xi, n_xi).to(S)
     H_qx = (torch.bmm(F, Se.mT) * inside + torch.bmm(S, Fe.mT) * around) @ fold
+    H_qx = H_qx if pieces.fold is None else pieces.fold.mT @ H_qx
     g_x = pieces.columns.g[:, layout.entries] @ fold
     return Blocks(blocks.cost, blocks.g_q, blocks.H_qq, H_qx, g_x, fold.T @ shared_block(layout, pieces) @ fold)
 

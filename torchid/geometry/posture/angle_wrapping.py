@@ -19,7 +19,8 @@ FULL = 2.0 * torch.pi
 def turned_back(tree: Tree, posture: PosturePrior, q: Float[Tensor, "dofs frames"]) -> Float[Tensor, "dofs frames"]:
     """Return coordinates of the same poses, each joint by the angles that the posture prior finds likeliest.
 
-    A hinge without limits stays as it is, because from frame to frame it has no far side.
+    A hinge without limits stays as it is, because from frame to frame it has no far side; so does a coordinate that
+    drives more than its turn, which is elsewhere after a full one.
 
     Args:
         tree: joints with their axes.
@@ -28,8 +29,8 @@ def turned_back(tree: Tree, posture: PosturePrior, q: Float[Tensor, "dofs frames
     """
     found = q.clone()
     bounded = (posture.upper - posture.lower).expand(len(q), -1)[:, 0] < 2.0 * FULL
-    for body in tree.bodies:
-        moving = [turn for turn in body.turns if turn.moving]
+    for k, body in enumerate(tree.bodies):
+        moving = tree.own_turns(k)
         rows = [turn.row for turn in moving]
         if len(moving) == len(body.turns) == len({turn.axis for turn in moving}) == 3:
             found[rows] = _likelier(posture.rows(rows), q[rows], _triples(q[rows]))

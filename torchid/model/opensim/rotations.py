@@ -4,6 +4,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+R_OW = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], dtype=torch.float64)
+"""Our axes (X forward, Y left, Z up) in OpenSim's (X forward, Y up, Z right)."""
+
 
 def about_axis(axis: Float[Tensor, "3"], angle: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:
     """Return rotations about a unit axis (Rodrigues).

@@ -1,0 +1,183 @@
+"""How a tree hangs together with the OpenSim model that it was made of: whose bodies, and the file's first joint.
+
+Each of the tree's bodies T is one or several bodies B of the file, welded together. Its axes are X forward, Y left,
+Z up where those of the file are X forward, Y up, Z right; its origin is its proximal joint centre. The file's first
+joint, which carries the root from ground, is the tree's floating base; all other coordinates keep name, value and sign.
+"""
+
+from dataclasses import dataclass
+
+import roma
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.model.coupling import pushed
+from torchid.model.opensim.functions import Function
+from torchid.model.opensim.model import Joint, OsimModel
+from torchid.model.opensim.posing import coupled, joint_pose
+from torchid.model.opensim.rotations import R_OW, inverse, pose
+from torchid.model.tree import BASE_DOFS
+
+States = tuple[Float[Tensor, "frames dofs"], Float[Tensor, "frames dofs"], Float[Tensor, "frames dofs"]]
+"""Coordinates, rates and accelerations."""
+
+
+@dataclass(frozen=True)
+class OsimBinding:
+    """An OpenSim model and how the bodies of a tree are made of its bodies."""
+
+    model: OsimModel
+    groups: tuple[tuple[int, ...], ...]
+    """For each body of the tree the bodies of the file that it is made of, the heaviest first."""
+    X_TB: Float[Tensor, "bodies 4 4"]
+    """Pose of each body of the file in the body of the tree that it belongs to."""
+
+    @property
+    def root(self) -> Joint:
+        """The joint that carries the root from ground."""
+        return self.model.joints[0]
+
+    @property
+    def root_names(self) -> tuple[str, ...]:
+        """Names of the root joint's six coordinates, in the order of the file."""
+        return tuple(self.model.coordinate_names[row] for row in self.root.rows)
+
+    def group_of(self, body: int) -> int:
+        """Index in the tree of the body that a body of the file belongs to.
+
+        Args:
+            body: index in the file.
+        """
+        return next(k for k, members in enumerate(self.groups) if body in members)
+
+    def base_pose(self, q: Float[Tensor, "frames coordinates"]) -> Float[Tensor, "frames 4 4"]:
+        """Return X_WT of the root.
+
+        Args:
+            q: all coordinates of the file [rad, m].
+        """
+        X = joint_pose(self.root, q)
+        step = X if self.root.outward else inverse(X)
+        before, behind = self._ends(q)
+        return before @ step @ behind
+
+    def _ends(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Constant poses before and behind the root's joint: from W, and to T."""
+        X_WG = pose(R_OW.T, R_OW.new_zeros(3))
+        X_BT = inverse(self.X_TB[self.root.carried.body])
+        before, behind = X_WG @ self.root.carrier.X_BF, inverse(self.root.carried.X_BF) @ X_BT
+        return before.to(like), behind.to(like)
+
+    def to_tree(
+        self,
+        names: tuple[str, ...],
+        q: Float[Tensor, "frames coordinates"],
+        v: Float[Tensor, "frames coordinates"],
+        a: Float[Tensor, "frames coordinates"],
+    ) -> States:
+        """Return the state of a tree from that of the file's coordinates.
+
+        Args:
+            names: the tree's names of coordinates; six of the base, then those of the file that are free.
+            q: all coordinates of the file [rad, m].
+            v: their rates.
+            a: their accelerations.
+        """
+
+        def rate(q: Tensor, v: Tensor) -> Tensor:
+            return pushed(self.base_pose, (q,), (v,))[1]
+
+        X = self.base_pose(q)  # first: frames keep their poses, which must not be made inside a derivative
+        once, twice = pushed(rate, (q, v), (v, a))
+        R = X[:, :3, :3]
+        spin, turning = (x[:, :3, :3] @ R.mT for x in (once, twice))
+        alpha = turning + once[:, :3, :3] @ once[:, :3, :3].mT
+        rows = [self.model.coordinate_names.index(name) for name in names[BASE_DOFS:]]
+        base = (
+            torch.cat([X[:, :3, 3], torch.as_tensor(roma.rotmat_to_rotvec(R))], dim=1),
+            torch.cat([once[:, :3, 3], _vee(spin)], dim=1),
+            torch.cat([twice[:, :3, 3], _vee(alpha)], dim=1),
+        )
+        q, v, a = (torch.cat([b, x[:, rows]], dim=1) for b, x in zip(base, (q, v, a), strict=True))
+        return q, v, a
+
+    def from_tree(self, names: tuple[str, ...], q: Float[Tensor, "frames dofs"]) -> Float[Tensor, "frames coordinates"]:
+        """Return all coordinates of the file [rad, m]: couplers hold, what the tree does not move is at its default.
+
+        Args:
+            names: the tree's names of coordinates.
+            q: coordinates of the tree.
+        """
+        out = self.model.defaults.to(q).expand(len(q), -1).clone()
+        rows = [self.model.coordinate_names.index(name) for name in names[BASE_DOFS:]]
+        out[:, rows] = q[:, BASE_DOFS:]
+        before, behind = self._ends(q)
+        X_WT = pose(roma.rotvec_to_rotmat(q[:, 3:BASE_DOFS]), q[:, :3])
+        step = inverse(before) @ X_WT @ inverse(behind)
+        out[:, list(self.root.rows)] = _root_values(self.root, step if self.root.outward else inverse(step))
+        return coupled(self.model, out)
+
+    def root_forces(
+        self, q: Float[Tensor, "frames coordinates"], wrench: Float[Tensor, "frames 6"]
+    ) -> Float[Tensor, "frames 6"]:
+        """Return the generalised forces of the root joint's coordinates.
+
+        Args:
+            q: all coordinates of the file [rad, m].
+            wrench: on the root, about its origin, in W [N, N m].
+        """
+        X, columns = self.base_pose(q), []
+        for row in self.root.rows:
+            seed = torch.zeros_like(q)
+            seed[:, row] = 1.0
+            rate = pushed(self.base_pose, (q,), (seed,))[1]
+            twist = torch.cat([rate[:, :3, 3], _vee(rate[:, :3, :3] @ X[:, :3, :3].mT)], dim=1)
+            columns.append((twist * wrench).sum(1))
+        return torch.stack(columns, dim=1)
+
+
+def affine(function: Function) -> tuple[float, float] | None:
+    """Return slope and intercept of a function of one coordinate; None where it is not straight.
+
+    Args:
+        function: any function.
+    """
+    if function.n_arguments != 1:
+        return None
+    low, start, high = (float(function(torch.tensor([x], dtype=torch.float64))) for x in (-7.3, 0.0, 7.3))
+    slope = (high - start) / 7.3
+    straight = abs(high + low - 2.0 * start) <= 1e-12 * max(abs(high), abs(low), 1.0)
+    return (slope, start) if straight and slope != 0.0 else None
+
+
+def _root_values(root: Joint, X: Float[Tensor, "frames 4 4"]) -> Float[Tensor, "frames 6"]:
+    """Values of the root joint's coordinates that make poses X of its child in its parent, without jumps of angles."""
+    axis = torch.stack([turn.unit for turn in root.turns]).to(X)
+    R = X[:, :3, :3]
+    # R = Rot(u1, a1) Rot(u2, a2) Rot(u3, a3) of axes at right angles: u1' R u3 tells a2, rows and columns the others.
+    hand = torch.linalg.det(axis)
+    inner = axis @ R @ axis.T  # (i, k): u_i' R u_k
+    second = hand * inner[:, 0, 2].clamp(-1.0, 1.0).asin()
+    first = torch.atan2(-hand * inner[:, 1, 2], inner[:, 2, 2])
+    third = torch.atan2(-hand * inner[:, 0, 1], inner[:, 0, 0])
+    angles = _unwrapped(torch.stack([first, second, third], dim=1))
+    along = torch.stack([slide.unit for slide in root.slides], dim=1).to(X)
+    shifts = torch.linalg.solve(along, X[:, :3, 3].T).T
+    out = X.new_empty(len(X), BASE_DOFS)
+    for one, value in zip((*root.turns, *root.slides), (*angles.unbind(1), *shifts.unbind(1)), strict=True):
+        line = affine(one.function)
+        assert line is not None, "a root joint that is not straight has been refused"
+        out[:, root.rows.index(one.rows[0])] = (value - line[1]) / line[0]
+    return out
+
+
+def _unwrapped(angles: Float[Tensor, "frames angles"]) -> Float[Tensor, "frames angles"]:
+    step = torch.diff(angles, dim=0)
+    turns = torch.round(step / (2.0 * torch.pi)).cumsum(0)
+    return torch.cat([angles[:1], angles[1:] - 2.0 * torch.pi * turns])
+
+
+def _vee(S: Float[Tensor, "frames 3 3"]) -> Float[Tensor, "frames 3"]:
+    """The vector of a skew matrix."""
+    return torch.stack([S[:, 2, 1], S[:, 0, 2], S[:, 1, 0]], dim=1)
