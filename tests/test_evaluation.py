@@ -26,6 +26,7 @@ from torchid.errors import ConfigError, DataError, InputError
 from torchid.evaluation.back import lever_arms, low_back, trunk_of
 from torchid.evaluation.evaluate import evaluate, gather, judge
 from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.gaps import find_gaps, unweighed
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import all_numbers
 from torchid.evaluation.report.page import render_evaluation
@@ -94,6 +95,17 @@ def test_an_element_that_nobody_knows_is_left_to_the_human_and_said(found: Evalu
     said = [f"{gap.what}: {gap.why}" for gap in found.gaps]
     assert any("hip_r" in one and "counted as the human's" in one for one in said)
     assert any("hip_r.stiffness" in one for one in said)
+
+
+def test_a_device_that_plates_contradict_is_said(found: Evaluation) -> None:
+    """Two kilograms that nobody carried are missed by the plates."""
+    parts = torch.zeros_like(found.outcome.phi)
+    parts[0, 0] = 2.0
+    wrong = replace(found, worn=found.worn | {"on": replace(found.worn["on"], parts=parts)})
+    right = replace(found, worn=found.worn | {"on": replace(found.worn["on"], parts=0.0 * parts)})
+    assert unweighed(wrong, "on") == pytest.approx(unweighed(right, "on") - 2.0, abs=0.05)
+    assert any("plates bear" in gap.why for gap in find_gaps(wrong))
+    assert not any("plates bear" in gap.why for gap in find_gaps(right))
 
 
 def test_blocks_are_said_to_take_something_for_granted(found: Evaluation) -> None:

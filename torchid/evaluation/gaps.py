@@ -4,10 +4,17 @@ from collections.abc import Iterator
 
 import torch
 
+from torchid.conventions import GRAVITY
 from torchid.evaluation.draws import SAID
 from torchid.evaluation.evaluation import Evaluation, Gap
 from torchid.evaluation.measures import MEASURES
+from torchid.evaluation.wearing import carried
+from torchid.regressor.rows import predict
 from torchid.wording import listing, plural
+
+WEIGHED_KG = 0.5
+"""Choice. Mass that plates may bear beyond body and device: plates of one laboratory differ by 0.4 % of a person's
+weight (``experiment.standing.PLATE_GAIN``), 0.3 kg."""
 
 
 def find_gaps(found: Evaluation) -> tuple[Gap, ...]:
@@ -58,6 +65,13 @@ def _torques(found: Evaluation) -> Iterator[Gap]:
 
 def _device(found: Evaluation) -> Iterator[Gap]:
     for condition, worn in found.worn.items():
+        lacking = unweighed(found, condition)
+        if worn.device is not None and abs(lacking) > WEIGHED_KG:
+            yield Gap(
+                f"what the device of {condition} weighs, and with it its share",
+                f"plates bear {lacking:+.1f} kg beyond body and device on average: its masses are not the sheet's or "
+                "were identified wrongly, or something else was carried or held",
+            )
         for element in worn.left_out:
             yield Gap(
                 f"what {element} of the device of {condition} does",
@@ -66,6 +80,19 @@ def _device(found: Evaluation) -> Iterator[Gap]:
         for name, parameter in worn.parameters.items():
             if "why" in parameter:
                 yield Gap(f"{name} of the device of {condition}", str(parameter["why"]))
+
+
+def unweighed(found: Evaluation, condition: str) -> float:
+    """Mean vertical force of a condition's plates beyond what body and device need, as a mass [kg]; 0 without plates.
+
+    Args:
+        found: the evaluation.
+        condition: its name.
+    """
+    tree, phi, worn = found.outcome.fit.model.tree, found.outcome.phi, found.worn[condition]
+    rows = [t.followed.wrench for t in found.trials if t.condition == condition]
+    left = [(r.wrench - predict(r, carried(worn, tree, phi)))[r.used, 2] for r in rows if r is not None]
+    return float(torch.cat(left).mean()) / GRAVITY if left and sum(map(len, left)) else 0.0
 
 
 def _body(found: Evaluation) -> Iterator[Gap]:
