@@ -40,7 +40,7 @@ pytest.importorskip("pyxdf")
 from torchid.live import description, feed  # noqa: E402
 from torchid.live.lsl import LslSource  # noqa: E402
 from torchid.live.outlets import Outlets, describe_markers, describe_plates, play  # noqa: E402
-from torchid.live.xdf import replay_xdf  # noqa: E402
+from torchid.live.xdf import device_series, replay_xdf  # noqa: E402
 
 RATE, FORCE_RATE, FRAMES = 100.0, 400.0, 60
 LABELS = ("A", "B", "C")
@@ -370,6 +370,21 @@ def recorded(path: Path, given: Trial) -> Path:
         (markers_info().as_xml(), m.time.numpy()[order] + 500.0, m.position.flatten(1).numpy()[order], -400.0),
         (plates.as_xml(), f.time.numpy() + 90.0, f.wrench.flatten(1).numpy(), 10.0),
     ])  # fmt: skip
+
+
+def test_a_devices_own_stream_is_read(tmp_path):
+    """By label or number, on the file's clock, in the order of time; markers, plates and texts are not among them."""
+    channels = "<channels><channel><label>torque</label></channel><channel/></channels>"
+    told = "<name>exo</name><type>Device</type><channel_count>2</channel_count><nominal_srate>0</nominal_srate>"
+    info = f"<?xml version='1.0'?><info>{told}<channel_format>double64</channel_format><desc>{channels}</desc></info>"
+    time_s, values = np.array([2.0, 1.0, 3.0]), np.array([[2.0, 20.0], [1.0, 10.0], [3.0, 30.0]])
+    path = xdf(tmp_path / "exo.xdf", [(info, time_s, values, 100.0)])
+    found = device_series(path)
+    assert list(found) == ["torque", "exo_2"]
+    np.testing.assert_allclose(found["torque"][0], [101.0, 102.0, 103.0])
+    np.testing.assert_allclose(found["exo_2"][1], [10.0, 20.0, 30.0])
+    with pytest.raises(InputError, match="two channels of one name"):
+        device_series(xdf(tmp_path / "two.xdf", [(info, time_s, values, 0.0)] * 2))
 
 
 def test_a_recorded_file_is_replayed_as_it_was_sent(tmp_path, seed):

@@ -79,6 +79,22 @@ def run(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -
 
 
 @app.command()
+def evaluate(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -> None:
+    """Assistive device: what the conditions of the config differ by, and how sure that is."""
+    with _exit_codes(debug):
+        from torchid.config import load_config
+
+        loaded = load_config(config, overrides or ())
+        from torchid.evaluation.evaluate import evaluate as run_evaluation
+
+        keep_memory()
+        with _progress() as progress:
+            run_evaluation(loaded, progress)
+        page = loaded.out / "evaluation.html"
+        _Terminal().print(f"Done: {page}", soft_wrap=True, highlight=False, markup=False)
+
+
+@app.command()
 def live(
     config: ConfigFile,
     source: Annotated[str, typer.Option(help="lsl or lsl:NAME; qualisys[:HOST[:PORT]]; xdf:FILE; or replay:TRIAL.")],

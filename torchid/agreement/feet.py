@@ -21,8 +21,8 @@ TWO_FEET_M = 0.3
 FOOT_M, BEND_M = 0.36, 0.03
 """Two markers of one foot are closer than this, and their distance changes by less (standard deviation): the toes of a
 foot bend by 10 to 20 mm, the heels of two walking feet part by hundreds."""
-OUTLINE = 8
-"""So many markers draw the outline of a foot."""
+OUTLINE = 16
+"""So many markers draw the outline of what moves as one foot: eight for each of two that stand still."""
 FRAMES = 100
 """Evenly spaced frames that witness; more add nothing to medians."""
 STRIDE = 2

@@ -29,6 +29,9 @@ _CODES = {
     "duplicate_trial": "config.duplicate_trial",
     "no_trials": "config.no_trials",
     "no_mass": "config.no_mass",
+    "unknown_condition": "config.unknown_condition",
+    "no_reference": "config.no_reference",
+    "empty_condition": "config.empty_condition",
 }
 
 
@@ -51,6 +54,9 @@ _REMEDIES = {
     "duplicate_trial": "Give every trial a name of its own.",
     "no_trials": "List recordings under trials:, or describe a person under simulate:.",
     "no_mass": "Give subject.mass_kg, or leave inertia.known_mass out.",
+    "unknown_condition": "List it under conditions:, or correct the trial's condition:.",
+    "no_reference": "Write reference: true in exactly one of the conditions.",
+    "empty_condition": "Give trials this condition:, or leave the condition out.",
 }
 """What to do about a refused value, where no other value is near."""
 

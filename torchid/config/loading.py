@@ -55,7 +55,8 @@ def dump_config(config: Config) -> str:
 def _missing_files(config: Config, source: str) -> list[ConfigError]:
     named: dict[str, Path | str | None] = {"model": config.model, "markers": config.markers}
     for k, trial in enumerate(config.trials):
-        named |= {f"trials.{k}.file": trial.file, f"trials.{k}.forces": trial.forces}
+        named |= {f"trials.{k}.{key}": getattr(trial, key) for key in ("file", "forces", "channels")}
+    named |= {f"conditions.{name}.device": condition.device for name, condition in config.conditions.items()}
     absent = [(key, file) for key, file in named.items() if isinstance(file, Path) and not os.path.isfile(file)]
     return [
         ConfigError(

@@ -3,8 +3,6 @@
 The sections of stages are the stages' own options: pydantic validates a dataclass under the strictness of ``Section``.
 """
 
-import os
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,6 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, field_validat
 from pydantic_core import PydanticCustomError
 
 from torchid.bounds import Count, Name, Positive
+from torchid.config.conditions import Condition, EvaluateOptions, faults
+from torchid.config.paths import PROJECT_DATA as PROJECT_DATA
+from torchid.config.paths import UserPath, resolve_path
 from torchid.contact.options import ContactOptions
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.geometry.options import GeometryOptions
@@ -22,39 +23,9 @@ from torchid.io.options import ReadOptions
 from torchid.model.tree_of_links import FileScatter
 from torchid.simulate.options import SimulateOptions
 
-PROJECT_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
-"""Where ``${TORCHID_DATA}`` points unless the environment says otherwise: ``shared/data`` beside the project."""
-
 BUILTIN_MODELS = ("whole_body",)
 MODEL_SUFFIXES = (".urdf", ".xml", ".osim")
 MARKER_SUFFIXES = (".yaml", ".yml", ".json")
-
-
-def resolve_path(text: object, info: Any) -> Path:
-    """The absolute path that a config means: ``${VAR}`` and ``~`` expanded, relative ones from the folder in ``info``.
-
-    ``info`` is pydantic's ValidationInfo, a protocol that beartype cannot check.
-    """
-    text = str(text) if isinstance(text, Path) else text
-    if not isinstance(text, str) or not text.strip():
-        raise PydanticCustomError("path", "must be a path")
-    if "\0" in text:
-        raise PydanticCustomError("path", "a path cannot hold a NUL character")
-    expanded = re.sub(r"\$\{([^}]*)\}", lambda match: _variable(match[1]), text)
-    base = Path((info.context or {}).get("base", "."))
-    try:
-        return Path(os.path.abspath(base / Path(expanded).expanduser()))
-    except RuntimeError as error:
-        raise PydanticCustomError("path", "no such user's home") from error
-
-
-def _variable(name: str) -> str:
-    value = os.environ.get(name)
-    if value is None and name == "TORCHID_DATA" and PROJECT_DATA.is_dir():
-        return str(PROJECT_DATA)
-    if value is None:
-        raise PydanticCustomError("unset_variable", "the environment variable {name} is not set", {"name": name})
-    return value
 
 
 def _model(value: object, info: Any) -> Path | str:
@@ -74,7 +45,6 @@ def _markers(value: object, info: Any) -> Path | str:
     return resolve_path(value, info) if Path(value).suffix.lower() in MARKER_SUFFIXES else value
 
 
-UserPath = Annotated[Path, PlainValidator(resolve_path)]
 ModelSource = Annotated[Path | str, PlainValidator(_model)]
 MarkerSource = Annotated[Path | str, PlainValidator(_markers)]
 
@@ -114,6 +84,10 @@ class TrialFile(Section):
     """What is wrong with its forces; absent: what the config says for all trials."""
     plates: dict[int, PlateAs] | None = None
     """What is wrong with single force plates, by number; absent: what the config says for all trials."""
+    condition: Name | None = None
+    """Name of the condition under which it was recorded (``conditions``)."""
+    channels: UserPath | None = None
+    """What the device recorded meanwhile: a MOT, STO or CSV file with a column of times [s] first."""
     geometry: bool = True
     """Takes part in the fit of the geometry."""
     inertia: bool = True
@@ -174,6 +148,9 @@ class Config(Section):
     contact: ContactOptions = ContactOptions()
     inertia: Inertia = Inertia()
     diagnosis: DiagnosisSection = DiagnosisSection()
+    conditions: dict[Name, Condition] = Field(default_factory=dict)
+    """Under which trials were recorded, one of them the reference; trials with a device tell nothing of the body."""
+    evaluate: EvaluateOptions = EvaluateOptions()
     simulate: SimulateOptions | None = None
     device: Literal["cpu", "cuda"] = "cpu"
     threads: Annotated[Count, Field(le=1024)] | None = None
@@ -187,6 +164,17 @@ class Config(Section):
         forces_as = self.forces_as if file.forces_as is None else file.forces_as
         plates = self.plates if file.plates is None else file.plates
         return ReadOptions(file.subject, file.up, file.units, file.allow_truncated, forces_as, plates, wanted)
+
+    @property
+    def body(self) -> "Config":
+        """The config of the body alone: without the trials that were recorded with a device on."""
+        worn = {name for name, condition in self.conditions.items() if condition.device is not None}
+        alone = tuple(
+            trial.model_copy(update={"condition": None, "channels": None})
+            for trial in self.trials
+            if trial.condition not in worn
+        )
+        return self.model_copy(update={"trials": alone, "conditions": {}, "evaluate": EvaluateOptions()})
 
     @property
     def unlisted_choice(self) -> Literal["assign", "leave_out"]:
@@ -208,4 +196,7 @@ class Config(Section):
             raise PydanticCustomError("no_trials", "no trials are listed and nothing is simulated")
         if self.inertia.known_mass and self.subject.mass_kg is None:
             raise PydanticCustomError("no_mass", "inertia.known_mass needs subject.mass_kg")
+        fault = faults(self.conditions, {trial.name: trial.condition for trial in self.trials})
+        if fault is not None:
+            raise PydanticCustomError(fault.kind, "{said}", {"said": fault.said})  # pyright: ignore[reportArgumentType]
         return self

@@ -88,7 +88,8 @@ def find_contact(
         return _footless(whole, forces, seen, round(spread_s * rate_hz), short)
     points = list(soles.values())
     near = near_plates(points, forces, options)
-    bears = near.any(dim=1)
+    # Without plates every low sole is taken to bear, which tells a belt from a floor all the same.
+    bears = near.any(dim=1) if forces.plates else torch.ones_like(near.any(dim=1))
     belt = torch.stack([belt_velocity(p, bears[:, k], rate_hz, options) for k, p in enumerate(points)])
     speed = [point_speed(p, v, rate_hz) for p, v in zip(points, belt, strict=True)]
     down = [

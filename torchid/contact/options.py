@@ -1,6 +1,7 @@
 """Options of the contact stage."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from torchid.bounds import NonNegative, Positive
 from torchid.conventions import LOADED_N
@@ -28,3 +29,9 @@ class ContactOptions:
     missing_share: Positive = 0.1
     """Frames that miss this share of the weight for about ``shortest_s`` have a contact that no plate measures, where
     standing has told the weight: the balance of 959 measured frames of six children scatters by 0.05."""
+    friction: Positive = 1.0
+    """Coefficient of friction between soles and plates, a bound: dry shoes slip at 0.6 to 1.2 (Chang et al., Ergonomics
+    44(13), 2001)."""
+    torques: Literal["measured", "shared", "predicted"] = "shared"
+    """Feet whose legs get torques: those that plates bear alone, those that share a plate too, or also those beside
+    plates, which bear what the identified body needs more than plates bear."""

@@ -45,7 +45,7 @@ def supported_feet(
     corners = [plate.corners for plate in forces.plates]
     if all(c is not None for c in corners) and corners:
         known = [c for c in corners if c is not None]
-        over = [_over_plates(p, known, options.margin_m) for p in soles]
+        over = [over_plates(p, known, options.margin_m) for p in soles]
         bears = [
             d | (p[..., 2] - p[..., 2].quantile(0.02, dim=0) < OVER_FLOOR_M) for p, d in zip(soles, down, strict=True)
         ]
@@ -61,8 +61,16 @@ def supported_feet(
     return ~touching | near.any(dim=1) | shared[:, None]
 
 
-def _over_plates(points: Tensor, plates: list[Tensor], margin: float) -> Tensor:
-    """(frames, points): over some plate, widened by a margin."""
+def over_plates(
+    points: Float[Tensor, "frames points 3"], plates: list[Float[Tensor, "4 3"]], margin: float
+) -> Bool[Tensor, "frames points"]:
+    """Return which points lie over some plate.
+
+    Args:
+        points: in W [m].
+        plates: corners of each, in order around it [m].
+        margin: that each plate is widened by on every side [m].
+    """
     inside = torch.zeros(points.shape[:2], dtype=torch.bool, device=points.device)
     for corners in plates:
         origin = corners[0]

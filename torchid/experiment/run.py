@@ -10,6 +10,7 @@ from torchid.config import Config, dump_config
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import DataError, Note
 from torchid.experiment.acceptance import impossible
+from torchid.experiment.contacts import foot_wrenches, sharing_notes
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.laboratory import diagnosed
 from torchid.experiment.publishing import publishable
@@ -42,12 +43,15 @@ UNFILTERED_HZ = 20.0
 def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: None) -> Outcome:
     """Everything the config asks for, into its ``out`` folder; a second call takes up finished stages.
 
+    Trials that were recorded with a device on are left to ``torchid evaluate``.
+
     Raises:
         TorchidError: bad input (what is in ``out`` stays), or data that do not support a result (what there is, is).
     """
     if config.threads:
         torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
+    config = config.body
     with OutputFolder(config.out) as folder:
         _claim(folder, config)
         config = with_recordings(config, progress)
@@ -221,16 +225,23 @@ def _rate_notes(fit: GeometryFit, followed: dict[str, Followed]) -> list[Note]:
 
 
 def _with_torques(outcome: Outcome, folder: OutputFolder) -> Outcome:
+    trials, under = outcome.session.trials, {}
+
     def each(followed: dict[str, Followed], fit: GeometryFit, phi: torch.Tensor) -> dict[str, torch.Tensor]:
-        tree, trials = fit.model.tree, outcome.session.trials
-        return {n: folder.aside(torques(f, tree, fit.geometry, phi, trials[n])) for n, f in followed.items()}
+        found = {}
+        for name, one in followed.items():
+            feet = foot_wrenches(one, fit, phi, trials[name], outcome.config.contact)
+            feet = None if feet is None else folder.aside(feet)
+            if fit is outcome.fit and feet is not None:
+                under[name] = feet
+            found[name] = folder.aside(torques(one, fit.model.tree, fit.geometry, phi, trials[name], feet))
+        return found
 
     with folder.timed("torques"):
-        return replace(
-            outcome,
-            torque=each(outcome.followed, outcome.fit, outcome.phi),
-            torque_scaled=each(outcome.followed_scaled, outcome.scaled, outcome.prior_scaled.mean),
-        )
+        torque = each(outcome.followed, outcome.fit, outcome.phi)
+        scaled = each(outcome.followed_scaled, outcome.scaled, outcome.prior_scaled.mean)
+    notes = (*outcome.notes, *sharing_notes(under))
+    return replace(outcome, torque=torque, torque_scaled=scaled, under=under, notes=notes)
 
 
 def contributions(outcome: Outcome) -> tuple[Residual, ...]:

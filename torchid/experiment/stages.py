@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.contact.contact import find_contact
-from torchid.dynamics import body_rows, body_wrenches, dynamic_state, generalised_forces, wrench_about
+from torchid.contact.contact import Contact, find_contact
+from torchid.contact.sharing.wrenches import ContactWrenches, Source
 from torchid.experiment.read import SHORTEST
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit
@@ -24,6 +24,7 @@ from torchid.outcome import Followed, Session
 from torchid.recording import Trial
 from torchid.regressor.rows import WrenchTrial
 from torchid.results import OutputFolder
+from torchid.torque.inverse import CHUNK, Load, joint_torques
 
 FEET = ("foot", "calcn")
 """Wording. Bodies that stand on the ground, by the beginning of their names: the built-in model's, and OpenSim's."""
@@ -37,7 +38,6 @@ SPREAD = 0.25
 ENDS = 0.2
 """So are frames closer to an end of the recording: a filter that knows one side only knows no acceleration. On exact
 synthetic data the residual is 110 N in the two outermost frames, 50 N a fifth of a period in, 9 N inside."""
-CHUNK = 2048
 
 
 def cutoff(config: Config, session: Session) -> float:
@@ -137,28 +137,36 @@ def subject_prior(config: Config, fit: GeometryFit) -> InertialPrior:
 
 
 def torques(
-    followed: Followed, tree: Tree, geometry: Geometry, phi: Float[Tensor, "bodies 10"], trial: Trial
+    followed: Followed,
+    tree: Tree,
+    geometry: Geometry,
+    phi: Float[Tensor, "bodies 10"],
+    trial: Trial,
+    under: ContactWrenches | None = None,
 ) -> Float[Tensor, "frames dofs"]:
-    """Generalised forces of a trial; rows of the base are the residual wrench. NaN where a contact is not measured.
+    """Generalised forces of a trial; rows of the base are the residual wrench. NaN where a contact is not known.
 
-    A leg's torques need its own foot's wrench: they are masked while the foot touches the ground beside the plates or
-    shares a plate with the other foot. Everything is masked in frames without motion, the base in unused frames.
+    A leg's torques need its own foot's wrench: they are masked where nobody tells it. Everything is masked in frames
+    without motion, the base in frames that are not used.
+
+    Args:
+        followed: motion and contacts of the trial.
+        tree: the body.
+        geometry: of the body.
+        phi: inertia of the body.
+        trial: the recording.
+        under: wrenches under the feet, each with its source (``experiment.contacts.foot_wrenches``); None takes what
+            plates measure of one foot alone.
     """
-    motion, external = followed.motion, _foot_wrenches(followed, trial)
-    out = torch.empty_like(motion.q)
-    for start in range(0, len(motion.q), CHUNK):
-        part = slice(start, start + CHUNK)
-        state = dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
-        needed = body_wrenches(state.plan, body_rows(state), phi)
-        for body, wrench in external.items():
-            position = state.plan.position[tree.names.index(body)]
-            needed[position] -= wrench_about(wrench[part], motion.q[part, :3]).T
-        out[part] = generalised_forces(state, needed).T
-    return _masked(out, followed, tree)
+    loads = [Load(body, wrench) for body, wrench in _external(followed, trial, under).items()]
+    out = joint_torques(tree, geometry, phi, followed.motion, loads)
+    return _masked(out, followed, tree, under)
 
 
-def _foot_wrenches(followed: Followed, trial: Trial) -> dict[str, Float[Tensor, "frames 6"]]:
+def _external(followed: Followed, trial: Trial, under: ContactWrenches | None) -> dict[str, Float[Tensor, "frames 6"]]:
     """Filtered wrench under each foot about the world's origin."""
+    if under is not None:
+        return {foot: under.of(foot) for foot in under.contacts}
     if trial.forces is None or followed.contact is None:
         return {}
     contact, raw = followed.contact, torch.nan_to_num(trial.forces.wrench)
@@ -168,23 +176,27 @@ def _foot_wrenches(followed: Followed, trial: Trial) -> dict[str, Float[Tensor, 
     }
 
 
-def _masked(tau: Tensor, followed: Followed, tree: Tree) -> Tensor:
+def _masked(tau: Tensor, followed: Followed, tree: Tree, under: ContactWrenches | None) -> Tensor:
     """``tau`` with NaN where it is not known, in place."""
     contact = followed.contact
     seen = torch.isfinite(followed.tracked.error).any(dim=1)
     tau[~seen] = torch.nan
-    if contact is None:
-        for dofs in legs(tree).values():
-            tau[:, dofs] = torch.nan
-        tau[:, :6] = torch.nan
-        return tau
-    tau[~contact.used, :6] = torch.nan
-    shared = (contact.plate == -2).any(dim=1)
-    for k, foot in enumerate(contact.feet):
-        unknown = ~contact.supported[:, k] | (shared & contact.touching[:, k])
-        for row in legs(tree)[foot]:
-            tau[unknown, row] = torch.nan
+    tau[:, :6] = torch.nan if contact is None else torch.where(contact.used[:, None], tau[:, :6], torch.nan)
+    for foot, rows in legs(tree).items():
+        unknown = _unknown(contact, foot, under)
+        for row in rows:
+            tau[:, row] = torch.where(unknown, torch.nan, tau[:, row])
     return tau
+
+
+def _unknown(contact: Contact | None, foot: str, under: ContactWrenches | None) -> Bool[Tensor, " frames"]:
+    """Frames in which nobody tells a foot's wrench."""
+    if under is not None:
+        return under.source[:, under.contacts.index(foot)] == Source.UNKNOWN
+    if contact is None or foot not in contact.feet:
+        return torch.tensor(contact is None)
+    k, shared = contact.feet.index(foot), (contact.plate == -2).any(dim=1)
+    return ~contact.supported[:, k] | (shared & contact.touching[:, k])
 
 
 def legs(tree: Tree) -> dict[str, list[int]]:

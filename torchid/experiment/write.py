@@ -8,6 +8,7 @@ import xarray
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.contact.sharing.wrenches import Source
 from torchid.dynamics import wrench_about
 from torchid.errors import DataError
 from torchid.files import safe_name, write_json
@@ -34,6 +35,9 @@ PIECE = 8192
 TABLES = (
     "geometry.json", "inertia.json", "diagnosis.json", "model.urdf", "model.osim", "report.html", "provenance.json"
 )  # fmt: skip
+COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
+"""Names of a wrench's components in files."""
+_SOURCES = ", ".join(f"{one.value} {one.name.lower()}" for one in Source)
 SERIES = ("motion_{}.nc", "forces_{}.nc", "{}_ik.mot", "{}_id.sto")
 """Names of a trial's files."""
 
@@ -133,10 +137,11 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "markers_measured": (by_marker, trial.markers.frames(part).select(labels).position.numpy()),
             "markers_modelled": (by_marker, modelled(fit, tracked.q[part]).numpy()),
             "observable": (("time",), tracked.observable[part].numpy()),
+            **_under(outcome, name, part),
         },
         coords={
             "time": motion.time[part].numpy(), "dof": list(tree.dof_names), "body": list(tree.names),
-            "marker": list(labels), "axis": list("xyz"),
+            "marker": list(labels), "axis": list("xyz"), **_contacts(outcome, name),
         },
         attrs={
             "trial": name, "cutoff_hz": motion.smoother.cutoff_hz, "filter": motion.smoother.kind, "units": "SI, rad",
@@ -145,6 +150,23 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "acceleration in W; torque 0-5: residual force and moment at the root's origin, in W",
         },
     )  # fmt: skip
+
+
+def _under(outcome: Outcome, name: str, part: slice) -> dict[str, tuple]:
+    """Wrench under every contact about the world's origin, its standard deviation, and its ``Source``."""
+    found, by_contact = outcome.under.get(name), ("time", "contact", "component")
+    if found is None:
+        return {}
+    return {
+        "contact_wrench": (by_contact, found.wrench[part].numpy()),
+        "contact_wrench_sd": (by_contact, found.sd[part].numpy()),
+        "contact_source": (("time", "contact"), found.source[part].numpy(), {"meaning": _SOURCES}),
+    }
+
+
+def _contacts(outcome: Outcome, name: str) -> dict[str, list[str]]:
+    found = outcome.under.get(name)
+    return {} if found is None else {"contact": list(found.contacts), "component": list(COMPONENTS)}
 
 
 def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
@@ -172,7 +194,7 @@ def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
             "plate_corners": (("plate", "corner", "axis"), _corners(trial.forces.plates)),
         },
         coords={
-            "time": item.motion.time.numpy(), "component": ["fx", "fy", "fz", "mx", "my", "mz"],
+            "time": item.motion.time.numpy(), "component": list(COMPONENTS),
             "plate": [plate.name for plate in trial.forces.plates],
         },
         attrs={"cutoff_hz": smoother.cutoff_hz, "filter": smoother.kind, "feet": ", ".join(item.contact.feet)},

@@ -139,6 +139,19 @@ def plate_layout(info: Tree, source: str) -> Layout:
     return replace(found, corners={name: to_world(one, found.up) for name, one in corners.items()})
 
 
+def channel_labels(info: Tree, count: int) -> tuple[str, ...]:
+    """Return the labels of a stream's channels; those without one are called by the stream's name and their number.
+
+    Args:
+        info: description of a stream.
+        count: of its channels.
+    """
+    channels = _all(_first(_first(info, "desc"), "channels"), "channel")
+    labels = [text(one, "label").strip() for one in channels][:count]
+    labels += [""] * (count - len(labels))
+    return tuple(label or f"{text(info, 'name')}_{k + 1}" for k, label in enumerate(labels))
+
+
 def _layout(info: Tree, source: str, owner: str, parts: Mapping[str, Mapping[str, float]]) -> Layout:
     description = _first(info, "desc")
     if text(info, "channel_format") == "string":

@@ -42,10 +42,10 @@ def draw_noise(motion: Motion, response: MarkerResponse) -> Iterator[Motion]:
         slow = Smoother(NEAR_HZ[1], motion.smoother.rate_hz)(white[:, uneven])
         white.mul_(high)[:, uneven] += slow.mul_((low - high)[uneven])
         for step in response.followed(white).unbind(2):
-            yield _moved(motion, motion.smoother(step))
+            yield displaced(motion, motion.smoother(step))
 
 
-def _moved(motion: Motion, x: Float[Tensor, "frames dofs"]) -> Motion:
+def displaced(motion: Motion, x: Float[Tensor, "frames dofs"]) -> Motion:
     """Return the motion after a small displacement of its coordinates.
 
     Args:

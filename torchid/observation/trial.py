@@ -204,7 +204,7 @@ def observe_trial(
     force = raw.wrench.sum(1)[:, :3]
     if seen is None:
         return TrialObservation(rows, view, known.phi, scatter, unloaded, force)
-    response = _cameras(scene, *seen)
+    response = make_response(scene, *seen)
     return TrialObservation(rows, replace(view, sight=response.sight), known.phi, scatter, unloaded, force, response)
 
 
@@ -216,7 +216,7 @@ def _inner(rows: WrenchTrial, periods: float) -> WrenchTrial:
     return replace(rows, used=used)
 
 
-def _cameras(scene: Scene, fit: GeometryFit, markers: Markers, tracked: Tracked) -> MarkerResponse:
+def make_response(scene: Scene, fit: GeometryFit, markers: Markers, tracked: Tracked) -> MarkerResponse:
     """Return the markers of a trial, with their distance from the fitted model."""
     position = markers.select(fit.attachment.labels).position.to(fit.xi)
     seen = torch.isfinite(position).all(2)

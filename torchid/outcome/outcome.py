@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.contact import Contact
+from torchid.contact.sharing.wrenches import ContactWrenches
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import Note
 from torchid.geometry.result import GeometryFit
@@ -71,6 +72,8 @@ class Outcome:
     """What named effects add to the plates' total about the origin of W, by trial."""
     torque: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
     torque_scaled: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
+    under: dict[str, ContactWrenches] = field(default_factory=dict)
+    """Wrenches under the feet with the identified body, by trial; trials whose feet nobody tells are left out."""
     residuals: tuple[Residual, ...] = ()
     notes: tuple[Note, ...] = ()
     times: dict[str, StageTime] = field(default_factory=dict)

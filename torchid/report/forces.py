@@ -14,6 +14,7 @@ from torch import Tensor
 from torchid.outcome import Outcome, Residual
 from torchid.regressor.rows import runs
 from torchid.report.blocks import Block, Figure, Paragraph, Section, Table
+from torchid.report.contacts import contacts_figure
 from torchid.report.facts import Judges, Wrenches, body_weight, force_rms, improved, judges, only, some, used_frames
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, SHADE, draw, tidy
 from torchid.wording import ABSENT, change, clean, number, percent, plural
@@ -54,6 +55,8 @@ def forces_section(outcome: Outcome, forces: dict[str, Wrenches]) -> Section | N
         for k, (entry, why) in enumerate(instructive(scored))
     ]
     blocks.append(_trial_table(outcome, forces))
+    timeline = contacts_figure(outcome)
+    blocks += [] if timeline is None else [timeline]
     blocks += _contributions(outcome)
     return Section("forces", "Forces", _finding(outcome, judge, tested), tuple(blocks))
 

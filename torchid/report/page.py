@@ -1,5 +1,6 @@
 """Sections into one HTML file without anything from outside, and without scripts but those of a replay."""
 
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -52,6 +53,26 @@ def _maker() -> str:
 
 def render_report(outcome: Outcome, failure: DataError | None = None, replay: Replay | None = None) -> str:
     """The page as text; every name from the data is escaped by the template."""
+    title = f"{clean(outcome.config.subject.name)}: identified body model"
+    return render_page(title, sections(outcome, failure, replay), failure, replay)
+
+
+def render_page(
+    title: str,
+    chapters: Sequence[Section],
+    failure: DataError | None = None,
+    replay: Replay | None = None,
+    styles: str = "",
+) -> str:
+    """Sections as one page of text; every name from the data is escaped by the template.
+
+    Args:
+        title: of the page.
+        chapters: in the order in which they are read.
+        failure: why the rest was not found; said at the top.
+        replay: a trial in three dimensions.
+        styles: more rules beside those that all pages share.
+    """
     environment = Environment(
         loader=PackageLoader("torchid.report", "."),
         autoescape=True,
@@ -60,11 +81,11 @@ def render_report(outcome: Outcome, failure: DataError | None = None, replay: Re
         lstrip_blocks=True,
     )
     environment.filters["bind"] = bind
-    css = files("torchid.report").joinpath("page.css").read_text(encoding="utf-8")
+    css = files("torchid.report").joinpath("page.css").read_text(encoding="utf-8") + styles
     return environment.get_template("page.html.j2").render(
-        subject=clean(outcome.config.subject.name),
+        title=title,
         css=Markup(css),  # noqa: S704 - the package's own file
-        sections=sections(outcome, failure, replay),
+        sections=list(chapters),
         opener=None if replay is None else Markup(OPENER),  # noqa: S704 - the package's own
         policy=Markup(INERT if replay is None else replay.policy),  # noqa: S704 - quotes it needs, of our own making
         failure=None if failure is None else clean(str(failure), 1000),

@@ -33,6 +33,8 @@ class SimulateOptions:
     """Motions of the fit trials; one named twice is drawn twice."""
     heldout: tuple[Name, ...] = ("sway_steps", "walk")
     """Motions of the held-out trials. A ``static`` trial of 3 s is always there."""
+    conditions: tuple[Name, ...] = ()
+    """Motions of trials that ``torchid evaluate`` records under each of the config's conditions."""
     duration_s: float = 10.0
     rate_hz: float = 100.0
     """Frames per second; plates sample ten times as often."""

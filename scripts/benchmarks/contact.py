@@ -1,0 +1,207 @@
+"""Shared and predicted contact on real walks: ``python -m benchmarks.contact [RECORDING ...]``.
+
+Two plates are merged by arithmetic, so that what each bore is known. Tuned on the first group of recordings only; the
+second group was set aside before anything was fitted to walks.
+
+``--synthetic`` needs no data: it holds the batched solver against Clarabel and measures its throughput, on the CPU and
+on ``--device``.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import torch
+from torch import Tensor
+
+from benchmarks.contact_measures import Errors, Split, errors, forward_axis, handovers, merged, table, truth_of
+from benchmarks.sharing_problem import moved, random_problem
+from torchid.allocator import keep_memory
+from torchid.config import load_config
+from torchid.contact.sharing.baselines import lever_rule, smooth_transition
+from torchid.contact.sharing.reference import share_by_clarabel
+from torchid.contact.sharing.solver import share
+from torchid.conventions import GRAVITY
+from torchid.experiment import run_experiment
+from torchid.experiment.contacts import body_needs, foot_wrenches
+from torchid.experiment.stages import follow, soles
+from torchid.outcome import Outcome
+
+ROOT = Path(__file__).resolve().parents[2]
+TUNED = ("opencap_subject4", "schreiber_moissenet_2014001", "opensim_subject01_gait2354")
+RUNNING = ("hamner2013_subject04",)
+"""No double support: for the case without plates only."""
+ASIDE = ("biomechzoo_hc030a", "biomechzoo_hc040a", "opensim_rajagopal_walk")
+CHILDREN = {
+    "biomechzoo_hc031a": (27.7, "HC031A", ("01", "06", "23")),
+    "biomechzoo_hc033a": (51.5, "HC033A", ("01", "10", "22")),
+    "biomechzoo_hc038a": (56.8, "HC038A", ("01", "11", "27")),
+    "biomechzoo_hc044a": (39.4, "HC044A", ("01", "15", "29")),
+}
+"""Mass [kg], prefix of files and numbers of a static trial and two walks of children without a config of their own."""
+
+
+def walks(outcome: Outcome) -> Iterator[str]:
+    """Names of the trials in which somebody goes."""
+    for name, trial in outcome.session.trials.items():
+        if trial.forces is not None and name.startswith(("walk", "run", "turn")):
+            yield name
+
+
+def merged_plates(outcome: Outcome, name: str) -> tuple[dict[str, Errors], dict[str, float]] | None:
+    """Errors of the three ways to split one walk's double supports, and the cost of the first."""
+    one, trial, fit = outcome.followed[name], outcome.session.trials[name], outcome.fit
+    assert trial.forces is not None and one.contact is not None
+    raw = truth_of(one.contact, trial.forces)
+    loaded = handovers(raw, one.contact)
+    if not bool(loaded.any()):
+        return None
+    both = replace(trial, forces=merged(trial.forces))
+    followed = follow(fit, both, one.tracked, outcome.cutoff_hz, outcome.config)
+    start = time.process_time()
+    found = foot_wrenches(followed, fit, outcome.phi, both, outcome.config.contact)
+    seconds = time.process_time() - start
+    assert found is not None and both.forces is not None
+    smoother, weight = one.motion.smoother, float(outcome.phi[:, 0].sum()) * GRAVITY
+    outline = list(soles(fit, one.tracked).values())
+    total, height = torch.nan_to_num(both.forces.total), _height(both.forces)
+    com, _ = body_needs(fit.model.tree, fit.geometry, one.motion, outcome.phi)
+    lever, smooth = raw.clone(), raw.clone()
+    lever[loaded] = lever_rule((outline[0][loaded], outline[1][loaded]), total[loaded], height)
+    _transitions(smooth, loaded, total, com, outline)
+    truth, axis = smoother(raw), forward_axis(outline)
+    splits = {"shared": found.wrench, "lever rule": smoother(lever), "smooth transition": smoother(smooth)}
+    split = Split(truth, smoother(total), loaded, axis, weight, height)
+    report = {way: errors(split, wrench) for way, wrench in splits.items()}
+    known = (found.source[loaded] == 1).all(dim=1)
+    z = ((found.wrench - truth) / found.sd)[loaded][known][..., 2]
+    z = z[torch.isfinite(z)]
+    return report, {
+        "frames": len(total), "seconds": seconds, "double": int(loaded.sum()), "shared": int(known.sum()),
+        "inside_95": float((z.abs() < 1.96).sum()), "judged": len(z),
+    }  # fmt: skip
+
+
+def _height(forces) -> float:
+    corners = [float(p.corners[:, 2].mean()) for p in forces.plates if p.corners is not None]
+    return sum(corners) / len(corners) if corners else 0.0
+
+
+def _transitions(out: Tensor, loaded: Tensor, total: Tensor, com: Tensor, outline: list[Tensor]) -> None:
+    """Fill in smooth transitions, in place, their strikes and toe-offs taken from the plates."""
+    edges = torch.diff(torch.nn.functional.pad(loaded.long(), (1, 1)))
+    for a, b in zip((edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist(), strict=True):
+        way = forward_axis(outline)
+        ahead = ((outline[1] - outline[0])[a:b, :, :2].mean((0, 1)) * way).sum()
+        order = [0, 1] if ahead > 0 else [1, 0]
+        out[a:b, order] = smooth_transition(total[a:b], com[a:b], way)
+
+
+def no_plates(outcome: Outcome, name: str) -> dict[str, Errors]:
+    """Errors of what is predicted without any plate, by the identified inertia and by the template's."""
+    one, trial, fit = outcome.followed[name], outcome.session.trials[name], outcome.fit
+    assert trial.forces is not None and one.contact is not None
+    blind = replace(trial, forces=None)
+    options = replace(outcome.config.contact, torques="predicted")
+    followed = replace(one, contact=None, wrench=None)
+    truth = one.motion.smoother(truth_of(one.contact, trial.forces))
+    outline = list(soles(fit, one.tracked).values())
+    weight = float(outcome.phi[:, 0].sum()) * GRAVITY
+    split = Split(truth, truth.sum(1), one.contact.used, forward_axis(outline), weight, _height(trial.forces))
+    found = {}
+    for kind, phi in (("identified inertia", outcome.phi), ("tabulated inertia", outcome.prior.mean)):
+        under = foot_wrenches(followed, fit, phi, blind, options)
+        assert under is not None
+        found[kind] = errors(split, under.wrench)
+    return found
+
+
+def real(names: list[str]) -> dict:
+    """Both tables of every recording."""
+    report: dict = {"merged": {}, "no plates": {}, "cost": {}}
+    for name in names:
+        with TemporaryDirectory() as folder:
+            path, changes = _config(name, Path(folder)), ["diagnosis.enabled=false", f"out={folder}/out"]
+            outcome = run_experiment(load_config(path, changes))
+            for walk in walks(outcome):
+                key = f"{name}/{walk}"
+                both = merged_plates(outcome, walk)
+                if both is not None:
+                    report["merged"][key], report["cost"][key] = {w: vars(e) for w, e in both[0].items()}, both[1]
+                report["no plates"][key] = {kind: vars(e) for kind, e in no_plates(outcome, walk).items()}
+    return report
+
+
+def _config(name: str, folder: Path) -> Path:
+    """The recording's config; of other children, one like it."""
+    if name not in CHILDREN:
+        return ROOT / "configs" / f"{name}.yaml"
+    mass, prefix, (static, *walks) = CHILDREN[name]
+    listed = [("static", "static", static), *((f"walk{number}", "fit", number) for number in walks)]
+    trials = [
+        {"name": n, "role": role, "file": f"${{TORCHID_DATA}}/biomechzoo_pig/{prefix}{k}.c3d"} for n, role, k in listed
+    ]
+    made = {
+        "subject": {"name": name, "mass_kg": mass, "mass_sd_kg": 0.5}, "model": "whole_body",
+        "markers": "plug_in_gait_oxford_foot", "trials": trials, "out": "out", "seed": 0,
+    }  # fmt: skip
+    path = folder / f"{name}.json"
+    path.write_text(json.dumps(made))
+    return path
+
+
+def synthetic(device: str, frames: int, seed: int) -> dict:
+    """The solver against Clarabel, one device against the other, and frames per second of each."""
+    print(f"seed {seed}")
+    few, _ = random_problem(20, seed)
+    reference, own = share_by_clarabel(few), share(few)
+    found = {"against_clarabel_N": float((own.wrench - reference)[..., :3].abs().max())}
+    many, truth = random_problem(frames, seed + 1)
+    solutions = {}
+    for place in dict.fromkeys(("cpu", device)):
+        here = moved(many, place)
+        share(here)
+        if place != "cpu":
+            torch.cuda.synchronize()
+        start, busy = time.perf_counter(), time.process_time()
+        solutions[place] = share(here)
+        if place != "cpu":
+            torch.cuda.synchronize()
+        found[f"{place}_frames_per_s"] = frames / (time.perf_counter() - start)
+        if place == "cpu":
+            found["cpu_frames_per_core_s"] = frames / (time.process_time() - busy)
+        found[f"{place}_iterations"] = solutions[place].iterations
+        sums = (solutions[place].wrench.sum(1) - here.total[:, 0]).abs().max()
+        found[f"{place}_sums_N"] = float(sums)
+    found["devices_apart_N"] = float((solutions["cpu"].wrench - solutions[device].wrench.cpu())[..., :3].abs().max())
+    found["error_N"] = float((solutions["cpu"].wrench - truth)[..., 2].square().mean().sqrt())
+    return found
+
+
+def main(arguments: list[str]) -> None:
+    """Run, print, write JSON."""
+    keep_memory()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recordings", nargs="*", default=[*TUNED, *RUNNING])
+    parser.add_argument("--aside", action="store_true", help="the recordings that nothing was tuned on")
+    parser.add_argument("--synthetic", action="store_true")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--frames", type=int, default=8000)
+    parser.add_argument("--seed", type=int, default=torch.seed() % 10000)
+    parser.add_argument("--json", type=Path, default=ROOT / "out" / "contact.json")
+    chosen = parser.parse_args(arguments)
+    recordings = [*ASIDE, *CHILDREN] if chosen.aside else chosen.recordings
+    report = synthetic(chosen.device, chosen.frames, chosen.seed) if chosen.synthetic else real(recordings)
+    for line in table(report):
+        print(line)
+    chosen.json.parent.mkdir(parents=True, exist_ok=True)
+    chosen.json.write_text(json.dumps(report, indent=1))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

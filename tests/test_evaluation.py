@@ -1,0 +1,297 @@
+"""Conditions compared from a small session: shares, files, the page, and what is refused."""
+
+import csv
+import json
+import re
+import runpy
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import pytest
+import small_session as small
+import torch
+import xarray
+import yaml
+from typer.testing import CliRunner
+
+from torchid.cli import app
+from torchid.config import InvalidConfig, load_config
+from torchid.config.conditions import Condition, EvaluateOptions, GivenCycle
+from torchid.devices import Device, load_device
+from torchid.dynamics import body_rows, body_wrenches, dynamic_state
+from torchid.errors import ConfigError, DataError, InputError
+from torchid.evaluation.back import lever_arms, low_back, trunk_of
+from torchid.evaluation.evaluate import evaluate, gather, judge
+from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.ledger import Key, Ledger
+from torchid.evaluation.numbers import all_numbers
+from torchid.evaluation.trials import condition_trials
+from torchid.evaluation.write import write_evaluation
+from torchid.results import OutputFolder
+
+SHEET = """
+name: hip spring
+sources: [made up for a test]
+parts:
+  - {segment: thigh_l, mass_kg: {value: 1.0, sd: 0.1}, com_m: [0.0, 0.05, -0.2]}
+elements:
+  - {type: spring, name: hip_l, between: [pelvis, thigh_l], coordinate: hip_l_flexion, stiffness_Nm_rad: 40.0}
+  - {type: spring, name: hip_r, between: [pelvis, thigh_r], coordinate: hip_r_flexion, stiffness_Nm_rad: unknown}
+"""
+NUMBER = re.compile(r"(?<![\w.])[−-]?\d+(?:\.\d+)?(?![\w.]*[A-Za-z])")
+"""Numbers that stand for themselves: none inside names such as L5/S1."""
+YEAR = re.compile(r"\(?[A-Z][\w&;' .-]*? (?:et al\. )?(?:19|20)\d\d\)?")
+CYCLES = tuple(GivenCycle(trial, t, t + 0.6) for trial in ("squats", "trunk") for t in (0.6, 1.3, 2.0, 2.7))
+
+
+@pytest.fixture(scope="module")
+def device(tmp_path_factory: pytest.TempPathFactory) -> Device:
+    """A spring over one hip that is known, and over the other one that is not."""
+    path = tmp_path_factory.mktemp("device") / "exo.yaml"
+    path.write_text(SHEET)
+    return load_device(path)
+
+
+def config_of(**options: object):
+    """The small session's config, two of its trials under a condition each."""
+    config = small.outcome().config
+    under = {"squats": "without", "trunk": "on"}
+    trials = tuple(trial.model_copy(update={"condition": under.get(trial.name)}) for trial in config.trials)
+    conditions = {"without": Condition(reference=True), "on": Condition(device="exo")}
+    asked = EvaluateOptions(cycles=CYCLES, draws=20, permutations=199, units="blocks", **options)
+    return config.model_copy(update={"trials": trials, "conditions": conditions, "evaluate": asked})
+
+
+@pytest.fixture(scope="module")
+def found(device: Device, tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """An evaluation whose second condition wears the device."""
+    config, outcome = config_of(), small.outcome()
+    with OutputFolder(tmp_path_factory.mktemp("evaluation") / "out") as folder:
+        trials = condition_trials(config, outcome, folder, lambda stage, fraction: None)
+        return judge(config, outcome, gather(config, outcome, trials, {"without": None, "on": device}))
+
+
+def test_human_and_device_share_what_is_demanded(found: Evaluation) -> None:
+    """In every cycle; the device takes nothing where none is worn, and k q about the hip where one is."""
+    rows, names = found.identified.rows, found.layout.names
+    torch.testing.assert_close(rows.human + rows.device, rows.demand, equal_nan=True)
+    worn = torch.tensor([name == "on" for name in found.conditions])
+    assert float(rows.device[~worn].abs().max()) == 0.0
+    hip = names.index("hip_l_flexion")
+    torch.testing.assert_close(rows.device[worn][..., hip], -40.0 * rows.angle[worn][..., hip])
+
+
+def test_an_element_that_nobody_knows_is_left_to_the_human_and_said(found: Evaluation) -> None:
+    """Its share is not invented."""
+    worn = torch.tensor([name == "on" for name in found.conditions])
+    hip = found.layout.names.index("hip_r_flexion")
+    assert float(found.identified.rows.device[worn][..., hip].abs().max()) == 0.0
+    assert found.worn["on"].left_out == ("hip_r",)
+    said = [f"{gap.what}: {gap.why}" for gap in found.gaps]
+    assert any("hip_r" in one and "counted as the human's" in one for one in said)
+    assert any("hip_r.stiffness" in one for one in said)
+
+
+def test_blocks_are_said_to_take_something_for_granted(found: Evaluation) -> None:
+    """One trial per condition cannot tell what trials have in common."""
+    assert any("takes for granted" in gap.why for gap in found.gaps)
+
+
+def shown_text(page: str) -> str:
+    """What a reader reads, without drawings, styles and entities."""
+    body = re.sub(r"<(svg|style|head)\b.*?</\1>", " ", page, flags=re.DOTALL)
+    return re.sub(r"<[^>]+>", " ", body).replace("\N{NO-BREAK SPACE}", " ").replace("&#39;", "'").replace("&amp;", "&")
+
+
+def test_every_number_of_the_page_is_in_the_csv(found: Evaluation, tmp_path: Path) -> None:
+    """As it is shown, and its value beside it; none is in the CSV alone under a wrong text."""
+    with OutputFolder(tmp_path / "out") as folder:
+        write_evaluation(found, folder)
+    rows = list(csv.DictReader(StringIO((tmp_path / "out" / "evaluation.csv").read_text())))
+    told = {number for row in rows for number in NUMBER.findall(row["shown"])}
+    text = shown_text((tmp_path / "out" / "evaluation.html").read_text())
+    body = YEAR.sub(" ", text.partition("Summary")[2])
+    missing = [number for number in NUMBER.findall(body) if number not in told]
+    assert not missing, missing
+    assert len(NUMBER.findall(body)) > 300
+    for row in rows:
+        if row["value"] and row["shown"] and row["statistic"] not in ("text",):
+            values = [float(one.replace("−", "-")) for one in row["shown"].split("; ")]
+            assert any(abs(abs(v) - f * abs(float(row["value"]))) <= 0.51 for v in values for f in (1.0, 100.0)), row
+
+
+def test_a_number_that_nobody_recorded_would_be_noticed(found: Evaluation) -> None:
+    """The report cannot show what the ledger does not have."""
+    ledger = Ledger(all_numbers(found))
+    with pytest.raises(KeyError):
+        ledger.show(Key("measure", "invented"))
+
+
+def test_files_hold_what_the_contract_says(found: Evaluation, tmp_path: Path) -> None:
+    """Keys of evaluation.json, and courses of every cycle with both bodies."""
+    with OutputFolder(tmp_path / "out") as folder:
+        write_evaluation(found, folder)
+    held = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    peak = held["joints"]["hip_l_flexion"]["on"]["peak_torque_Nm"]
+    assert set(peak) >= {"value", "sd", "low", "high"} and peak["value"] > 0.0
+    assert {"differences", "device", "template", "not_determinable", "test"} <= set(held)
+    assert set(held["differences"][0]) >= {"condition", "where", "measure", "low", "high", "p", "p_adjusted", "found"}
+    assert set(held["template"]) == {"joints", "differences"}
+    data = xarray.open_dataset(tmp_path / "out" / "cycles_on.nc", engine="h5netcdf")
+    assert dict(data.sizes) | {"percent": 101, "cycle": 4} == dict(data.sizes)
+    human = data.demand.values - data.device.values
+    torch.testing.assert_close(torch.as_tensor(data.human.values), torch.as_tensor(human), equal_nan=True)
+    page = (tmp_path / "out" / "evaluation.html").read_text()
+    assert not re.search(r'(?:src|href)="(?!#)|url\((?!#)', page) and "<script" not in page
+
+
+def test_per_mass_and_other_conventions(device: Device, tmp_path: Path) -> None:
+    """Torques are divided by the mass, names and signs are OpenSim's, p-values stay."""
+    asked = config_of(per_mass=True, convention="opensim", joints=("hip_flexion", "lower_spine_flexion", "tail"))
+    plain = config_of(joints=("hip_flexion", "lower_spine_flexion"))
+    outcome, results = small.outcome(), []
+    with OutputFolder(tmp_path / "out") as folder:
+        for config in (plain, asked):
+            trials = condition_trials(config, outcome, folder, lambda stage, fraction: None)
+            results.append(judge(config, outcome, gather(config, outcome, trials, {"without": None, "on": device})))
+    first, second = results
+    assert second.layout.names == ("hip_flexion_l", "hip_flexion_r", "lumbar_extension")
+    mass = second.per_mass_kg
+    assert mass == pytest.approx(float(outcome.phi[:, 0].sum()))
+    a, b = (one.identified.rows.human[..., :3] for one in (first, second))
+    torch.testing.assert_close(a[..., 2], -mass * b[..., 2], equal_nan=True)
+    torch.testing.assert_close(a[..., 0], mass * b[..., 0], equal_nan=True)
+    assert any(gap.what == "tail" for gap in second.gaps)
+
+
+def test_the_moment_at_l5_s1_is_that_of_what_it_carries() -> None:
+    """Sum over trunk, head and arms of their inertial and gravity wrenches about the joint, in the pelvis' axes."""
+    outcome = small.outcome()
+    tree, geometry, phi = outcome.fit.model.tree, outcome.fit.geometry, outcome.phi
+    motion = outcome.followed["trunk"].motion
+    back = low_back(tree, geometry, phi, motion)
+    assert back is not None and trunk_of(tree) == "abdomen"
+    state = dynamic_state(tree, geometry, *(x.T.contiguous() for x in (motion.q, motion.v, motion.a)))
+    own = [state.plan.position[k] for k in tree.subtree(tree.index("abdomen"))]
+    total = body_wrenches(state.plan, body_rows(state), phi)[own].sum(0)
+    joint = state.at.p[state.plan.position[tree.index("abdomen")]] - state.at.p[0]
+    M_W = total[3:] - torch.linalg.cross(joint, total[:3], dim=0)
+    M_P = torch.einsum("crf,rf->fc", state.at.R[0], M_W)
+    found = back.moment(outcome.torque["trunk"])
+    torch.testing.assert_close(found, torch.stack([-M_P[:, 1], M_P[:, 0], M_P[:, 2]], 1), rtol=1e-6, atol=1e-6)
+    lever = torch.tensor(0.06, dtype=torch.float64)
+    press = back.compression(outcome.torque["trunk"], lever)
+    torch.testing.assert_close(press, found[:, 0].abs() / 0.06 + back.force)
+    arms = lever_arms((0.05, 0.075), 1000, phi, 0)
+    assert 0.05 <= float(arms.min()) and float(arms.max()) <= 0.075
+
+
+BODY = {"subject": {"name": "a"}, "markers": "opencap", "out": "out"}
+
+
+def written(folder: Path, **changes: object) -> Path:
+    """A config with two trials and two conditions, some keys replaced."""
+    (folder / "a.c3d").write_text("")
+    trials = [{"name": n, "file": "a.c3d", "condition": c} for n, c in (("one", "without"), ("two", "on"))]
+    document = {**BODY, "trials": trials, "conditions": {"without": {"reference": True}, "on": {}}, **changes}
+    path = folder / "config.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("override", "code"),
+    [
+        ("trials.1.condition=onn", "config.unknown_condition"),
+        ("conditions.without.reference=false", "config.no_reference"),
+        ("conditions.on.reference=true", "config.no_reference"),
+        ("trials.1.condition=without", "config.empty_condition"),
+        ("conditions.on.device=exo.yaml", "config.missing_file"),
+        ("trials.1.channels=motor.csv", "config.missing_file"),
+        ("conditions.on.devise=exo", "config.unknown_key"),
+        ("evaluate.cycles=[{trial: one, t0: 2.0, t1: 1.0}]", "evaluate.cycle"),
+        ("evaluate.lever_arm_m=[0.07, 0.05]", "evaluate.lever_arm"),
+        ("evaluate.shortest_s=20.0", "evaluate.duration"),
+        ("evaluate.measures=[peek_torque_Nm]", "config.unknown_value"),
+    ],
+)
+def test_a_config_that_compares_nothing_sensible_is_refused(tmp_path: Path, override: str, code: str) -> None:
+    """With a code of its own, the place and what to do."""
+    with pytest.raises(InvalidConfig) as caught:
+        load_config(written(tmp_path), [override])
+    assert caught.value.code == code and caught.value.remedy
+
+
+def test_worn_trials_tell_nothing_of_the_body(tmp_path: Path) -> None:
+    """Those with a device are left out of the run, those of other conditions stay."""
+    (tmp_path / "exo.yaml").write_text(SHEET)
+    config = load_config(written(tmp_path), ["conditions.on.device=exo.yaml"])
+    assert [trial.name for trial in config.body.trials] == ["one"]
+    assert [trial.name for trial in load_config(written(tmp_path)).body.trials] == ["one", "two"]
+    assert config.body.conditions == {} and config.body.trials[0].condition is None
+
+
+def test_nothing_to_compare_is_refused(tmp_path: Path) -> None:
+    """One condition, or none, is no comparison."""
+    config = load_config(written(tmp_path, conditions={}, trials=[{"name": "one", "file": "a.c3d"}]))
+    with pytest.raises(ConfigError) as caught:
+        evaluate(config)
+    assert caught.value.code == "evaluate.no_conditions"
+
+
+def test_conditions_without_cycles_channels_or_motion_are_refused(device: Device, tmp_path: Path) -> None:
+    """Each with its code, before any test is made."""
+    outcome, devices = small.outcome(), {"without": None, "on": device}
+    config = config_of()
+    with OutputFolder(tmp_path / "out") as folder:
+        trials = condition_trials(config, outcome, folder, lambda stage, fraction: None)
+    empty = config.model_copy(update={"evaluate": replace(config.evaluate, cycles=CYCLES[:4])})
+    with pytest.raises(DataError) as caught:
+        gather(empty, outcome, trials, devices)
+    assert caught.value.code == "evaluate.no_cycles"
+    (tmp_path / "motor.csv").write_text("time,torque\n0,1\n1,2\n")
+    on = replace(config.conditions["on"], channels={"motor": "current"})
+    files = tuple(trial.model_copy(update={"channels": tmp_path / "motor.csv"}) for trial in config.trials)
+    lacking = config.model_copy(update={"trials": files, "conditions": {**config.conditions, "on": on}})
+    with pytest.raises(InputError) as caught:
+        gather(lacking, outcome, trials, devices)
+    assert caught.value.code == "evaluate.channel"
+    still = tuple(replace(t, recording=replace(t.recording, role="static")) for t in trials)
+    with pytest.raises(InputError) as caught:
+        gather(config, outcome, still, devices)
+    assert caught.value.code == "evaluate.static"
+
+
+@pytest.mark.slow
+def test_a_hidden_device_is_found_from_files(
+    tmp_path: Path, seed: int, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    """`torchid evaluate` on a simulated session: a spring at a joint drawn by lot lowers that joint's load."""
+    generator = torch.Generator().manual_seed(seed)
+    joint = ("hip", "knee")[int(torch.randint(2, (1,), generator=generator))]
+    above, below = {"hip": ("pelvis", "thigh"), "knee": ("thigh", "shank")}[joint]
+    springs = [
+        {"type": "spring", "name": s, "between": [above if above == "pelvis" else f"{above}_{s}", f"{below}_{s}"],
+         "coordinate": f"{joint}_{s}_flexion", "stiffness_Nm_rad": 60.0} for s in "lr"
+    ]  # fmt: skip
+    (tmp_path / "exo.yaml").write_text(yaml.safe_dump({"name": "springs", "elements": springs}))
+    document = {
+        "subject": {"name": "S"}, "markers": "simulated", "seed": seed % 1000, "out": str(tmp_path / "out"),
+        "simulate": {"fit": ["arms", "trunk"], "heldout": [], "conditions": ["squats"] * 4, "duration_s": 5.0},
+        "conditions": {"without": {"reference": True}, "on": {"device": "exo.yaml"}},
+        "evaluate": {"cycles": {"coordinate": "pelvis_z"}, "joints": [f"{joint}_flexion"], "draws": 20},
+        "diagnosis": {"enabled": False},
+    }  # fmt: skip
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(document))
+    done = CliRunner().invoke(app, ["evaluate", str(tmp_path / "config.yaml")])
+    assert done.exit_code == 0, done.output
+    held = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    rows = [r for r in held["differences"] if r["measure"] == "cumulative_load_Nms"]
+    assert len(rows) == 2 and all(r["value"] < 0.0 for r in rows)
+    assert any(r["found"] for r in rows), rows
+    for name in ("evaluation.csv", "evaluation.html", "cycles_without.nc", "cycles_on.nc", "report.html"):
+        assert (tmp_path / "out" / name).is_file()
+    script = runpy.run_path(str(Path(__file__).resolve().parents[1] / "scripts" / "evaluate_device.py"))
+    script["main"](["--config", str(tmp_path / "config.yaml"), "--joint", f"{joint}_l_flexion"])
+    assert "adjusted" in capsys.readouterr().out

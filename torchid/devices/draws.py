@@ -1,0 +1,40 @@
+"""Devices as they may be: draws of what was found of their elements, for bands of whatever follows from them."""
+
+import torch
+
+from torchid.devices.device import Device
+from torchid.devices.result import IdentifiedDevice
+from torchid.devices.values import Value
+
+
+def device_draws(found: IdentifiedDevice, count: int, seed: int) -> tuple[Device, ...]:
+    """Draw devices from the posterior of their elements' numbers; numbers of one element keep their correlation.
+
+    Args:
+        found: an identified device.
+        count: of draws.
+        seed: of the draws.
+
+    Returns:
+        Devices that differ in their determined numbers alone; stiffness, damping and free play are never negative.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    moves = {}
+    for name, covariance in found.correlation.items():
+        values, vectors = torch.linalg.eigh(covariance.cpu())
+        unit = torch.randn(count, len(values), generator=generator, dtype=values.dtype)
+        moves[name] = (unit * values.clamp_min(0.0).sqrt()) @ vectors.T
+
+    def drawn(k: int) -> Device:
+        elements = []
+        for element in found.device.elements:
+            keys = found.covariance_keys.get(element.name, ())
+            now = {name: number.value for name, number in element.numbers() if number is not None}
+            moved = {key: now[key] + float(moves[element.name][k, j]) for j, key in enumerate(keys)}
+            kept = {key: max(x, 0.0) if key in ("stiffness", "damping", "free_play") else x for key, x in moved.items()}
+            elements.append(element.with_numbers({key: Value(x) for key, x in kept.items()}))
+        return Device(
+            found.device.name, found.device.parts, tuple(elements), found.device.sources, found.device.mass_kg
+        )
+
+    return tuple(drawn(k) for k in range(count))

@@ -1,0 +1,207 @@
+"""The device's sheet against what recordings tell of it: springs, rest lengths, commands, and where parts are carried.
+
+What is looked at is identified anew as if the sheet did not say it, and compared with the sheet in standard deviations.
+What recordings cannot tell is a finding too, with the reason. Faults that base rows see without any device are effects
+of the catalogue: a load (``payload``), a support (``tether``, ``body_weight_support``), a late clock (``time_offset``).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+
+from torchid.devices.base_columns import has_line
+from torchid.devices.device import Device, Element
+from torchid.devices.identify import identify_device, measured_by
+from torchid.devices.joint_fit import Extra, fit_jointly
+from torchid.devices.options import DeviceOptions
+from torchid.devices.parts import parts_prior
+from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
+from torchid.devices.sensor import fit_law
+from torchid.devices.supports import Recorded, plate_gain
+from torchid.devices.values import Value
+from torchid.inertia.pseudo import com
+from torchid.model.tree import Tree
+from torchid.regressor.rows import WrenchTrial
+
+SURE = 3.0
+"""Standard deviations from which on a number of the sheet is called wrong, chosen: 1 in 370 where it is right."""
+RELEVANT = {"stiffness": 0.02, "gain": 0.02, "mass_kg": 0.02}
+"""Difference relative to the sheet's number below which no fault is named, chosen: sensors are no better calibrated."""
+LEAST = {"rest": 0.005, "lag": 0.005, "mass_kg": 0.1}
+"""Difference below which none is named [m or rad, s, kg], chosen: a strap's give, half a frame, a cable."""
+ELSEWHERE = 5.0
+"""Log evidence by which another segment must beat the sheet's, chosen: odds of 150, for a handful of segments."""
+SLID = 0.03
+"""Part of the mean way beyond rest by which rest must differ between trials to matter, chosen: 3 % of the force."""
+UNEXPLAINED = 0.1
+"""RMS that a law leaves of a measured force, relative to it, from which on something is unexplained, chosen: what a
+fault of stiffness or rest of a tenth leaves, ten times the noise of a good sensor."""
+Kind = Literal[
+    "stiffness", "rest", "command_late", "command_gain", "strap_slides", "mass", "carried_elsewhere", "unexplained"
+]
+_KINDS: dict[str, Kind] = {
+    "stiffness": "stiffness", "rest": "rest", "lag": "command_late", "gain": "command_gain", "mass_kg": "mass"
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing of the sheet that was looked at."""
+
+    kind: Kind
+    where: str
+    """Element or part, with the key of the number where it is one."""
+    wrong: bool
+    """Whether the sheet is contradicted."""
+    sheet: float | str
+    found: float | str | None
+    """None where it cannot be tested."""
+    sd: float = 0.0
+    z: float = 0.0
+    """How far found is from the sheet, in standard deviations of both; of a place, the log evidence for the other."""
+    why: str = ""
+    """Why it cannot be tested, or what else it may be."""
+
+
+def device_findings(
+    device: Device,
+    body: BodyBelief,
+    trials: Sequence[WrenchTrial],
+    recorded: Recorded | None = None,
+    options: DeviceOptions | None = None,
+) -> tuple[Finding, ...]:
+    """Compare the sheet with what trials with the device tell.
+
+    Args:
+        device: the sheet; its unknown numbers are no findings.
+        body: inertia as trials without the device told it.
+        trials: with the device.
+        recorded: channels of the device by trial.
+        options: what is assumed.
+
+    Raises:
+        DataError, ConfigError: as of ``identify_device``.
+    """
+    recorded, options = recorded or {}, options or DeviceOptions()
+    found = identify_device(opened(device), body, trials, recorded, options)
+    return (
+        *_numbers(device, found),
+        *(one for e in device.elements for one in _slid(e, found, trials, recorded, options)),
+        *_elsewhere(device, body, trials, options),
+        *(one for e in found.device.elements for one in _unexplained(e, trials, recorded)),
+    )
+
+
+def opened(device: Device) -> Device:
+    """Return the device with masses and what laws and commands are made of unknown; its places stay.
+
+    Args:
+        device: the sheet.
+    """
+
+    def law(element: Element) -> Element:
+        own = element.law
+        if own is not None and not own.table:
+            constant = own.stiffness is not None and own.stiffness.value == 0.0 and own.stiffness.sd == 0.0
+            names = ("preload",) if constant else ("stiffness", "rest")
+            own = replace(own, **dict.fromkeys(names))
+        drive = element.drive and replace(element.drive, gain=None, lag=None)
+        return replace(element, law=own, drive=drive)
+
+    parts = tuple(replace(part, mass_kg=None) for part in device.parts)
+    return replace(device, parts=parts, elements=tuple(map(law, device.elements)), mass_kg=None)
+
+
+def _numbers(sheet: Device, found: IdentifiedDevice) -> list[Finding]:
+    stated: dict[str, Value | None] = {f"{part.name}.mass_kg": part.mass_kg for part in sheet.parts}
+    stated |= {f"{e.name}.{e.key(name)}": number for e in sheet.elements for name, number in e.numbers()}
+    if sheet.mass_kg is not None:
+        stated["mass_kg"] = sheet.mass_kg
+    findings = []
+    for key, one in found.parameters.items():
+        number = stated.get(key)
+        if number is None:
+            continue
+        name = next((n for n in _KINDS if key.rpartition(".")[2].startswith(n)), "stiffness")
+        if isinstance(one, NotDeterminable):
+            findings.append(Finding(_KINDS[name], key, False, number.value, None, why=one.why))
+            continue
+        sd = (one.sd**2 + number.sd**2) ** 0.5
+        z = (one.value - number.value) / sd
+        least = max(RELEVANT.get(name, 0.0) * abs(number.value), LEAST.get(name, 0.0))
+        wrong = abs(z) > SURE and abs(one.value - number.value) > least
+        findings.append(Finding(_KINDS[name], key, wrong, number.value, one.value, one.sd, z))
+    return findings
+
+
+def _slid(
+    element: Element, found: IdentifiedDevice, trials: Sequence[WrenchTrial], recorded: Recorded, options: DeviceOptions
+) -> list[Finding]:
+    """Rest of one element in each trial: where it differs, what the element holds to has moved."""
+    stiffness = found.parameters.get(f"{element.name}.{element.key('stiffness')}")
+    measured = measured_by(element, trials, recorded) if has_line(element) and element.law is not None else []
+    key = f"{element.name}.{element.key('rest')}"
+    if not isinstance(stiffness, Determined) or len(measured) < 2:
+        why = "needs a sensor of the element in two trials or more"
+        return [Finding("strap_slides", key, False, "", None, why=why)] if element.law is not None else []
+    numbers = {n: v for n, v in found.device.element(element.name).numbers() if v is not None}
+    narrow = replace(options, length_scale_sd=0.0, angle_scale_sd=0.0, length_sd=0.0, angle_sd=0.0)
+    fits = [fit_law([one], ("rest",), numbers, narrow) for one in measured]
+    rest = torch.tensor([float(fit.value[0]) for fit in fits], dtype=torch.float64)
+    sd = torch.tensor([max(float(fit.sd[0]), 1e-9) for fit in fits], dtype=torch.float64)
+    mean = float((rest / sd.square()).sum() / sd.square().reciprocal().sum())
+    k = int((rest - mean).abs().argmax())
+    beyond = torch.cat([one.acting.act.length for one in measured]) - mean
+    least = SLID * float(beyond.abs().mean())
+    z = float((rest[k] - mean) / sd[k])
+    moved = float(rest[k] - mean)
+    text = "markers knocked in that trial look the same"
+    return [Finding("strap_slides", f"{key} in {measured[k].acting.trial.name}", abs(z) > SURE and abs(moved) > least,
+                    mean, float(rest[k]), float(sd[k]), z, text)]  # fmt: skip
+
+
+def _unexplained(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded) -> list[Finding]:
+    """What the best law of this kind leaves of what the sensor measured."""
+    measured = measured_by(element, trials, recorded) if has_line(element) and not element.unknown else []
+    if not measured:
+        return []
+    left = torch.cat([one.force - one.acting.force({}) for one in measured]).square().mean().sqrt()
+    share = float(left / torch.cat([one.force for one in measured]).square().mean().sqrt().clamp_min(1e-12))
+    text = "friction, a strap that gives, a law of another shape, or a strap that slid between trials"
+    return [Finding("unexplained", element.name, share > UNEXPLAINED, 0.0, share, why=text)]
+
+
+def _elsewhere(
+    device: Device, body: BodyBelief, trials: Sequence[WrenchTrial], options: DeviceOptions
+) -> list[Finding]:
+    """Evidence of each part on the neighbours of its segment against the sheet's."""
+    trials = [trial for trial in trials if any(True for _ in trial.blocks())]
+    if not device.parts or not trials:
+        return []
+    tree, none = trials[0].tree, body.phi.new_zeros(0)
+    extra = Extra(none, none, tuple(body.phi.new_zeros(6, 0, len(t.wrench)) for t in trials))
+    extra = plate_gain(extra, trials, options)
+    free = replace(device, mass_kg=None)
+    sheet = fit_jointly(trials, body, parts_prior(free, tree, com(body.phi)), extra)
+    findings = []
+    for k, part in enumerate(device.parts):
+        scores = {}
+        for segment in neighbours(tree, part.segment):
+            parts = list(device.parts)
+            parts[k] = replace(part, segment=segment, com_m=None)
+            prior = parts_prior(replace(free, parts=tuple(parts)), tree, com(body.phi))
+            scores[segment] = fit_jointly(trials, body, prior, extra, sheet.whitening).log_evidence
+        best = max(scores, key=lambda name: scores[name])
+        gain = scores[best] - sheet.log_evidence
+        findings.append(Finding("carried_elsewhere", part.name, gain > ELSEWHERE, part.segment, best, z=gain))
+    return findings
+
+
+def neighbours(tree: Tree, segment: str) -> tuple[str, ...]:
+    """Return the segments that a segment is joined to."""
+    k = tree.index(segment)
+    above = [tree.bodies[k].parent] if tree.bodies[k].parent >= 0 else []
+    below = [j for j, body in enumerate(tree.bodies) if body.parent == k]
+    return tuple(tree.names[j] for j in (*above, *below))

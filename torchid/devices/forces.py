@@ -1,0 +1,169 @@
+"""What a device does to the body at every frame: generalised forces, wrenches from the ground, power."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.devices.action import Action, action, point_in_world
+from torchid.devices.device import Device, Element, Handle
+from torchid.devices.laws import Channels, channel, drive_force, law_force
+from torchid.dynamics import DynamicState, dynamic_state
+from torchid.model.model import Geometry
+from torchid.model.tree import Tree
+from torchid.motion import Motion
+
+CHUNK = 2048
+"""Frames walked at once, a choice for memory."""
+
+
+@dataclass(frozen=True)
+class ElementCourse:
+    """One element over the frames of a motion."""
+
+    force: Float[Tensor, " frames"]
+    """Tension [N], positive where it pulls; or torque in the sense of the coordinate [N m]."""
+    length: Float[Tensor, " frames"]
+    """Length [m] or angle [rad]; NaN of a support with recorded forces."""
+    power: Float[Tensor, " frames"]
+    """Power on the body [W]."""
+
+
+@dataclass(frozen=True)
+class DeviceForces:
+    """What a device does to the body besides being carried."""
+
+    torque: Float[Tensor, "frames dofs"]
+    """Generalised force of the elements between segments, in the sense of q; rows 0-5 are zero but for rounding."""
+    external: dict[str, Float[Tensor, "frames 6"]]
+    """Wrench of grounded supports on segments about the world's origin, in W; none of it is in ``torque``."""
+    power: Float[Tensor, " frames"]
+    """Power of all elements on the body [W], grounded ones included."""
+    elements: dict[str, ElementCourse]
+
+
+def element_force(
+    element: Element, act: Action, v: Float[Tensor, "dofs frames"], time: Float[Tensor, " frames"], recorded: Channels
+) -> Float[Tensor, " frames"]:
+    """Return the tension or the torque of an element.
+
+    Args:
+        element: all of its numbers known.
+        act: its line at these frames.
+        v: rates of the coordinates.
+        time: of the frames [s].
+        recorded: channels on the frames.
+
+    Raises:
+        ConfigError: ``device.unknown`` or ``device.channel``.
+    """
+    force = torch.zeros_like(act.length)
+    if element.law is not None:
+        # The law resists what x gains: a tension pulls, and a torque is opposed to the coordinate.
+        sense = -1.0 if element.turns else 1.0
+        force = force + sense * law_force(element.law, element, act.length, act.rate(v))
+    if element.drive is not None:
+        force = force + drive_force(element.drive, element, act.length, time, recorded)
+    return force
+
+
+def device_forces(
+    device: Device, tree: Tree, geometry: Geometry, motion: Motion, recorded: Channels | None = None
+) -> DeviceForces:
+    """Compute what a device does to the body of a motion.
+
+    The human's own torque is inverse dynamics of the body with the device's parts, minus external wrenches (those of
+    plates and ``external``), minus ``torque``.
+
+    Args:
+        device: every number that a force needs known.
+        tree: of the human model.
+        geometry: of the human model.
+        motion: q, v, a at marker rate.
+        recorded: channels of the device on the motion's frames as recorded, by name; ``phase`` for profiles over
+            phase. Commands and handles' forces go through the motion's filter, as everything else has.
+
+    Raises:
+        ConfigError: ``device.unknown``, ``device.channel``, ``device.segment`` or ``device.coordinate``.
+    """
+    recorded, parts = filtered(device.elements, recorded or {}, motion), []
+    for start in range(0, len(motion.q), CHUNK):
+        part = slice(start, start + CHUNK)
+        some = {name: values[part] for name, values in recorded.items()}
+        parts.append(_some_frames(device, tree, geometry, motion, part, some))
+    return _joined(parts)
+
+
+def filtered(elements: Iterable[Element], recorded: Channels, motion: Motion) -> Channels:
+    """Return recorded channels, those that are forces through the filter of the motion.
+
+    Args:
+        elements: whose commands and handles are forces.
+        recorded: channels on the motion's frames, by name.
+        motion: with the filter.
+    """
+    names = {one.drive.channel for one in elements if one.drive is not None}
+    names |= {name for one in elements if isinstance(one.line, Handle) for name in one.line.channels}
+    return {
+        name: motion.smoother(values.to(motion.time)) if name in names else values for name, values in recorded.items()
+    }
+
+
+def states(tree: Tree, geometry: Geometry, motion: Motion, part: slice) -> DynamicState:
+    """Return poses and rates of some frames of a motion."""
+    return dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
+
+
+def _some_frames(
+    device: Device, tree: Tree, geometry: Geometry, motion: Motion, part: slice, recorded: Channels
+) -> DeviceForces:
+    state, time = states(tree, geometry, motion, part), motion.time[part]
+    q, v = motion.q[part].T, motion.v[part].T
+    torque, power = torch.zeros_like(v), torch.zeros_like(time)
+    external: dict[str, Tensor] = {}
+    courses = {}
+    for element in device.elements:
+        if isinstance(element.line, Handle):
+            wrench, course = _held(element, element.line, state, v, recorded)
+            _add(external, element.line.point.segment, wrench.T)
+        else:
+            act = action(element, state, q)
+            force = element_force(element, act, v, time, recorded)
+            work = act.unit * force
+            course = ElementCourse(force, act.length, (work * v).sum(0))
+            for segment, unit in act.ground.items():
+                _add(external, segment, (unit * force).T)
+            torque = torque if act.ground else torque + work
+        courses[element.name] = course
+        power = power + course.power
+    return DeviceForces(torque.T, external, power, courses)
+
+
+def _add(external: dict[str, Tensor], segment: str, wrench: Float[Tensor, "frames 6"]) -> None:
+    external[segment] = external[segment] + wrench if segment in external else wrench
+
+
+def _held(
+    element: Element, line: Handle, state: DynamicState, v: Tensor, recorded: Channels
+) -> tuple[Float[Tensor, "6 frames"], ElementCourse]:
+    """Wrench of a support with recorded forces about the world's origin, and its power on the body."""
+    force = torch.stack([channel(recorded, name, element.name).to(v) for name in line.channels])
+    at = point_in_world(line.point, state, element.name)
+    k = state.plan.position[state.plan.tree.index(line.point.segment)]
+    speed = state.motion.v[k] + torch.linalg.cross(state.motion.w[k], at - state.at.p[k], dim=0)
+    size = torch.linalg.vector_norm(force, dim=0)
+    wrench = torch.cat([force, torch.linalg.cross(at, force, dim=0)])
+    return wrench, ElementCourse(size, torch.full_like(size, torch.nan), (force * speed).sum(0))
+
+
+def _joined(parts: list[DeviceForces]) -> DeviceForces:
+    first = parts[0]
+    courses = {
+        name: ElementCourse(*(torch.cat([getattr(p.elements[name], key) for p in parts])
+                              for key in ("force", "length", "power")))
+        for name in first.elements
+    }  # fmt: skip
+    external = {name: torch.cat([p.external[name] for p in parts]) for name in first.external}
+    return DeviceForces(torch.cat([p.torque for p in parts]), external, torch.cat([p.power for p in parts]), courses)

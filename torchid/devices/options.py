@@ -1,0 +1,46 @@
+"""What identifying a device assumes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from torchid.bounds import NonNegative, Positive
+from torchid.devices.values import Value
+
+UNKNOWN: Mapping[str, Value] = MappingProxyType(
+    {
+        "stiffness": Value(1000.0, 3000.0), "preload": Value(0.0, 300.0), "free_play": Value(0.0, 0.05),
+        "damping": Value(0.0, 100.0), "gain": Value(1.0, 1.0), "lag": Value(0.0, 0.1), "rest": Value(0.0, 0.3),
+    }
+)  # fmt: skip
+"""Prior of an unknown parameter of a grounded support [SI]; that of ``rest`` is about the mean length. Chosen so wide
+that a person's weight lies within."""
+
+
+@dataclass(frozen=True)
+class DeviceOptions:
+    """How recordings with a device are read."""
+
+    angle_scale_sd: NonNegative = 0.008
+    """Standard deviation of the error in proportion of angles that follow from markers, which no scatter shows. It
+    widens the bands of stiffness, rest and damping where the device does not measure its own angle. Calibrated on
+    simulated subjects with 5 mm of skin motion per radian at the thigh."""
+    length_scale_sd: NonNegative = 0.02
+    """The same of lengths of paths, which change by centimetres only."""
+    length_sd: NonNegative = 0.002
+    """Standard deviation of the error of a path's length that is common to all frames [m]: its ends are where markers
+    or the sheet put them on an identified skeleton. Calibrated on the same subjects; it widens the band of rest."""
+    angle_sd: NonNegative = 0.03
+    """The same of an angle [rad]: the zero of a joint's angle is a convention that markers tell to two degrees."""
+    plate_gain_sd: NonNegative = 0.004
+    """Standard deviation of the plates' gain, and of their zero relative to the weight, with the device against
+    without: 0.4 % in eight public sessions (``experiment/standing.py``), 0.3 kg of a person, of which only the forces
+    of accelerations take something back. Weighing the device does better; zero for plates that are known to repeat."""
+    correlation_s: Positive = 2.0
+    """Time within which residuals of a sensor may depend on one another (Bartlett window of Newey & West,
+    Econometrica 55:703 (1987)), chosen: two gait cycles."""
+    told: Positive = 0.5
+    """Share of the prior variance that recordings must remove for an unknown parameter of a grounded support to count
+    as determined, chosen: the rest is prior."""
+    unknown: Mapping[str, Value] = field(default_factory=lambda: UNKNOWN)
+    """Prior of unknown parameters of grounded supports, by name."""

@@ -1,0 +1,150 @@
+"""A device from a YAML sheet, a URDF file or the built-in library."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from difflib import get_close_matches
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from torchid.devices.device import Device, Part
+from torchid.devices.elements import element_of
+from torchid.devices.faults import fault, number, vector
+from torchid.devices.links import attached_parts
+from torchid.devices.sheet import AttachedLink, DeviceSheet, ElementSheet, MatrixWithSd, PartSheet
+from torchid.devices.values import Value
+from torchid.documents import read_document
+from torchid.errors import ConfigError
+
+SUFFIXES = (".yaml", ".yml", ".json")
+Attachments = Mapping[str, str | AttachedLink]
+"""Link of a URDF file: segment, or its pose on one."""
+_SECTIONS = {"parts": PartSheet, "elements": ElementSheet, "attach": AttachedLink}
+
+
+def library() -> tuple[str, ...]:
+    """Return the names of the built-in devices."""
+    found = files("torchid.devices").joinpath("library").iterdir()
+    return tuple(sorted(one.name.removesuffix(".yaml") for one in found if one.name.endswith(".yaml")))
+
+
+def load_device(source: Path | str, attachments: Attachments | None = None) -> Device:
+    """Read a device.
+
+    Args:
+        source: path of a YAML or JSON sheet or of a URDF file, or a name of the built-in library.
+        attachments: of the links of a URDF file to segments; absent, every link is on the segment of its name.
+
+    Raises:
+        ConfigError: ``device.*`` with the key at fault, and the nearest known one where it is misspelt.
+        InputError: the URDF file cannot be read.
+    """
+    path = Path(source)
+    if path.suffix.lower() == ".urdf":
+        return Device(path.stem, tuple(attached_parts(path, attachments or {})))
+    if path.suffix.lower() not in SUFFIXES:
+        known = library()
+        if str(source) not in known:
+            near = get_close_matches(str(source), known, n=1, cutoff=0.4)
+            remedy = f"Did you mean '{near[0]}'?" if near else f"Known: {', '.join(known)}; or a path to YAML or URDF."
+            raise ConfigError("device.unknown_name", "no such device", found=str(source), remedy=remedy)
+        path = Path(str(files("torchid.devices").joinpath("library", f"{source}.yaml")))
+    if not path.is_file():
+        raise ConfigError("device.missing_file", "no such file", source=path, remedy="Correct the path.")
+    return device_of(read_document(path), path)
+
+
+def device_of(document: Any, path: Path) -> Device:
+    """Make a device of a sheet's content.
+
+    Args:
+        document: nested mappings and lists.
+        path: the file they come from, from whose folder relative paths start.
+
+    Raises:
+        ConfigError: ``device.*``.
+    """
+    try:
+        sheet = DeviceSheet.model_validate_json(json.dumps(document))
+    except ValidationError as error:
+        raise _explain(error, document, path) from error
+    parts = [_part(one, k, path) for k, one in enumerate(sheet.parts)]
+    if sheet.urdf is not None:
+        parts += attached_parts(path.parent / sheet.urdf, sheet.attach)
+    elements = [element_of(one, k, path) for k, one in enumerate(sheet.elements)]
+    _refuse_twice([one.name for one in parts], "parts", path)
+    _refuse_twice([one.name for one in elements], "elements", path)
+    total = None if sheet.mass_kg is None else number(sheet.mass_kg)
+    return Device(sheet.name, tuple(parts), tuple(elements), sheet.sources, total)
+
+
+def _refuse_twice(names: list[str], where: str, path: Path) -> None:
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        remedy = "Give every one a `name:` of its own."
+        raise fault("name_twice", "a name stands twice", path, where, ", ".join(twice), remedy=remedy)
+
+
+def _part(sheet: PartSheet, k: int, path: Path) -> Part:
+    mass, com = number(sheet.mass_kg), vector(sheet.com_m)
+    if mass is not None and not mass.value >= 0.0:
+        raise fault("mass", "no mass is negative", path, f"parts.{k}.mass_kg", f"{mass.value:g}", remedy="Correct it.")
+    inertia = None if sheet.inertia_kgm2 == "unknown" else _inertia(sheet.inertia_kgm2)
+    return Part(sheet.name or sheet.segment, sheet.segment, mass, com, inertia)
+
+
+def _inertia(text: Any) -> tuple[Value, Value, Value, Value, Value, Value]:
+    matrix: Any = text.value if isinstance(text, MatrixWithSd) else text
+    sd = text.sd if isinstance(text, MatrixWithSd) else 0.0
+    if isinstance(matrix[0], tuple):
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix
+    else:
+        (xx, yy, zz), xy, xz, yz = matrix, 0.0, 0.0, 0.0
+    a, b, c, d, e, f = (Value(value, sd) for value in (xx, xy, yy, xz, yz, zz))
+    return a, b, c, d, e, f
+
+
+def _explain(error: ValidationError, document: Any, path: Path) -> ConfigError:
+    """Say the fault that lies deepest: of a union, the member that was meant."""
+    detail = max(error.errors(include_url=False), key=lambda one: len(_place(one["loc"], document)))
+    place = _place(detail["loc"], document)
+    where = ".".join(map(str, place))
+    if detail["type"] == "extra_forbidden":
+        near = get_close_matches(str(place[-1]).lower(), _keys(place), n=1, cutoff=0.5)
+        remedy = f"Did you mean '{near[0]}'?" if near else f"Known here: {', '.join(_keys(place))}."
+        return fault("unknown_key", "unknown key", path, where, remedy=remedy)
+    if detail["type"] == "missing":
+        return fault("missing_key", "this key is required", path, where, remedy=f"Add {detail['loc'][-1]}: .")
+    message = detail["msg"].replace("Input should be", "must be")
+    remedy = "Numbers are written x, {value: x, sd: s} or unknown; see docs/devices.md."
+    return fault("value", message, path, where, repr(detail.get("input"))[:80], remedy=remedy)
+
+
+def _place(steps: tuple[str | int, ...], document: Any) -> tuple[str | int, ...]:
+    """Keep the steps that are in the document: pydantic mixes names of union members in between."""
+    place: list[str | int] = []
+    for k, step in enumerate(steps):
+        inside = isinstance(document, dict) and step in document
+        inside |= isinstance(document, list) and isinstance(step, int) and step < len(document)
+        if inside:
+            document = document[step]  # pyright: ignore[reportArgumentType, reportCallIssue]
+        elif k < len(steps) - 1:
+            continue
+        place.append(step)
+    return tuple(place)
+
+
+def _keys(place: tuple[str | int, ...]) -> list[str]:
+    """Return the keys that are known where a key stands."""
+    section: type[BaseModel] = DeviceSheet
+    for step in place[:-1]:
+        if step in ("profile", "sensor", "via"):
+            annotation = section.model_fields[str(step)].annotation
+            members = getattr(annotation, "__args__", ())
+            section = next(one for one in members if isinstance(one, type) and issubclass(one, BaseModel))
+        else:
+            section = _SECTIONS.get(str(step), section)
+    return list(section.model_fields)

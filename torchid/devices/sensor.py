@@ -1,0 +1,279 @@
+"""Parameters of an element from the device's own sensor, with errors in both the force and the length.
+
+Minimised is the sum of r^2 / (s_f^2 + f'(x)^2 s_x^2) with r the measured force less the law's (the effective variance
+of Orear, Am J Phys 50:912 (1982), which for a straight line is Deming's regression): s_f is the sensor's noise, s_x the
+error of the length that the residuals then ask for. The covariance is White's sandwich with Newey & West's sum over
+lags (Econometrica 55:703 (1987)), so that residuals that go on for a second count once.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.optimize import least_squares
+from torch import Tensor
+
+from torchid.devices.base_columns import SCALE, Acting
+from torchid.devices.options import DeviceOptions
+from torchid.devices.values import Value
+from torchid.regressor.whitening import white_scatter
+
+ROUNDS = 4
+"""Of law and error of the length, chosen: the fourth changes neither by a hundredth."""
+STARTS = (0.02, 0.2, 0.4, 0.6, 0.8)
+"""Quantiles of the length at which a law may begin, chosen: a kink has minima of its own."""
+LEAST_NOISE = 1e-3
+"""Least noise of a sensor relative to the scatter of its force, chosen: a good one has 0.1 %."""
+SECANT = 1.0
+"""Half width of secants in standard deviations, chosen: a law's kink is smooth on this scale."""
+ALIKE = 1e-6
+"""Singular value of the scaled derivatives, relative to the largest, below which parameters act alike, chosen."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """An element, where its trial shows it, and what its sensor says at the same frames."""
+
+    acting: Acting
+    raw: Float[Tensor, " frames"]
+    """Of the sensor, as recorded."""
+    force: Float[Tensor, " frames"]
+    """The same through the motion's filter."""
+    own_length: bool
+    """Whether the length is the device's own measurement rather than the markers'."""
+
+
+@dataclass(frozen=True)
+class LawFit:
+    """Parameters of one element from its sensor."""
+
+    names: tuple[str, ...]
+    value: Float[np.ndarray, " params"]
+    covariance: Float[np.ndarray, "params params"]
+    alike: tuple[str, ...]
+    """Parameters that these recordings cannot tell from one another."""
+    force_sd: float
+    """Noise of the sensor."""
+    length_sd: float
+    """Error of the length that the residuals ask for."""
+    residual: float
+    """RMS of measured less fitted force."""
+
+    @property
+    def sd(self) -> Float[np.ndarray, " params"]:
+        """Return the standard deviations."""
+        return np.sqrt(np.clip(np.diagonal(self.covariance), 0.0, None))
+
+
+def fit_law(
+    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], options: DeviceOptions
+) -> LawFit:
+    """Fit some parameters of an element to its sensor.
+
+    Args:
+        measured: by trial.
+        names: parameters that are fitted.
+        numbers: values of all others.
+        options: what is assumed.
+    """
+    noise = _sensor_noise(measured)
+    length_sd, best = 0.0, _start(measured, names, numbers)
+    tries = _starts(measured, names, best)
+    for _ in range(ROUNDS):
+        best = min((_minimise(measured, names, numbers, noise, length_sd, x) for x in tries), key=lambda o: o[1])[0]
+        length_sd, tries = _length_error(measured, names, numbers, best, noise), [best]
+    return _judged(measured, names, numbers, best, noise, length_sd, options)
+
+
+def _sensor_noise(measured: Sequence[Measured]) -> float:
+    """Noise of the force after the filter that kinematics have gone through."""
+    found = []
+    for one in measured:
+        smoother = one.acting.trial.motion.smoother
+        sd = one.acting.element.sensor.force_sd
+        raw = one.raw
+        sd = float(white_scatter(raw.to(torch.float64)[:, None])[0]) if sd is None else sd
+        found.append((sd * min(1.0, 2.0 * smoother.cutoff_hz / smoother.rate_hz) ** 0.5) ** 2)
+    scatter = float(torch.cat([one.force for one in measured]).std())
+    return max(float(np.mean(found)) ** 0.5, LEAST_NOISE * scatter, 1e-12)
+
+
+def _values(names: tuple[str, ...], x: np.ndarray, numbers: dict[str, Value]) -> dict[str, Value]:
+    return {**numbers, **{name: Value(float(v)) for name, v in zip(names, x, strict=True)}}
+
+
+def _start(measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value]) -> np.ndarray:
+    force, length = (torch.cat(x) for x in ([m.force for m in measured], [m.acting.act.length for m in measured]))
+    slope = float((force.max() - force.min()) / (length.max() - length.min()).clamp_min(1e-9))
+    first = {"stiffness": slope, "rest": float(length.median()), "gain": 1.0, "damping": 0.0}
+    return np.array([numbers[n].value if n in numbers else first.get(n, 0.0) for n in names])
+
+
+def _starts(measured: Sequence[Measured], names: tuple[str, ...], start: np.ndarray) -> list[np.ndarray]:
+    if "rest" not in names:
+        return [start]
+    length = torch.cat([m.acting.act.length for m in measured])
+    found = []
+    for share in STARTS:
+        x = start.copy()
+        x[names.index("rest")] = float(torch.quantile(length, share))
+        found.append(x)
+    return found
+
+
+def _residual(one: Measured, numbers: dict[str, Value]) -> Tensor:
+    """Measured less fitted force, both through the filter: a kink has frequencies that no filtered motion has."""
+    law, force = one.acting.element.law, one.acting.force(numbers)
+    bent = law is not None and (law.tension_only or bool(law.table) or numbers["free_play"].value > 0.0)
+    return one.force - (one.acting.trial.motion.smoother(force) if bent else force)
+
+
+def _steepness(one: Measured, numbers: dict[str, Value]) -> Tensor:
+    """Derivative of the law's force with respect to the length, by the stiffness that acts at each frame."""
+    law = one.acting.element.law
+    if law is None or "rest" not in numbers:
+        return torch.zeros_like(one.force)
+    return one.acting.slopes(numbers, ("rest",))[0]
+
+
+def _white(
+    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], noise: float, length_sd: float,
+    x: np.ndarray,
+) -> list[np.ndarray]:  # fmt: skip
+    """Residuals by trial over their standard deviation, which the errors of force and length give at these numbers."""
+    values, parts = _values(names, x, numbers), []
+    for one in measured:
+        sd = noise if length_sd == 0.0 else (noise**2 + (_steepness(one, values) * length_sd) ** 2).sqrt()
+        parts.append((_residual(one, values) / sd).cpu().numpy())
+    return parts
+
+
+def _minimise(
+    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], noise: float, length_sd: float,
+    start: np.ndarray,
+) -> tuple[np.ndarray, float]:  # fmt: skip
+    scale = np.array([SCALE[name] for name in names])
+
+    def white(x: np.ndarray) -> np.ndarray:
+        return np.concatenate(_white(measured, names, numbers, noise, length_sd, x * scale))
+
+    found = least_squares(white, start / scale, x_scale="jac", method="trf", max_nfev=60)
+    return found.x * scale, float(found.cost)
+
+
+def _length_error(
+    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], x: np.ndarray, noise: float
+) -> float:
+    """Error of the length that explains what of the residuals the sensor's noise does not."""
+    values = _values(names, x, numbers)
+    r, steep = (torch.cat([f(one, values) for one in measured]) for f in (_residual, _steepness))
+    weight = steep.square()
+    if float(weight.max()) == 0.0:
+        return 0.0
+    return max(float((weight * (r.square() - noise**2)).sum() / weight.square().sum()), 0.0) ** 0.5
+
+
+def _judged(
+    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], x: np.ndarray, noise: float,
+    length_sd: float, options: DeviceOptions,
+) -> LawFit:  # fmt: skip
+    values = _values(names, x, numbers)
+    scale = np.array([SCALE[name] for name in names])
+    slopes = []
+    for one in measured:
+        sd = (noise**2 + (_steepness(one, values) * length_sd) ** 2).sqrt().cpu().numpy()
+        slopes.append((one.acting.slopes(values, names).cpu().numpy() / sd).T * scale)
+    bread = sum((J.T @ J for J in slopes), np.zeros((len(names),) * 2))
+    alike = _alike(bread, names)
+    residual = float(torch.cat([_residual(one, values) for one in measured]).square().mean().sqrt())
+    covariance = np.linalg.pinv(bread, rcond=ALIKE**2, hermitian=True)
+    if not alike:
+        step = SECANT * np.sqrt(np.diagonal(covariance)) * max(1.0, residual / noise)
+
+        def white(move: np.ndarray) -> list[np.ndarray]:
+            return _white(measured, names, numbers, noise, length_sd, x + move * scale)
+
+        lags = [round(options.correlation_s * one.acting.trial.rate) for one in measured]
+        covariance = _sandwich(white, step, lags)
+    markers = not all(one.own_length for one in measured)
+    spread = _in_proportion(measured, names, x, options, markers)
+    return LawFit(names, x, covariance * np.outer(scale, scale) + spread, alike, noise, length_sd, residual)
+
+
+def _sandwich(
+    white: Callable[[np.ndarray], list[np.ndarray]], step: np.ndarray, lags: Sequence[int]
+) -> Float[np.ndarray, "params params"]:
+    """Covariance of the minimiser of half the sum of squares, by secants as wide as ``step``.
+
+    The weights follow the parameters, and laws have kinks: scores are secants of each frame's own half square, and the
+    curvature is that of the sum.
+    """
+    n = len(step)
+    moves = np.diag(step)
+    ups, downs = ([[0.5 * e**2 for e in white(side * move)] for move in moves] for side in (1.0, -1.0))
+    cost = sum(0.5 * float(e @ e) for e in white(np.zeros(n)))
+    curvature, meat = np.zeros((n, n)), np.zeros((n, n))
+    for i in range(n):
+        curvature[i, i] = sum(float(u.sum() + d.sum()) for u, d in zip(ups[i], downs[i], strict=True)) - 2.0 * cost
+        for j in range(i):
+            corners = [(a * b, white(a * moves[i] + b * moves[j])) for a in (1.0, -1.0) for b in (1.0, -1.0)]
+            mixed = sum(sign * sum(0.5 * float(e @ e) for e in parts) for sign, parts in corners)
+            curvature[i, j] = curvature[j, i] = 0.25 * mixed
+    for k, lag in enumerate(lags):
+        scores = np.stack([0.5 * (ups[i][k] - downs[i][k]) for i in range(n)], 1)
+        meat += _long_run(scores, lag)
+    inverse = np.linalg.pinv(curvature, hermitian=True)
+    frames = sum(len(e) for e in ups[0])
+    return inverse @ meat @ inverse * np.outer(step, step) * _short(float(np.mean(lags)) / frames)
+
+
+def _short(b: float) -> float:
+    """Factor on a variance so that 1.96 standard deviations cover 95 %, where the lags are a part b of the frames.
+
+    The statistic is then no normal one; its 97.5 % point is that of Kiefer & Vogelsang, Econometric Theory 21:1130
+    (2005), table 1, Bartlett's weights.
+    """
+    b = min(b, 1.0)
+    return ((1.96 + 2.9694 * b + 0.4160 * b**2 - 0.5324 * b**3) / 1.96) ** 2
+
+
+def _long_run(scores: Float[np.ndarray, "frames params"], lags: int) -> np.ndarray:
+    """Covariance of the sum of scores, with Bartlett's weights on their lagged products."""
+    lags = min(lags, len(scores) // 3)
+    centred = scores - scores.mean(0)
+    total = centred.T @ centred
+    for lag in range(1, lags + 1):
+        product = centred[lag:].T @ centred[:-lag]
+        total += (1.0 - lag / (lags + 1)) * (product + product.T)
+    values, vectors = np.linalg.eigh(total)
+    return (vectors * np.clip(values, 0.0, None)) @ vectors.T
+
+
+def _alike(bread: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Parameters that take part in a combination which the derivatives do not see."""
+    norm = np.sqrt(np.diagonal(bread))
+    lost = [name for name, size in zip(names, norm, strict=True) if not size > 0.0]
+    unit = bread / np.outer(norm, norm).clip(1e-300)
+    values, vectors = np.linalg.eigh(unit)
+    blind = np.abs(vectors[:, values < ALIKE * values.max()])
+    return tuple(name for name, row in zip(names, blind, strict=True) if name in lost or (row > 0.1).any())
+
+
+def _in_proportion(
+    measured: Sequence[Measured], names: tuple[str, ...], x: np.ndarray, options: DeviceOptions, markers: bool
+) -> np.ndarray:
+    """Covariance from an error of the length in proportion to its changes, and from one common to all frames."""
+    move = np.zeros((2, len(names)))
+    length = torch.cat([m.acting.act.length for m in measured])
+    middle = float(length.median())
+    turns = measured[0].acting.element.turns
+    scale_sd = (options.angle_scale_sd if turns else options.length_scale_sd) if markers else 0.0
+    for k, name in enumerate(names):
+        if name in ("stiffness", "damping"):
+            move[0, k] = scale_sd * x[k]
+        elif name == "rest":
+            move[0, k] = scale_sd * (x[k] - middle)
+            move[1, k] = options.angle_sd if turns else options.length_sd
+    return move.T @ move

@@ -1,0 +1,1 @@
+"""Assistive devices evaluated: conditions compared, with what is sure about the comparison."""

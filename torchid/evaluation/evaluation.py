@@ -1,0 +1,90 @@
+"""Everything that an evaluation knows: what its files hold and its report says."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.config import Config
+from torchid.evaluation.comparing import Comparison, Sample
+from torchid.evaluation.cycles import Cycle
+from torchid.evaluation.layout import Layout
+from torchid.evaluation.rows import CycleRows
+from torchid.evaluation.trials import ConditionTrial
+from torchid.evaluation.wearing import Worn
+from torchid.outcome import Outcome
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Something that cannot be determined, and why."""
+
+    what: str
+    why: str
+
+
+@dataclass(frozen=True)
+class ContactCount:
+    """Of a condition's frames in which a foot touches the ground, the shares by where its force comes from."""
+
+    condition: str
+    foot: str
+    frames: int
+    measured: float
+    """On a plate of its own."""
+    shared: float
+    """On a plate with the other foot, and shared out."""
+    beside: float
+    """On no plate, or on one that does not tell: predicted where that was asked for, else left out."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one body says: the identified one, or the scaled template with tabulated inertia."""
+
+    rows: CycleRows
+    sample: Sample
+    comparisons: tuple[Comparison, ...]
+    """Of every condition with the reference."""
+    course_p: tuple[Float[Tensor, "points courses"], ...]
+    """Adjusted p-values of every comparison's courses."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Conditions of one subject compared."""
+
+    config: Config
+    outcome: Outcome
+    trials: tuple[ConditionTrial, ...]
+    cycles: tuple[Cycle, ...]
+    conditions: tuple[str, ...]
+    """Condition of every cycle."""
+    layout: Layout
+    identified: Answer
+    template: Answer
+    apart: Float[Tensor, " cycles"]
+    """How far each cycle stands apart from its condition's others (``cycles.outliers``)."""
+    worn: dict[str, Worn]
+    contacts: tuple[ContactCount, ...]
+    gaps: tuple[Gap, ...]
+    per_mass_kg: float | None
+    """Mass by which torques are divided, None where they are not."""
+
+    @property
+    def reference(self) -> str:
+        """Condition that the others are compared with."""
+        return next(name for name, condition in self.config.conditions.items() if condition.reference)
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Conditions that are compared with the reference."""
+        return tuple(name for name in self.config.conditions if name != self.reference)
+
+    def unit(self, ending: str) -> str:
+        """Unit of a torque measure, per mass where that is wanted.
+
+        Args:
+            ending: unit as it is without division, such as ``N m``.
+        """
+        return ending if self.per_mass_kg is None else f"{ending}/kg"

@@ -1,0 +1,90 @@
+"""What an evaluation cannot say, and why: read before believing that there is no difference."""
+
+from collections.abc import Iterator
+
+import torch
+
+from torchid.evaluation.draws import SAID
+from torchid.evaluation.evaluation import Evaluation, Gap
+from torchid.evaluation.measures import MEASURES
+from torchid.wording import listing, plural
+
+
+def find_gaps(found: Evaluation) -> tuple[Gap, ...]:
+    """Everything that is not determinable.
+
+    Args:
+        found: the evaluation, without its gaps.
+    """
+    return (*_coordinates(found), *_tests(found), *_torques(found), *_device(found), *_body(found), *_back(found))
+
+
+def _coordinates(found: Evaluation) -> Iterator[Gap]:
+    for name in found.layout.missing:
+        yield Gap(name, "the model has no such coordinate")
+
+
+def _tests(found: Evaluation) -> Iterator[Gap]:
+    for one in found.identified.comparisons:
+        what = f"{one.condition} against {one.reference}"
+        if not one.units.testable:
+            yield Gap(f"whether {what} differs", one.units.reason)
+        elif one.units.reason:
+            yield Gap(f"what trials of {what} have in common", one.units.reason)
+
+
+def _torques(found: Evaluation) -> Iterator[Gap]:
+    """Coordinates whose torque is not known in some cycles of a condition."""
+    sample, layout = found.identified.sample, found.layout
+    torque = [
+        k for k, column in enumerate(sample.columns) if column.measure in MEASURES and column.measure != "range_deg"
+    ]
+    for condition in found.config.conditions:
+        lost: dict[tuple[int, int], list[str]] = {}
+        for name, side in zip(layout.names, layout.sides, strict=True):
+            own = [k for k, c in enumerate(found.cycles) if found.conditions[k] == condition
+                   and (not side or not c.side or side == c.side)]  # fmt: skip
+            columns = [k for k in torque if sample.columns[k].where == name][:1]
+            if columns:
+                unknown = int(torch.isnan(sample.values[own][:, columns]).all(1).sum())
+                lost.setdefault((unknown, len(own)), []).append(name)
+        for (unknown, every), names in lost.items():
+            if unknown:
+                yield Gap(
+                    f"torque of {listing(names)} in {unknown} of {plural(every, 'cycle')} of {condition}",
+                    "a foot's force is not known throughout: it stood beside the plates, or on one that does not tell",
+                )
+
+
+def _device(found: Evaluation) -> Iterator[Gap]:
+    for condition, worn in found.worn.items():
+        for element in worn.left_out:
+            yield Gap(
+                f"what {element} of the device of {condition} does",
+                "a number of it is unknown and no sensor tells it: its share is counted as the human's",
+            )
+        for name, parameter in worn.parameters.items():
+            if "why" in parameter:
+                yield Gap(f"{name} of the device of {condition}", str(parameter["why"]))
+
+
+def _body(found: Evaluation) -> Iterator[Gap]:
+    if found.identified.rows.draws is None:
+        yield Gap("bands from the body", "no inertia was identified, so nobody knows how uncertain it is")
+    else:
+        yield Gap("errors that are in no band", f"bands draw {SAID}; what else is wrong with the model is not in them")
+    if found.outcome.base is not None and any(condition.device for condition in found.config.conditions.values()):
+        yield Gap(
+            "faults of the recordings with a device",
+            "what the diagnosis has named was taken out of the trials that the body was identified on, not of these",
+        )
+
+
+def _back(found: Evaluation) -> Iterator[Gap]:
+    if not found.layout.back:
+        yield Gap("L5/S1", "the model has no joint of three turns between pelvis and trunk")
+    else:
+        yield Gap(
+            "loads in the hands, and a device's own pull along the spine, at L5/S1",
+            "moment and compression follow from the motion of trunk, head and arms and from the device's torque alone",
+        )

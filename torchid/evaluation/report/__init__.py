@@ -1,0 +1,1 @@
+"""The page of an evaluation that an ergonomist can hand on."""

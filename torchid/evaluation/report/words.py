@@ -1,0 +1,73 @@
+"""Measures and coordinates in plain words."""
+
+from torchid.evaluation.comparing import Column
+from torchid.evaluation.conventions import OPENSIM, SIDED
+from torchid.wording import clean
+
+MEASURES = {
+    "peak_torque_Nm": "peak torque", "max_torque_Nm": "largest torque in the sense of the coordinate",
+    "min_torque_Nm": "largest torque against the sense of the coordinate", "mean_torque_Nm": "mean torque",
+    "positive_work_J": "work done (positive)", "negative_work_J": "work taken up (negative)",
+    "peak_power_W": "peak power", "cumulative_load_Nms": "cumulative load", "range_deg": "range of motion",
+    "peak_moment_Nm": "peak extension moment", "cumulative_moment_Nms": "cumulative extension moment",
+    "peak_compression_N": "peak compression", "stride_time_s": "stride time", "stride_length_m": "stride length",
+    "speed_m_s": "speed", "stance_share": "share of stance", "step_width_m": "step width",
+    "stance_time_s": "stance time", "duration_s": "duration", "depth_m": "depth of the pelvis' movement",
+}  # fmt: skip
+DECIMALS = {
+    "stride_time_s": 3, "stride_length_m": 3, "speed_m_s": 3, "stance_share": 3, "step_width_m": 3,
+    "stance_time_s": 3, "duration_s": 2, "depth_m": 3, "peak_compression_N": 0,
+}  # fmt: skip
+WHOLE_BODY = "cycle"
+_SIDES = {"l": "left", "r": "right"}
+_THEIRS = {name: ours for ours, (name, _) in OPENSIM.items()}
+
+
+def where_words(where: str) -> str:
+    """A coordinate's name in words: ``hip_l_flexion`` is ``left hip flexion``; other names stay as they are.
+
+    Args:
+        where: of a column.
+    """
+    if where in ("L5/S1", WHOLE_BODY):
+        return where
+    stem, _, side = where.rpartition("_")
+    ours = _THEIRS.get(f"{stem}_{{}}", _THEIRS.get(where, ""))
+    if ours:
+        return (
+            f"{_SIDES[side]} {ours.replace('_{}_', ' ').replace('_', ' ')}" if "{}" in ours else where.replace("_", " ")
+        )
+    parts = where.split("_")
+    own = next((part for part in parts if part in SIDED), "")
+    rest = " ".join(part for part in parts if part != own)
+    return clean(f"{_SIDES[own]} {rest}" if own else rest)
+
+
+def measure_words(measure: str) -> str:
+    """A measure's name in words.
+
+    Args:
+        measure: of a column.
+    """
+    return MEASURES.get(measure, measure.replace("_", " "))
+
+
+def column_words(column: Column) -> str:
+    """``peak torque, left hip flexion``.
+
+    Args:
+        column: of measures.
+    """
+    if column.where == WHOLE_BODY:
+        return measure_words(column.measure)
+    return f"{measure_words(column.measure)}, {where_words(column.where)}"
+
+
+def digits_of(measure: str, per_mass: bool) -> int:
+    """Decimals with which a measure is shown.
+
+    Args:
+        measure: of a column.
+        per_mass: whether torques are divided by mass.
+    """
+    return DECIMALS.get(measure, 3 if per_mass and measure != "range_deg" else 1)

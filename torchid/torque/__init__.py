@@ -1,0 +1,1 @@
+"""Joint torques, and how far they scatter with everything that they are computed from."""
