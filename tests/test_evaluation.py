@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import runpy
+import shutil
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -13,6 +14,7 @@ import small_session as small
 import torch
 import xarray
 import yaml
+from playwright.sync_api import sync_playwright
 from typer.testing import CliRunner
 
 from torchid.cli import app
@@ -26,6 +28,7 @@ from torchid.evaluation.evaluate import evaluate, gather, judge
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import all_numbers
+from torchid.evaluation.report.page import render_evaluation
 from torchid.evaluation.trials import condition_trials
 from torchid.evaluation.write import write_evaluation
 from torchid.results import OutputFolder
@@ -261,6 +264,26 @@ def test_conditions_without_cycles_channels_or_motion_are_refused(device: Device
     with pytest.raises(InputError) as caught:
         gather(config, outcome, still, devices)
     assert caught.value.code == "evaluate.static"
+
+
+@pytest.mark.slow
+def test_the_summary_fills_one_printed_page(found: Evaluation, tmp_path: Path) -> None:
+    """On A4 between the margins of the style sheet, in a browser that complains of nothing."""
+    if shutil.which("chromium") is None:
+        pytest.skip("no chromium on this machine")
+    page = tmp_path / "evaluation.html"
+    page.write_text(render_evaluation(found, Ledger(all_numbers(found))))
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        view, complaints = browser.new_page(viewport={"width": 695, "height": 1017}), []
+        view.on("console", lambda message: complaints.append(message.text))
+        view.goto(page.as_uri())
+        view.emulate_media(media="print")
+        bottom, wide = view.evaluate(
+            "[document.querySelector('#summary').getBoundingClientRect().bottom, document.body.scrollWidth]"
+        )
+        browser.close()
+    assert bottom <= 1017 and wide <= 700 and not complaints
 
 
 @pytest.mark.slow

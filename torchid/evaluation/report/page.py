@@ -12,7 +12,7 @@ from torchid.evaluation.report.details import (
 from torchid.evaluation.report.method import method_section
 from torchid.evaluation.report.summary import summary_section
 from torchid.report.page import render_page
-from torchid.wording import clean
+from torchid.wording import clean, listing
 
 STYLES = """
 #summary table, #differences table { font-size: .76rem; }
@@ -24,6 +24,8 @@ STYLES = """
   #summary svg { max-height: 8.6cm; }
   #summary p, #summary ul { margin: .3rem 0; }
   #summary table { font-size: 7pt; }
+  #differences table { font-size: 6.4pt; }
+  #summary th, #summary td, #differences th, #differences td { padding-right: .3rem; }
   #summary figcaption { font-size: 7.6pt; }
   th, td { padding-right: .3rem; }
   #summary .finding { font-size: 9.5pt; margin: .2rem 0 .5rem; }
@@ -40,7 +42,7 @@ def render_evaluation(found: Evaluation, ledger: Ledger) -> str:
         found: the evaluation.
         ledger: of its numbers; remembers what is shown.
     """
-    title = f"{clean(found.config.subject.name)}: {' and '.join(clean(name) for name in found.config.conditions)}"
+    title = f"{clean(found.config.subject.name)}: {listing(list(found.config.conditions))}"
     every = [
         summary_section(found, ledger), differences_section(found, ledger), values_section(found, ledger),
         courses_section(found, ledger), device_section(found, ledger), reach_section(found, ledger),

@@ -110,7 +110,7 @@ def headline(found: Evaluation, ledger: Ledger) -> str:
         else:
             every = ledger.show(Key("test", "hypotheses", one.condition), 0)
             said.append(f"None of {every} measures differs between {names} by more than chance makes.")
-        if one.units.kind == "blocks":
-            said.append("Of these recordings, that is: whether the condition did it, single trials cannot tell.")
+    if any(one.units.kind == "blocks" for one in found.identified.comparisons):
+        said.append("Of these recordings, that is: whether the condition did it, single trials cannot tell.")
     level = ledger.show(Key("method", "level"), 0, 100.0)
     return " ".join(said) + f" The chance of any false finding is held at {level} %."

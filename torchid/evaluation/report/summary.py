@@ -53,7 +53,8 @@ def _compared(found: Evaluation, ledger: Ledger, number: int, one: Comparison) -
     panels = PANELS // share
     if panels > 1:
         drawing = draw_courses(found, number, shown_courses(found, one, panels), f"s{number}")
-        blocks.append(Figure(drawing, caption(found, ledger)))
+        blocks.append(Figure(drawing, f"{clean(one.condition)}. {caption(found, ledger)}" if share > 1 else
+                             caption(found, ledger)))  # fmt: skip
     rows = ranked(one)[:ROWS]
     if rows and len(found.others) == 1:
         title = f"Largest differences, {clean(one.condition)} minus {clean(one.reference)}"
