@@ -38,7 +38,7 @@ class Truth:
     labels: tuple[str, ...]
 
 
-def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, seconds: float = 10.0) -> Truth:
+def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, seconds: float = 8.0) -> Truth:
     """Write ``static.c3d``, ``fit.c3d``, ``heldout.c3d`` and ``config.yaml``, and return the truth."""
     model, _ = read_osim_model(source)
     prior = model.geometry
