@@ -19,7 +19,7 @@ from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import fit_law
-from torchid.devices.supports import Recorded, plate_gain
+from torchid.devices.supports import Recorded
 from torchid.devices.values import Value
 from torchid.inertia.pseudo import com
 from torchid.model.tree import Tree
@@ -182,7 +182,6 @@ def _elsewhere(
         return []
     tree, none = trials[0].tree, body.phi.new_zeros(0)
     extra = Extra(none, none, tuple(body.phi.new_zeros(6, 0, len(t.wrench)) for t in trials))
-    extra = plate_gain(extra, trials, options)
     free = replace(device, mass_kg=None)
     sheet = fit_jointly(trials, body, parts_prior(free, tree, com(body.phi)), extra)
     findings = []

@@ -62,7 +62,7 @@ def identify_device(
     known = _from_sensors(device, trials, recorded, options)
     filled = _filled(device, known.numbers)
     supports = [e for e in filled.elements if e.unknown and has_line(e) and _seen(e, trials, recorded)]
-    prior = parts_prior(filled, trials[0].tree, com(body.phi))
+    prior = parts_prior(replace(filled, mass_kg=None), trials[0].tree, com(body.phi))
     fit, told = fit_by_base_rows(filled, supports, trials, body, prior, recorded, options)
     known = known.joined(told)
     parameters = {**_part_parameters(fit, prior), **_element_parameters(device, known, trials, recorded)}

@@ -15,8 +15,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.devices.parts import PartsPrior
+from torchid.conventions import Inertial
+from torchid.devices.parts import LEAST_SD, PartsPrior
 from torchid.devices.result import BodyBelief
+from torchid.devices.values import Value
 from torchid.inertia.cone import Linear, project
 from torchid.inertia.identify import ROUNDS
 from torchid.inertia.pseudo import relative_map
@@ -45,6 +47,20 @@ class Extra:
 
 
 @dataclass(frozen=True)
+class Considered:
+    """Errors that are not estimated but known to be possible: they widen the covariance and move nothing.
+
+    An error such as a plate's gain resembles what a body in motion leaves unexplained anyway; estimated, it takes that
+    up and hands its own weight to the parts (a consider covariance: Tapley, Schutz & Born, Statistical Orbit
+    Determination, 2004, section 6.4).
+    """
+
+    sd: Float[Tensor, " errors"]
+    columns: tuple[Float[Tensor, "6 errors frames"], ...]
+    """As of ``Extra``."""
+
+
+@dataclass(frozen=True)
 class JointFit:
     """Body, parts and parameters of supports after the trials with the device."""
 
@@ -64,6 +80,8 @@ def fit_jointly(
     parts: PartsPrior,
     extra: Extra,
     known_noise: Whitening | None = None,
+    considered: Considered | None = None,
+    weighed: Value | None = None,
 ) -> JointFit:
     """Update what is known of body, parts and supports by the base rows of trials with the device.
 
@@ -73,6 +91,8 @@ def fit_jointly(
         parts: as the sheet tells them.
         extra: parameters of supports.
         known_noise: of the rows; None: estimated from their residuals.
+        considered: errors of the rows that widen the covariance.
+        weighed: mass of all parts together as a scale tells it [kg], held against rows with their errors.
 
     Raises:
         DataError: no solution exists.
@@ -80,19 +100,33 @@ def fit_jointly(
     mean = torch.cat([body.phi.reshape(-1), parts.mean.reshape(-1), extra.mean])
     covariance = torch.block_diag(body.covariance, parts.covariance, torch.diag(extra.sd.square()))
     precision = _inverse(covariance)
+    errors = considered or Considered(mean.new_zeros(0), tuple(mean.new_zeros(6, 0, len(t.wrench)) for t in trials))
+    n_errors = len(errors.sd)
     E = _map(len(body.phi), parts.body, len(extra.mean), mean)
-    blocks = [list(spectra(trial, own)) for trial, own in zip(trials, extra.columns, strict=True)]
+    E = torch.cat([E, E.new_zeros(n_errors, E.shape[1])])
+    each = zip(trials, extra.columns, errors.columns, strict=True)
+    blocks = [list(spectra(trial, torch.cat([own, beside], 1))) for trial, own, beside in each]
     whitening = known_noise or initial_whitening(mean)
     for _ in range(0 if known_noise else ROUNDS - 1):
-        z, found, _ = _solve(blocks, whitening, E, mean, precision)
+        z, found, *_ = _solve(blocks, whitening, E, mean, precision)
         lost = float(len(mean) - torch.trace(precision @ found))
         params = E @ z
         whitening = estimate_whitening(((b, params) for b in chain.from_iterable(blocks)), max(lost, 0.0))
-    z, found, evidence = _solve(blocks, whitening, E, mean, precision)
-    n = len(mean) - len(extra.mean)
-    z = _physical(z, found, n, torch.cat([body.phi, parts.reference]))
-    bodies = 10 * len(body.phi)
+    z, found, evidence, gram = _solve(blocks, whitening, E, mean, precision)
+    n, bodies = len(mean) - len(extra.mean), 10 * len(body.phi)
+    metric, moved = found, found @ (E.mT @ gram[:, len(gram) - n_errors :]) * errors.sd
+    found = found + moved @ moved.mT
+    if weighed is not None and len(parts.names):
+        z, found = _weighed(z, found, slice(bodies, n, len(Inertial)), weighed)
+    z = _physical(z, metric, n, torch.cat([body.phi, parts.reference]))
     return JointFit(z[:bodies].reshape(-1, 10), z[bodies:n].reshape(-1, 10), z[n:], found, whitening, evidence)
+
+
+def _weighed(z: Tensor, covariance: Tensor, masses: slice, total: Value) -> tuple[Tensor, Tensor]:
+    """Condition on the sum of some parameters (Gaussian conditioning on one linear measurement)."""
+    lever = covariance[:, masses].sum(1)
+    variance = lever[masses].sum() + max(total.sd, LEAST_SD[0]) ** 2
+    return z + lever * ((total.value - z[masses].sum()) / variance), covariance - torch.outer(lever, lever) / variance
 
 
 def _map(bodies: int, on: tuple[int, ...], extra: int, like: Tensor) -> Float[Tensor, "columns params"]:
@@ -107,8 +141,8 @@ def _map(bodies: int, on: tuple[int, ...], extra: int, like: Tensor) -> Float[Te
 
 def _solve(
     blocks: list[list[BlockSpectrum]], whitening: Whitening, E: Tensor, mean: Tensor, precision: Tensor
-) -> tuple[Float[Tensor, " params"], Float[Tensor, "params params"], float]:
-    """Posterior mean, covariance and log evidence."""
+) -> tuple[Float[Tensor, " params"], Float[Tensor, "params params"], float, Float[Tensor, "columns columns"]]:
+    """Posterior mean, covariance and log evidence, and the Gram matrix of all columns."""
     sums = [accumulate(own, whitening) for own in blocks]
     total = sum(sums[1:], sums[0])
     total.check()
@@ -119,7 +153,7 @@ def _solve(
     step = found @ pull
     volume = float(torch.logdet(_scaled(found)[0]) + _scaled(found)[1] + torch.logdet(_scaled(precision)[0]))
     evidence = 0.5 * (float(pull @ step) - miss + volume + float(_scaled(precision)[1]))
-    return mean + step, found, evidence
+    return mean + step, found, evidence, total.gram
 
 
 def _scaled(matrix: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.devices.base_columns import Acting, about_root, acting, known_external
 from torchid.devices.device import Device, Element
-from torchid.devices.joint_fit import Extra, JointFit, fit_jointly
+from torchid.devices.joint_fit import Considered, Extra, JointFit, fit_jointly
 from torchid.devices.laws import Channels
 from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import PartsPrior
@@ -70,38 +70,24 @@ def fit_by_base_rows(
         moved, columns = _linearised(supports, own, trials, at, known)
         like = body.phi
         miss = [v.value - x for v, x in zip(start, at, strict=True)]
-        extra = plate_gain(
-            Extra(like.new_tensor(miss), like.new_tensor([v.sd for v in start]), tuple(columns)), trials, options
-        )
-        fit = fit_jointly(moved, body, prior, extra)
+        extra = Extra(like.new_tensor(miss), like.new_tensor([v.sd for v in start]), tuple(columns))
+        gain = plate_gain(trials, options)
+        fit = fit_jointly(moved, body, prior, extra, considered=gain, weighed=device.mass_kg)
         at = [x + float(step) for x, step in zip(at, fit.extra[: len(at)], strict=True)]
     own_rows = slice(len(fit.covariance) - len(fit.extra), len(fit.covariance) - len(fit.extra) + len(at))
     covariance = fit.covariance[own_rows, own_rows]
     return fit, _told(supports, names, at, covariance, covariance.diagonal(), start, options)
 
 
-def plate_gain(extra: Extra, trials: Sequence[WrenchTrial], options: DeviceOptions) -> Extra:
-    """Return the parameters with two more: gain and zero of the plates against those without the device.
-
-    Of what they read about the root, F, the parts g F and z mean(F) are not there: Y E z + g F + z mean(F) = F. The
-    forces of accelerations tell a gain, as far as the bare body is known, but no zero that moved.
+def plate_gain(trials: Sequence[WrenchTrial], options: DeviceOptions) -> Considered:
+    """Return the gain of the plates with the device against without: of what they read, F, the part g F is not there.
 
     Args:
-        extra: parameters of supports with their columns.
         trials: with the device, as measured.
-        options: with the scatter of both; zero leaves them out.
+        options: with its scatter.
     """
-    if options.plate_gain_sd == 0.0:
-        return extra
-    columns = tuple(torch.cat([own, _read(trial)], 1) for own, trial in zip(extra.columns, trials, strict=True))
-    zero, sd = extra.mean.new_zeros(2), extra.mean.new_tensor([options.plate_gain_sd] * 2)
-    return Extra(torch.cat([extra.mean, zero]), torch.cat([extra.sd, sd]), columns)
-
-
-def _read(trial: WrenchTrial) -> Float[Tensor, "6 2 frames"]:
-    """What plates read about the root, and its mean."""
-    wrench = about_root(trial, trial.wrench)
-    return torch.stack([wrench, wrench[:, trial.used].mean(1, keepdim=True).expand_as(wrench)], 1)
+    sd = trials[0].wrench.new_tensor([options.plate_gain_sd])
+    return Considered(sd, tuple(about_root(trial, trial.wrench)[:, None] for trial in trials))
 
 
 def _prior_of(own: list[Acting], name: str, options: DeviceOptions) -> Value:
