@@ -20,10 +20,13 @@ from typer.testing import CliRunner
 from torchid.cli import app
 from torchid.config import InvalidConfig, load_config
 from torchid.config.conditions import Condition, EvaluateOptions, GivenCycle
+from torchid.conventions import GRAVITY
 from torchid.devices import Device, load_device
+from torchid.devices.values import Value
 from torchid.dynamics import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.evaluation.back import lever_arms, low_back, trunk_of
+from torchid.evaluation.device_draws import device_deviations
 from torchid.evaluation.evaluate import evaluate, gather, judge
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.gaps import find_gaps, unweighed
@@ -31,8 +34,10 @@ from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import all_numbers
 from torchid.evaluation.report.page import render_evaluation
 from torchid.evaluation.trials import condition_trials
+from torchid.evaluation.wearing import acting
 from torchid.evaluation.write import write_evaluation
 from torchid.results import OutputFolder
+from torchid.torque.inverse import joint_torques
 
 SHEET = """
 name: hip spring
@@ -95,6 +100,26 @@ def test_an_element_that_nobody_knows_is_left_to_the_human_and_said(found: Evalu
     said = [f"{gap.what}: {gap.why}" for gap in found.gaps]
     assert any("hip_r" in one and "counted as the human's" in one for one in said)
     assert any("hip_r.stiffness" in one for one in said)
+
+
+def test_what_is_unsure_of_a_device_is_unsure_of_the_human(found: Evaluation) -> None:
+    """A stiffer spring leaves the human less, a heavier part asks for more; masses scatter as the plates let them."""
+    worn, trial = found.worn["on"], next(t for t in found.trials if t.condition == "on")
+    assert worn.parts is not None and worn.parts_draws is not None and len(worn.draws) == 20
+    scatter = worn.parts_draws[:, :, 0].sum(1).std()
+    assert 0.05 < float(scatter) < 0.5
+    fit, motion = found.outcome.fit, trial.followed.motion
+    tree, share = fit.model.tree, acting(worn, fit.model.tree, fit.geometry, motion, {})
+    (spring,) = worn.device.elements
+    stiffer = replace(worn.device, elements=(spring.with_numbers({"stiffness": Value(44.0)}),))
+    heavier = worn.parts.clone()
+    heavier[tree.index("thigh_l"), 0] += 1.0
+    drawn = replace(worn, draws=(stiffer, worn.device), parts_draws=torch.stack([worn.parts, heavier]))
+    first, second = device_deviations(drawn, tree, fit.geometry, motion, {})
+    torch.testing.assert_close(first, -0.1 * share.torque, rtol=1e-9, atol=1e-9)
+    needed = joint_torques(tree, fit.geometry, heavier - worn.parts, motion, ())
+    torch.testing.assert_close(second, needed, rtol=1e-9, atol=1e-9)
+    assert float(second[:, 2].mean()) == pytest.approx(GRAVITY, rel=0.2)
 
 
 def test_a_device_that_plates_contradict_is_said(found: Evaluation) -> None:

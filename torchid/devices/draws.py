@@ -1,6 +1,8 @@
 """Devices as they may be: draws of what was found of their elements, for bands of whatever follows from them."""
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from torchid.devices.device import Device
 from torchid.devices.result import IdentifiedDevice
@@ -38,3 +40,20 @@ def device_draws(found: IdentifiedDevice, count: int, seed: int) -> tuple[Device
         )
 
     return tuple(drawn(k) for k in range(count))
+
+
+def parts_draws(found: IdentifiedDevice, count: int, seed: int) -> Float[Tensor, "draws bodies 10"]:
+    """Draw what the parts of a device add to the inertial parameters of the bodies; Gaussian, without the LMI.
+
+    Args:
+        found: an identified device.
+        count: of draws.
+        seed: of the draws.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    values, vectors = torch.linalg.eigh(found.parts_covariance)
+    unit = torch.randn(count, len(values), generator=generator, dtype=torch.float64).to(values)
+    moved = (unit * values.clamp_min(0.0).sqrt()) @ vectors.mT
+    parts = found.parts + moved.view(count, *found.parts.shape)
+    body = torch.tensor(found.parts_body, dtype=torch.long, device=parts.device)
+    return parts.new_zeros(count, *found.phi_on.shape).index_add(1, body, parts)

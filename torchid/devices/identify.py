@@ -69,8 +69,10 @@ def identify_device(
     device = _with_parts(_filled(device, known.numbers), parameters)
     phi_on, covariance = _worn(fit, prior, len(body.phi))
     bodies = 10 * len(body.phi)
+    own = slice(bodies, bodies + fit.parts.numel())
     return IdentifiedDevice(
-        device, parameters, BodyBelief(fit.body, fit.covariance[:bodies, :bodies]), fit.parts, phi_on, covariance,
+        device, parameters, BodyBelief(fit.body, fit.covariance[:bodies, :bodies]), fit.parts,
+        fit.covariance[own, own], prior.body, phi_on, covariance,
         known.covariance, known.keys, fit.whitening,
     )  # fmt: skip
 

@@ -51,6 +51,10 @@ class IdentifiedDevice:
     """The bare body after both kinds of trials."""
     parts: Float[Tensor, "parts 10"]
     """Inertial parameters of the parts about their segments' origins."""
+    parts_covariance: Float[Tensor, "own own"]
+    """Of the flattened ``parts``, with what plates may err by."""
+    parts_body: tuple[int, ...]
+    """Index of the segment of each part."""
     phi_on: Float[Tensor, "bodies 10"]
     """The body with the device's parts on it."""
     covariance: Float[Tensor, "params params"]

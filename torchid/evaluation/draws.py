@@ -15,7 +15,7 @@ from torchid.evaluation.trials import ConditionTrial
 from torchid.experiment.torque_bands import outcome_draws
 from torchid.outcome import Outcome
 
-SAID = "geometry and inertia of the body, skin under markers, gains and places of the plates, and how feet share one"
+SAID = "body, skin under markers, gains and places of plates, how feet share one, and numbers of the device"
 """What is drawn, in words."""
 
 
@@ -32,7 +32,7 @@ def torque_deviations(
         seed: of chance.
 
     Returns:
-        None where no inertia was identified. What a device's parts weigh is not drawn.
+        None where no inertia was identified. The device's own numbers are drawn elsewhere (``device_draws``).
     """
     if outcome.identified is None:
         return None

@@ -17,6 +17,7 @@ from torchid.evaluation.answers import answer
 from torchid.evaluation.back import lever_arms
 from torchid.evaluation.contacts import Feet, count_contacts, feet_of
 from torchid.evaluation.cycles import Course, Cycle, find_cycles, outliers
+from torchid.evaluation.device_draws import device_deviations
 from torchid.evaluation.draws import torque_deviations
 from torchid.evaluation.evaluation import Answer, Evaluation
 from torchid.evaluation.gaps import find_gaps
@@ -109,7 +110,8 @@ def gather(config: Config, outcome: Outcome, trials: tuple[ConditionTrial, ...],
     _refuse_cycleless(config, trials, cycles)
     files = {file.name: file for file in config.trials}
     recorded = {t.name: channels_of(t, files[t.name], config.conditions[t.condition]) for t in trials}
-    worn = identified_devices(devices, outcome, trials, recorded)
+    options = config.evaluate
+    worn = identified_devices(devices, outcome, trials, recorded, options.draws, config.seed)
     every = [cycle for own in cycles.values() for cycle in own]
     mass = float(outcome.phi[:, 0].sum()) if config.evaluate.per_mass else None
     layout = make_layout(config.evaluate, outcome.fit.model.tree, every)
@@ -184,6 +186,9 @@ def _rows(
         worn, recorded = material.worn[trial.condition], material.recorded[trial.name]
         own = shares(trial, followed, fit, phi, worn, recorded, feet[trial.name])
         moved = None if deviations is None else deviations[trial.name]
+        if moved is not None:
+            more = device_deviations(worn, fit.model.tree, fit.geometry, followed.motion, recorded)
+            moved = moved if more is None else moved + more
         found.append(cycle_rows(scene, material.layout, own, moved, options.points))
     return found
 

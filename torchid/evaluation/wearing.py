@@ -17,6 +17,7 @@ from torchid.devices import (
     Determined,
     Device,
     Finding,
+    device_draws,
     device_findings,
     device_forces,
     identify_device,
@@ -24,6 +25,7 @@ from torchid.devices import (
     placed,
     read_channels,
 )
+from torchid.devices.draws import parts_draws
 from torchid.devices.parts import parts_prior
 from torchid.dynamics import dynamic_state, generalised_forces, wrench_about
 from torchid.errors import DataError, InputError
@@ -54,6 +56,9 @@ class Worn:
     """Elements whose forces nobody knows."""
     parts: Float[Tensor, "bodies 10"] | None = None
     """What its parts add to the bodies' inertial parameters, where it was identified; None: as its sheet says."""
+    draws: tuple[Device, ...] = ()
+    """The device with other numbers that the recordings allow."""
+    parts_draws: Float[Tensor, "draws bodies 10"] | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,8 @@ def identified_devices(
     outcome: Outcome,
     trials: Sequence[ConditionTrial],
     recorded: Mapping[str, dict[str, Tensor]],
+    draws: int = 0,
+    seed: int = 0,
 ) -> dict[str, Worn]:
     """The devices with their unknowns found from the trials in which they were worn, with the identified body.
 
@@ -94,6 +101,8 @@ def identified_devices(
         outcome: of the body's run.
         trials: of all conditions.
         recorded: channels of the devices by trial.
+        draws: number of other devices that are drawn.
+        seed: of chance.
 
     Raises:
         ConfigError: ``device.*``.
@@ -108,12 +117,17 @@ def identified_devices(
     for name, device in devices.items():
         rows = [t.followed.wrench for t in trials if t.condition == name]
         own = None if device is None else placed(device, places)
-        found[name] = Worn(None) if own is None else _identified(own, outcome, [r for r in rows if r], recorded)
+        chance = draws, seed
+        found[name] = Worn(None) if own is None else _identified(own, outcome, [r for r in rows if r], recorded, chance)
     return found
 
 
 def _identified(
-    device: Device, outcome: Outcome, rows: Sequence[WrenchTrial], recorded: Mapping[str, dict[str, Tensor]]
+    device: Device,
+    outcome: Outcome,
+    rows: Sequence[WrenchTrial],
+    recorded: Mapping[str, dict[str, Tensor]],
+    chance: tuple[int, int],
 ) -> Worn:
     """A device as the trials with it tell; as its sheet says where they cannot."""
     if outcome.identified is None or not rows:
@@ -129,15 +143,19 @@ def _identified(
         key: asdict(one) | {"unit": key.rpartition(".")[2]} if isinstance(one, Determined) else {"why": one.why}
         for key, one in told.parameters.items()
     }
-    parts = told.phi_on - told.body.phi
-    return replace(_usable(told.device), parameters=parameters, findings=findings, parts=parts)
+    return replace(
+        _usable(told.device), parameters=parameters, findings=findings, parts=told.phi_on - told.body.phi,
+        draws=tuple(_known(one) for one in device_draws(told, *chance)), parts_draws=parts_draws(told, *chance),
+    )  # fmt: skip
 
 
 def _usable(device: Device) -> Worn:
     """A device without the elements of which a number is unknown."""
-    left_out = tuple(element.name for element in device.elements if element.unknown)
-    kept = tuple(element for element in device.elements if not element.unknown)
-    return Worn(replace(device, elements=kept), left_out=left_out)
+    return Worn(_known(device), left_out=tuple(element.name for element in device.elements if element.unknown))
+
+
+def _known(device: Device) -> Device:
+    return replace(device, elements=tuple(element for element in device.elements if not element.unknown))
 
 
 def carried(worn: Worn, tree: Tree, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "bodies 10"]:
