@@ -18,6 +18,7 @@ from benchmarks.inertia import bench_inertia
 from benchmarks.kinematics import bench_ik
 from benchmarks.reading import bench_reading
 from benchmarks.regressor import bench_regressor
+from benchmarks.sharing import bench_sharing
 from torchid.allocator import keep_memory
 
 PACKAGES = ("torch", "numpy", "scipy", "pin", "opensim", "ezc3d")
@@ -40,7 +41,8 @@ def main() -> None:
     inertia = bench_inertia(3 if quick else 20)
     memory = _memory(1 if quick else 60)
     reading = bench_reading(1 if quick else 5)
-    rows = _rows(fit, ik, regressor, inertia, memory, reading)
+    sharing = bench_sharing(300 if quick else 4000, 20 if quick else 200, 1 if quick else 3)
+    rows = _rows(fit, ik, regressor, inertia, memory, reading) + _sharing(sharing)
     about = {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "cpu": _cpu(),
@@ -54,6 +56,7 @@ def main() -> None:
         "inertia": inertia,
         "hour_memory_MiB": memory,
         "reading": reading,
+        "sharing": sharing,
     }
     Path(args.out).write_text(json.dumps(results, indent=1))
     _print(rows)
@@ -97,6 +100,14 @@ def _rows(fit: dict, ik: dict, regressor: dict, inertia: dict, memory: float, re
         ("memory of an hour beyond the input", memory, "MiB", "<= 150"),
         ("ezc3d / torchid, reading all C3D", _ratio(reading.get("ezc3d"), reading.get("torchid")), "x", ">= 1"),
         ("  without plates", _ratio(reading.get("ezc3d, no plates"), reading.get("torchid")), "x", ">= 1"),
+    ]
+
+
+def _sharing(sharing: dict) -> list[Row]:
+    return [
+        ("shared contact", sharing["frames_per_s"], "frames/s", ">= 1000 on two cores"),
+        ("  Clarabel by cvxpy / torchid", sharing["clarabel"], "x", ""),
+        ("  largest difference", sharing["apart_N"], "N", "<= 0.5"),
     ]
 
 
