@@ -2,11 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import small_session as small
 import torch
+import xarray
 from torch.testing import assert_close
 
+from torchid.config import load_config
+from torchid.experiment import run_experiment
 from torchid.experiment.stages import torques
 from torchid.experiment.torque_bands import outcome_draws, seen_trials
 from torchid.geometry.tracking import modelled, track
@@ -159,3 +163,14 @@ def _slid(trial: SeenTrial, shift: torch.Tensor) -> SeenTrial:
     left = rows - response.jacobian(slice(None)) @ response.followed(rows)
     error = response.error + left[..., 0].unflatten(1, (-1, 3)).permute(1, 2, 0)
     return replace(trial, response=replace(response, error=error))
+
+
+@pytest.mark.slow
+def test_a_run_writes_its_bands(outcome, tmp_path):
+    """Only where draws are asked for, and blank where the torque is."""
+    assert not outcome.torque_sd
+    over = [f"out={tmp_path / 'out'}", "diagnosis.enabled=false", "torques.draws=3", "geometry.max_frames=80"]
+    run_experiment(load_config(small.config(), over))
+    with xarray.open_dataset(tmp_path / "out" / f"motion_{TRIAL}.nc") as held:
+        torque, sd = held["torque"].values, held["torque_sd"].values
+    assert (np.isfinite(torque) == np.isfinite(sd)).all() and np.nanmedian(sd[:, 6:]) > 0.0

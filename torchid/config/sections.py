@@ -114,6 +114,14 @@ class Inertia(InertiaOptions):
     """Keep each centre of mass within three prior standard deviations of the template's."""
 
 
+class Torques(Section):
+    """How far joint torques can be trusted."""
+
+    draws: Annotated[int, Field(ge=0, le=4096)] = 0
+    """Bodies, plates and errors of markers that are drawn for the standard deviations of torques (docs/torques.md); 0:
+    none, which saves some seconds for every minute of motion. Thirty know a standard deviation to 13 %."""
+
+
 class DiagnosisSection(Section):
     """What the identified model still gets wrong."""
 
@@ -147,6 +155,7 @@ class Config(Section):
     motion: Motion = Motion()
     contact: ContactOptions = ContactOptions()
     inertia: Inertia = Inertia()
+    torques: Torques = Torques()
     diagnosis: DiagnosisSection = DiagnosisSection()
     conditions: dict[Name, Condition] = Field(default_factory=dict)
     """Under which trials were recorded, one of them the reference; trials with a device tell nothing of the body."""

@@ -1,6 +1,7 @@
 """The sequence: read, geometry, motion, inertia, inverse dynamics, files, report."""
 
 import logging
+import math
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -19,6 +20,7 @@ from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, put_aside, subject_prior, torques
 from torchid.experiment.standing import follow_each
 from torchid.experiment.swapped_markers import put_right
+from torchid.experiment.torque_bands import outcome_draws
 from torchid.experiment.witnessed import with_witnesses
 from torchid.experiment.write import result_names, write_outcome
 from torchid.files import file_sha256, write_json, write_text
@@ -241,7 +243,20 @@ def _with_torques(outcome: Outcome, folder: OutputFolder) -> Outcome:
         torque = each(outcome.followed, outcome.fit, outcome.phi)
         scaled = each(outcome.followed_scaled, outcome.scaled, outcome.prior_scaled.mean)
     notes = (*outcome.notes, *sharing_notes(under))
-    return replace(outcome, torque=torque, torque_scaled=scaled, under=under, notes=notes)
+    return _with_bands(replace(outcome, torque=torque, torque_scaled=scaled, under=under, notes=notes), folder)
+
+
+def _with_bands(outcome: Outcome, folder: OutputFolder) -> Outcome:
+    """The same with standard deviations of the torques, where the config asks for draws and there is a body."""
+    count = outcome.config.torques.draws
+    moving = [name for name, one in outcome.followed.items() if not math.isinf(one.motion.smoother.rate_hz)]
+    if not count or outcome.identified is None:
+        return outcome
+    with folder.timed("torque bands"):
+        drawn = outcome_draws(outcome, moving, count, outcome.config.seed)
+        known = {name: torch.isfinite(outcome.torque[name]) for name in moving}
+        sd = {name: folder.aside(torch.where(known[name], drawn.sd(name), torch.nan)) for name in moving}
+    return replace(outcome, torque_sd=sd)
 
 
 def contributions(outcome: Outcome) -> tuple[Residual, ...]:

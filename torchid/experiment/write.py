@@ -138,6 +138,7 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
             "markers_modelled": (by_marker, modelled(fit, tracked.q[part]).numpy()),
             "observable": (("time",), tracked.observable[part].numpy()),
             **_under(outcome, name, part),
+            **({"torque_sd": (by_dof, outcome.torque_sd[name][part].numpy())} if name in outcome.torque_sd else {}),
         },
         coords={
             "time": motion.time[part].numpy(), "dof": list(tree.dof_names), "body": list(tree.names),

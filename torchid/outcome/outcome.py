@@ -72,6 +72,8 @@ class Outcome:
     """What named effects add to the plates' total about the origin of W, by trial."""
     torque: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
     torque_scaled: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
+    torque_sd: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
+    """Standard deviations of ``torque`` (``torques.draws``); none where nothing was drawn."""
     under: dict[str, ContactWrenches] = field(default_factory=dict)
     """Wrenches under the feet with the identified body, by trial; trials whose feet nobody tells are left out."""
     residuals: tuple[Residual, ...] = ()
