@@ -10,15 +10,27 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 from benchmarks.device_cases import CASES
 from benchmarks.devices import subject
 
+from torchid.errors import ConfigError
 from torchid.simulate.options import SimulateOptions
+
+
+def figures_of(kind: str, seed: int, folder: Path, blind: bool) -> dict[str, float]:
+    """Figures of the first subject from a seed on who can do the motions in balance."""
+    options = SimulateOptions(duration_s=6.0, skin_motion_mm=5.0)
+    for k in range(5):
+        try:
+            return subject(kind, (seed + k) % 1000, folder / str(k), options, blind=blind).figures
+        except ConfigError as error:
+            if error.code != "simulate.balance":
+                raise
+    raise AssertionError("five subjects in a row fell")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CASES)
 def test_a_device_is_recovered(kind: str, tmp_path: Path, no_report: None, seed: int) -> None:
     """Assistance within 10 %, mass within 0.2 kg, and nothing that a sensor measured stays unknown."""
-    options = SimulateOptions(duration_s=6.0, skin_motion_mm=5.0)
-    figures = subject(kind, seed % 1000, tmp_path, options, blind=False).figures
+    figures = figures_of(kind, seed, tmp_path, blind=False)
     assert figures["not_determinable"] == 0.0, figures
     assert figures["assistance_pct"] < 10.0 and figures["mass_kg"] < 0.2, figures
 
@@ -26,6 +38,5 @@ def test_a_device_is_recovered(kind: str, tmp_path: Path, no_report: None, seed:
 @pytest.mark.slow
 def test_without_a_sensor_nothing_is_claimed(tmp_path: Path, no_report: None, seed: int) -> None:
     """Both numbers of both springs are not determinable; the mass is found all the same."""
-    options = SimulateOptions(duration_s=6.0, skin_motion_mm=5.0)
-    figures = subject("hip", seed % 1000, tmp_path, options, blind=True).figures
+    figures = figures_of("hip", seed, tmp_path, blind=True)
     assert figures["not_determinable"] == 4.0 and figures["mass_kg"] < 0.2, figures

@@ -333,7 +333,7 @@ def test_a_hidden_device_is_found_from_files(
     above, below = {"hip": ("pelvis", "thigh"), "knee": ("thigh", "shank")}[joint]
     springs = [
         {"type": "spring", "name": s, "between": [above if above == "pelvis" else f"{above}_{s}", f"{below}_{s}"],
-         "coordinate": f"{joint}_{s}_flexion", "stiffness_Nm_rad": 60.0} for s in "lr"
+         "coordinate": f"{joint}_{s}_flexion", "stiffness_Nm_rad": 30.0} for s in "lr"
     ]  # fmt: skip
     (tmp_path / "exo.yaml").write_text(yaml.safe_dump({"name": "springs", "elements": springs}))
     document = {
@@ -349,7 +349,7 @@ def test_a_hidden_device_is_found_from_files(
     held = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     rows = [r for r in held["differences"] if r["measure"] == "cumulative_load_Nms"]
     assert len(rows) == 2 and all(r["value"] < 0.0 for r in rows)
-    assert any(r["found"] for r in rows), rows
+    assert any(r["found"] for r in held["differences"] if r["where"].startswith(joint)), rows
     for name in ("evaluation.csv", "evaluation.html", "cycles_without.nc", "cycles_on.nc", "report.html"):
         assert (tmp_path / "out" / name).is_file()
     script = runpy.run_path(str(Path(__file__).resolve().parents[1] / "scripts" / "evaluate_device.py"))
