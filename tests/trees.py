@@ -66,7 +66,8 @@ def coupled_tree(rng: np.random.Generator, tree: Tree) -> Tree:
 
 
 def _function(rng: np.random.Generator, known: int) -> Function:
-    x = torch.tensor(np.sort(rng.uniform(-1.5, 1.5, size=6)))
+    # Knots well apart: between close ones a spline bends too much for differences to tell its slope.
+    x = torch.tensor(np.linspace(-1.5, 1.5, 6) + rng.uniform(-0.2, 0.2, size=6))
     options = [
         Constant(float(rng.normal())),
         Polynomial(torch.tensor(0.5 * rng.normal(size=4))),

@@ -51,7 +51,7 @@ class IdentifiedDevice:
     """The bare body after both kinds of trials."""
     parts: Float[Tensor, "parts 10"]
     """Inertial parameters of the parts about their segments' origins."""
-    parts_covariance: Float[Tensor, "own own"]
+    parts_covariance: Float[Tensor, "scattered scattered"]
     """Of the flattened ``parts``, with what plates may err by."""
     parts_body: tuple[int, ...]
     """Index of the segment of each part."""
