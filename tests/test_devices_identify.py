@@ -223,7 +223,7 @@ def test_intervals_of_a_sensor_hold_what_they_say(tight: bool, seed: int) -> Non
     sensed = {**HIP, "tension_only": tight, "sensor": {"torque": "hip"}}
     sheet = made(elements=[sensed])
     true = filled(sheet, hip={"stiffness": 150.0, "rest": 0.05})
-    exact = DeviceOptions(angle_scale_sd=0.0, angle_sd=0.0)
+    exact = DeviceOptions(angle_course_sd=0.0, angle_sd=0.0)
     z, rng = [], np.random.default_rng(seed)
     for _ in range(20):
         motion = moving(rng, TREE, 8.0)

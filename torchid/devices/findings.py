@@ -147,7 +147,7 @@ def _slid(
         why = "needs a sensor of the element in two trials or more"
         return [Finding("strap_slides", key, False, "", None, why=why)] if element.law is not None else []
     numbers = {n: v for n, v in found.device.element(element.name).numbers() if v is not None}
-    narrow = replace(options, length_scale_sd=0.0, angle_scale_sd=0.0, length_sd=0.0, angle_sd=0.0)
+    narrow = replace(options, length_scale_sd=0.0, angle_course_sd=0.0, length_sd=0.0, angle_sd=0.0)
     fits = [fit_law([one], ("rest",), numbers, narrow) for one in measured]
     rest = torch.tensor([float(fit.value[0]) for fit in fits], dtype=torch.float64)
     sd = torch.tensor([max(float(fit.sd[0]), 1e-9) for fit in fits], dtype=torch.float64)

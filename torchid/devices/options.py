@@ -21,12 +21,13 @@ that a person's weight lies within."""
 class DeviceOptions:
     """How recordings with a device are read."""
 
-    angle_scale_sd: NonNegative = 0.008
-    """Standard deviation of the error in proportion of angles that follow from markers, which no scatter shows. It
-    widens the bands of stiffness, rest and damping where the device does not measure its own angle. Calibrated on
+    angle_course_sd: NonNegative = 0.004
+    """Standard deviation of that part of an angle's error that goes with the motion [rad]: skin that slides as the
+    joint turns, which no scatter shows. It widens the bands of stiffness, rest and damping where the device does not
+    measure its angle: by 1 % for hips that bend by 0.4 rad, by 10 % for ankles that move by 0.04. Calibrated on hips of
     simulated subjects with 5 mm of skin motion per radian at the thigh."""
     length_scale_sd: NonNegative = 0.02
-    """The same of lengths of paths, which change by centimetres only."""
+    """Standard deviation of the error in proportion of lengths of paths, likewise."""
     length_sd: NonNegative = 0.002
     """Standard deviation of the error of a path's length that is common to all frames [m]: its ends are where markers
     or the sheet put them on an identified skeleton. Calibrated on the same subjects; it widens the band of rest."""

@@ -26,6 +26,8 @@ STARTS = (0.02, 0.2, 0.4, 0.6, 0.8)
 """Quantiles of the length at which a law may begin, chosen: a kink has minima of its own."""
 LEAST_NOISE = 1e-3
 """Least noise of a sensor relative to the scatter of its force, chosen: a good one has 0.1 %."""
+LEAST_COURSE = 1e-3
+"""Scatter of an angle below which it stands still [rad], chosen: nothing is told of a stiffness then anyway."""
 SECANT = 1.0
 """Half width of secants in standard deviations, chosen: a law's kink is smooth on this scale."""
 ALIKE = 1e-6
@@ -264,12 +266,13 @@ def _alike(bread: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
 def _in_proportion(
     measured: Sequence[Measured], names: tuple[str, ...], x: np.ndarray, options: DeviceOptions, markers: bool
 ) -> np.ndarray:
-    """Covariance from an error of the length in proportion to its changes, and from one common to all frames."""
+    """Covariance from an error of the length that goes with its changes, and from one common to all frames."""
     move = np.zeros((2, len(names)))
     length = torch.cat([m.acting.act.length for m in measured])
     middle = float(length.median())
     turns = measured[0].acting.element.turns
-    scale_sd = (options.angle_scale_sd if turns else options.length_scale_sd) if markers else 0.0
+    by_course = options.angle_course_sd / max(float(length.std()), LEAST_COURSE)
+    scale_sd = (by_course if turns else options.length_scale_sd) if markers else 0.0
     for k, name in enumerate(names):
         if name in ("stiffness", "damping"):
             move[0, k] = scale_sd * x[k]
