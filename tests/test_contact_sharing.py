@@ -20,9 +20,10 @@ from torchid.contact.sharing.cones import drawn_to_cones, project_on_cones
 from torchid.contact.sharing.expected import spread_of_shares
 from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.problem import summed
+from torchid.contact.sharing.records import Needed, Source
 from torchid.contact.sharing.reference import share_by_clarabel
 from torchid.contact.sharing.solver import SharingStatus, share
-from torchid.contact.sharing.wrenches import Needed, Source, contact_wrenches
+from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import DataError
 from torchid.experiment.contacts import foot_wrenches, sharing_notes
 from torchid.experiment.stages import follow, legs, torques

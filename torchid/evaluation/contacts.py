@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.contact.sharing.wrenches import ContactWrenches, Source
+from torchid.contact.sharing.records import ContactWrenches, Source
 from torchid.evaluation.evaluation import ContactCount
 from torchid.evaluation.trials import ConditionTrial
 from torchid.experiment.contacts import foot_wrenches

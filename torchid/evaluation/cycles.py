@@ -4,7 +4,7 @@ A cycle is an interval of frames, both ends included. None is dropped for how it
 others is named (``outliers``), and what to do about it is the reader's decision.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
@@ -233,13 +233,3 @@ def outliers(curves: Float[Tensor, "cycles points columns"]) -> Float[Tensor, " 
     distance = away.nanmean(dim=1).nan_to_num(0.0).sqrt()
     spread = (distance - distance.median()).abs().median()
     return MAD_TO_SD * (distance - distance.median()) / spread if float(spread) > 0.0 else torch.zeros_like(distance)
-
-
-def belonging(cycles: Sequence[Cycle], side: str) -> list[int]:
-    """Positions of the cycles in which a coordinate of one side is judged: its own foot's, and the whole body's.
-
-    Args:
-        cycles: of one trial or more.
-        side: l, r, or empty for a coordinate of the trunk, which all cycles judge.
-    """
-    return [k for k, one in enumerate(cycles) if not side or not one.side or one.side == side]

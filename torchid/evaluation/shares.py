@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.contact.sharing.wrenches import ContactWrenches
+from torchid.contact.sharing.records import ContactWrenches
 from torchid.evaluation.back import LowBack, low_back
 from torchid.evaluation.trials import ConditionTrial
 from torchid.evaluation.wearing import Worn, acting, carried

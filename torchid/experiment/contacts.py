@@ -9,8 +9,9 @@ from torch import Tensor
 
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.options import ContactOptions
+from torchid.contact.sharing.records import ContactWrenches, Needed, Source
 from torchid.contact.sharing.solver import SharingStatus
-from torchid.contact.sharing.wrenches import ContactWrenches, Effort, Needed, Source, contact_wrenches
+from torchid.contact.sharing.wrenches import Effort, contact_wrenches
 from torchid.conventions import GRAVITY
 from torchid.dynamics import (
     DynamicState,

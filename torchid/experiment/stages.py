@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.contact import Contact, find_contact
-from torchid.contact.sharing.wrenches import ContactWrenches, Source
+from torchid.contact.sharing.records import ContactWrenches, Source
 from torchid.experiment.read import SHORTEST
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit

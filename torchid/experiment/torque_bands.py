@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 
 from torchid.contact.contact import Contact
-from torchid.contact.sharing.wrenches import ContactWrenches
+from torchid.contact.sharing.records import ContactWrenches
 from torchid.effects.scene import make_scene
 from torchid.experiment.diagnosis_stage import plate_frames
 from torchid.experiment.fits import given_mass

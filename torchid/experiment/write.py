@@ -8,7 +8,7 @@ import xarray
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.contact.sharing.wrenches import Source
+from torchid.contact.sharing.records import Source
 from torchid.dynamics import wrench_about
 from torchid.errors import DataError
 from torchid.files import safe_name, write_json

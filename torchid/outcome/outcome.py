@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.contact import Contact
-from torchid.contact.sharing.wrenches import ContactWrenches
+from torchid.contact.sharing.records import ContactWrenches
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import Note
 from torchid.geometry.result import GeometryFit

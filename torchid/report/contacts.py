@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Patch
 from torch import Tensor
 
-from torchid.contact.sharing.wrenches import Source
+from torchid.contact.sharing.records import Source
 from torchid.outcome import Followed, Outcome
 from torchid.regressor.rows import runs
 from torchid.report.blocks import Figure

@@ -98,9 +98,8 @@ def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Arr
     def index(values: list[int]) -> Tensor:
         return torch.tensor(values, dtype=torch.long, device=like.device)
 
-    base, first_slide = list(range(BASE_DOFS)), BASE_DOFS + turns + len(hinge)
+    base, first_slide, markers = list(range(BASE_DOFS)), BASE_DOFS + turns + len(hinge), range(3 * len(problem.free))
     first_marker = first_slide + slides + len(offset)
-    markers = range(3 * len(problem.free))
     turn_order = [k for k in plan.motion_order if k < turns]
     rank = {k: place for place, k in enumerate(turn_order)}
     column = [BASE_DOFS + rank[k] if k < turns else first_slide + k - turns for k in plan.motion_order]
@@ -119,7 +118,7 @@ def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Arr
             + [first_marker + k for k in markers]
         ),
         entry_body=torch.cat(
-            [index([body for _, body in (*hinge, *offset)]), problem.body[problem.free].repeat_interleave(3)]
+            [index([b for _, b in (*hinge, *offset)]), problem.body[problem.free].repeat_interleave(3)]
         ),
         entry_xi=index([parameter for parameter, _ in (*hinge, *offset)] + [problem.n_named + k for k in markers]),
         geometric=len(hinge) + len(offset),
