@@ -84,6 +84,15 @@ class ArrowLayout:
         return inside, self.within(self.entry_body, body).T * (1.0 - inside)
 
 
+def _motion_columns(plan: Plan, first_slide: int) -> tuple[list[int], list[int], list[int]]:
+    """Return the turns in order, and the column of each coordinate of motion beside geometry and alone."""
+    turns = len(plan.turns)
+    order = [k for k in plan.motion_order if k < turns]
+    rank = {k: place for place, k in enumerate(order)}
+    column = [BASE_DOFS + rank[k] if k < turns else first_slide + k - turns for k in plan.motion_order]
+    return order, column, [BASE_DOFS + rank.get(k, k) for k in plan.motion_order]
+
+
 def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> ArrowLayout:
     """Build the index tables of a problem on its device.
 
@@ -100,10 +109,7 @@ def make_layout(problem: MarkerProblem, dtype: torch.dtype | None = None) -> Arr
 
     base, first_slide, markers = list(range(BASE_DOFS)), BASE_DOFS + turns + len(hinge), range(3 * len(problem.free))
     first_marker = first_slide + slides + len(offset)
-    turn_order = [k for k in plan.motion_order if k < turns]
-    rank = {k: place for place, k in enumerate(turn_order)}
-    column = [BASE_DOFS + rank[k] if k < turns else first_slide + k - turns for k in plan.motion_order]
-    alone = [BASE_DOFS + rank.get(k, k) for k in plan.motion_order]
+    turn_order, column, alone = _motion_columns(plan, first_slide)
     above, rows = _ancestor_matrix(plan).to(like), base + [c.row for c in plan.motion]
     return ArrowLayout(
         motion=index(base + column),
