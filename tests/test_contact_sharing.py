@@ -25,7 +25,7 @@ from torchid.contact.sharing.reference import share_by_clarabel
 from torchid.contact.sharing.solver import SharingStatus, share
 from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import DataError
-from torchid.experiment.contacts import foot_wrenches, sharing_notes
+from torchid.experiment.contacts import wrenches_under, sharing_notes
 from torchid.experiment.stages import follow, legs, torques
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit
@@ -325,7 +325,7 @@ def test_merged_plates_of_a_simulated_session_give_the_feet_their_truth() -> Non
     both = replace(trial, forces=merged(trial.forces))
     fit: GeometryFit = outcome.fit
     followed = follow(fit, both, one.tracked, outcome.cutoff_hz, outcome.config)
-    under = foot_wrenches(followed, fit, outcome.phi, both, ContactOptions())
+    under = wrenches_under(followed, fit, outcome.phi, both, ContactOptions())
     assert under is not None and both.forces is not None
     smoother, total = one.motion.smoother, torch.nan_to_num(both.forces.total)
     open_ = (under.source == Source.SHARED).all(dim=1)

@@ -28,7 +28,7 @@ from torchid.contact.sharing.reference import share_by_clarabel
 from torchid.contact.sharing.solver import share
 from torchid.conventions import GRAVITY
 from torchid.experiment import run_experiment
-from torchid.experiment.contacts import body_needs, foot_wrenches
+from torchid.experiment.contacts import body_needs, wrenches_under
 from torchid.experiment.stages import follow, soles
 from torchid.outcome import Outcome
 
@@ -64,7 +64,7 @@ def merged_plates(outcome: Outcome, name: str) -> tuple[dict[str, Errors], dict[
     both = replace(trial, forces=merged(trial.forces))
     followed = follow(fit, both, one.tracked, outcome.cutoff_hz, outcome.config)
     start = time.process_time()
-    found = foot_wrenches(followed, fit, outcome.phi, both, outcome.config.contact)
+    found = wrenches_under(followed, fit, outcome.phi, both, outcome.config.contact)
     seconds = time.process_time() - start
     assert found is not None and both.forces is not None
     smoother, weight = one.motion.smoother, float(outcome.phi[:, 0].sum()) * GRAVITY
@@ -115,7 +115,7 @@ def no_plates(outcome: Outcome, name: str) -> dict[str, Errors]:
     split = Split(truth, truth.sum(1), one.contact.used, forward_axis(outline), weight, _height(trial.forces))
     found = {}
     for kind, phi in (("identified inertia", outcome.phi), ("tabulated inertia", outcome.prior.mean)):
-        under = foot_wrenches(followed, fit, phi, blind, options)
+        under = wrenches_under(followed, fit, phi, blind, options)
         assert under is not None
         found[kind] = errors(split, under.wrench)
     return found

@@ -32,6 +32,7 @@ _CODES = {
     "unknown_condition": "config.unknown_condition",
     "no_reference": "config.no_reference",
     "empty_condition": "config.empty_condition",
+    "unknown_trial": "config.unknown_trial",
 }
 
 
@@ -57,6 +58,7 @@ _REMEDIES = {
     "unknown_condition": "List it under conditions:, or correct the trial's condition:.",
     "no_reference": "Write reference: true in exactly one of the conditions.",
     "empty_condition": "Give trials this condition:, or leave the condition out.",
+    "unknown_trial": "Name one of the trials:, or correct the contact's when:.",
 }
 """What to do about a refused value, where no other value is near."""
 
@@ -178,12 +180,16 @@ def _nearest_key(place: Place, document: Any, model: type[BaseModel]) -> str:
 
 
 def _section(place: Place, document: Any, model: type[BaseModel]) -> Section | None:
-    current: Section | None = model
+    current, keyed = model, False
     for step in place:
         if isinstance(step, int):
             continue
         fields = _fields(current) if current else {}
+        if keyed and step not in fields:  # a name that the user gives, of a mapping to sections
+            keyed = False
+            continue
         current = next(_inside(fields[step]), None) if step in fields else None
+        keyed = get_origin(fields.get(step)) is dict
     return current
 
 

@@ -205,6 +205,11 @@ class Config(Section):
             raise PydanticCustomError("no_trials", "no trials are listed and nothing is simulated")
         if self.inertia.known_mass and self.subject.mass_kg is None:
             raise PydanticCustomError("no_mass", "inertia.known_mass needs subject.mass_kg")
+        named = {trial for one in self.contact.others.values() if isinstance(one.when, dict) for trial in one.when}
+        unknown = sorted(named - {trial.name for trial in self.trials})
+        if unknown and self.trials:
+            said = {"names": ", ".join(unknown)}
+            raise PydanticCustomError("unknown_trial", "a contact bears in trials that are not listed: {names}", said)
         fault = faults(self.conditions, {trial.name: trial.condition for trial in self.trials})
         if fault is not None:
             raise PydanticCustomError(fault.kind, "{said}", {"said": fault.said})  # pyright: ignore[reportArgumentType]

@@ -1,9 +1,10 @@
 """Options of the contact stage."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
-from torchid.bounds import NonNegative, Positive
+from torchid.bounds import Name, NonNegative, Positive
+from torchid.contact.other_options import OtherContact
 from torchid.conventions import LOADED_N
 
 
@@ -33,5 +34,7 @@ class ContactOptions:
     """Coefficient of friction between soles and plates, a bound: dry shoes slip at 0.6 to 1.2 (Chang et al., Ergonomics
     44(13), 2001)."""
     torques: Literal["measured", "shared", "predicted"] = "shared"
-    """Feet whose legs get torques: those that plates bear alone, those that share a plate too, or also those beside
-    plates, which bear what the identified body needs more than plates bear."""
+    """Contacts whose limbs get torques: those that plates bear alone, those that share a plate too, or also those
+    beside plates, which bear what the identified body needs more than plates bear."""
+    others: dict[Name, OtherContact] = field(default_factory=dict)
+    """Contacts other than feet, by name."""

@@ -1,5 +1,7 @@
 """Which plate lies under which foot: soles against plates' corners and centres of pressure."""
 
+from collections.abc import Mapping
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -81,6 +83,29 @@ def over_plates(
             for_all &= (along > -margin) & (along < length + margin)
         inside |= for_all
     return inside
+
+
+def over_each(
+    soles: Mapping[str, Float[Tensor, "frames points 3"]], forces: Forces, margin_m: float
+) -> tuple[Bool[Tensor, "frames plates feet"], Bool[Tensor, "frames plates feet"]]:
+    """Return feet that are over a plate with some of the sole, and with all of it.
+
+    A plate without corners may be anywhere: every foot is over it with some of its sole, and none with all.
+
+    Args:
+        soles: points of each foot in W [m].
+        forces: with the plates.
+        margin_m: by which a foot may stand over an edge.
+    """
+    shape = len(forces.time), len(forces.plates), len(soles)
+    some = torch.ones(shape, dtype=torch.bool, device=forces.wrench.device)
+    whole = torch.zeros_like(some)
+    for p, plate in enumerate(forces.plates):
+        if plate.corners is not None:
+            inside = [over_plates(sole, [plate.corners], margin_m) for sole in soles.values()]
+            some[:, p] = torch.stack([one.any(dim=1) for one in inside], dim=1)
+            whole[:, p] = torch.stack([one.all(dim=1) for one in inside], dim=1)
+    return some, whole
 
 
 def assign_plates(

@@ -7,6 +7,7 @@ Biomechanics; Chaffin 1969, J Biomech 2:429): C = |M_y| / d + F, with the muscle
 the trunk along its long axis. Antagonists and the tilt of the disc against that axis are not in it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -17,6 +18,7 @@ from torchid.dynamics import body_rows, body_wrenches, dynamic_state, joint_axes
 from torchid.model.model import Geometry
 from torchid.model.tree import Tree
 from torchid.motion import Motion
+from torchid.torque.inverse import Load
 
 NIOSH_N = 3400.0
 """Cited. Compression above which the risk of injury rises for some workers: NIOSH's 3.4 kN (Waters, Putz-Anderson, Garg
@@ -74,21 +76,23 @@ def trunk_of(tree: Tree) -> str | None:
 
 
 def low_back(
-    tree: Tree, geometry: Geometry, phi: Float[Tensor, "bodies 10"], motion: Motion
-) -> LowBack | None:  # fmt: skip
+    tree: Tree, geometry: Geometry, phi: Float[Tensor, "bodies 10"], motion: Motion, loads: Sequence[Load] = ()
+) -> LowBack | None:
     """The joint between pelvis and trunk over a motion.
 
     Args:
         tree: of the model; None comes back where it has no such joint.
         geometry: of the subject.
         phi: inertial parameters of the bodies, a device's parts included.
-        motion: coordinates with their rates; no load on trunk, arms or hands is known.
+        motion: coordinates with their rates.
+        loads: wrenches of the contacts; those on trunk, head, arms and hands are borne by the joint too.
     """
     trunk = trunk_of(tree)
     if trunk is None:
         return None
     turns = [turn.row for turn in tree.bodies[tree.index(trunk)].turns if turn.moving]
-    inverse, force = [], []
+    inverse, force, above = [], [], tree.subtree(tree.index(trunk))
+    borne = [load.wrench[:, :3] for load in loads if tree.index(load.body) in above]
     for start in range(0, len(motion.q), CHUNK):
         part = slice(start, start + CHUNK)
         state = dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
@@ -97,8 +101,9 @@ def low_back(
         # R[body, column, row]: columns first
         R_WP = state.at.R[0].permute(2, 1, 0)
         inverse.append(R_WP.mT @ torch.linalg.pinv(e_W))
-        own = [state.plan.position[k] for k in tree.subtree(tree.index(trunk))]
+        own = [state.plan.position[k] for k in above]
         total = body_wrenches(state.plan, body_rows(state), phi)[own].sum(0)[:3]
+        total = total - sum(one[part].T for one in borne)
         long_axis = state.at.R[state.plan.position[tree.index(trunk)], 2]
         force.append((total * long_axis).sum(0))
     rows = (turns[0], turns[1], turns[2])

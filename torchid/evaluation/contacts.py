@@ -1,4 +1,4 @@
-"""Wrenches under the feet of every trial, and where they come from, condition by condition."""
+"""Wrenches of the contacts of every trial, and where they come from, condition by condition."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,7 +10,7 @@ from torchid.config import Config
 from torchid.contact.sharing.records import ContactWrenches, Source
 from torchid.evaluation.evaluation import ContactCount
 from torchid.evaluation.trials import ConditionTrial
-from torchid.experiment.contacts import foot_wrenches
+from torchid.experiment.contacts import wrenches_under
 from torchid.geometry.result import GeometryFit
 
 Feet = Mapping[str, ContactWrenches | None]
@@ -20,7 +20,7 @@ Feet = Mapping[str, ContactWrenches | None]
 def feet_of(
     config: Config, trials: Sequence[ConditionTrial], fit: GeometryFit, phi: Float[Tensor, "bodies 10"], scaled: bool
 ) -> Feet:
-    """Wrenches under the feet of all trials, shared and predicted ones too, as ``contact.torques`` wants them.
+    """Wrenches of the contacts of all trials, shared and predicted ones too, as ``contact.torques`` wants them.
 
     Args:
         config: of the evaluation.
@@ -30,11 +30,11 @@ def feet_of(
         scaled: whether it is the scaled template that follows the markers.
     """
     followed = {trial.name: trial.scaled if scaled else trial.followed for trial in trials}
-    return {t.name: foot_wrenches(followed[t.name], fit, phi, t.recording, config.contact) for t in trials}
+    return {t.name: wrenches_under(followed[t.name], fit, phi, t.recording, config.contact) for t in trials}
 
 
 def count_contacts(trials: Sequence[ConditionTrial], feet: Feet) -> tuple[ContactCount, ...]:
-    """Shares of every foot's contact in every condition.
+    """Shares of every contact, feet first, in every condition.
 
     Args:
         trials: of all conditions; those without forces have none of their contact measured.
@@ -43,7 +43,7 @@ def count_contacts(trials: Sequence[ConditionTrial], feet: Feet) -> tuple[Contac
     found = []
     for condition in dict.fromkeys(trial.condition for trial in trials):
         own = [t for t in trials if t.condition == condition and t.followed.contact is not None]
-        for foot in own[0].followed.contact.feet if own and own[0].followed.contact else ():
+        for foot in own[0].followed.contact.contacts if own and own[0].followed.contact else ():
             down = torch.cat([_sources(trial, feet[trial.name], foot) for trial in own])
             frames = len(down)
             shares = [float((down == source).double().mean()) if frames else 0.0 for source in Source]
@@ -53,12 +53,12 @@ def count_contacts(trials: Sequence[ConditionTrial], feet: Feet) -> tuple[Contac
 
 
 def _sources(trial: ConditionTrial, under: ContactWrenches | None, foot: str) -> Tensor:
-    """Source of a foot's wrench in every frame that it touches in; without estimates, plates tell of one foot alone."""
+    """Source of a contact's wrench in every frame that it bears in; without estimates, plates tell of one alone."""
     contact = trial.followed.contact
     assert contact is not None, "the caller has looked"
-    k = contact.feet.index(foot)
-    down = contact.touching[:, k]
+    k = contact.contacts.index(foot)
+    down = contact.bearing[:, k]
     if under is not None:
         return under.source[down, under.contacts.index(foot)]
-    alone = contact.supported[:, k] & ~(contact.plate == -2).any(1)
+    alone = ~(contact.beside | contact.untold)[:, k]
     return torch.where(alone, int(Source.MEASURED), int(Source.UNKNOWN))[down]

@@ -25,15 +25,16 @@ class Gap:
 
 @dataclass(frozen=True)
 class ContactCount:
-    """Of a condition's frames in which a foot touches the ground, the shares by where its force comes from."""
+    """Of a condition's frames in which a contact bears, the shares by where its force comes from."""
 
     condition: str
     foot: str
+    """Foot, or name of another contact."""
     frames: int
     measured: float
     """On a plate of its own."""
     shared: float
-    """On a plate with the other foot, and shared out."""
+    """On a plate with another contact, and shared out."""
     beside: float
     """On no plate, or on one that does not tell: predicted where that was asked for, else left out."""
 

@@ -13,7 +13,7 @@ from torchid.contact.sharing.records import ContactWrenches
 from torchid.evaluation.back import LowBack, low_back
 from torchid.evaluation.trials import ConditionTrial
 from torchid.evaluation.wearing import Worn, acting, carried
-from torchid.experiment.stages import torques
+from torchid.experiment.stages import contact_loads, torques
 from torchid.geometry.result import GeometryFit
 from torchid.outcome import Followed
 
@@ -53,7 +53,7 @@ def shares(
         phi: inertial parameters of this body alone.
         worn: the condition's device.
         recorded: the device's channels on the motion's frames.
-        under: wrenches under the feet, shared and predicted ones too; None takes what plates bear of one foot alone.
+        under: wrenches of the contacts, shared and predicted ones too; None takes what plates bear of one alone.
 
     Raises:
         ConfigError: ``device.*``.
@@ -62,5 +62,5 @@ def shares(
     both = carried(worn, tree, phi)
     demand = torques(followed, tree, geometry, both, trial.recording, under)
     action = acting(worn, tree, geometry, motion, recorded)
-    back = low_back(tree, geometry, both, motion)
+    back = low_back(tree, geometry, both, motion, contact_loads(followed, trial.recording, under))
     return Shares(demand, action.torque, action.power, motion.q, motion.v, back)

@@ -1,7 +1,8 @@
-"""Wrenches under the feet of one followed trial: what plates, the body's need and its joints tell together."""
+"""Wrenches of the contacts of one followed trial: what plates, the body's need and its joints tell together."""
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -9,9 +10,10 @@ from torch import Tensor
 
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.options import ContactOptions
+from torchid.contact.sharing.costs import Effort
 from torchid.contact.sharing.records import ContactWrenches, Needed, Source
 from torchid.contact.sharing.solver import SharingStatus
-from torchid.contact.sharing.wrenches import Effort, contact_wrenches
+from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.conventions import GRAVITY
 from torchid.dynamics import (
     DynamicState,
@@ -23,7 +25,8 @@ from torchid.dynamics import (
     wrench_about,
 )
 from torchid.errors import Note
-from torchid.experiment.stages import SPREAD, legs, soles
+from torchid.experiment.others import others_of, patches_of
+from torchid.experiment.stages import SPREAD, limb, soles
 from torchid.geometry.result import GeometryFit
 from torchid.model.model import Geometry
 from torchid.model.tree import Tree
@@ -40,10 +43,11 @@ NEEDED_SD = 0.05, 0.03
 moment over the weight [m]."""
 
 
-def foot_wrenches(
+def wrenches_under(
     followed: Followed, fit: GeometryFit, phi: Float[Tensor, "bodies 10"], trial: Trial, options: ContactOptions
 ) -> ContactWrenches | None:
-    """Return the wrench under every foot of a trial; None for a body without soles, or where nobody may tell it.
+    """Return the wrench of every contact of a trial; None for a body without any, or where nobody may tell more than
+    plates do of one contact alone.
 
     Args:
         followed: the trial's motion, and its contacts where it has forces.
@@ -55,23 +59,23 @@ def foot_wrenches(
     Returns:
         Wrenches through the filter of the motion, and where each comes from.
     """
-    if options.torques == "measured" or (followed.contact is None and options.torques != "predicted"):
-        return None
+    untold = options.torques == "measured" or (followed.contact is None and options.torques != "predicted")
     outlines = soles(fit, followed.tracked)
-    if not outlines or math.isinf(followed.motion.smoother.rate_hz):
+    if math.isinf(followed.motion.smoother.rate_hz) or not (options.others or (outlines and not untold)):
         return None
     tree, geometry, motion = fit.model.tree, fit.geometry, followed.motion
-    forces, contact = _plates(followed, trial, outlines, options)
+    forces, contact = _plates(followed, fit, trial, outlines, options)
+    patches = None if contact.others is None else patches_of(fit, followed.tracked, options, contact.others.bearing)
     com, needed = body_needs(tree, geometry, motion, phi)
     predicted = _needed(followed, contact, needed, motion, phi) if options.torques == "predicted" else None
     return contact_wrenches(
         contact, outlines, forces, com, motion.smoother, predicted,
-        _effort(tree, geometry, motion, phi, contact.feet), options,
+        _effort(tree, geometry, motion, phi, contact.bodies), options, patches=patches,
     )  # fmt: skip
 
 
 def _plates(
-    followed: Followed, trial: Trial, outlines: dict[str, Tensor], options: ContactOptions
+    followed: Followed, fit: GeometryFit, trial: Trial, outlines: dict[str, Tensor], options: ContactOptions
 ) -> tuple[Forces, Contact]:
     """Plates and contacts; of a trial without plates, contacts by the motion alone."""
     if trial.forces is not None and followed.contact is not None:
@@ -79,7 +83,9 @@ def _plates(
     motion, smoother = followed.motion, followed.motion.smoother
     none = Forces(motion.time, motion.q.new_zeros(len(motion.time), 0, 6), ())
     seen = torch.isfinite(followed.tracked.error).any(dim=1)
-    return none, find_contact(outlines, none, seen, smoother.rate_hz, SPREAD / smoother.cutoff_hz, options)
+    others = others_of(fit, followed.tracked, replace(trial, forces=None), options)
+    spread_s = SPREAD / smoother.cutoff_hz
+    return none, find_contact(outlines, none, seen, smoother.rate_hz, spread_s, options, others=others)
 
 
 def _states(tree: Tree, geometry: Geometry, motion: Motion) -> Iterator[tuple[slice, DynamicState]]:
@@ -113,13 +119,15 @@ def _needed(followed: Followed, contact: Contact, needed: Tensor, motion: Motion
     return Needed(needed, known, sd, motion.q[:, :3])
 
 
-def _effort(tree: Tree, geometry: Geometry, motion: Motion, phi: Tensor, feet: tuple[str, ...]) -> Effort:
-    """Torques of the legs' joints as rows on the wrenches under the feet, over their standard deviation.
+def _effort(tree: Tree, geometry: Geometry, motion: Motion, phi: Tensor, bodies: tuple[str, ...]) -> Effort:
+    """Torques of the joints between root and contacts as rows on the contacts' wrenches, over their deviation.
 
-    tau = S' (what the bodies beyond the joint need - the wrench under the foot), with S a joint's twist about the
-    root's origin r: in terms of the wrench (f, m) about the world's origin, S_l f + S_a (m - r x f).
+    tau = S' (what the bodies beyond the joint need - the wrenches on them), with S a joint's twist about the root's
+    origin r: in terms of a wrench (f, m) about the world's origin, S_l f + S_a (m - r x f).
     """
-    rows = [(row, k) for k, foot in enumerate(feet) for row in legs(tree)[foot]]
+    limbs = [limb(tree, body) for body in bodies]
+    rows = list(dict.fromkeys(row for own in limbs for row in own))
+    beyond = motion.q.new_tensor([[float(row in own) for own in limbs] for row in rows])
     sd = TORQUE_SD * float(phi[:, 0].sum())
 
     def effort(part: slice) -> tuple[Tensor, Tensor]:
@@ -127,30 +135,35 @@ def _effort(tree: Tree, geometry: Geometry, motion: Motion, phi: Tensor, feet: t
         state = dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
         needed = generalised_forces(state, body_wrenches(state.plan, body_rows(state), phi))
         S = tree.fold(state.at.q, joint_axes(state)[0])
-        own = S[[row for row, _ in rows]].permute(2, 0, 1)
+        own = S[rows].permute(2, 0, 1)
         root = motion.q[part, None, :3].expand(-1, len(rows), -1)
         force, moment = own[..., :3], own[..., 3:]
         moved = torch.cat([force - torch.linalg.cross(moment, root), moment], dim=2) / sd
-        out = moved.new_zeros(len(moved), len(rows), len(feet), 6)
-        out[:, range(len(rows)), [k for _, k in rows]] = moved
-        return out, needed[[row for row, _ in rows]].T / sd
+        return moved[:, :, None] * beyond[..., None], needed[rows].T / sd
 
     return effort
 
 
 def sharing_notes(under: dict[str, ContactWrenches]) -> list[Note]:
-    """Return what a reader must hear of wrenches that no plate measured by itself."""
+    """Return what a reader must hear of wrenches that no plate measured by itself.
+
+    Args:
+        under: wrenches of the contacts by trial.
+    """
     notes = []
     for name, feet in under.items():
         frames = len(feet.source)
         words = {
-            Source.SHARED: ("contact.shared", "share a plate: the wrench under each is estimated"),
-            Source.PREDICTED: ("contact.predicted", "stand beside plates: what the body needs is theirs"),
+            Source.SHARED: ("contact.shared", "share a plate: the wrench of each is estimated"),
+            Source.PREDICTED: ("contact.predicted", "bear beside plates: what the body needs is theirs"),
         }
         for source, (code, said) in words.items():
-            count = int((feet.source == source).any(dim=1).sum())
+            own = feet.source == source
+            count, which = int(own.any(dim=1).sum()), own.any(dim=0).nonzero()[:, 0].tolist()
+            # Contacts that a body names are feet.
+            named = dict.fromkeys("feet" if feet.contacts[k] == feet.body[k] else feet.contacts[k] for k in which)
             if count:
-                notes.append(Note(code, f"in {count} of {frames} frames feet {said}", name))
+                notes.append(Note(code, f"in {count} of {frames} frames {' and '.join(named)} {said}", name))
         if feet.status is SharingStatus.UNCONVERGED:
             notes.append(
                 Note("contact.unsettled", "shares of a plate did not settle; their torques are left out", name)

@@ -6,7 +6,9 @@ from dataclasses import replace
 from torchid.agreement.session import Recording, refuse_disagreement
 from torchid.config import Config
 from torchid.config.sections import TrialFile
+from torchid.contact.others import feet_alone
 from torchid.errors import ConfigError, DataError, Note
+from torchid.experiment.others import check_others
 from torchid.experiment.tracks import look_at_session, taken_out
 from torchid.geometry.assign import assign_markers
 from torchid.io import ReadOptions, read_trial
@@ -41,8 +43,10 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     trials = {name: keep(synchronise(keep(read_recording(file, config, markers)))) for name, file in files.items()}
     _refuse_short(trials)
     again = {name: (trial, _recording(files[name], config, markers)) for name, trial in trials.items()}
-    refuse_disagreement({name: both for name, both in again.items() if files[name].inertia})
+    judged = {n: (_on_feet(trial, config), recording) for n, (trial, recording) in again.items() if files[n].inertia}
+    refuse_disagreement(judged)
     assignment = assign_markers(model, markers, tuple(trials.values()), config.unlisted_choice)
+    check_others(config, assignment, trials)
     notes = tuple(note for trial in trials.values() for note in trial.notes)
     wrong = look_at_session(trials, assignment)
     sound, before = taken_out(trials, wrong, keep)
@@ -91,9 +95,16 @@ def read_recording(file: TrialFile, config: Config, markers: MarkerSet) -> Trial
 
 def _recording(file: TrialFile, config: Config, markers: MarkerSet) -> Recording:
     def read(options: ReadOptions) -> Trial:
-        return read_trial(file.name, file.file, file.forces, file.role, options)
+        return _on_feet(read_trial(file.name, file.file, file.forces, file.role, options), config)
 
     return Recording(read, config.reading(file, markers.wanted), config.subject.mass_kg)
+
+
+def _on_feet(trial: Trial, config: Config) -> Trial:
+    """The trial with the forces that feet must answer for."""
+    if not config.contact.others or trial.forces is None:
+        return trial
+    return replace(trial, forces=feet_alone(config.contact, trial.name, trial.forces))
 
 
 def _refuse_short(trials: dict[str, Trial]) -> None:

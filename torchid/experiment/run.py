@@ -11,7 +11,7 @@ from torchid.config import Config, dump_config
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import DataError, Note
 from torchid.experiment.acceptance import impossible
-from torchid.experiment.contacts import foot_wrenches, sharing_notes
+from torchid.experiment.contacts import sharing_notes, wrenches_under
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.laboratory import diagnosed
 from torchid.experiment.publishing import publishable
@@ -203,6 +203,12 @@ def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
             frames = len(item.contact.used)
             said = f"{item.contact.excluded} of {frames} frames left out: a foot stands beside the plates"
             notes.append(Note("contact.beside", said, name))
+        if item.contact is not None and item.contact.others is not None:
+            frames, bearing = int(item.contact.unmeasured.sum()), item.contact.others
+            named = [n for n, k in zip(bearing.names, bearing.column, strict=True) if k < 0]
+            if frames:
+                said = f"{frames} frames left out: no plate measures {', '.join(named)}, which bears there"
+                notes.append(Note("contact.unmeasured", said, name))
         if item.contact is not None and item.contact.short:
             said = f"{item.contact.short} frames left out: the plates miss a part of the weight that standing has told"
             notes.append(Note("contact.short", said, name))
@@ -232,7 +238,7 @@ def _with_torques(outcome: Outcome, folder: OutputFolder) -> Outcome:
     def each(followed: dict[str, Followed], fit: GeometryFit, phi: torch.Tensor) -> dict[str, torch.Tensor]:
         found = {}
         for name, one in followed.items():
-            feet = foot_wrenches(one, fit, phi, trials[name], outcome.config.contact)
+            feet = wrenches_under(one, fit, phi, trials[name], outcome.config.contact)
             feet = None if feet is None else folder.aside(feet)
             if fit is outcome.fit and feet is not None:
                 under[name] = feet

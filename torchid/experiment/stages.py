@@ -1,6 +1,6 @@
 """What each stage of an experiment computes from the stages before."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import torch
 from jaxtyping import Bool, Float
@@ -9,6 +9,7 @@ from torch import Tensor
 from torchid.config import Config
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.sharing.records import ContactWrenches, Source
+from torchid.experiment.others import others_of
 from torchid.experiment.read import SHORTEST
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit
@@ -81,6 +82,7 @@ def follow(
         SPREAD / smoother.cutoff_hz,
         config.contact,
         None if short is None else short(motion),
+        others_of(fit, tracked, trial, config.contact),
     )
     total = smoother(torch.nan_to_num(trial.forces.total), contact.measured.to(torch.float64))
     wrench = WrenchTrial(trial.name, tree, fit.geometry, motion, total, contact.used)
@@ -146,8 +148,8 @@ def torques(
 ) -> Float[Tensor, "frames dofs"]:
     """Generalised forces of a trial; rows of the base are the residual wrench. NaN where a contact is not known.
 
-    A leg's torques need its own foot's wrench: they are masked where nobody tells it. Everything is masked in frames
-    without motion, the base in frames that are not used.
+    The torques of a limb need the wrenches of its contacts: they are masked where nobody tells them. Everything is
+    masked in frames without motion, the base in frames that are not used.
 
     Args:
         followed: motion and contacts of the trial.
@@ -155,25 +157,30 @@ def torques(
         geometry: of the body.
         phi: inertia of the body.
         trial: the recording.
-        under: wrenches under the feet, each with its source (``experiment.contacts.foot_wrenches``); None takes what
-            plates measure of one foot alone.
+        under: wrenches of the contacts, each with its source (``experiment.contacts.wrenches_under``); None takes what
+            plates measure of one contact alone.
     """
-    loads = [Load(body, wrench) for body, wrench in _external(followed, trial, under).items()]
-    out = joint_torques(tree, geometry, phi, followed.motion, loads)
+    out = joint_torques(tree, geometry, phi, followed.motion, contact_loads(followed, trial, under))
     return _masked(out, followed, tree, under)
 
 
-def _external(followed: Followed, trial: Trial, under: ContactWrenches | None) -> dict[str, Float[Tensor, "frames 6"]]:
-    """Filtered wrench under each foot about the world's origin."""
+def contact_loads(followed: Followed, trial: Trial, under: ContactWrenches | None) -> list[Load]:
+    """Return the filtered wrench of each contact about the world's origin.
+
+    Args:
+        followed: motion and contacts of the trial.
+        trial: the recording.
+        under: wrenches of the contacts; None takes what plates measure of one contact alone.
+    """
     if under is not None:
-        return {foot: under.of(foot) for foot in under.contacts}
+        return [Load(body, under.of(name)) for name, body in zip(under.contacts, under.body, strict=True)]
     if trial.forces is None or followed.contact is None:
-        return {}
+        return []
     contact, raw = followed.contact, torch.nan_to_num(trial.forces.wrench)
-    return {
-        foot: followed.motion.smoother((raw * (contact.plate == k)[..., None]).sum(dim=1))
-        for k, foot in enumerate(contact.feet)
-    }
+    return [
+        Load(body, followed.motion.smoother((raw * (contact.plate == k)[..., None]).sum(dim=1)))
+        for k, body in enumerate(contact.bodies)
+    ]
 
 
 def _masked(tau: Tensor, followed: Followed, tree: Tree, under: ContactWrenches | None) -> Tensor:
@@ -182,27 +189,35 @@ def _masked(tau: Tensor, followed: Followed, tree: Tree, under: ContactWrenches 
     seen = torch.isfinite(followed.tracked.error).any(dim=1)
     tau[~seen] = torch.nan
     tau[:, :6] = torch.nan if contact is None else torch.where(contact.used[:, None], tau[:, :6], torch.nan)
-    for foot, rows in legs(tree).items():
-        unknown = _unknown(contact, foot, under)
-        for row in rows:
+    for body, unknown in _unknown(contact, tree, under):
+        for row in limb(tree, body):
             tau[:, row] = torch.where(unknown, torch.nan, tau[:, row])
     return tau
 
 
-def _unknown(contact: Contact | None, foot: str, under: ContactWrenches | None) -> Bool[Tensor, " frames"]:
-    """Frames in which nobody tells a foot's wrench."""
+def _unknown(
+    contact: Contact | None, tree: Tree, under: ContactWrenches | None
+) -> Iterator[tuple[str, Bool[Tensor, "..."]]]:
+    """Body of every contact, and the frames in which nobody tells its wrench."""
     if under is not None:
-        return under.source[:, under.contacts.index(foot)] == Source.UNKNOWN
-    if contact is None or foot not in contact.feet:
-        return torch.tensor(contact is None)
-    k, shared = contact.feet.index(foot), (contact.plate == -2).any(dim=1)
-    return ~contact.supported[:, k] | (shared & contact.touching[:, k])
+        yield from zip(under.body, (under.source == Source.UNKNOWN).unbind(1), strict=True)
+    elif contact is None:
+        yield from ((foot, torch.tensor(True)) for foot in legs(tree))
+    else:
+        yield from zip(contact.bodies, (contact.beside | contact.untold).unbind(1), strict=True)
 
 
 def legs(tree: Tree) -> dict[str, list[int]]:
     """Rows of q of the joints between the root and each foot."""
-    found = {}
-    for k, body in enumerate(tree.bodies):
-        if body.name.startswith(FEET):
-            found[body.name] = list(dict.fromkeys(row for j in sorted(tree.ancestors[k]) for row in tree.driving(j)))
-    return found
+    return {body.name: limb(tree, body.name) for body in tree.bodies if body.name.startswith(FEET)}
+
+
+def limb(tree: Tree, body: str) -> list[int]:
+    """Return the rows of q of the joints between the root and a body, whose torques bear what the body is loaded with.
+
+    Args:
+        tree: of the model.
+        body: its name.
+    """
+    above = sorted(tree.ancestors[tree.index(body)])
+    return list(dict.fromkeys(row for j in above for row in tree.driving(j)))

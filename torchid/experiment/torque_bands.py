@@ -1,6 +1,6 @@
 """Bands of joint torques of a finished experiment: everything that they come from, drawn anew."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -57,31 +57,32 @@ def seen_trials(outcome: Outcome, names: Sequence[str]) -> list[SeenTrial]:
         scene = make_scene(name, outcome.fit.model.tree, outcome.fit.geometry, item.motion, outcome.phi)
         response = make_response(scene, outcome.fit, trial.markers, item.tracked)
         plates = [one.name for one in frames[name]] if trial.forces is not None else []
-        loads = () if trial.forces is None else plate_loads(item, trial.forces, plates)
-        more = computed_loads(outcome.under[name], loads) if name in outcome.under else ()
+        read = {} if trial.forces is None else plate_loads(item, trial.forces, plates)
+        loads = tuple(load for own in read.values() for load in own)
+        more = computed_loads(outcome.under[name], read) if name in outcome.under else ()
         found.append(SeenTrial(name, item.motion, response, (*loads, *more), item.wrench))
     return found
 
 
-def computed_loads(under: ContactWrenches, read: Sequence[Load]) -> tuple[Load, ...]:
+def computed_loads(under: ContactWrenches, read: Mapping[str, Sequence[Load]]) -> tuple[Load, ...]:
     """Return what each contact bears beyond what a plate has read of it alone.
 
     Args:
         under: wrenches of all contacts, shared and predicted ones with their doubts.
-        read: what plates have read.
+        read: what plates have read, by contact.
     """
     found = []
     for k, contact in enumerate(under.contacts):
-        left = under.of(contact) - sum(load.wrench for load in read if load.body == contact)
+        left = under.of(contact) - sum(load.wrench for load in read.get(contact, ()))
         doubt = left.new_zeros(len(left), 6, under.doubt.shape[2])
         doubt[under.doubtful] = under.doubt[:, 6 * k : 6 * k + 6]
         if bool(doubt.any()):
-            found.append(Load(contact, left, doubt=doubt))
+            found.append(Load(under.body[k], left, doubt=doubt))
     return tuple(found)
 
 
-def plate_loads(followed: Followed, forces: Forces, plates: Sequence[str]) -> tuple[Load, ...]:
-    """Return what each foot bears on each plate, through the filter of the motion.
+def plate_loads(followed: Followed, forces: Forces, plates: Sequence[str]) -> dict[str, list[Load]]:
+    """Return what each contact bears on each plate, through the filter of the motion.
 
     Args:
         followed: motion and contact of the trial.
@@ -90,13 +91,13 @@ def plate_loads(followed: Followed, forces: Forces, plates: Sequence[str]) -> tu
     """
     contact: Contact | None = followed.contact
     if contact is None:
-        return ()
-    raw, found = torch.nan_to_num(forces.wrench), []
-    for k, foot in enumerate(contact.feet):
+        return {}
+    raw, found = torch.nan_to_num(forces.wrench), {name: [] for name in contact.contacts}
+    for k, (name, body) in enumerate(zip(contact.contacts, contact.bodies, strict=True)):
         for p, plate in enumerate(plates):
             on = contact.plate[:, p] == k
             if bool(on.any()):
                 read = raw[:, p] * on[:, None]
                 smooth = followed.motion.smoother(read)
-                found.append(Load(foot, smooth, plate, read - smooth))
-    return tuple(found)
+                found[name].append(Load(body, smooth, plate, read - smooth))
+    return found

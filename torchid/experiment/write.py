@@ -1,6 +1,7 @@
 """Result files of section 3 of the contracts: JSON tables, netCDF series, OpenSim storages, model files."""
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -165,9 +166,12 @@ def _under(outcome: Outcome, name: str, part: slice) -> dict[str, tuple]:
     }
 
 
-def _contacts(outcome: Outcome, name: str) -> dict[str, list[str]]:
+def _contacts(outcome: Outcome, name: str) -> dict[str, Any]:
     found = outcome.under.get(name)
-    return {} if found is None else {"contact": list(found.contacts), "component": list(COMPONENTS)}
+    if found is None:
+        return {}
+    bodies = (("contact",), list(found.body))
+    return {"contact": list(found.contacts), "contact_body": bodies, "component": list(COMPONENTS)}
 
 
 def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
@@ -198,7 +202,7 @@ def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
             "time": item.motion.time.numpy(), "component": list(COMPONENTS),
             "plate": [plate.name for plate in trial.forces.plates],
         },
-        attrs={"cutoff_hz": smoother.cutoff_hz, "filter": smoother.kind, "feet": ", ".join(item.contact.feet)},
+        attrs={"cutoff_hz": smoother.cutoff_hz, "filter": smoother.kind, "feet": ", ".join(item.contact.bodies)},
     )  # fmt: skip
 
 

@@ -1,14 +1,16 @@
-"""Which foot stands on which plate, frame by frame, and which wrenches are shared or predicted."""
+"""Which contact is on which plate, frame by frame, and which wrenches are shared or predicted."""
 
 from collections.abc import Iterator
 from typing import Any
 
+import torch
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Patch
 from torch import Tensor
 
+from torchid.contact.contact import Contact
 from torchid.contact.sharing.records import Source
 from torchid.outcome import Followed, Outcome
 from torchid.regressor.rows import runs
@@ -35,28 +37,44 @@ def contacts_figure(outcome: Outcome) -> Figure | None:
     found = told[name]
     shared, predicted = (int((found.source == s).any(dim=1).sum()) for s in (Source.SHARED, Source.PREDICTED))
     said = (
-        f"Trial {clean(name)}: which foot each plate bears. {plural(shared, 'frame')} with a plate that feet share, "
-        f"{plural(predicted, 'frame')} with a foot whose force is predicted; torques of their legs rest on estimates."
+        f"Trial {clean(name)}: what each plate bears. {plural(shared, 'frame')} with a plate that contacts share, "
+        f"{plural(predicted, 'frame')} with a contact whose force is predicted; torques of their limbs rest on "
+        "estimates."
     )
     return Figure(_draw(outcome, name), said)
 
 
 def _lines(outcome: Outcome, name: str) -> Iterator[tuple[str, list[tuple[Source, Tensor]]]]:
-    """Label and frames of each line, from the top: every foot on every plate that bears it, then beside the plates."""
+    """Label and frames of each line, from the top: every contact on every plate that bears it, then beside them."""
     one: Followed = outcome.followed[name]
     trial, found = outcome.session.trials[name], outcome.under[name]
     assert one.contact is not None and trial.forces is not None
     for k, foot in enumerate(found.contacts):
+        # A contact that has a plate for itself is on it whether it bears or not.
+        bears = one.contact.bearing[:, k] if k >= len(one.contact.feet) else torch.ones_like(one.contact.used)
         source = found.source[:, k]
         for p, plate in enumerate(trial.forces.plates):
             mine = one.contact.plate[:, p]
-            own = (mine == k) & (source == Source.MEASURED)
-            shared = (source == Source.SHARED) & (mine != -1)
+            own = (mine == k) & (source == Source.MEASURED) & bears
+            shared = (source == Source.SHARED) & (mine != -1) & may_be_on(one.contact, k, p)
             if bool((own | shared).any()):
                 yield f"{foot} on {clean(plate.name)}", [(Source.MEASURED, own), (Source.SHARED, shared)]
         beside = [(s, source == s) for s in (Source.PREDICTED, Source.UNKNOWN)]
         if any(bool(frames.any()) for _, frames in beside):
             yield f"{foot} beside plates", beside
+
+
+def may_be_on(contact: Contact, k: int, plate: int) -> bool:
+    """Return whether a contact is ever looked for on a plate: feet on those of the floor, others on their own.
+
+    Args:
+        contact: of a trial.
+        k: number of the contact, feet first.
+        plate: index of the plate.
+    """
+    if contact.others is not None and k >= len(contact.feet):
+        return contact.others.column[k - len(contact.feet)] == plate
+    return contact.floor is None or plate in contact.floor
 
 
 def _draw(outcome: Outcome, name: str) -> Markup:
@@ -78,7 +96,7 @@ def _draw(outcome: Outcome, name: str) -> Markup:
         if legend:
             canvas.legend(handles=legend, loc="outside lower center", ncols=4)
 
-    return draw("contacts", (7.5, 1.3 + 0.3 * len(lines)), f"Feet on plates in trial {clean(name)}", paint)
+    return draw("contacts", (7.5, 1.3 + 0.3 * len(lines)), f"Contacts in trial {clean(name)}", paint)
 
 
 def _bars(axes: Axes, row: int, source: Source, frames: Tensor, time: Tensor, step: float) -> None:

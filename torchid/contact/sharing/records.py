@@ -61,6 +61,13 @@ class ContactWrenches:
     common to the frames: an expectation that is wrong stays wrong for a step."""
     status: SharingStatus = SharingStatus.SOLVED
     """The worst that any block of frames ended with; contacts of an unconverged block are unknown."""
+    bodies: tuple[str, ...] = ()
+    """Body of each; none where contacts are named as their bodies."""
+
+    @property
+    def body(self) -> tuple[str, ...]:
+        """Return the body of each contact."""
+        return self.bodies or self.contacts
 
     @property
     def sd(self) -> Float[Tensor, "frames contacts 6"]:

@@ -80,7 +80,8 @@ def find_missing_weight(
         options: thresholds of what is plainly much.
     """
     rows, scene = observed.rows, observed.view.scene
-    known = torch.isfinite(forces.total).all(1) & observable
+    # Nor where another contact bears that no plate measures, as the user has said.
+    known = torch.isfinite(forces.total).all(1) & observable & ~contact.unmeasured
     # Not the rows': those are bridged where a foot stands beside the plates.
     read = rows.motion.smoother(torch.nan_to_num(forces.total), known.to(torch.float64))
     missing = wrench_about(predict(rows, observed.phi), -rows.motion.q[:, :3]) - read

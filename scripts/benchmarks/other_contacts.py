@@ -1,0 +1,76 @@
+"""Hands and seats of simulated persons, found again: ``python -m benchmarks.other_contacts [SEED ...]``.
+
+For every seed a session is simulated and run; then a hand holds on during one trial and a seat bears during another,
+each without a plate, on a plate of its own, and (the seat) on the plate that the feet stand on.
+"""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import torch
+
+from benchmarks.hidden_contact import (
+    Hidden,
+    answers,
+    draw_hand,
+    draw_seat,
+    mass_error,
+    on_one_plate,
+    told,
+    with_handle,
+    without,
+)
+from torchid.config import load_config
+from torchid.experiment import run_experiment
+from torchid.outcome import Outcome
+from torchid.simulate.options import SimulateOptions
+from torchid.simulate.session import Session, simulate_session
+
+OPTIONS = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=("sway_steps",), duration_s=4.0)
+OVERRIDES = ("geometry.max_frames=80", "diagnosis.enabled=false")
+
+
+def session_of(seed: int, folder: Path) -> tuple[Session, Outcome]:
+    """A simulated session and its run with nothing hidden."""
+    session = simulate_session(OPTIONS, seed, folder / "recordings")
+    assert session.config is not None
+    return session, run_experiment(load_config(session.config, [f"out={folder / 'out'}", *OVERRIDES]))
+
+
+def report(label: str, outcome: Outcome, found: Outcome, session: Session, hidden: Hidden) -> None:
+    """Print one line of figures."""
+    used = int(sum(int(one.contact.used.sum()) for one in found.followed.values() if one.contact is not None))
+    said = {k: round(v, 3) for k, v in asdict(answers(outcome, found, session, hidden)).items()}
+    masses = [round(mass_error(one, session), 3) for one in (outcome, found)]
+    print(label, said, f"masses kg {masses[0]} -> {masses[1]}", f"used {used}", flush=True)
+
+
+def one_seed(seed: int) -> None:
+    """All cases of one person."""
+    generator = torch.Generator().manual_seed(seed)
+    with TemporaryDirectory() as folder:
+        session, outcome = session_of(seed, Path(folder))
+    for trial, draw in (("arms", draw_hand), ("trunk", draw_hand), ("squats", draw_seat)):
+        hidden = draw(session, trial, generator)
+        recording = outcome.session.trials[trial]
+        less = without(recording, hidden)
+        found = told(outcome, less, hidden, hidden.contact)
+        report(f"{seed} {trial} {hidden.name} unmeasured", outcome, found, session, hidden)
+        silent = told(outcome, less, hidden, None)
+        print(f"{seed} {trial} nothing said: masses kg {mass_error(silent, session):.3f}", flush=True)
+        handle = with_handle(recording, hidden, generator)
+        assert handle.forces is not None
+        found = told(outcome, handle, hidden, hidden.measured(len(handle.forces.plates)))
+        report(f"{seed} {trial} {hidden.name} own plate", outcome, found, session, hidden)
+        if hidden.name == "seat":
+            found = told(outcome, on_one_plate(recording), hidden, hidden.measured(1))
+            report(f"{seed} {trial} seat and feet on one plate", outcome, found, session, hidden)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seeds", nargs="*", type=int, default=[1])
+    for seed in parser.parse_args().seeds:
+        one_seed(seed)

@@ -1,0 +1,211 @@
+"""Contacts other than feet on the body of a session: where they touch it, when they bear, and what is refused."""
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.config import Config
+from torchid.contact.options import ContactOptions
+from torchid.contact.other_options import OtherContact, Point
+from torchid.contact.others import Others, find_others
+from torchid.contact.sharing.patches import Patch, axes_about
+from torchid.errors import ConfigError, DataError
+from torchid.geometry.assign import Assignment
+from torchid.geometry.attachment import Attachment
+from torchid.geometry.result import GeometryFit
+from torchid.geometry.tracking import Tracked
+from torchid.io.mend import number_of
+from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.recursion import points, poses
+from torchid.recording import Forces, Trial
+from torchid.torque.inverse import CHUNK
+
+GRIPS = ("hand",)
+"""Wording. Bodies that hold on, by the beginning of their names: at the middle of their markers, in any direction."""
+USUAL: dict[tuple[str, ...], tuple[tuple[Point, ...], str]] = {
+    ("pelvis",): (tuple((x, y, -0.09) for x in (-0.08, 0.04) for y in (-0.11, 0.11)), "up"),
+    ("thigh", "femur"): (tuple((-0.07, y, z) for y in (-0.06, 0.06) for z in (-0.3, -0.05)), "up"),
+    ("thorax", "torso"): (tuple((-0.11, y, z) for y in (-0.12, 0.12) for z in (0.05, 0.25)), "forward"),
+}
+"""Chosen: corners of the patch by which a body is usually supported, in its axes [m], and where it is pushed; bodies by
+the beginning of their names. Of adults of 1.75 m: ischial tuberosities 0.09 m below the hip centres and 0.11 to 0.13 m
+apart with soft tissue around them, thighs 0.14 m and trunks 0.22 m deep."""
+
+
+def check_others(config: Config, assignment: Assignment, trials: Mapping[str, Trial]) -> None:
+    """Refuse contacts that the body or the recordings do not have.
+
+    Args:
+        config: with the contacts.
+        assignment: markers of the session on its model.
+        trials: of the session.
+
+    Raises:
+        ConfigError: ``contact.segment``, ``contact.name``, ``contact.points``, ``contact.push``, ``contact.plate``.
+        DataError: ``contact.interval`` where an interval lies outside its trial.
+    """
+    for name, one in config.contact.others.items():
+        place = f"contact.others.{name}"
+        known = assignment.model.tree.names
+        if one.segment not in known:
+            raise ConfigError(
+                "contact.segment", "the model has no such segment", place=f"{place}.segment", found=one.segment,
+                remedy=f"Name one of {', '.join(known)}",
+            )  # fmt: skip
+        if name in known:
+            raise ConfigError(
+                "contact.name", "a contact cannot be named as a segment", place=place, found=name,
+                remedy="Give it a name of its own, such as rail or seat",
+            )  # fmt: skip
+        _push(one, place)
+        local_points(one, assignment.attachment, torch.zeros(len(assignment.attachment.labels), 3), known, place)
+        _refuse_plate(one, trials, place)
+        _refuse_times(one, trials, place)
+
+
+def _refuse_plate(one: OtherContact, trials: Mapping[str, Trial], place: str) -> None:
+    plates = {number_of(p, k) for t in trials.values() if t.forces for k, p in enumerate(t.forces.plates)}
+    if one.plate is not None and plates and one.plate not in plates:
+        raise ConfigError(
+            "contact.plate", "no recording has this plate", place=f"{place}.plate", found=str(one.plate),
+            remedy=f"Name one of {', '.join(map(str, sorted(plates)))}, or leave plate out: the contact is then not "
+            "measured",
+        )  # fmt: skip
+
+
+def _refuse_times(one: OtherContact, trials: Mapping[str, Trial], place: str) -> None:
+    for name, parts in (one.when if isinstance(one.when, dict) else {}).items():
+        if name not in trials:
+            continue
+        first, last = (float(trials[name].markers.time[k]) for k in (0, -1))
+        for t0, t1 in parts:
+            if t0 > last or t1 < first:
+                raise DataError(
+                    "contact.interval", "the interval lies outside the trial", source=name, place=f"{place}.when",
+                    found=f"{t0} to {t1} s", remedy=f"The trial is from {first:.2f} to {last:.2f} s",
+                )  # fmt: skip
+
+
+def _push(one: OtherContact, place: str = "") -> str | Point:
+    """Where a contact's support pushes: as said, or as is usual for its segment."""
+    if one.push is not None:
+        return one.push
+    if one.segment.startswith(GRIPS):
+        return "free"
+    for beginnings, (_, push) in USUAL.items():
+        if one.segment.startswith(beginnings):
+            return push
+    raise ConfigError(
+        "contact.push",
+        "nothing usual is known of contacts of this segment",
+        place=place,
+        found=one.segment,
+        remedy="Give push: up, forward, free, or a direction in W",
+    )
+
+
+def local_points(
+    one: OtherContact,
+    attachment: Attachment,
+    p_BM_B: Float[Tensor, "markers 3"],
+    bodies: tuple[str, ...],
+    place: str = "",
+) -> Float[Tensor, "points 3"]:
+    """Return where a contact touches its segment, in the segment's axes [m].
+
+    Args:
+        one: the contact.
+        attachment: markers of the session on the bodies.
+        p_BM_B: places of these markers [m].
+        bodies: names of the bodies.
+        place: in the config.
+
+    Raises:
+        ConfigError: ``contact.points`` where a marker is not one of the segment's, or nobody says where it is touched.
+    """
+    body = bodies.index(one.segment)
+    own = {label: p for label, k, p in zip(attachment.labels, attachment.body, p_BM_B, strict=True) if int(k) == body}
+    if one.points:
+        strange = [point for point in one.points if isinstance(point, str) and point not in own]
+        if strange:
+            raise ConfigError(
+                "contact.points", f"no marker of {one.segment} has this name", place=f"{place}.points",
+                found=", ".join(map(str, strange)),
+                remedy=f"Name one of {', '.join(own) or 'none that there are'}, or give [x, y, z] in its axes [m]",
+            )  # fmt: skip
+        each = [own[point] if isinstance(point, str) else p_BM_B.new_tensor(point) for point in one.points]
+        return torch.stack(each)
+    for beginnings, (corners, _) in USUAL.items():
+        if one.segment.startswith(beginnings):
+            return p_BM_B.new_tensor(corners)
+    if not own:
+        raise ConfigError(
+            "contact.points", f"nobody says where {one.segment} is touched: it has no markers", place=place,
+            found="no points", remedy="Give points: [[x, y, z]] in the segment's axes [m]",
+        )  # fmt: skip
+    return torch.stack(list(own.values())).mean(dim=0, keepdim=True)
+
+
+def place_others(
+    fit: GeometryFit, tracked: Tracked, options: ContactOptions
+) -> dict[str, tuple[Float[Tensor, "frames _ 3"], Float[Tensor, "frames 3"]]]:
+    """Return the points of every contact in W [m], and the forward axis of its segment, frame by frame.
+
+    Args:
+        fit: geometry of the body.
+        tracked: its coordinates.
+        options: with the contacts.
+    """
+    tree, plan = fit.model.tree, plan_tree(fit.model.tree)
+    local = {name: local_points(one, fit.attachment, fit.place, tree.names) for name, one in options.others.items()}
+    found = {name: (fit.xi.new_empty(len(tracked.q), len(p), 3), fit.xi.new_empty(len(tracked.q), 3))
+             for name, p in local.items()}  # fmt: skip
+    for start in range(0, len(tracked.q) if local else 0, CHUNK):
+        part = slice(start, start + CHUNK)
+        at = poses(plan, tracked.q[part].T.contiguous(), fit.geometry)
+        for name, one in options.others.items():
+            body = plan.position[tree.index(one.segment)]
+            own = torch.full((len(local[name]),), body, device=fit.xi.device)
+            found[name][0][part] = points(at, own, local[name]).permute(2, 0, 1)
+            found[name][1][part] = at.R[body, 0].T
+    return found
+
+
+def others_of(fit: GeometryFit, tracked: Tracked, trial: Trial, options: ContactOptions) -> Others | None:
+    """Return which contacts other than feet bear in a trial; None where the config names none.
+
+    Args:
+        fit: geometry of the body.
+        tracked: coordinates of the trial.
+        trial: the recording.
+        options: with the contacts.
+    """
+    middles = {name: points.mean(dim=1) for name, (points, _) in place_others(fit, tracked, options).items()}
+    forces: Forces | None = trial.forces
+    return find_others(options, middles, trial.name, trial.markers.time, forces)
+
+
+def patches_of(
+    fit: GeometryFit, tracked: Tracked, options: ContactOptions, bearing: Bool[Tensor, "frames others"]
+) -> dict[str, Patch]:
+    """Return what every contact presses with.
+
+    Args:
+        fit: geometry of the body.
+        tracked: coordinates of the trial.
+        options: with the contacts.
+        bearing: frames in which each bears, over which a forward axis is averaged.
+    """
+    found = {}
+    for k, (name, (p, forward)) in enumerate(place_others(fit, tracked, options).items()):
+        one, known = options.others[name], torch.isfinite(forward).all(dim=1)
+        push = _push(one)
+        if push == "forward":
+            some = bearing[:, k] & known
+            normal = forward[some if bool(some.any()) else known].mean(dim=0)
+        else:
+            normal = p.new_tensor(push if isinstance(push, tuple) else (0.0, 0.0, 1.0))
+        found[name] = Patch(p, axes_about(normal), torch.inf if push == "free" else one.friction)
+    return found
