@@ -29,6 +29,8 @@ class Given:
     options: ReadOptions = ReadOptions()
     mass_kg: float | None = None
     """The subject's mass on record; absent: what the file states."""
+    on_feet: Callable[[Trial], Trial] = lambda trial: trial
+    """Leaves of a trial's forces what feet must answer for."""
 
     def read(self, options: ReadOptions) -> Trial:
         """The trial, read with these options."""
@@ -40,7 +42,8 @@ class Given:
         if (trial.forces is None and not left_out) or len(trial.markers.time) < 2:
             return ()
         mass = self.mass_kg if self.mass_kg is not None else stated_mass(trial)
-        found = judge_recording(synchronise(trial), Recording(self.read, self.options, mass))
+        again = Recording(lambda options: self.on_feet(self.read(options)), self.options, mass)
+        found = judge_recording(synchronise(self.on_feet(trial)), again)
         return tuple(
             Note("forces.feet", f"{f.what}. Cure: {f.remedy('to the trial in a config')}", str(self.file))
             for f in found

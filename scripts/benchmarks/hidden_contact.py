@@ -11,7 +11,6 @@ from benchmarks.contact_measures import merged
 from torchid.contact.other_options import OtherContact
 from torchid.experiment.contacts import wrenches_under
 from torchid.experiment.fits import identify
-from torchid.experiment.others import USUAL
 from torchid.experiment.stages import follow, limb, torques
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
@@ -24,6 +23,8 @@ from torchid.torque.inverse import Load, joint_torques
 HAND_N, SEAT_N = (20.0, 70.0), (60.0, 150.0)
 """Chosen: largest vertical force of a hand and of a seat; more, and feet of a body that balances alone could not bear
 what is left."""
+SEAT = (-0.08, -0.11, -0.09), (0.04, 0.11, -0.09)
+"""Opposite corners of the patch under a pelvis, in its axes [m]."""
 EDGE_S = 0.3
 """Time in which the force comes and goes."""
 PLACE_M = 0.01
@@ -72,9 +73,8 @@ def draw_seat(session: Session, trial: str, generator: torch.Generator) -> Hidde
         trial: in which he is seated.
         generator: source of chance.
     """
-    corners = torch.tensor(USUAL[("pelvis",)][0], dtype=torch.float64)
-    part = torch.rand(3, generator=generator, dtype=torch.float64)
-    place = corners.amin(0) + part * (corners.amax(0) - corners.amin(0))
+    low, high = (torch.tensor(corner, dtype=torch.float64) for corner in SEAT)
+    place = low + torch.rand(3, generator=generator, dtype=torch.float64) * (high - low)
     size = float(torch.empty(1).uniform_(*SEAT_N, generator=generator))
     aside = 0.1 * size * torch.randn(2, generator=generator, dtype=torch.float64)
     force = torch.tensor([float(aside[0]), float(aside[1]), size], dtype=torch.float64)

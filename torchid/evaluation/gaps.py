@@ -112,6 +112,6 @@ def _back(found: Evaluation) -> Iterator[Gap]:
         yield Gap("L5/S1", "the model has no joint of three turns between pelvis and trunk")
     else:
         yield Gap(
-            "loads in the hands, and a device's own pull along the spine, at L5/S1",
+            "loads in the hands that the config does not declare, and a device's own pull along the spine, at L5/S1",
             "moment and compression follow from the motion of trunk, head and arms and from the device's torque alone",
         )

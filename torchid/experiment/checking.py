@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from torchid.check_report import Finding, Given, Refusal, check_recordings
 from torchid.config import Config
 from torchid.errors import TorchidError
-from torchid.experiment.read import read_setup
+from torchid.experiment.others import check_others
+from torchid.experiment.read import on_feet, read_setup
 from torchid.experiment.tracks import look_at_session
 from torchid.geometry.assign import assign_markers
 from torchid.recording import Trial
@@ -21,7 +22,15 @@ def check_session(config: Config) -> Iterator[Finding]:
     model, said, markers = read_setup(config)
     mass = config.subject.mass_kg
     given = [
-        Given(file.name, file.file, file.forces, file.role, config.reading(file, markers.wanted), mass)
+        Given(
+            file.name,
+            file.file,
+            file.forces,
+            file.role,
+            config.reading(file, markers.wanted),
+            mass,
+            lambda trial: on_feet(trial, config),
+        )
         for file in config.trials
     ]
     trials: list[Trial] = []
@@ -30,6 +39,7 @@ def check_session(config: Config) -> Iterator[Finding]:
         return
     try:
         assignment = assign_markers(model, markers, tuple(trials), config.unlisted_choice)
+        check_others(config, assignment, {trial.name: trial for trial in trials})
         wrong = look_at_session({trial.name: trial for trial in trials}, assignment)
         # Leaps and frozen markers have been said of each recording.
         between = [one for one in wrong if one.kind in (Kind.EXCHANGED, Kind.MOVED)]

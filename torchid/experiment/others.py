@@ -1,6 +1,8 @@
 """Contacts other than feet on the body of a session: where they touch it, when they bear, and what is refused."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -19,19 +21,39 @@ from torchid.geometry.tracking import Tracked
 from torchid.io.mend import number_of
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
+from torchid.model.tree import Tree
 from torchid.recording import Forces, Trial
 from torchid.torque.inverse import CHUNK
 
 GRIPS = ("hand",)
 """Wording. Bodies that hold on, by the beginning of their names: at the middle of their markers, in any direction."""
-USUAL: dict[tuple[str, ...], tuple[tuple[Point, ...], str]] = {
-    ("pelvis",): (tuple((x, y, -0.09) for x in (-0.08, 0.04) for y in (-0.11, 0.11)), "up"),
-    ("thigh", "femur"): (tuple((-0.07, y, z) for y in (-0.06, 0.06) for z in (-0.3, -0.05)), "up"),
-    ("thorax", "torso"): (tuple((-0.11, y, z) for y in (-0.12, 0.12) for z in (0.05, 0.25)), "forward"),
-}
-"""Chosen: corners of the patch by which a body is usually supported, in its axes [m], and where it is pushed; bodies by
-the beginning of their names. Of adults of 1.75 m: ischial tuberosities 0.09 m below the hip centres and 0.11 to 0.13 m
-apart with soft tissue around them, thighs 0.14 m and trunks 0.22 m deep."""
+
+
+@dataclass(frozen=True)
+class Usual:
+    """How a segment is usually supported."""
+
+    segments: tuple[str, ...]
+    """Beginnings of names."""
+    corners: tuple[Point, ...]
+    """Of the patch, from the middle of the joints to ``limbs``, or from the segment's origin, in its axes [m]."""
+    push: Literal["up", "forward"]
+    limbs: tuple[str, ...] = ()
+    """Beginnings of the names of the bodies whose joints are meant."""
+
+
+USUAL = (
+    Usual(
+        ("pelvis",), tuple((x, y, -0.09) for x in (-0.08, 0.04) for y in (-0.11, 0.11)), "up", ("thigh", "femur")
+    ),
+    Usual(("thigh", "femur"), tuple((-0.07, y, z) for y in (-0.06, 0.06) for z in (-0.3, -0.05)), "up"),
+    Usual(
+        ("thorax", "torso"), tuple((-0.11, y, z) for y in (-0.12, 0.12) for z in (-0.25, -0.05)), "forward",
+        ("upper_arm", "humerus"),
+    ),
+)  # fmt: skip
+"""Chosen, of adults of 1.75 m: ischial tuberosities 0.09 m below the hip centres and 0.11 to 0.13 m apart with soft
+tissue around them, thighs 0.14 m and trunks 0.22 m deep, shoulder blades behind the shoulders and below them."""
 
 
 def check_others(config: Config, assignment: Assignment, trials: Mapping[str, Trial]) -> None:
@@ -60,7 +82,8 @@ def check_others(config: Config, assignment: Assignment, trials: Mapping[str, Tr
                 remedy="Give it a name of its own, such as rail or seat",
             )  # fmt: skip
         _push(one, place)
-        local_points(one, assignment.attachment, torch.zeros(len(assignment.attachment.labels), 3), known, place)
+        tree, attachment = assignment.model.tree, assignment.attachment
+        local_points(one, tree, torch.zeros(len(known), 3), attachment, torch.zeros(len(attachment.labels), 3), place)
         _refuse_plate(one, trials, place)
         _refuse_times(one, trials, place)
 
@@ -94,9 +117,9 @@ def _push(one: OtherContact, place: str = "") -> str | Point:
         return one.push
     if one.segment.startswith(GRIPS):
         return "free"
-    for beginnings, (_, push) in USUAL.items():
-        if one.segment.startswith(beginnings):
-            return push
+    usual = _usual(one)
+    if usual is not None:
+        return usual.push
     raise ConfigError(
         "contact.push",
         "nothing usual is known of contacts of this segment",
@@ -106,26 +129,32 @@ def _push(one: OtherContact, place: str = "") -> str | Point:
     )
 
 
+def _usual(one: OtherContact) -> Usual | None:
+    return next((usual for usual in USUAL if one.segment.startswith(usual.segments)), None)
+
+
 def local_points(
     one: OtherContact,
+    tree: Tree,
+    offset: Float[Tensor, "bodies 3"],
     attachment: Attachment,
     p_BM_B: Float[Tensor, "markers 3"],
-    bodies: tuple[str, ...],
     place: str = "",
 ) -> Float[Tensor, "points 3"]:
     """Return where a contact touches its segment, in the segment's axes [m].
 
     Args:
         one: the contact.
+        tree: of the model.
+        offset: from each body's parent to its joint, in the parent's axes [m].
         attachment: markers of the session on the bodies.
         p_BM_B: places of these markers [m].
-        bodies: names of the bodies.
         place: in the config.
 
     Raises:
         ConfigError: ``contact.points`` where a marker is not one of the segment's, or nobody says where it is touched.
     """
-    body = bodies.index(one.segment)
+    body = tree.index(one.segment)
     own = {label: p for label, k, p in zip(attachment.labels, attachment.body, p_BM_B, strict=True) if int(k) == body}
     if one.points:
         strange = [point for point in one.points if isinstance(point, str) and point not in own]
@@ -137,9 +166,11 @@ def local_points(
             )  # fmt: skip
         each = [own[point] if isinstance(point, str) else p_BM_B.new_tensor(point) for point in one.points]
         return torch.stack(each)
-    for beginnings, (corners, _) in USUAL.items():
-        if one.segment.startswith(beginnings):
-            return p_BM_B.new_tensor(corners)
+    usual = _usual(one)
+    if usual is not None:
+        limbs = [k for k, b in enumerate(tree.bodies) if b.parent == body and b.name.startswith(usual.limbs or ("-",))]
+        middle = offset[limbs].mean(dim=0) if limbs else torch.zeros_like(offset[0])
+        return p_BM_B.new_tensor(usual.corners) + middle
     if not own:
         raise ConfigError(
             "contact.points", f"nobody says where {one.segment} is touched: it has no markers", place=place,
@@ -159,7 +190,8 @@ def place_others(
         options: with the contacts.
     """
     tree, plan = fit.model.tree, plan_tree(fit.model.tree)
-    local = {name: local_points(one, fit.attachment, fit.place, tree.names) for name, one in options.others.items()}
+    given = tree, fit.geometry.offset, fit.attachment, fit.place
+    local = {name: local_points(one, *given) for name, one in options.others.items()}
     found = {name: (fit.xi.new_empty(len(tracked.q), len(p), 3), fit.xi.new_empty(len(tracked.q), 3))
              for name, p in local.items()}  # fmt: skip
     for start in range(0, len(tracked.q) if local else 0, CHUNK):

@@ -43,7 +43,7 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     trials = {name: keep(synchronise(keep(read_recording(file, config, markers)))) for name, file in files.items()}
     _refuse_short(trials)
     again = {name: (trial, _recording(files[name], config, markers)) for name, trial in trials.items()}
-    judged = {n: (_on_feet(trial, config), recording) for n, (trial, recording) in again.items() if files[n].inertia}
+    judged = {n: (on_feet(trial, config), recording) for n, (trial, recording) in again.items() if files[n].inertia}
     refuse_disagreement(judged)
     assignment = assign_markers(model, markers, tuple(trials.values()), config.unlisted_choice)
     check_others(config, assignment, trials)
@@ -95,13 +95,18 @@ def read_recording(file: TrialFile, config: Config, markers: MarkerSet) -> Trial
 
 def _recording(file: TrialFile, config: Config, markers: MarkerSet) -> Recording:
     def read(options: ReadOptions) -> Trial:
-        return _on_feet(read_trial(file.name, file.file, file.forces, file.role, options), config)
+        return on_feet(read_trial(file.name, file.file, file.forces, file.role, options), config)
 
     return Recording(read, config.reading(file, markers.wanted), config.subject.mass_kg)
 
 
-def _on_feet(trial: Trial, config: Config) -> Trial:
-    """The trial with the forces that feet must answer for."""
+def on_feet(trial: Trial, config: Config) -> Trial:
+    """Return the trial with the forces that feet must answer for.
+
+    Args:
+        trial: as read.
+        config: with the contacts other than feet.
+    """
     if not config.contact.others or trial.forces is None:
         return trial
     return replace(trial, forces=feet_alone(config.contact, trial.name, trial.forces))

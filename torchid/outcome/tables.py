@@ -218,4 +218,5 @@ def _trial_residual(outcome: Outcome, name: str) -> dict[str, Any] | None:
         "used": int(item.contact.used.sum()),
         "frames": len(item.contact.used),
         "beside_plates": item.contact.excluded,
+        "unmeasured_contacts": int(item.contact.unmeasured.sum()),
     }
