@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 import small_session
+from benchmarks import hidden_contact
 
 from torchid.config import InvalidConfig, load_config
 from torchid.contact.contact import Contact, find_contact
@@ -20,10 +22,14 @@ from torchid.contact.sharing.patches import Patch, axes_about, patch_rows, rest_
 from torchid.contact.sharing.records import Needed, Source
 from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import ConfigError, DataError, OptionError
-from torchid.experiment.contacts import sharing_notes
-from torchid.experiment.others import check_others
+from torchid.experiment.contacts import sharing_notes, wrenches_under
+from torchid.experiment.others import check_others, refuse_unknown_plates
+from torchid.experiment.stages import limb, torques
+from torchid.experiment.torque_bands import outcome_draws
+from torchid.experiment.write import motion_dataset
 from torchid.filters import Smoother
 from torchid.recording import Forces, Plate
+from torchid.report.contacts import contacts_figure
 
 FRAMES, RATE = 100, 100.0
 TIME = torch.arange(FRAMES, dtype=torch.float64) / RATE
@@ -127,12 +133,28 @@ def test_an_unmeasured_hand_is_what_the_body_needs_beyond_the_plates():
     found = contact_wrenches(contact, SOLES, forces, COM, smoother, needed, patches=patches)
     assert found.contacts == ("foot_l", "foot_r", "rail") and found.body[2] == "hand_r"
     assert bool((found.source[BEARS, 2] == Source.PREDICTED).all())
-    torch.testing.assert_close(found.of("rail")[BEARS], smoother(hand)[BEARS], atol=0.2, rtol=2e-3)
+    inner = (TIME > 0.4) & (TIME < 0.6)
+    torch.testing.assert_close(found.of("rail")[inner], smoother(hand)[inner], atol=0.2, rtol=2e-3)
     torch.testing.assert_close(found.wrench[:, :2], smoother(FEET), atol=1e-6, rtol=1e-9)
     sd = found.sd[BEARS, 2, :3]
     assert bool((sd > 0.1).all()) and bool((sd < 1.5).all())
     assert [note.code for note in sharing_notes({"a": found})] == ["contact.predicted"]
     assert "rail" in sharing_notes({"a": found})[0].message
+
+
+def test_without_plates_a_hand_and_feet_are_predicted_together():
+    """Feet and hand add up to what the body needs but for its error."""
+    hand = acting((0.4, -0.3, 1.0), torch.where(BEARS[:, None], pushing(0.0, 0.0, 60.0), 0.0))
+    none = Forces(TIME, FEET[:, :0], ())
+    contact, smoother = seen(none, rail()), Smoother(10.0, RATE)
+    assert not bool(contact.untold.any()) and bool(contact.beside[BEARS].all())
+    needed = need(smoother(FEET.sum(1) + hand))
+    found = contact_wrenches(
+        contact, SOLES, none, COM, smoother, needed, patches={"rail": grip((0.4, -0.3, 1.0))}
+    )  # fmt: skip
+    assert bool((found.source[BEARS] == Source.PREDICTED).all())
+    gap = (found.wrench.sum(1) - needed.wrench)[:, :3]
+    assert float(gap.abs().max()) < 5.0
 
 
 def test_a_hand_does_not_bear_the_bodys_error(seed: int):
@@ -327,4 +349,73 @@ def test_contacts_that_the_session_does_not_have_are_refused(name: str, contact:
     config = config.model_copy(update={"contact": ContactOptions(others={name: contact})})
     with pytest.raises((ConfigError, DataError)) as refusal:
         check_others(config, small_session.assignment(), trials)
+        refuse_unknown_plates(config, trials)
     assert refusal.value.code == code and said in refusal.value.remedy
+
+
+def hidden_case(seed: int, seated: bool) -> tuple:
+    """The run of the small session, and a contact that is drawn in one of its trials."""
+    generator = torch.Generator().manual_seed(seed)
+    session, outcome = small_session.session(), small_session.outcome()
+    draw = hidden_contact.draw_seat if seated else hidden_contact.draw_hand
+    return session, outcome, draw(session, "squats" if seated else "arms", generator), generator
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seated", [False, True])
+def test_a_hidden_contact_is_found_and_not_taken_for_mass(seated: bool, seed: int):
+    """Its force comes out of what the plates lack; masses and torques are as good as if nobody had held on."""
+    session, outcome, hidden, _ = hidden_case(seed, seated)
+    less = hidden_contact.without(outcome.session.trials[hidden.trial], hidden)
+    found = hidden_contact.told(outcome, less, hidden, hidden.contact)
+    said = hidden_contact.answers(outcome, found, session, hidden)
+    assert said.force_N < 15.0, said
+    assert said.torque_Nm < max(3.0, 1.5 * said.plain_Nm), said
+    masses = [hidden_contact.mass_error(one, session) for one in (outcome, found)]
+    assert masses[1] < masses[0] + 0.15, masses
+    told = found.followed[hidden.trial].contact
+    assert told is not None and not bool((told.used & told.unmeasured).any()) and bool(told.supported.all())
+
+
+@pytest.mark.slow
+def test_a_handle_on_its_own_plate_keeps_all_frames(seed: int):
+    """Nothing is left out, and the arm's torques are what they are."""
+    session, outcome, hidden, generator = hidden_case(seed, False)
+    handle = hidden_contact.with_handle(outcome.session.trials[hidden.trial], hidden, generator)
+    assert handle.forces is not None
+    found = hidden_contact.told(outcome, handle, hidden, hidden.measured(len(handle.forces.plates)))
+    said = hidden_contact.answers(outcome, found, session, hidden)
+    assert said.force_N < 3.0 and said.torque_Nm < max(3.0, 1.5 * said.plain_Nm), said
+    before, now = (one.followed[hidden.trial].contact for one in (outcome, found))
+    assert before is not None and now is not None and int(now.used.sum()) >= int(before.used.sum()) - 2
+
+
+@pytest.mark.slow
+def test_what_is_said_of_a_contact_reaches_files_and_figures(seed: int):
+    """Names, sources and deviations stand in the motion file; the timeline has a line for the rail."""
+    _, outcome, hidden, _ = hidden_case(seed, False)
+    less = hidden_contact.without(outcome.session.trials[hidden.trial], hidden)
+    found = hidden_contact.told(outcome, less, hidden, hidden.contact)
+    item = found.followed[hidden.trial]
+    under = wrenches_under(item, found.fit, found.phi, less, found.config.contact)
+    assert under is not None
+    told = replace(found, under={hidden.trial: under})
+    data = motion_dataset(told, hidden.trial)
+    assert data["contact"].values.tolist() == ["foot_l", "foot_r", "rail"]
+    assert data["contact_body"].values.tolist()[-1] == "hand_r"
+    assert item.contact is not None
+    bears = item.contact.unmeasured.numpy()
+    assert (data["contact_source"].values[bears, 2] == Source.PREDICTED).all()
+    assert (data["contact_wrench_sd"].values[bears, 2, :3] > 0.0).all()
+    figure = contacts_figure(told)
+    assert figure is not None and "rail beside plates" in figure.svg
+    unsaid = replace(found.config.contact, torques="shared")
+    blank = torques(
+        item, found.fit.model.tree, found.fit.geometry, found.phi, less,
+        wrenches_under(item, found.fit, found.phi, less, unsaid),
+    )  # fmt: skip
+    arm = limb(found.fit.model.tree, "hand_r")
+    assert bool(torch.isnan(blank[item.contact.unmeasured][:, arm]).all())
+    assert bool(torch.isfinite(blank[item.contact.used][:, arm]).all())
+    drawn = outcome_draws(replace(told, torque=outcome.torque), [hidden.trial], 8, seed)
+    assert bool((drawn.sd(hidden.trial)[item.contact.unmeasured][:, arm] > 0.0).all())

@@ -25,7 +25,7 @@ from torchid.contact.sharing.reference import share_by_clarabel
 from torchid.contact.sharing.solver import SharingStatus, share
 from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import DataError
-from torchid.experiment.contacts import wrenches_under, sharing_notes
+from torchid.experiment.contacts import sharing_notes, wrenches_under
 from torchid.experiment.stages import follow, legs, torques
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit

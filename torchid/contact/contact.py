@@ -81,8 +81,11 @@ class Contact:
         feet = self.touching & floor.any(dim=1, keepdim=True)
         if self.others is None:
             return feet
-        own = [self.others.bearing[:, k] & vague[:, p] & (p >= 0) for k, p in enumerate(self.others.column)]
-        return torch.cat([feet, torch.stack(own, dim=1)], dim=1)
+        own = torch.zeros_like(self.others.bearing)
+        for k, p in enumerate(self.others.column):
+            if p >= 0:
+                own[:, k] = self.others.bearing[:, k] & vague[:, p]
+        return torch.cat([feet, own], dim=1)
 
     @property
     def unmeasured(self) -> Bool[Tensor, " frames"]:
@@ -143,8 +146,8 @@ def find_contact(
         return _footless(whole, forces, seen, margin, short, others)
     floor = floor_plates(soles, forces, others, options.margin_m)
     ground = Forces(forces.time, forces.wrench[:, list(floor)], tuple(forces.plates[p] for p in floor))
-    lacking = None if short is None or others is None else short & ~others.bearing.any(dim=1)
-    belt, touching, supported, own = _on_ground(soles, ground, rate_hz, options, short if others is None else lacking)
+    lacking = short if short is None or others is None else short & ~others.bearing.any(dim=1)
+    belt, touching, supported, own = _on_ground(soles, ground, rate_hz, options, lacking)
     plate = own.new_full((len(own), len(forces.plates)), -1)
     plate[:, list(floor)] = own
     if others is not None:

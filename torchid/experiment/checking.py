@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from torchid.check_report import Finding, Given, Refusal, check_recordings
 from torchid.config import Config
 from torchid.errors import TorchidError
-from torchid.experiment.others import check_others
+from torchid.experiment.others import check_others, refuse_unknown_plates
 from torchid.experiment.read import on_feet, read_setup
 from torchid.experiment.tracks import look_at_session
 from torchid.geometry.assign import assign_markers
@@ -39,7 +39,9 @@ def check_session(config: Config) -> Iterator[Finding]:
         return
     try:
         assignment = assign_markers(model, markers, tuple(trials), config.unlisted_choice)
-        check_others(config, assignment, {trial.name: trial for trial in trials})
+        named = {trial.name: trial for trial in trials}
+        check_others(config, assignment, named)
+        refuse_unknown_plates(config, named)
         wrong = look_at_session({trial.name: trial for trial in trials}, assignment)
         # Leaps and frozen markers have been said of each recording.
         between = [one for one in wrong if one.kind in (Kind.EXCHANGED, Kind.MOVED)]

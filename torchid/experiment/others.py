@@ -65,7 +65,7 @@ def check_others(config: Config, assignment: Assignment, trials: Mapping[str, Tr
         trials: of the session.
 
     Raises:
-        ConfigError: ``contact.segment``, ``contact.name``, ``contact.points``, ``contact.push``, ``contact.plate``.
+        ConfigError: ``contact.segment``, ``contact.name``, ``contact.points``, ``contact.push``.
         DataError: ``contact.interval`` where an interval lies outside its trial.
     """
     for name, one in config.contact.others.items():
@@ -84,18 +84,28 @@ def check_others(config: Config, assignment: Assignment, trials: Mapping[str, Tr
         _push(one, place)
         tree, attachment = assignment.model.tree, assignment.attachment
         local_points(one, tree, torch.zeros(len(known), 3), attachment, torch.zeros(len(attachment.labels), 3), place)
-        _refuse_plate(one, trials, place)
         _refuse_times(one, trials, place)
 
 
-def _refuse_plate(one: OtherContact, trials: Mapping[str, Trial], place: str) -> None:
+def refuse_unknown_plates(config: Config, trials: Mapping[str, Trial]) -> None:
+    """Refuse contacts whose plate no recording has; a plate may be in some trials only.
+
+    Args:
+        config: with the contacts.
+        trials: all that the config lists.
+
+    Raises:
+        ConfigError: ``contact.plate``.
+    """
     plates = {number_of(p, k) for t in trials.values() if t.forces for k, p in enumerate(t.forces.plates)}
-    if one.plate is not None and plates and one.plate not in plates:
-        raise ConfigError(
-            "contact.plate", "no recording has this plate", place=f"{place}.plate", found=str(one.plate),
-            remedy=f"Name one of {', '.join(map(str, sorted(plates)))}, or leave plate out: the contact is then not "
-            "measured",
-        )  # fmt: skip
+    for name, one in config.contact.others.items():
+        if one.plate is not None and one.plate not in plates:
+            raise ConfigError(
+                "contact.plate", "no recording has this plate", place=f"contact.others.{name}.plate",
+                found=str(one.plate),
+                remedy=f"Plates of these recordings: {', '.join(map(str, sorted(plates))) or 'none'}; leave plate: out "
+                "for a contact that nothing measures",
+            )  # fmt: skip
 
 
 def _refuse_times(one: OtherContact, trials: Mapping[str, Trial], place: str) -> None:

@@ -14,6 +14,7 @@ from torchid.experiment.acceptance import impossible
 from torchid.experiment.contacts import sharing_notes, wrenches_under
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.laboratory import diagnosed
+from torchid.experiment.others import refuse_unknown_plates
 from torchid.experiment.publishing import publishable
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
@@ -53,7 +54,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
     if config.threads:
         torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
-    config = config.body
+    listed, config = config.trials, config.body
     with OutputFolder(config.out) as folder:
         _claim(folder, config)
         config = with_recordings(config, progress)
@@ -62,6 +63,8 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
         progress("read", 0.0)
         with folder.timed("read"):
             session = read_session(config, folder.aside)
+            if len(listed) == len(config.trials) or not listed:
+                refuse_unknown_plates(config, session.trials)
         progress("read", 1.0)
         outcome, failure = _compute(config, session, folder, progress)
         failure = failure or impossible(outcome)

@@ -127,7 +127,7 @@ class Costs:
         owner = [torch.full((one.points.shape[1],), k) for k, one in enumerate(surfaces)]
         friction = [rows.new_full((one.points.shape[1],), one.friction) for one in surfaces]
         axes = [one.axes.expand(one.points.shape[1], 3, 3) for one in surfaces]
-        weight = float(task.total[task.open][:, 2].abs().max().clamp(min=1.0))
+        weight = float(task.total[task.open][:, :3].norm(dim=1).max().clamp(min=1.0))
         bend = rows.new_full((3,), BEND_SD * weight / self.smoother.rate_hz**2)
         group = torch.zeros(len(surfaces), dtype=torch.long, device=rows.device)
         return SharingProblem(
