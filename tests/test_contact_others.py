@@ -22,12 +22,15 @@ from torchid.contact.sharing.patches import Patch, axes_about, patch_rows, rest_
 from torchid.contact.sharing.records import Needed, Source
 from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import ConfigError, DataError, OptionError
+from torchid.evaluation.back import low_back
 from torchid.experiment.contacts import sharing_notes, wrenches_under
 from torchid.experiment.others import check_others, refuse_unknown_plates
-from torchid.experiment.stages import limb, torques
+from torchid.experiment.stages import contact_loads, limb, torques
 from torchid.experiment.torque_bands import outcome_draws
 from torchid.experiment.write import motion_dataset
 from torchid.filters import Smoother
+from torchid.kinematics.plan import plan_tree
+from torchid.kinematics.recursion import poses
 from torchid.recording import Forces, Plate
 from torchid.report.contacts import contacts_figure
 
@@ -419,3 +422,11 @@ def test_what_is_said_of_a_contact_reaches_files_and_figures(seed: int):
     assert bool(torch.isfinite(blank[item.contact.used][:, arm]).all())
     drawn = outcome_draws(replace(told, torque=outcome.torque), [hidden.trial], 8, seed)
     assert bool((drawn.sd(hidden.trial)[item.contact.unmeasured][:, arm] > 0.0).all())
+    tree, motion = found.fit.model.tree, item.motion
+    given = tree, found.fit.geometry, found.phi, motion
+    with_hand, plain = low_back(*given, contact_loads(item, less, under)), low_back(*given)
+    assert with_hand is not None and plain is not None
+    at = poses(plan_tree(tree), motion.q.T.contiguous(), found.fit.geometry)
+    axis = at.R[plan_tree(tree).position[tree.index("abdomen")], 2].T
+    taken = (under.of("rail")[:, :3] * axis).sum(1)
+    torch.testing.assert_close(plain.force - with_hand.force, taken, atol=1e-9, rtol=1e-9)
