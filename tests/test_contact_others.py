@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import small_session
 from benchmarks import hidden_contact
 
+from torchid.agreement.judge import judge
 from torchid.config import InvalidConfig, load_config
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.options import ContactOptions
@@ -25,12 +26,18 @@ from torchid.errors import ConfigError, DataError, OptionError
 from torchid.evaluation.back import low_back
 from torchid.experiment.contacts import sharing_notes, wrenches_under
 from torchid.experiment.others import check_others, refuse_unknown_plates
+from torchid.experiment.read import on_feet
+from torchid.experiment.run import _contact_notes
 from torchid.experiment.stages import contact_loads, limb, torques
 from torchid.experiment.torque_bands import outcome_draws
 from torchid.experiment.write import motion_dataset
 from torchid.filters import Smoother
+from torchid.geometry.tracking import Tracked
+from torchid.io.resample import synchronise
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses
+from torchid.motion import Motion
+from torchid.outcome import Followed
 from torchid.recording import Forces, Plate
 from torchid.report.contacts import contacts_figure
 
@@ -430,3 +437,31 @@ def test_what_is_said_of_a_contact_reaches_files_and_figures(seed: int):
     axis = at.R[plan_tree(tree).position[tree.index("abdomen")], 2].T
     taken = (under.of("rail")[:, :3] * axis).sum(1)
     torch.testing.assert_close(plain.force - with_hand.force, taken, atol=1e-9, rtol=1e-9)
+
+
+def test_a_handle_is_not_held_against_the_feet(seed: int):
+    """What it reads is no foot's, and would have the recording refused; declared, nothing is said of it."""
+    generator = torch.Generator().manual_seed(seed)
+    session = small_session.session()
+    hidden = hidden_contact.draw_hand(session, "arms", generator)
+    hidden = replace(hidden, wrench=hidden.wrench * 60.0 / float(hidden.wrench[:, 2].abs().max()))
+    pushed = replace(hidden, wrench=hidden.wrench * torch.sign(hidden.wrench[:, 2].sum()))
+    trial = hidden_contact.with_handle(synchronise(session.trial("arms").trial), pushed, generator)
+    assert trial.forces is not None
+    config = load_config(small_session.config())
+    options = ContactOptions(others={"rail": hidden.measured(len(trial.forces.plates))})
+    left = on_feet(trial, config.model_copy(update={"contact": options}))
+    assert left.forces is not None and len(left.forces.plates) == len(trial.forces.plates) - 1
+    assert on_feet(trial, config) is trial
+    assert judge(trial) and not judge(left)
+
+
+def test_frames_of_an_unmeasured_contact_are_counted_in_a_note():
+    """The note names the contact and the trial."""
+    contact = seen(Forces(TIME, FEET, two_plates()), rail())
+    still = torch.zeros(FRAMES, 6, dtype=torch.float64)
+    tracked = Tracked(TIME, still, torch.zeros(FRAMES, 1).double(), torch.ones(FRAMES, dtype=torch.bool))
+    motion = Motion(TIME, still, still, still, Smoother(10.0, RATE))
+    notes = _contact_notes({"stairs": Followed("stairs", tracked, motion, contact)})
+    assert [note.code for note in notes] == ["contact.unmeasured"]
+    assert "rail" in notes[0].message and notes[0].source == "stairs" and "39 frames" in notes[0].message

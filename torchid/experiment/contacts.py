@@ -154,8 +154,8 @@ def sharing_notes(under: dict[str, ContactWrenches]) -> list[Note]:
     for name, feet in under.items():
         frames = len(feet.source)
         words = {
-            Source.SHARED: ("contact.shared", "share a plate: the wrench of each is estimated"),
-            Source.PREDICTED: ("contact.predicted", "bear beside plates: what the body needs is theirs"),
+            Source.SHARED: ("contact.shared", "contacts share a plate, and the wrench of each is estimated"),
+            Source.PREDICTED: ("contact.predicted", "contacts beside plates bear what the body needs"),
         }
         for source, (code, said) in words.items():
             own = feet.source == source
@@ -163,7 +163,7 @@ def sharing_notes(under: dict[str, ContactWrenches]) -> list[Note]:
             # Contacts that a body names are feet.
             named = dict.fromkeys("feet" if feet.contacts[k] == feet.body[k] else feet.contacts[k] for k in which)
             if count:
-                notes.append(Note(code, f"in {count} of {frames} frames {' and '.join(named)} {said}", name))
+                notes.append(Note(code, f"in {count} of {frames} frames {said}: {', '.join(named)}", name))
         if feet.status is SharingStatus.UNCONVERGED:
             notes.append(
                 Note("contact.unsettled", "shares of a plate did not settle; their torques are left out", name)
