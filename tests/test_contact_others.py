@@ -25,7 +25,7 @@ from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import ConfigError, DataError, OptionError
 from torchid.evaluation.back import low_back
 from torchid.experiment.contacts import sharing_notes, wrenches_under
-from torchid.experiment.others import check_others, refuse_unknown_plates
+from torchid.experiment.others import check_others, local_points, refuse_unknown_plates
 from torchid.experiment.read import on_feet
 from torchid.experiment.run import _contact_notes
 from torchid.experiment.stages import contact_loads, limb, torques
@@ -465,3 +465,27 @@ def test_frames_of_an_unmeasured_contact_are_counted_in_a_note():
     notes = _contact_notes({"stairs": Followed("stairs", tracked, motion, contact)})
     assert [note.code for note in notes] == ["contact.unmeasured"]
     assert "rail" in notes[0].message and notes[0].source == "stairs" and "39 frames" in notes[0].message
+
+
+@pytest.mark.parametrize("segment", ["pelvis", "thigh_l", "thorax", "hand_r"])
+def test_usual_places_are_where_segments_are_supported(segment: str):
+    """Under pelvis and thighs, behind the trunk, at the middle of a hand's markers; markers and points can be named."""
+    given, model = small_session.assignment(), small_session.template()
+    tree, attachment = model.tree, given.attachment
+    offset = model.geometry.geometry(model.geometry.mean).offset
+    places = (tree, offset, attachment, attachment.mean)
+    points = local_points(OtherContact(segment, "always"), *places)
+    middle = points.mean(0)
+    if segment == "pelvis":
+        assert len(points) == 4 and -0.12 < float(middle[2]) < -0.06 and abs(float(middle[1])) < 1e-9
+    elif segment == "thigh_l":
+        assert float(middle[0]) < -0.04 and -0.4 < float(points[:, 2].min()) < float(points[:, 2].max()) < 0.0
+    elif segment == "thorax":
+        shoulder = offset[[tree.index("upper_arm_l"), tree.index("upper_arm_r")]].mean(0)
+        assert float(middle[0]) < float(shoulder[0]) - 0.05 and float(points[:, 2].max()) < float(shoulder[2])
+    else:
+        own = attachment.mean[attachment.body == tree.index(segment)]
+        torch.testing.assert_close(points, own.mean(0, keepdim=True))
+        named = local_points(OtherContact(segment, "always", ("RFIN", (0.1, 0.0, 0.2))), *places)
+        torch.testing.assert_close(named[0], attachment.mean[attachment.labels.index("RFIN")])
+        assert named[1].tolist() == [0.1, 0.0, 0.2]

@@ -9,6 +9,8 @@ from torch import Tensor
 
 from benchmarks.contact_measures import merged
 from torchid.contact.other_options import OtherContact
+from torchid.effects.place import Interval
+from torchid.effects.scene import make_scene
 from torchid.experiment.contacts import wrenches_under
 from torchid.experiment.fits import identify
 from torchid.experiment.stages import follow, limb, torques
@@ -17,12 +19,15 @@ from torchid.kinematics.recursion import points, poses
 from torchid.motion import smooth_motion
 from torchid.outcome import Outcome
 from torchid.recording import Forces, Plate, Trial
+from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import Session
 from torchid.torque.inverse import Load, joint_torques
 
 HAND_N, SEAT_N = (20.0, 70.0), (60.0, 150.0)
-"""Chosen: largest vertical force of a hand and of a seat; more, and feet of a body that balances alone could not bear
-what is left."""
+"""Chosen: largest vertical force of a hand and of a seat that one leans on; more, and feet of a body that balances
+alone could not bear what is left [N]."""
+SEATED_N = 100.0, 300.0
+"""Chosen: vertical force of a seat that a squat is held by [N]."""
 SEAT = (-0.08, -0.11, -0.09), (0.04, 0.11, -0.09)
 """Opposite corners of the patch under a pelvis, in its axes [m]."""
 EDGE_S = 0.3
@@ -40,6 +45,8 @@ class Hidden:
     contact: OtherContact
     wrench: Float[Tensor, "frames 6"]
     """On the subject about the world's origin, on the clock of the markers [N, N m]."""
+    balanced: bool = False
+    """Whether the person moves as one who is borne so: the simulated feet bear what is left."""
 
     def measured(self, plate: int) -> OtherContact:
         """The contact with a plate."""
@@ -81,6 +88,48 @@ def draw_seat(session: Session, trial: str, generator: torch.Generator) -> Hidde
     return _hidden(session, trial, "seat", "pelvis", place, force, generator)
 
 
+def seated_options(options: SimulateOptions, generator: torch.Generator) -> SimulateOptions:
+    """Options of a session in which a seat bears a person during the squats, who balances accordingly.
+
+    Args:
+        options: of a session with one trial of squats.
+        generator: source of chance.
+    """
+    low, high = (torch.tensor(corner, dtype=torch.float64) for corner in SEAT)
+    place = low + torch.rand(3, generator=generator, dtype=torch.float64) * (high - low)
+    size = float(torch.empty(1).uniform_(*SEATED_N, generator=generator))
+    aside = 0.03 * size * torch.randn(2, generator=generator, dtype=torch.float64)
+    ends = torch.rand(2, generator=generator, dtype=torch.float64)
+    when = Interval("squats", 0.6 + 0.4 * float(ends[0]), options.duration_s - 0.6 - 0.4 * float(ends[1]))
+    values: dict[str, float | list] = {"force_N": [*aside.tolist(), size], "point_seg_m": place.tolist()}
+    return replace(options, effects=(PlantedOptions("unmeasured_contact", ("pelvis",), (when,), values),))
+
+
+def seated(session: Session) -> Hidden:
+    """The seat of a session with ``seated_options``.
+
+    Args:
+        session: simulated.
+    """
+    (planted,), subject = session.subject.hidden, session.subject
+    assert planted.place.when is not None
+    (when,) = planted.place.when
+    truth = session.trial(when.trial).truth
+    scene = make_scene(when.trial, subject.model.tree, subject.geometry, truth.motion, subject.phi)
+    contact = OtherContact("pelvis", {when.trial: ((when.t0 - 0.1, when.t1 + 0.1),)})
+    return Hidden(when.trial, "seat", contact, -planted.load(scene).T.contiguous(), balanced=True)
+
+
+def with_plate(trial: Trial, hidden: Hidden, generator: torch.Generator) -> Trial:
+    """The trial with what bears on a plate of its own, which has no corners and 2 N of noise."""
+    assert trial.forces is not None
+    noise = torch.randn(hidden.wrench.shape, generator=generator, dtype=torch.float64)
+    noise = noise * noise.new_tensor([2.0, 2.0, 2.0, 0.4, 0.4, 0.4])
+    wrench = torch.cat([trial.forces.wrench, (hidden.wrench + noise)[:, None]], dim=1)
+    plates = (*trial.forces.plates, Plate("handle", None, number=len(trial.forces.plates) + 1))
+    return replace(trial, forces=Forces(trial.forces.time, wrench, plates))
+
+
 def _hidden(
     session: Session, trial: str, name: str, body: str, place: Tensor, force: Tensor, generator: torch.Generator
 ) -> Hidden:
@@ -108,20 +157,15 @@ def without(trial: Trial, hidden: Hidden) -> Trial:
 
 
 def with_handle(trial: Trial, hidden: Hidden, generator: torch.Generator) -> Trial:
-    """The trial with the contact on a plate of its own, which has no corners and 2 N of noise."""
-    less = without(trial, hidden)
-    assert less.forces is not None
-    noise = torch.randn(hidden.wrench.shape, generator=generator, dtype=torch.float64)
-    noise = noise * noise.new_tensor([2.0, 2.0, 2.0, 0.4, 0.4, 0.4])
-    wrench = torch.cat([less.forces.wrench, (hidden.wrench + noise)[:, None]], dim=1)
-    plates = (*less.forces.plates, Plate("handle", None, number=len(less.forces.plates) + 1))
-    return replace(less, forces=Forces(less.forces.time, wrench, plates))
+    """The trial with the contact on a plate of its own, and feet that bear what is left."""
+    return with_plate(without(trial, hidden), hidden, generator)
 
 
-def on_one_plate(trial: Trial) -> Trial:
-    """The trial with feet and all else on one plate as large as all."""
+def on_one_plate(trial: Trial, more: Hidden) -> Trial:
+    """The trial with the feet, and what bears besides, on one plate as large as all."""
     assert trial.forces is not None
-    return replace(trial, forces=merged(trial.forces))
+    forces = merged(trial.forces)
+    return replace(trial, forces=replace(forces, wrench=forces.wrench + more.wrench[:, None]))
 
 
 def told(outcome: Outcome, trial: Trial, hidden: Hidden, contact: OtherContact | None) -> Outcome:
@@ -227,9 +271,10 @@ def true_torques(
     motion = smooth_motion(subject.model.tree, truth.motion.time, truth.motion.q, smoother)
     feet = truth.feet.wrench
     loads = []
-    if hidden is not None:
+    if hidden is not None and not hidden.balanced:
         share = feet[..., 2].clamp(min=0.0) / feet[..., 2].clamp(min=0.0).sum(dim=1, keepdim=True).clamp(min=1.0)
         feet = feet - share[..., None] * hidden.wrench[:, None]
+    if hidden is not None:
         loads = [Load(hidden.contact.segment, smoother(hidden.wrench))]
     loads += [Load(f"foot_{side}", smoother(feet[:, k])) for k, side in enumerate("lr")]
     return joint_torques(subject.model.tree, subject.geometry, subject.phi, motion, loads)

@@ -1,7 +1,7 @@
 """Hands and seats of simulated persons, found again: ``python -m benchmarks.other_contacts [SEED ...]``.
 
-For every seed a session is simulated and run; then a hand holds on during one trial and a seat bears during another,
-each without a plate, on a plate of its own, and (the seat) on the plate that the feet stand on.
+For every seed a session is simulated and run, and a hand holds on during two of its trials; in another session squats
+are held by a seat. Each is without a plate, on a plate of its own, and the seat on the plate that the feet stand on.
 """
 
 import argparse
@@ -15,14 +15,17 @@ from benchmarks.hidden_contact import (
     Hidden,
     answers,
     draw_hand,
-    draw_seat,
     mass_error,
     on_one_plate,
+    seated,
+    seated_options,
     told,
     with_handle,
+    with_plate,
     without,
 )
 from torchid.config import load_config
+from torchid.errors import ConfigError
 from torchid.experiment import run_experiment
 from torchid.outcome import Outcome
 from torchid.simulate.options import SimulateOptions
@@ -32,9 +35,9 @@ OPTIONS = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=("
 OVERRIDES = ("geometry.max_frames=80", "diagnosis.enabled=false")
 
 
-def session_of(seed: int, folder: Path) -> tuple[Session, Outcome]:
-    """A simulated session and its run with nothing hidden."""
-    session = simulate_session(OPTIONS, seed, folder / "recordings")
+def session_of(seed: int, folder: Path, options: SimulateOptions = OPTIONS) -> tuple[Session, Outcome]:
+    """A simulated session and its run, in which nothing is said of other contacts."""
+    session = simulate_session(options, seed, folder / "recordings")
     assert session.config is not None
     return session, run_experiment(load_config(session.config, [f"out={folder / 'out'}", *OVERRIDES]))
 
@@ -47,13 +50,13 @@ def report(label: str, outcome: Outcome, found: Outcome, session: Session, hidde
     print(label, said, f"masses kg {masses[0]} -> {masses[1]}", f"used {used}", flush=True)
 
 
-def one_seed(seed: int) -> None:
-    """All cases of one person."""
+def hands(seed: int) -> None:
+    """A hand that holds on in two trials of a person who balances alone."""
     generator = torch.Generator().manual_seed(seed)
     with TemporaryDirectory() as folder:
         session, outcome = session_of(seed, Path(folder))
-    for trial, draw in (("arms", draw_hand), ("trunk", draw_hand), ("squats", draw_seat)):
-        hidden = draw(session, trial, generator)
+    for trial in ("arms", "trunk"):
+        hidden = draw_hand(session, trial, generator)
         recording = outcome.session.trials[trial]
         less = without(recording, hidden)
         found = told(outcome, less, hidden, hidden.contact)
@@ -64,13 +67,38 @@ def one_seed(seed: int) -> None:
         assert handle.forces is not None
         found = told(outcome, handle, hidden, hidden.measured(len(handle.forces.plates)))
         report(f"{seed} {trial} {hidden.name} own plate", outcome, found, session, hidden)
-        if hidden.name == "seat":
-            found = told(outcome, on_one_plate(recording), hidden, hidden.measured(1))
-            report(f"{seed} {trial} seat and feet on one plate", outcome, found, session, hidden)
+
+
+def seated_session(seed: int, folder: Path, generator: torch.Generator) -> tuple[Session, Outcome]:
+    """A session with squats that a seat holds; seats with which the person cannot keep balance are drawn again."""
+    while True:
+        try:
+            return session_of(seed, folder, seated_options(OPTIONS, generator))
+        except ConfigError as error:
+            if error.code != "simulate.balance":
+                raise
+
+
+def seats(seed: int) -> None:
+    """A seat that squats are held by; the first figures of masses are those with nothing said of it."""
+    generator = torch.Generator().manual_seed(seed)
+    with TemporaryDirectory() as folder:
+        session, outcome = seated_session(seed, Path(folder), generator)
+    hidden = seated(session)
+    recording = outcome.session.trials[hidden.trial]
+    found = told(outcome, recording, hidden, hidden.contact)
+    report(f"{seed} seat unmeasured", outcome, found, session, hidden)
+    plate = with_plate(recording, hidden, generator)
+    assert plate.forces is not None
+    found = told(outcome, plate, hidden, hidden.measured(len(plate.forces.plates)))
+    report(f"{seed} seat own plate", outcome, found, session, hidden)
+    found = told(outcome, on_one_plate(recording, hidden), hidden, hidden.measured(1))
+    report(f"{seed} seat and feet on one plate", outcome, found, session, hidden)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("seeds", nargs="*", type=int, default=[1])
     for seed in parser.parse_args().seeds:
-        one_seed(seed)
+        hands(seed)
+        seats(seed)
