@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from benchmarks.device_mujoco import inverse, worn
 
-from torchid.devices import Device, device_forces
+from torchid.devices import Device, device_forces, told_of
 from torchid.devices.action import action
 from torchid.devices.forces import states
 from torchid.dynamics import inverse_dynamics
@@ -153,6 +153,38 @@ def test_profiles_and_channels_drive(rng: np.random.Generator) -> None:
     by_angle = made(elements=[{**base, "profile": {"over": "angle", "table": [[-2, -2], [2, 2]]}}])
     found = device_forces(by_angle, tree, geometry, motion).torque[:, row]
     torch.testing.assert_close(found, motion.q[:, row].clamp(-2.0, 2.0))
+
+
+def test_a_sensor_is_believed_where_it_reads(rng: np.random.Generator) -> None:
+    """An element carries what its own sensor reads, and what its law says in frames without a reading."""
+    _, tree, geometry = person()
+    motion = random_motion(rng, tree, 50)
+    row = tree.dof_names.index("hip_r_flexion")
+    sheet = {**HIP, "stiffness_Nm_rad": 120, "sensor": {"torque": "read"}}
+    law = device_forces(made(elements=[sheet]), tree, geometry, motion).torque[:, row]
+    read = torch.as_tensor(rng.normal(size=50))
+    lost = torch.as_tensor(rng.random(50) < 0.3)
+    recorded = {"read": torch.where(lost, torch.nan, read)}
+    found = device_forces(made(elements=[sheet]), tree, geometry, motion, recorded).torque[:, row]
+    torch.testing.assert_close(found[~lost], read[~lost])
+    torch.testing.assert_close(found[lost], law[lost])
+
+
+def test_what_a_sensor_reads_needs_no_number(rng: np.random.Generator) -> None:
+    """An element without a stiffness stays where its sensor reads in every trial; nobody knows the others."""
+    _, tree, geometry = person()
+    motion = random_motion(rng, tree, 20)
+    device = made(elements=[{**HIP, "stiffness_Nm_rad": "unknown", "sensor": {"torque": "read"}}])
+    read = torch.as_tensor(rng.normal(size=20))
+    kept = told_of(device, [{"read": read}])
+    found = device_forces(kept, tree, geometry, motion, {"read": read})
+    torch.testing.assert_close(found.elements["hip"].force, read)
+    silent = read.clone()
+    silent[3] = torch.nan
+    for trials in ([], [{"read": read}, {}], [{"read": read}, {"read": silent}]):
+        assert not told_of(device, trials).elements
+    with pytest.raises(ConfigError, match="device.unknown"):
+        device_forces(device, tree, geometry, motion, {"read": silent})
 
 
 def test_supports_are_external(rng: np.random.Generator) -> None:

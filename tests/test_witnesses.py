@@ -4,18 +4,21 @@ import os
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from small_session import outcome
 
-from torchid.diagnosis.verdict.records import Cause
+from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import effect
 from torchid.effects.place import SESSION, Interval, Place
 from torchid.effects.scene import reading
+from torchid.experiment import verdict_stage
 from torchid.experiment.correction import extend_outcome
 from torchid.experiment.diagnosis_stage import plate_frames
+from torchid.experiment.fits import OnStage
 from torchid.experiment.laboratory import examine, panel_of, read_right, verdict_of
 from torchid.experiment.standing import follow_each, standing_weight
 from torchid.experiment.witnessed import with_witnesses
@@ -99,6 +102,48 @@ def test_a_fault_of_the_laboratory_is_named_with_its_size(name: str) -> None:
     assert len([sentence(step) for step in verdict.trace]) == len(found)  # with numbers that each step has
     if found[0].effect == name:
         torch.testing.assert_close(found[0].theta[0], theta, rtol=0.3, atol=float(0.2 * theta.norm()))
+
+
+def refuted(base: Outcome) -> tuple[tuple[Cause, ...], tuple[Refuted, ...]]:
+    """What witnesses name of a session, and that it has not stood."""
+    named = causes(base)
+    return named, tuple(Refuted(one.effect, one.where, 0.0, "never_worse", {}) for one in named)
+
+
+def test_what_is_refuted_is_not_named_again_nor_anything_in_its_place() -> None:
+    """Without it the others have to describe what witnesses state, and nothing else here describes it."""
+    base, rng = outcome(), np.random.default_rng(SEED)
+    session = planted(base, "time_offset", *drawn("time_offset", rng, base))
+    named, gone = refuted(session)
+    assert named
+    verdict = examine(session, panel(session), gone)
+    assert not verdict.causes and all(step.rule == "witnesses_disagree" for step in verdict.trace), verdict
+
+
+def test_what_was_found_beside_a_refuted_fault_is_looked_for_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A model that was extended by a fault of witnesses and refutes it voids what was found with it put right."""
+    base, rng = outcome(), np.random.default_rng(SEED)
+    session = planted(base, "time_offset", *drawn("time_offset", rng, base))
+    named, gone = refuted(session)
+    entered = examine(session, panel(session)).trace
+    asked = []
+
+    def told(some: Outcome, folder: OutputFolder, progress: OnStage, barred: tuple[Refuted, ...]) -> Diagnosis:
+        asked.append(barred)
+        return replace(verdict_of(() if barred else named), trace=() if barred else entered)
+
+    def published(whole: Outcome, *rest: object) -> Outcome:
+        assert whole.diagnosis is not None
+        return replace(whole, diagnosis=replace(whole.diagnosis, causes=(), refuted=gone))
+
+    monkeypatch.setattr(verdict_stage, "diagnosed", told)
+    monkeypatch.setattr(verdict_stage, "publishable", published)
+    with OutputFolder(tmp_path / "out") as folder:
+        found = verdict_stage.with_verdict(session, folder, "key", lambda stage, part: None)
+    assert asked == [(), gone]
+    assert found.diagnosis is not None and found.diagnosis.refuted == gone and not found.diagnosis.causes
 
 
 def test_a_wrong_record_is_named() -> None:

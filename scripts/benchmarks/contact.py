@@ -66,7 +66,7 @@ def merged_plates(outcome: Outcome, name: str) -> tuple[dict[str, Errors], dict[
     start = time.process_time()
     found = wrenches_under(followed, fit, outcome.phi, both, outcome.config.contact)
     seconds = time.process_time() - start
-    assert found is not None and both.forces is not None
+    assert found is not None and both.forces is not None and followed.contact is not None
     smoother, weight = one.motion.smoother, float(outcome.phi[:, 0].sum()) * GRAVITY
     outline = list(soles(fit, one.tracked).values())
     total, height = torch.nan_to_num(both.forces.total), _height(both.forces)
@@ -76,7 +76,9 @@ def merged_plates(outcome: Outcome, name: str) -> tuple[dict[str, Errors], dict[
     _transitions(smooth, loaded, total, com, outline)
     truth, axis = smoother(raw), forward_axis(outline)
     splits = {"shared": found.wrench, "lever rule": smoother(lever), "smooth transition": smoother(smooth)}
-    split = Split(truth, smoother(total), loaded, axis, weight, height)
+    # What an unloaded plate reads is nobody's, and a filter carries it over.
+    borne = torch.where((followed.contact.plate[:, :1] != -1), total, 0.0)
+    split = Split(truth, smoother(borne), loaded, axis, weight, height)
     report = {way: errors(split, wrench) for way, wrench in splits.items()}
     known = (found.source[loaded] == 1).all(dim=1)
     z = ((found.wrench - truth) / found.sd)[loaded][known][..., 2]

@@ -1,7 +1,7 @@
 """What a device does to the body at every frame: generalised forces, wrenches from the ground, power."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -83,12 +83,14 @@ def device_forces(
         geometry: of the human model.
         motion: q, v, a at marker rate.
         recorded: channels of the device on the motion's frames as recorded, by name; ``phase`` for profiles over
-            phase. Commands and handles' forces go through the motion's filter, as everything else has.
+            phase. Commands and forces go through the motion's filter, as everything else has. An element whose sensor
+            reads its force carries that, and what its numbers say where the sensor reads nothing (NaN).
 
     Raises:
         ConfigError: ``device.unknown``, ``device.channel``, ``device.segment`` or ``device.coordinate``.
     """
-    recorded, parts = filtered(device.elements, recorded or {}, motion), []
+    recorded, parts = recorded or {}, []
+    recorded = {**filtered(device.elements, recorded, motion), **readings(device.elements, recorded, motion)}
     for start in range(0, len(motion.q), CHUNK):
         part = slice(start, start + CHUNK)
         some = {name: values[part] for name, values in recorded.items()}
@@ -111,6 +113,51 @@ def filtered(elements: Iterable[Element], recorded: Channels, motion: Motion) ->
     }
 
 
+def readings(elements: Iterable[Element], recorded: Channels, motion: Motion) -> dict[str, Float[Tensor, " frames"]]:
+    """Return what sensors read of elements' forces, through the filter of the motion; NaN where they read nothing.
+
+    Args:
+        elements: with their sensors.
+        recorded: channels on the motion's frames, by name.
+        motion: with the filter.
+    """
+    found = {}
+    for name in {one.sensor.force for one in elements} & recorded.keys():
+        values = recorded[name].to(motion.time)
+        read = torch.isfinite(values)
+        if bool(read.any()):
+            smooth = motion.smoother(torch.nan_to_num(values), read.to(values))
+            found[name] = torch.where(read, smooth, torch.nan)
+    return found
+
+
+def told_of(device: Device, trials: Iterable[Channels]) -> Device:
+    """Return the device without the elements that nobody knows the force of: a number is unknown, no sensor reads.
+
+    Args:
+        device: with or without unknown numbers.
+        trials: what was recorded in every trial that it was worn in.
+    """
+    trials = list(trials)
+
+    def read(element: Element) -> bool:
+        readings = [trial.get(element.sensor.force) for trial in trials]
+        return bool(trials) and all(one is not None and bool(torch.isfinite(one).all()) for one in readings)
+
+    return replace(device, elements=tuple(one for one in device.elements if not one.unknown or read(one)))
+
+
+def carried_force(
+    element: Element, act: Action, v: Float[Tensor, "dofs frames"], time: Float[Tensor, " frames"], recorded: Channels
+) -> Float[Tensor, " frames"]:
+    """Return what an element carries: what its sensor reads, else what its numbers say; see ``element_force``."""
+    reading = recorded.get(element.sensor.force)
+    if reading is None:
+        return element_force(element, act, v, time, recorded)
+    silent = torch.isnan(reading)
+    return torch.where(silent, element_force(element, act, v, time, recorded), reading) if silent.any() else reading
+
+
 def states(tree: Tree, geometry: Geometry, motion: Motion, part: slice) -> DynamicState:
     """Return poses and rates of some frames of a motion."""
     return dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
@@ -130,7 +177,7 @@ def _some_frames(
             _add(external, element.line.point.segment, wrench.T)
         else:
             act = action(element, state, q)
-            force = element_force(element, act, v, time, recorded)
+            force = carried_force(element, act, v, time, recorded)
             work = act.unit * force
             course = ElementCourse(force, act.length, (work * v).sum(0))
             for segment, unit in act.ground.items():

@@ -24,6 +24,7 @@ from torchid.devices import (
     load_device,
     placed,
     read_channels,
+    told_of,
 )
 from torchid.devices.draws import parts_draws
 from torchid.devices.parts import parts_prior
@@ -47,7 +48,7 @@ class Worn:
     """A condition's device as it is used: nothing at all where none is worn."""
 
     device: Device | None
-    """With every number that its forces need; elements of which nobody knows one are left out of it."""
+    """With every number that its forces need, or a sensor that reads them; other elements are left out of it."""
     parameters: dict[str, dict] = field(default_factory=dict)
     """What was found of its unknowns, by key: value and sd, or why it cannot be determined."""
     findings: tuple[Finding, ...] = ()
@@ -100,7 +101,7 @@ def identified_devices(
         devices: by condition.
         outcome: of the body's run.
         trials: of all conditions.
-        recorded: channels of the devices by trial.
+        recorded: channels of the devices, of every trial.
         draws: number of other devices that are drawn.
         seed: of chance.
 
@@ -117,8 +118,9 @@ def identified_devices(
     for name, device in devices.items():
         rows = [t.followed.wrench for t in trials if t.condition == name]
         own = None if device is None else placed(device, places)
+        heard = {t.name: recorded[t.name] for t in trials if t.condition == name}
         chance = draws, seed
-        found[name] = Worn(None) if own is None else _identified(own, outcome, [r for r in rows if r], recorded, chance)
+        found[name] = Worn(None) if own is None else _identified(own, outcome, [r for r in rows if r], heard, chance)
     return found
 
 
@@ -131,31 +133,30 @@ def _identified(
 ) -> Worn:
     """A device as the trials with it tell; as its sheet says where they cannot."""
     if outcome.identified is None or not rows:
-        return _usable(device)
+        return _usable(device, recorded)
     body = BodyBelief(outcome.phi, outcome.identified.fit.covariance)
     try:
         told = identify_device(device, body, rows, recorded)
         findings = device_findings(device, body, rows, recorded)
     except DataError as error:
         log.info("%s", error)
-        return _usable(device)
+        return _usable(device, recorded)
     parameters = {
         key: asdict(one) | {"unit": key.rpartition(".")[2]} if isinstance(one, Determined) else {"why": one.why}
         for key, one in told.parameters.items()
     }
     return replace(
-        _usable(told.device), parameters=parameters, findings=findings, parts=told.phi_on - told.body.phi,
-        draws=tuple(_known(one) for one in device_draws(told, *chance)), parts_draws=parts_draws(told, *chance),
+        _usable(told.device, recorded), parameters=parameters, findings=findings, parts=told.phi_on - told.body.phi,
+        draws=tuple(told_of(one, recorded.values()) for one in device_draws(told, *chance)),
+        parts_draws=parts_draws(told, *chance),
     )  # fmt: skip
 
 
-def _usable(device: Device) -> Worn:
-    """A device without the elements of which a number is unknown."""
-    return Worn(_known(device), left_out=tuple(element.name for element in device.elements if element.unknown))
-
-
-def _known(device: Device) -> Device:
-    return replace(device, elements=tuple(element for element in device.elements if not element.unknown))
+def _usable(device: Device, recorded: Mapping[str, dict[str, Tensor]]) -> Worn:
+    """A device without the elements that nobody knows the force of."""
+    known = told_of(device, recorded.values())
+    kept = {element.name for element in known.elements}
+    return Worn(known, left_out=tuple(one.name for one in device.elements if one.name not in kept))
 
 
 def carried(worn: Worn, tree: Tree, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "bodies 10"]:

@@ -14,8 +14,8 @@ from torchid.diagnosis.testing.heldout import Errors, HeldOutFit
 from torchid.diagnosis.trace import Trace
 from torchid.diagnosis.verdict.causes import after_forces
 from torchid.diagnosis.verdict.found_twice import joined
-from torchid.diagnosis.verdict.laboratory import causes_of_faults, refusals_of, steps_of
-from torchid.diagnosis.verdict.records import Cause, Diagnosis
+from torchid.diagnosis.verdict.laboratory import NAMED, causes_of_faults, refusals_of, steps_of
+from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.scene import PlateFrame, make_scene, reading
 from torchid.effects.traits import Correction
 from torchid.errors import DataError
@@ -32,7 +32,7 @@ from torchid.experiment.stages import soles, subject_prior
 from torchid.outcome import Outcome
 from torchid.regressor.rows import residual_rms
 from torchid.results import OutputFolder
-from torchid.witnesses.faults import left_by, name_faults, suspects_of
+from torchid.witnesses.faults import left_by, name_faults, suspects_of, without
 from torchid.witnesses.panel import Panel, make_panel
 from torchid.witnesses.watched import Watched, watch
 
@@ -49,13 +49,16 @@ class Laboratory:
     trace: Trace = ()
 
 
-def diagnosed(outcome: Outcome, folder: OutputFolder, progress: OnStage) -> Diagnosis | None:
+def diagnosed(
+    outcome: Outcome, folder: OutputFolder, progress: OnStage, refuted: Sequence[Refuted] = ()
+) -> Diagnosis | None:
     """The verdict on an outcome: faults of the laboratory by witnesses, and what the body model finds beside them.
 
     Args:
         outcome: up to the inertia.
         folder: holds what is as long as a recording.
         progress: called with stages and fractions.
+        refuted: faults that witnesses named and that did not stand; recordings are not put right by them again.
 
     Returns:
         The verdict; None without any forces.
@@ -64,7 +67,7 @@ def diagnosed(outcome: Outcome, folder: OutputFolder, progress: OnStage) -> Diag
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
     """
     panel = panel_of(outcome)
-    first = examine(outcome, panel)
+    first = examine(outcome, panel, refuted)
     if not first.causes:
         found = diagnose_outcome(outcome, folder.room, panel)
         return None if found is None else replace(found, trace=(*first.trace, *found.trace))
@@ -78,12 +81,13 @@ def diagnosed(outcome: Outcome, folder: OutputFolder, progress: OnStage) -> Diag
     return None if found is None else _together(outcome, right, first, found)
 
 
-def examine(outcome: Outcome, panel: Panel | None) -> Laboratory:
+def examine(outcome: Outcome, panel: Panel | None, refuted: Sequence[Refuted] = ()) -> Laboratory:
     """What witnesses find wrong with the measurement.
 
     Args:
         outcome: up to the inertia.
         panel: what they state.
+        refuted: what is not named again; the others have to describe what witnesses state without it.
     """
     wanted = outcome.config.diagnosis
     if panel is None:
@@ -92,6 +96,7 @@ def examine(outcome: Outcome, panel: Panel | None) -> Laboratory:
     if outcome.config.model != "whole_body" or outcome.config.subject.mass_kg is None:
         effects = tuple(one for one in effects if not one.on_record)  # a model's file has its masses from elsewhere
     faults = name_faults(panel, suspects_of(panel, effects))
+    faults = without(panel, faults, {(one.effect, one.where) for one in refuted})
     if (chance := left_by(panel, faults)) < wanted.thresholds.witnesses.p_value:
         return Laboratory((), refusals_of(faults, chance, wanted.thresholds))
     trials = [name for role in ("fit", "heldout") for name in outcome.session.part(role, "inertia")]
@@ -167,6 +172,18 @@ def read_right(outcome: Outcome, causes: Sequence[Cause], folder: OutputFolder, 
     prior = subject_prior(config, outcome.fit)
     found = replace(outcome, config=config, session=session, followed=followed, prior=prior)
     return replace(found, identified=identify(config, found, progress))
+
+
+def unfounded(found: Diagnosis) -> tuple[Refuted, ...]:
+    """Return the faults that witnesses named and that the extended model refuted.
+
+    Recordings had been put right by them before all else was looked for, so that what was found then is void.
+
+    Args:
+        found: the verdict on the model that is published.
+    """
+    named = {(step.effect, step.where) for step in found.trace if step.rule == NAMED}
+    return tuple(one for one in found.refuted if (one.effect, one.where) in named)
 
 
 UNASKED = Adequacy(False, torch.nan, torch.nan, "")

@@ -8,21 +8,17 @@ from importlib.util import find_spec
 import torch
 
 from torchid.config import Config, dump_config
-from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import DataError, Note
 from torchid.experiment.acceptance import impossible
 from torchid.experiment.contacts import sharing_notes, wrenches_under
 from torchid.experiment.fits import OnStage, fit_session, identify
-from torchid.experiment.laboratory import diagnosed
 from torchid.experiment.others import refuse_unknown_plates
-from torchid.experiment.publishing import publishable
 from torchid.experiment.read import read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, put_aside, subject_prior, torques
 from torchid.experiment.standing import follow_each
-from torchid.experiment.swapped_markers import put_right
 from torchid.experiment.torque_bands import outcome_draws
-from torchid.experiment.witnessed import with_witnesses
+from torchid.experiment.verdict_stage import with_verdict
 from torchid.experiment.write import result_names, write_outcome
 from torchid.files import file_sha256, write_json, write_text
 from torchid.geometry.result import GeometryFit
@@ -144,26 +140,8 @@ def _compute(
     with folder.timed("residuals"):
         outcome = replace(outcome, residuals=contributions(outcome))
     if config.diagnosis.enabled:
-        outcome = _diagnosed(outcome, folder, key, progress)
+        outcome = with_verdict(outcome, folder, key, progress)
     return _with_torques(outcome, folder), None
-
-
-def _diagnosed(outcome: Outcome, folder: OutputFolder, key: str, progress: OnStage) -> Outcome:
-    def judged(some: Outcome) -> Diagnosis | None:
-        return diagnosed(some, folder, progress)
-
-    progress("diagnosis", 0.0)
-    outcome = replace(outcome, diagnosis=folder.stage("diagnosis", key, lambda: judged(outcome)))
-    progress("diagnosis", 1.0)
-    if outcome.diagnosis is None or not outcome.diagnosis.causes:
-        return outcome
-    whole, relabelled = put_right(outcome, judged, folder, key, progress)
-    published = publishable(whole, relabelled, folder, key, progress)
-    assert published.diagnosis is not None
-    with folder.timed("witnesses"):
-        verdict = with_witnesses(outcome, published.diagnosis)
-    base = None if published.base is None else replace(published.base, diagnosis=verdict)
-    return replace(published, base=base, diagnosis=verdict)
 
 
 def _geometry(

@@ -1,7 +1,7 @@
 """Faults of a laboratory that witnesses name by themselves, each against all others that could say the same."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import scipy.stats
@@ -126,6 +126,24 @@ def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[Fault, ...]:
             break
         chosen.append(found[0].suspect)
         scans.append(found)
+    return _sized(panel, chosen, scans)
+
+
+def without(
+    panel: Panel, faults: Sequence[Fault], places: Collection[tuple[str, tuple[str, ...]]]
+) -> tuple[Fault, ...]:
+    """Return the faults but for some, with what sizes the others have without them.
+
+    Args:
+        panel: the statements.
+        faults: all that are named.
+        places: effect and place of those to leave out, by their names.
+    """
+    kept = [one for one in faults if (one.suspect.effect.name, one.suspect.place.where) not in places]
+    return _sized(panel, [one.suspect for one in kept], [one.scan for one in kept])
+
+
+def _sized(panel: Panel, chosen: Sequence[Suspect], scans: Sequence[tuple[Scored, ...]]) -> tuple[Fault, ...]:
     both = zip(chosen, sizes(panel, chosen), scans, strict=True)
     return tuple(Fault(one, size, found) for one, size, found in both)
 

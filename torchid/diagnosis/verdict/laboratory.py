@@ -11,7 +11,7 @@ from torchid.effects.traits import Site
 from torchid.witnesses.faults import Fault, Scored, alike, instead, probability
 from torchid.witnesses.panel import Panel
 
-RULE = "witnesses_name"
+NAMED = "witnesses_name"
 """Rule by which witnesses name a fault, as in ``docs/diagnosis.md``."""
 DISAGREE = "witnesses_disagree"
 """Rule by which a fault is not named that leaves too much of what they state."""
@@ -39,7 +39,7 @@ def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, 
         options: thresholds that they passed.
     """
     return tuple(
-        Step(StepKind.ENTER, one.suspect.effect.name, one.suspect.place.where, RULE,
+        Step(StepKind.ENTER, one.suspect.effect.name, one.suspect.place.where, NAMED,
              {"witness_nats": one.scan[0].nats, "probability": probability(one.scan, options.witnesses.alike_nats),
               "least_probability": options.witnesses.named_probability})
         for one in faults
