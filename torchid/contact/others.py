@@ -33,6 +33,12 @@ class Others:
         free = [k for k, plate in enumerate(self.column) if plate < 0]
         return self.bearing[:, free].any(dim=1)
 
+    @property
+    def beside_plates(self) -> tuple[str, ...]:
+        """Names of those that bear in some frame and that no plate measures."""
+        bears = self.bearing.any(dim=0).tolist()
+        return tuple(n for n, k, some in zip(self.names, self.column, bears, strict=True) if k < 0 and some)
+
     def frames(self, part: slice) -> "Others":
         """Some of the frames."""
         return Others(self.names, self.bodies, self.bearing[part], self.column)

@@ -184,12 +184,10 @@ def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
             frames = len(item.contact.used)
             said = f"{item.contact.excluded} of {frames} frames left out: a foot stands beside the plates"
             notes.append(Note("contact.beside", said, name))
-        if item.contact is not None and item.contact.others is not None:
-            frames, bearing = int(item.contact.unmeasured.sum()), item.contact.others
-            named = [n for n, k in zip(bearing.names, bearing.column, strict=True) if k < 0]
-            if frames:
-                said = f"{frames} frames left out: no plate measures {', '.join(named)}, which bears there"
-                notes.append(Note("contact.unmeasured", said, name))
+        if item.contact is not None and item.contact.others is not None and bool(item.contact.unmeasured.any()):
+            named, frames = item.contact.others.beside_plates, int(item.contact.unmeasured.sum())
+            said = f"{frames} frames left out: no plate measures {', '.join(named)}"
+            notes.append(Note("contact.unmeasured", said, name))
         if item.contact is not None and item.contact.short:
             said = f"{item.contact.short} frames left out: the plates miss a part of the weight that standing has told"
             notes.append(Note("contact.short", said, name))
