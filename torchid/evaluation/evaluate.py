@@ -25,7 +25,6 @@ from torchid.evaluation.layout import Layout, make_layout
 from torchid.evaluation.rows import CycleRows, Scene, cycle_rows, joined
 from torchid.evaluation.shares import shares
 from torchid.evaluation.simulation import with_conditions
-from torchid.evaluation.subjects import read_subjects
 from torchid.evaluation.trials import ConditionTrial, condition_trials, refuse_still
 from torchid.evaluation.wearing import Worn, channels_of, identified_devices, worn_devices
 from torchid.evaluation.write import file_names, write_evaluation
@@ -63,7 +62,6 @@ def evaluate(config: Config, progress: OnStage = lambda stage, fraction: None) -
         DataError: ``evaluate.no_cycles`` where a condition has none.
     """
     refuse_nothing(config)
-    read_subjects(config.evaluate.subjects)  # before hours of work
     devices = worn_devices(config)
     config = with_conditions(config, devices)
     outcome = run_experiment(config, progress)
