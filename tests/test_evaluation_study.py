@@ -60,6 +60,7 @@ def folder(out: Path, name: str, changes: dict[str, dict[str, float | None]], **
     worn = {c: {"device": None if c == "without" else "spring"} for c in conditions}
     write_json(out / "evaluation.json", {
         "subject": name, "reference": "without", "conditions": worn, "convention": "torchid", "per_mass_kg": None,
+        "signs": "torchid", "template_is": "scaled template",
         **answer(1.0), "template": answer(1.1),
         "not_determinable": [{"what": "hands", "why": f"{name} holds 3 things"}],
     } | other)  # fmt: skip
@@ -250,7 +251,7 @@ def test_subjects_that_cannot_be_put_together_are_refused(tmp_path: Path, seed: 
     with pytest.raises(ConfigError) as caught:
         subjects_of(study, lambda stage, fraction: None)
     assert caught.value.code == "study.twice" and "S0" in caught.value.found
-    for other in ({"convention": "isb"}, {"per_mass_kg": 70.0}):
+    for other in ({"signs": "isb"}, {"per_mass_kg": 70.0}):
         folder(tmp_path / "S1", "S1", own["S1"], **other)
         with pytest.raises(ConfigError) as caught:
             pool(study, subjects_of(study, lambda stage, fraction: None)[0])

@@ -60,15 +60,16 @@ class LowBack:
 
 
 def trunk_of(tree: Tree) -> str | None:
-    """Body that stands on the root by a joint of three turns, None where the model has no such joint.
+    """Body that stands on the root by a joint of three turns, each driven by a coordinate of its own; None where the
+    model has no such joint.
 
     Args:
         tree: of the model.
     """
     for name in TRUNKS:
         if name in tree.names:
-            body = tree.bodies[tree.index(name)]
-            if body.parent == 0 and len([turn for turn in body.turns if turn.moving]) == 3:
+            k = tree.index(name)
+            if tree.bodies[k].parent == 0 and len(tree.own_turns(k)) == 3:
                 return name
     return None
 
@@ -87,7 +88,7 @@ def low_back(
     trunk = trunk_of(tree)
     if trunk is None:
         return None
-    turns = [turn.row for turn in tree.bodies[tree.index(trunk)].turns if turn.moving]
+    turns = [turn.row for turn in tree.own_turns(tree.index(trunk))]
     inverse, force = [], []
     for start in range(0, len(motion.q), CHUNK):
         part = slice(start, start + CHUNK)

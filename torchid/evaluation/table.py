@@ -27,6 +27,8 @@ def evaluation_table(found: Evaluation) -> dict[str, Any]:
             for name in found.config.conditions
         },
         "convention": options.convention,
+        "signs": found.signs,
+        "template_is": found.usual,
         "per_mass_kg": found.per_mass_kg,
         **answer_table(found, found.identified),
         "device": {name: worn.parameters for name, worn in found.worn.items() if worn.device is not None},

@@ -11,7 +11,7 @@ from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import cycle_name, unit
 from torchid.evaluation.report.figures import draw_courses
 from torchid.evaluation.report.sentences import difference_key, ranked
-from torchid.evaluation.report.words import column_words, digits_of, where_words
+from torchid.evaluation.report.words import column_words, digits_of, headed, where_words
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
 from torchid.wording import ABSENT, clean, segment
 
@@ -52,7 +52,7 @@ def difference_rows(
         ))  # fmt: skip
     own = set(one.found(found.config.evaluate.level))
     strong = frozenset(k for k, column in enumerate(columns) if column in own)
-    return Table(title, HEAD if effects else HEAD[:-1], tuple(rows), strong=strong)
+    return Table(title, headed(HEAD if effects else HEAD[:-1], found.usual), tuple(rows), strong=strong)
 
 
 def differences_section(found: Evaluation, ledger: Ledger) -> Section:
@@ -93,7 +93,7 @@ def values_section(found: Evaluation, ledger: Ledger) -> Section:
                 ledger.show(key._replace(statistic="cycles"), 0),
                 ledger.show(key._replace(body="template"), digits),
             ))  # fmt: skip
-        head = ("Measure", "Mean", "Interval", "Cycles", "Scaled template")
+        head = ("Measure", "Mean", "Interval", "Cycles", found.usual.capitalize())
         tables.append(Table(clean(name), head, tuple(rows)))
     said = "Means over trials; torques, powers and works are the human's share."
     return Section("values", "Values of every condition", said, tuple(tables))

@@ -90,11 +90,11 @@ def template(found: Evaluation, ledger: Ledger, comparison: Comparison, k: int) 
     digits = digits_of(column.measure, found.per_mass_kg is not None)
     key = difference_key(comparison, column, "p_adjusted", "template")
     if not math.isfinite(ledger.value(key)):
-        return "The scaled template would have said nothing."
+        return f"The {found.usual} would have said nothing."
     said = change(ledger, difference_key(comparison, column, "value", "template"), digits, unit(found, column))
     same = (ledger.value(key) <= level) == (float(comparison.tested.adjusted[k]) <= level)
     verdict = "the same verdict" if same else "another verdict"
-    return f"The scaled template would have said {said}, adjusted p = {ledger.show(key, 3)}: {verdict}."
+    return f"The {found.usual} would have said {said}, adjusted p = {ledger.show(key, 3)}: {verdict}."
 
 
 def headline(found: Evaluation, ledger: Ledger) -> str:

@@ -39,6 +39,11 @@ class Pooled:
         """Whether torques are divided by mass."""
         return self.subjects[0].per_mass
 
+    @property
+    def usual(self) -> str:
+        """What the identified bodies are held against: scaled templates, or the subjects' own models as shipped."""
+        return " or ".join(dict.fromkeys(one.usual for one in self.subjects))
+
     def having(self, condition: str) -> tuple[Subject, ...]:
         """Subjects that were recorded under a condition.
 
@@ -124,7 +129,7 @@ def pool(study: Study, subjects: Sequence[Subject], refused: Sequence[Gap] = ())
 def _refuse_differing(subjects: Sequence[Subject]) -> None:
     asked: dict[str, Callable[[Subject], object]] = {
         "reference": lambda one: one.reference,
-        "evaluate.convention": lambda one: one.convention,
+        "evaluate.convention or model": lambda one: one.signs,
         "evaluate.per_mass": lambda one: one.per_mass,
         "evaluate.points": lambda one: len(one.courses[one.reference].mean[SHARES[0]]),
     }

@@ -40,7 +40,7 @@ class Courses:
 
     columns: tuple[Column, ...]
     mean: dict[str, Float[Tensor, "points courses"]]
-    """By ``SHARES``, and ``template``: the human's with the scaled template."""
+    """By ``SHARES``, and ``template``: the human's with the scaled template, or the model as shipped."""
     taken: dict[str, float]
     """Part of the load on each coordinate that the device takes: 1 - int |human| / int |demand| over all cycles."""
 
@@ -55,6 +55,10 @@ class Subject:
     devices: dict[str, str | None]
     """Name of what was worn, by condition."""
     convention: str
+    signs: str
+    """Whose names and signs coordinates have (``Evaluation.signs``)."""
+    usual: str
+    """What the identified body is held against (``Evaluation.usual``)."""
     per_mass: bool
     means: dict[Number, Interval]
     differences: dict[Number, Interval]
@@ -101,7 +105,8 @@ def _subject(table: dict[str, Any], folder: Path, courses: dict[str, Courses]) -
     return Subject(
         str(table["subject"]), folder, table["reference"],
         {name: one["device"] for name, one in table["conditions"].items()},
-        table["convention"], table["per_mass_kg"] is not None, means, differences, courses,
+        table["convention"], table["signs"], table["template_is"],
+        table["per_mass_kg"] is not None, means, differences, courses,
         tuple((gap["what"], gap["why"]) for gap in table["not_determinable"]),
     )  # fmt: skip
 

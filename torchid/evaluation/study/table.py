@@ -23,6 +23,8 @@ def study_table(found: Pooled) -> dict[str, Any]:
         "reference": found.reference,
         "subjects": [{"name": one.name, "out": str(one.folder), "conditions": one.devices} for one in found.subjects],
         "convention": found.subjects[0].convention,
+        "signs": found.subjects[0].signs,
+        "template_is": found.usual,
         "per_mass": found.per_mass,
         "differences": _rows(found, "identified"),
         "template": {"differences": _rows(found, "template")},

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from torchid.evaluation.evaluation import Gap
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import column_unit
-from torchid.evaluation.report.method import SIGNS
-from torchid.evaluation.report.words import column_words, digits_of, where_words
+from torchid.evaluation.report.method import BODIES, SIGNS
+from torchid.evaluation.report.words import column_words, digits_of, headed, where_words
 from torchid.evaluation.study.compare import SubjectsComparison
 from torchid.evaluation.study.numbers import columns_of, taken
 from torchid.evaluation.study.report.figures import draw_study_courses
@@ -50,7 +50,7 @@ def difference_rows(
         ))  # fmt: skip
     own = set(one.answers["identified"].found(found.study.level))
     strong = frozenset(k for k, column in enumerate(columns) if column in own)
-    return Table(title, HEAD if effects else HEAD[:-1], tuple(rows), strong=strong)
+    return Table(title, headed(HEAD if effects else HEAD[:-1], found.usual), tuple(rows), strong=strong)
 
 
 def differences_section(found: Pooled, ledger: Ledger) -> Section:
@@ -199,14 +199,13 @@ def method_section(found: Pooled, ledger: Ledger) -> Section:
     items = [
         "Every subject was evaluated alone (human torque: inverse dynamics of the identified body and of the parts "
         "that it carries, minus the plates, minus the device's generalised force), and is one unit here.",
-        f"Coordinates: {SIGNS[found.subjects[0].convention]}.",
+        f"Coordinates: {SIGNS[found.subjects[0].signs]}.",
         *(_test(ledger, one) for one in found.comparisons),
         "p-values are adjusted by the step-down maximum over all measures (Westfall & Young 1993), and by the number "
         "of conditions that are compared. Intervals are Student's over subjects.",
         "Effect size: Hedges' g of paired differences, their mean over their standard deviation; interval of the "
         "non-central t distribution (Cumming & Finch 2001).",
-        "The scaled template has tabulated inertia and lengths scaled to the markers; a subject whose model was a file "
-        "of its own has that file's inertia instead.",
+        *(BODIES[one] for one in dict.fromkeys(subject.usual for subject in found.subjects)),
     ]
     said = "Equations and limits: docs/evaluate.md of torchid."
     return Section("method", "Method", said, (Items(tuple(items)),))

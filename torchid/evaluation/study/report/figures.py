@@ -43,7 +43,7 @@ def draw_subjects(found: Pooled, one: SubjectsComparison, columns: Sequence[int]
             _dots(axes, found, one, k)
         for axes in panels[len(columns) :]:
             axes.set_visible(False)
-        canvas.legend(handles=_dot_handles(), loc="outside lower center", ncols=4)
+        canvas.legend(handles=_dot_handles(found), loc="outside lower center", ncols=4)
 
     height = 0.55 + lines * (0.75 + 0.17 * min(NAMED, len(one.subjects) + 1))
     describe = f"Change of every subject, {clean(one.condition)} minus {clean(one.reference)}"
@@ -86,12 +86,12 @@ def _reach(one: SubjectsComparison, k: int) -> tuple[float, float]:
     return min(shown) - spare, max(shown) + spare
 
 
-def _dot_handles() -> list[Line2D]:
+def _dot_handles(found: Pooled) -> list[Line2D]:
     return [
         Line2D([], [], color=IDENTIFIED, marker="o", markersize=4, linewidth=0.9, label="a subject, own interval"),
         Line2D([], [], color=MEASURED, marker="s", markersize=5, linewidth=1.8, label="mean, interval over subjects"),
         Line2D([], [], color=SCALED, marker="D", markersize=3.5, fillstyle="none", linewidth=1.0,
-               label="scaled template"),
+               label=found.usual),
     ]  # fmt: skip
 
 
@@ -164,7 +164,7 @@ def _course_handles(found: Pooled, one: SubjectsComparison) -> list[Line2D | Pat
             Line2D([], [], color=MUTED, linestyle=(0, (4, 2)), label="human and device"),
         ]
     handles.append(Line2D([], [], color=SCALED, linestyle=_DASHED,
-                          label=f"{clean(one.condition, 30)}: scaled template"))  # fmt: skip
+                          label=f"{clean(one.condition, 30)}: {found.usual}"))  # fmt: skip
     if bool((one.differing <= found.study.level).any()):
         handles.append(Patch(color=IDENTIFIED, label="differs here"))
     return handles

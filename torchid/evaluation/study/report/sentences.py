@@ -87,11 +87,11 @@ def template(found: Pooled, ledger: Ledger, one: SubjectsComparison, k: int) -> 
     digits, own = digits_of(column.measure, found.per_mass), column_unit(column, found.per_mass)
     key = key_of(one, column, "p_adjusted", "template")
     if not math.isfinite(ledger.value(key)):
-        return "The scaled template would have said nothing."
+        return f"The {found.usual} would have said nothing."
     said = change(ledger, key._replace(statistic="value"), digits, own)
     same = (ledger.value(key) <= level) == (k in one.answers["identified"].found(level))
     verdict = "the same verdict" if same else "another verdict"
-    return f"The scaled template would have said {said}, adjusted p = {ledger.show(key, 3)}: {verdict}."
+    return f"The {found.usual} would have said {said}, adjusted p = {ledger.show(key, 3)}: {verdict}."
 
 
 def headline(found: Pooled, ledger: Ledger) -> str:
