@@ -1,4 +1,4 @@
-"""A laboratory's own OpenSim model in an evaluation: devices over knees of functions, the low back, names and signs."""
+"""A laboratory's own OpenSim model in an evaluation and in a stream: knees of functions, the low back, names, signs."""
 
 import json
 from pathlib import Path
@@ -15,6 +15,7 @@ from torch.testing import assert_close
 from typer.testing import CliRunner
 
 from torchid.cli import app
+from torchid.config import load_config
 from torchid.devices import device_forces, refuse_foreign
 from torchid.devices.action import action
 from torchid.devices.forces import states
@@ -22,8 +23,10 @@ from torchid.dynamics import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError
 from torchid.evaluation.back import low_back, trunk_of
 from torchid.evaluation.conventions import chosen, spellings
+from torchid.experiment import run_experiment
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses
+from torchid.live.run import run_live
 from torchid.model.model import Geometry, Model
 from torchid.model.opensim.as_model import read_osim_model
 from torchid.motion import Motion
@@ -183,3 +186,32 @@ def test_an_evaluation_with_the_laboratorys_own_model(data_dir: Path, tmp_path: 
     (tmp_path / "exo.yaml").write_text(yaml.safe_dump({"name": "a", "parts": [{"segment": "thigh_l", "mass_kg": 1.0}]}))
     done = CliRunner().invoke(app, ["evaluate", str(tmp_path / "config.yaml")])
     assert done.exit_code == 2 and "device.segment" in done.output
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_report")
+def test_a_stream_of_a_body_of_functions_is_identified_as_a_recording_is(
+    data_dir: Path, tmp_path: Path, seed: int
+) -> None:
+    """With the geometry of the finished evaluation's run; masses agree with the run's within their deviations, and with
+    the truth as the run's do. Advice, which knows the built-in joints alone, is refused before anybody moves."""
+    model_of(RAJAGOPAL, data_dir)
+    truth = write_osim_session(tmp_path, data_dir / RAJAGOPAL, np.random.default_rng(seed))
+    document = yaml.safe_load((tmp_path / "config.yaml").read_text())
+    document["trials"][1]["condition"], document["trials"][2]["condition"] = "without", "other"
+    document["conditions"] = {"without": {"reference": True}, "other": {}}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(document))
+    config = load_config(tmp_path / "config.yaml")
+    run = run_experiment(config)
+    live = run_live(config, "replay:fit", np.inf)
+    assert live["geometry"] == "run" and live["lost"] == live["restarts"] == 0
+    table = json.loads((config.out / "live.json").read_text())["segments"]
+    assert set(table) == set(truth.model.tree.names) and run.identified is not None
+    mass = torch.tensor([table[name]["mass_kg"]["value"] for name in truth.model.tree.names], dtype=torch.float64)
+    sd = run.identified.fit.sd.mass
+    assert float(((mass - run.phi[:, 0]) / sd).square().mean().sqrt()) < 0.5, (mass - run.phi[:, 0]) / sd
+    assert float(((mass - truth.phi[:, 0]) / sd).square().mean().sqrt()) < 3.0
+    words = ["live", str(tmp_path / "config.yaml"), "--source", "replay:fit", "--headless", "--speed", "inf", "--guide"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2 and "guidance.model" in done.output
