@@ -20,6 +20,8 @@ from torchid.devices import device_forces, refuse_foreign
 from torchid.devices.action import action
 from torchid.devices.forces import states
 from torchid.dynamics import body_rows, body_wrenches, dynamic_state
+from torchid.effects.displacement import carriage
+from torchid.effects.scene import make_scene
 from torchid.errors import ConfigError
 from torchid.evaluation.back import low_back, trunk_of
 from torchid.evaluation.conventions import chosen, spellings
@@ -133,6 +135,21 @@ def test_signs_of_isb_are_found_from_how_bodies_turn(name: str, data_dir: Path) 
         seen.add(movement)
     assert seen >= {"knee_flexion", "hip_flexion", "lower_spine_flexion"}
     assert all(tuple(one) == (dof, 1.0) for dof, one in spellings(model, "torchid", True).items())
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", MODELS)
+def test_bands_carry_markers_by_the_files_coordinates(name: str, data_dir: Path, seed: int) -> None:
+    """How bodies move per unit of each coordinate, from which bands of torques are drawn, by central differences."""
+    model, geometry = model_of(name, data_dir)
+    tree, h = model.tree, 1e-6
+    motion = random_motion(np.random.default_rng(seed), tree, 3)
+    rate = motion.v.clone()
+    rate[:, :6] = 0.0
+    scene = make_scene("trial", tree, geometry, motion, model.inertia.mean)
+    moving = torch.einsum("frd,fd->fr", carriage(scene), rate).unflatten(1, (-1, 6))[:, :, :3]
+    ahead, behind = (poses(plan_tree(tree), (motion.q + step * rate).T.contiguous(), geometry).p for step in (h, -h))
+    assert_close(moving, ((ahead - behind) / (2.0 * h)).permute(2, 0, 1), atol=1e-6, rtol=1e-6)
 
 
 @pytest.mark.data
