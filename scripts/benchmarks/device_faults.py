@@ -21,7 +21,7 @@ from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.devices import BodyBelief, Device, DeviceOptions, Part, Value, device_findings, placed
 from torchid.devices.device import Element
-from torchid.devices.findings import neighbours
+from torchid.devices.places import neighbours
 from torchid.experiment import run_experiment
 from torchid.regressor.rows import WrenchTrial
 from torchid.simulate.options import SimulateOptions
@@ -41,6 +41,8 @@ class Planted:
     channels: Channels
     where: str
     """What the finding's place begins with; empty where nothing was planted."""
+    right: str = ""
+    """Segment that carries the part in truth."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,8 @@ def session(kind: str, seed: int, out: Path, options: SimulateOptions) -> list[T
 def _told(fault: str, planted: Planted, body: BodyBelief, trials: list[WrenchTrial]) -> Told:
     options = DeviceOptions(plate_gain_sd=0.0)  # as the simulated plates are
     wrong = [one for one in device_findings(planted.sheet, body, trials, planted.channels, options) if one.wrong]
-    mine = [one for one in wrong if fault and one.kind == fault and one.where.startswith(planted.where)]
+    mine = [one for one in wrong if fault and one.kind == fault and one.where.startswith(planted.where)
+            and planted.right in ("", one.found)]  # fmt: skip
     left = ("unexplained",) if fault == "strap_slides" else ()
     others = tuple(f"{one.kind} {one.where}" for one in wrong if one not in mine and one.kind not in left)
     return Told(fault, bool(mine), others)
@@ -174,14 +177,14 @@ def _slid(recorded: Recorded, element: Element, name: str, rng: np.random.Genera
 
 def _moved(
     sheet: Device, trials: list[WrenchTrial], rng: np.random.Generator, channels: Channels
-) -> tuple[Device, Channels, str]:  # fmt: skip
+) -> tuple[Device, Channels, str, str]:  # fmt: skip
     """The heaviest part on a neighbour of the segment that carries it, 10 cm below its origin."""
     k = int(np.argmax([part.mass_kg.value for part in sheet.parts]))
     part: Part = sheet.parts[k]
     near = neighbours(trials[0].tree, part.segment)
     other = near[int(rng.integers(len(near)))]
     wrong = replace(part, segment=other, com_m=(Value(0.0, 0.03), Value(0.0, 0.03), Value(-0.1, 0.03)))
-    return replace(sheet, parts=(*sheet.parts[:k], wrong, *sheet.parts[k + 1 :])), channels, part.name
+    return replace(sheet, parts=(*sheet.parts[:k], wrong, *sheet.parts[k + 1 :])), channels, part.name, part.segment
 
 
 if __name__ == "__main__":
