@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from scipy import stats
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from torch import Tensor
 
 LIKELY = 4096
@@ -124,7 +124,7 @@ def _noncentrality(t: float, freedom: float, chance: float) -> float:
         return math.nan
     size = _scatter_of_sd(freedom)
     reach = 10.0 + 10.0 * abs(t)
-    return float(brentq(lambda c: stats.norm.cdf(t * size - c).mean() - chance, -reach, reach))
+    return float(root_scalar(lambda c: stats.norm.cdf(t * size - c).mean() - chance, bracket=[-reach, reach]).root)
 
 
 @cache

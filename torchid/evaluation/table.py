@@ -1,5 +1,6 @@
 """Content of ``evaluation.json``, by joints, conditions and measures."""
 
+from dataclasses import asdict
 from typing import Any
 
 from torchid.evaluation.comparing import Comparison
@@ -32,6 +33,11 @@ def evaluation_table(found: Evaluation) -> dict[str, Any]:
         "per_mass_kg": found.per_mass_kg,
         **answer_table(found, found.identified),
         "device": {name: worn.parameters for name, worn in found.worn.items() if worn.device is not None},
+        "sheet": {
+            name: [asdict(finding) for finding in worn.findings]
+            for name, worn in found.worn.items()
+            if worn.device is not None
+        },
         "template": answer_table(found, found.template),
         "test": {one.condition: _test(one, options.level) for one in found.identified.comparisons},
         "level": options.level,

@@ -7,6 +7,7 @@ from torchid.devices import Finding
 from torchid.evaluation.comparing import Comparison
 from torchid.evaluation.cycles import APART
 from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.gaps import contradicted
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import cycle_name, unit
 from torchid.evaluation.report.figures import draw_courses
@@ -160,10 +161,7 @@ def _sheet(ledger: Ledger, findings: Sequence[Finding]) -> list[Block]:
         if one.found is None:
             said.append(f"{kind} of {one.where}: cannot be tested, {one.why}.")
         elif one.wrong:
-            numbers = [x if isinstance(x, str) else f"{x:.4g}" for x in (one.sheet, one.found)]
-            said.append(
-                f"{kind} of {one.where}: the sheet says {numbers[0]}, the recordings {numbers[1]} (sd {one.sd:.2g})."
-            )
+            said.append(f"{kind} of {one.where}: {contradicted(one)}.")
     lines = tuple(ledger.say("device", clean(text, 400)) for text in said)
     return [Paragraph("The sheet against the recordings:"), Items(lines)] if lines else []
 
