@@ -288,12 +288,15 @@ def test_configs_of_subjects_are_evaluated_first(tmp_path: Path, seed: int) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [6, 14])
-def test_the_summary_fills_one_printed_page(tmp_path: Path, seed: int, count: int) -> None:
+@pytest.mark.parametrize(("count", "conditions"), [(6, 1), (14, 1), (9, 2)])
+def test_the_summary_fills_one_printed_page(tmp_path: Path, seed: int, count: int, conditions: int) -> None:
     """On A4 between the margins of the style sheet, in a browser that complains of nothing."""
     if shutil.which("chromium") is None:
         pytest.skip("no chromium on this machine")
-    study = study_of(tmp_path, drawn(seed, count))
+    own = drawn(seed, count)
+    if conditions == 2:
+        own = {name: changes | {"motor": dict(changes["spring"])} for name, changes in own.items()}
+    study = study_of(tmp_path, own)
     done = CliRunner().invoke(app, ["evaluate", str(tmp_path / "study.yaml")])
     assert done.exit_code == 0, done.output
     with sync_playwright() as playwright:

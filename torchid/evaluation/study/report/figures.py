@@ -45,7 +45,8 @@ def draw_subjects(found: Pooled, one: SubjectsComparison, columns: Sequence[int]
             axes.set_visible(False)
         canvas.legend(handles=_dot_handles(found), loc="outside lower center", ncols=4)
 
-    height = 0.55 + lines * (0.75 + 0.17 * min(NAMED, len(one.subjects) + 1))
+    row = 0.17 if len(found.comparisons) == 1 else 0.12
+    height = 0.55 + lines * (0.75 + row * min(NAMED, len(one.subjects) + 1))
     describe = f"Change of every subject, {clean(one.condition)} minus {clean(one.reference)}"
     return draw(key, (7.5, height), describe, paint)
 

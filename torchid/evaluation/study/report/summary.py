@@ -14,9 +14,9 @@ from torchid.evaluation.study.study import Pooled
 from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Table
 from torchid.wording import clean, listing
 
-FINDINGS, ROWS, PANELS, GAPS = 3, 6, 4, 3
-"""Choice. Of findings, differences, measures with dots and gaps, so many fit on the first page, shared by the
-comparisons; all of them are behind it."""
+FINDINGS, ROWS, PANELS, GAPS, SHARES = 3, 6, 4, 3, 4
+"""Choice. Of findings, differences, measures with dots, gaps and device's shares, so many fit on the first page, shared by
+the comparisons; all of them are behind it."""
 
 
 def summary_section(found: Pooled, ledger: Ledger) -> Section:
@@ -30,7 +30,7 @@ def summary_section(found: Pooled, ledger: Ledger) -> Section:
     for number, one in enumerate(found.comparisons):
         blocks += _compared(found, ledger, number, one)
     blocks += [*_shares(found, ledger), *_back(found, ledger)]
-    some = [gap_line(ledger, gap) for gap in found.gaps[:GAPS]]
+    some = [gap_line(ledger, gap) for gap in found.gaps[: max(1, GAPS // len(found.comparisons))]]
     blocks += [Paragraph("Left out, or not determinable:"), Items(tuple(some))] if some else []
     return Section("summary", "Summary", headline(found, ledger), tuple(blocks))
 
@@ -61,19 +61,23 @@ def _compared(found: Pooled, ledger: Ledger, number: int, one: SubjectsCompariso
 
 
 def _shares(found: Pooled, ledger: Ledger) -> list[Block]:
-    """What the device takes of each coordinate that it acts on."""
+    """What the device takes of the coordinates on which it acts most."""
     blocks: list[Block] = []
     for one in found.comparisons:
         said = []
-        for where in taken(found, one)[0]:
-            key = Key("device", "value", one.condition, where, "load_taken")
-            value = ledger.value(key)
-            if math.isfinite(value) and abs(value) >= 0.005:
-                said.append(f"{where_words(where)} {ledger.show(key, 0, 100.0)} % ({interval(ledger, key, 0, 100.0)})")
+        sizes = {where: abs(ledger.value(_taken(one, where))) for where in taken(found, one)[0]}
+        largest = sorted((w for w in sizes if sizes[w] >= 0.005), key=lambda w: -sizes[w])
+        for where in largest[: SHARES // len(found.comparisons)]:
+            key = _taken(one, where)
+            said.append(f"{where_words(where)} {ledger.show(key, 0, 100.0)} % ({interval(ledger, key, 0, 100.0)})")
         if said:
             what = f"Part of the load that the device takes in {clean(one.condition)}, the rest is the human's"
             blocks.append(Paragraph(f"{what}: {'; '.join(said)}."))
     return blocks
+
+
+def _taken(one: SubjectsComparison, where: str) -> Key:
+    return Key("device", "value", one.condition, where, "load_taken")
 
 
 def _back(found: Pooled, ledger: Ledger) -> list[Block]:
