@@ -15,8 +15,8 @@ from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Tabl
 from torchid.wording import clean, listing
 
 FINDINGS, ROWS, PANELS, GAPS, SHARES = 3, 6, 4, 3, 4
-"""Choice. Of findings, differences, measures with dots, gaps and device's shares, so many fit on the first page, shared by
-the comparisons; all of them are behind it."""
+"""Choice. Of findings, differences, measures with dots, gaps and device's shares, so many fit on the first page, shared
+by the comparisons; all of them are behind it."""
 
 
 def summary_section(found: Pooled, ledger: Ledger) -> Section:
