@@ -225,7 +225,7 @@ def test_a_stream_of_a_body_of_functions_is_identified_as_a_recording_is(
     assert live["geometry"] == "run" and live["lost"] == live["restarts"] == 0
     table = json.loads((config.out / "live.json").read_text())["segments"]
     assert set(table) == set(truth.model.tree.names) and run.identified is not None
-    mass = torch.tensor([table[name]["mass_kg"]["value"] for name in truth.model.tree.names], dtype=torch.float64)
+    mass = torch.tensor([table[name]["mass_kg"] for name in truth.model.tree.names], dtype=torch.float64)
     sd = run.identified.fit.sd.mass
     assert float(((mass - run.phi[:, 0]) / sd).square().mean().sqrt()) < 0.5, (mass - run.phi[:, 0]) / sd
     assert float(((mass - truth.phi[:, 0]) / sd).square().mean().sqrt()) < 3.0
