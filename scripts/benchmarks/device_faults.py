@@ -19,7 +19,7 @@ from benchmarks.device_cases import CASES, NOISE
 from benchmarks.device_subject import Recorded, record
 from torchid.allocator import keep_memory
 from torchid.config import load_config
-from torchid.devices import BodyBelief, Device, DeviceOptions, Part, Value, device_findings, placed
+from torchid.devices import BodyBelief, Device, DeviceOptions, Finding, Part, Value, device_findings, placed
 from torchid.devices.device import Element
 from torchid.devices.places import neighbours
 from torchid.experiment import run_experiment
@@ -102,11 +102,18 @@ def session(kind: str, seed: int, out: Path, options: SimulateOptions) -> list[T
 def _told(fault: str, planted: Planted, body: BodyBelief, trials: list[WrenchTrial]) -> Told:
     options = DeviceOptions(plate_gain_sd=0.0)  # as the simulated plates are
     wrong = [one for one in device_findings(planted.sheet, body, trials, planted.channels, options) if one.wrong]
-    mine = [one for one in wrong if fault and one.kind == fault and one.where.startswith(planted.where)
-            and planted.right in ("", one.found)]  # fmt: skip
+    mine = [one for one in wrong if one.kind == fault and _names(one, planted)]
     left = ("unexplained",) if fault == "strap_slides" else ()
     others = tuple(f"{one.kind} {one.where}" for one in wrong if one not in mine and one.kind not in left)
     return Told(fault, bool(mine), others)
+
+
+def _names(finding: Finding, planted: Planted) -> bool:
+    """Whether a finding says what was planted; of a part, itself or among what it says explains as much."""
+    if planted.right:
+        own = finding.where == planted.where and finding.found == planted.right
+        return own or f"{planted.where} on {planted.right}" in finding.why
+    return finding.where.startswith(planted.where)
 
 
 def sound(recorded: Recorded) -> Device:

@@ -90,7 +90,10 @@ def device_findings(
     return (
         *_numbers(device, found.parameters | apart),
         *(one for each in slid.values() for one in each),
-        *(Finding("carried_elsewhere", m.part, m.sure, m.sheet, m.segment, z=m.evidence) for m in moves),
+        *(
+            Finding("carried_elsewhere", m.part, m.sure, m.sheet, m.segment, z=m.evidence, why=" or ".join(m.rivals))
+            for m in moves
+        ),
         *(one for e in found.device.elements for one in _unexplained(e, trials, recorded)),
     )
 

@@ -26,6 +26,8 @@ class Carried:
     evidence: float
     """Log evidence for the other segment against the sheet's, other parts moved that are sure to be elsewhere."""
     sure: bool
+    rivals: tuple[str, ...] = ()
+    """Other parts that, elsewhere instead of this one, explain the recordings nearly as well: within ``ELSEWHERE``."""
 
 
 def carried_elsewhere(device: Device, body: BodyBelief, trials: Sequence[WrenchTrial]) -> tuple[Carried, ...]:
@@ -47,8 +49,10 @@ def carried_elsewhere(device: Device, body: BodyBelief, trials: Sequence[WrenchT
         best = _best_places(at, left, body, trials)
         first = max(left, key=lambda k: best[k][1])
         sure = best[first][1] > ELSEWHERE
+        near = [k for k in left if k != first and best[k][1] > max(ELSEWHERE, best[first][1] - ELSEWHERE)]
+        rivals = tuple(f"{device.parts[k].name} on {best[k][0]}" for k in near) if sure else ()
         for k in [first] if sure else left:
-            found[k] = Carried(device.parts[k].name, device.parts[k].segment, *best[k], sure)
+            found[k] = Carried(device.parts[k].name, device.parts[k].segment, *best[k], sure, rivals)
         left = [k for k in left if k not in found]
         at = _carried(at, first, best[first][0]) if sure else at
     return tuple(found[k] for k in sorted(found))

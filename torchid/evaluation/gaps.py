@@ -43,7 +43,8 @@ def contradicted(finding: Finding) -> str:
     """
     sheet, own = (x if isinstance(x, str) else f"{x:.4g}" for x in (finding.sheet, finding.found))
     doubt = f" (sd {finding.sd:.2g})" if finding.sd > 0.0 else ""
-    return f"the sheet says {sheet}, the recordings {own}{doubt}"
+    rivals = f", or else {finding.why}" if finding.kind == "carried_elsewhere" and finding.why else ""
+    return f"the sheet says {sheet}, the recordings {own}{doubt}{rivals}"
 
 
 def _sheets(found: Evaluation) -> Iterator[Gap]:
