@@ -207,7 +207,7 @@ def test_the_effect_size_of_pairs_is_cohens_with_an_exact_interval(seed: int) ->
         assert float(found.value[k]) == pytest.approx(scale * t)
         for bound, chance in ((found.low[k], 0.975), (found.high[k], 0.025)):
             assert stats.nct.cdf(t, n - 1, float(bound) / scale) == pytest.approx(chance, abs=2e-4)
-    assert bool(torch.isnan(hedges_paired(torch.ones(1, 2, dtype=torch.float64)).low).all())
+    assert bool(torch.isnan(hedges_paired(torch.as_tensor(values[:2])).value).all())
 
 
 def test_a_folder_without_an_evaluation_is_refused(tmp_path: Path) -> None:

@@ -101,8 +101,8 @@ def hedges_paired(values: Float[Tensor, "subjects columns"], coverage: float = 0
         coverage: of the interval.
 
     Returns:
-        NaN where fewer than two subjects have a value, or all differences are equal; ``sd`` is a quarter of the
-        interval's width for a coverage of 95 %, by the normal distribution.
+        NaN where fewer than three subjects have a value, of whom the correction leaves nothing; ``sd`` is what the
+        interval's width would be made of by the normal distribution.
     """
     mean, variance, freedom = _moments(values)
     t = mean / variance.sqrt()
@@ -111,6 +111,7 @@ def hedges_paired(values: Float[Tensor, "subjects columns"], coverage: float = 0
         for p in (0.5 + 0.5 * coverage, 0.5 - 0.5 * coverage)
     ]
     scale = (1.0 - 3.0 / (4.0 * freedom - 1.0)) / (freedom + 1.0).sqrt()
+    scale = torch.where(freedom > 1.0, scale, torch.nan)
     low, high = (scale * values.new_tensor(bound) for bound in bounds)
     return Estimate(scale * t, (high - low) / (2.0 * float(stats.norm.ppf(0.5 + 0.5 * coverage))), low, high)
 
