@@ -90,13 +90,13 @@ def _torques(found: Evaluation) -> Iterator[Gap]:
             own = [k for k, c in enumerate(found.cycles) if found.conditions[k] == condition
                    and (not side or not c.side or side == c.side)]  # fmt: skip
             columns = [k for k in torque if sample.columns[k].where == name][:1]
-            if not own:
-                yield Gap(f"{name} in {condition}", "no cycle of that foot was found")
-            elif columns:
+            if columns:
                 unknown = int(torch.isnan(sample.values[own][:, columns]).all(1).sum())
                 lost.setdefault((unknown, len(own)), []).append(name)
         for (unknown, every), names in lost.items():
-            if unknown:
+            if not every:
+                yield Gap(f"{listing(names)} in {condition}", "no cycle of that foot was found")
+            elif unknown:
                 yield Gap(
                     f"torque of {listing(names)} in {unknown} of {plural(every, 'cycle')} of {condition}",
                     "a foot's force is not known throughout: it stood beside the plates, or on one that does not tell",
