@@ -154,14 +154,6 @@ def test_a_sheet_that_recordings_contradict_is_said_first(found: Evaluation, tmp
     assert [one["wrong"] for one in held["sheet"]["on"]] == [True, False, True, True, False]
 
 
-def test_a_foot_without_a_cycle_is_said(found: Evaluation) -> None:
-    """Once for all its coordinates, of the condition that lacks it."""
-    cycles = tuple(replace(cycle, side="l") if found.conditions[k] == "on" else cycle for k, cycle in
-                   enumerate(found.cycles))  # fmt: skip
-    said = [gap for gap in find_gaps(replace(found, cycles=cycles)) if "no cycle of that foot" in gap.why]
-    assert len(said) == 1 and "hip_r_flexion" in said[0].what and said[0].what.endswith("in on")
-
-
 def test_blocks_are_said_to_take_something_for_granted(found: Evaluation) -> None:
     """One trial per condition cannot tell what trials have in common."""
     assert any("takes for granted" in gap.why for gap in found.gaps)
@@ -195,6 +187,14 @@ def test_a_number_that_nobody_recorded_would_be_noticed(found: Evaluation) -> No
     ledger = Ledger(all_numbers(found))
     with pytest.raises(KeyError):
         ledger.show(Key("measure", "invented"))
+
+
+def test_a_foot_without_a_cycle_is_said(found: Evaluation) -> None:
+    """Once for all its coordinates, of the condition that lacks it."""
+    cycles = tuple(replace(cycle, side="l") if found.conditions[k] == "on" else cycle for k, cycle in
+                   enumerate(found.cycles))  # fmt: skip
+    said = [gap for gap in find_gaps(replace(found, cycles=cycles)) if "no cycle of that foot" in gap.why]
+    assert len(said) == 1 and "hip_r_flexion" in said[0].what and said[0].what.endswith("in on")
 
 
 def test_files_hold_what_the_contract_says(found: Evaluation, tmp_path: Path) -> None:

@@ -69,7 +69,8 @@ def trunk_of(tree: Tree) -> str | None:
     for name in TRUNKS:
         if name in tree.names:
             k = tree.index(name)
-            if tree.bodies[k].parent == 0 and len(tree.own_turns(k)) == 3:
+            moving = [turn for turn in tree.bodies[k].turns if turn.moving]
+            if tree.bodies[k].parent == 0 and len(moving) == 3 and tree.own_turns(k) == moving:
                 return name
     return None
 
@@ -88,7 +89,7 @@ def low_back(
     trunk = trunk_of(tree)
     if trunk is None:
         return None
-    turns = [turn.row for turn in tree.own_turns(tree.index(trunk))]
+    turns = [turn.row for turn in tree.bodies[tree.index(trunk)].turns if turn.moving]
     inverse, force = [], []
     for start in range(0, len(motion.q), CHUNK):
         part = slice(start, start + CHUNK)
