@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from torchid.config import load_config
+from torchid.config import Study, load_config, load_evaluation
 
-CONFIGS = sorted((Path(__file__).resolve().parents[1] / "configs").glob("*.yaml"))
+STUDY = Path(__file__).resolve().parents[1] / "configs" / "evaluate_study.yaml"
+CONFIGS = sorted(path for path in STUDY.parent.glob("*.yaml") if path != STUDY)
 REFERENCES = ("reference", "subject01.osim", "coordinates.sto", "id.sto", "Models", "_ik.mot")
 """Parts of paths of other programs' results and of exact answers."""
 
@@ -30,6 +31,15 @@ def test_config_parses_and_writes_to_a_folder_of_its_name(config: Path, empty_da
     assert loaded.out == config.resolve().parents[1] / "out" / config.stem
     assert loaded.subject.name == config.stem
     assert all(trial.file.is_relative_to(empty_data) for trial in loaded.trials)
+
+
+def test_the_study_that_ships_lists_configs_that_parse(empty_data: Path) -> None:
+    """Each subject into a folder of its own beneath the study's, with another seed."""
+    study = load_evaluation(STUDY)
+    assert isinstance(study, Study) and study.out == STUDY.parents[1] / "out" / STUDY.stem
+    each = [load_config(one.config, one.set) for one in study.subjects if one.config is not None]
+    assert len({one.seed for one in each}) == len({one.out for one in each}) == len(study.subjects) >= 6
+    assert all(one.out.parent == study.out for one in each)
 
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda path: path.stem)

@@ -217,6 +217,32 @@ def test_a_part_on_another_segment_is_found(body: BodyBelief, seed: int) -> None
     assert found["carried_elsewhere"].wrong and found["carried_elsewhere"].found == "pelvis"
 
 
+def test_one_fault_makes_no_others(body: BodyBelief, seed: int) -> None:
+    """A box that the sheet has on the wrong segment, and a strap that slid between trials: neither the other part nor
+    any mass nor the stiffness is called wrong, and the rest has no one value."""
+    inertia = [0.012, 0.02, 0.015]
+    hip = {**HIP, "stiffness_Nm_rad": {"value": 150, "sd": 3}, "rest_rad": 0.1, "sensor": {"torque": "hip"}}
+    brace = {"segment": "shank_r", "name": "brace", "mass_kg": {"value": 1.0, "sd": 0.02},
+             "com_m": {"value": [0, -0.05, -0.2], "sd": 0.02}, "inertia_kgm2": inertia}  # fmt: skip
+    box = {"segment": "pelvis", "name": "box", "mass_kg": {"value": 3.0, "sd": 0.02}, "com_m": [-0.1, 0.05, 0.1],
+           "inertia_kgm2": inertia}  # fmt: skip
+    wrong = {**box, "segment": "thigh_l", "com_m": {"value": [0, 0, -0.1], "sd": 0.02}}
+    trials, channels = worn(seed, made(parts=[box, brace]), 3)
+    rng = np.random.default_rng(seed + 1)
+    for k, trial in enumerate(trials):
+        true = filled(made(elements=[hip]), hip={"rest": 0.1 + 0.1 * (k == 1)})
+        force = device_forces(true, TREE, GEOMETRY, trial.motion).elements["hip"].force
+        channels[trial.name] = {"hip": force + 0.3 * torch.tensor(rng.normal(size=len(force)))}
+    sheet = made(parts=[wrong, brace], elements=[hip])
+    found = {(one.kind, one.where.split(" ")[0]): one for one in device_findings(sheet, body, trials, channels)}
+    assert found["carried_elsewhere", "box"].wrong and found["carried_elsewhere", "box"].found == "pelvis"
+    assert found["strap_slides", "hip.rest_rad"].wrong
+    rest = found["rest", "hip.rest_rad"]
+    assert rest.found is None and "slid" in rest.why
+    others = [key for key, one in found.items() if one.wrong and key[0] not in ("strap_slides", "unexplained")]
+    assert others == [("carried_elsewhere", "box")], others
+
+
 @pytest.mark.parametrize("tight", [False, True])
 def test_intervals_of_a_sensor_hold_what_they_say(tight: bool, seed: int) -> None:
     """Angles that err by half a degree for tenths of a second: most 95 % intervals cover, and the mean is right."""

@@ -21,7 +21,7 @@ from torchid.cli import app
 from torchid.config import InvalidConfig, load_config
 from torchid.config.conditions import Condition, EvaluateOptions, GivenCycle
 from torchid.conventions import GRAVITY
-from torchid.devices import Device, load_device
+from torchid.devices import Device, Finding, load_device
 from torchid.devices.values import Value
 from torchid.dynamics import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
@@ -166,6 +166,35 @@ def test_a_number_that_nobody_recorded_would_be_noticed(found: Evaluation) -> No
     ledger = Ledger(all_numbers(found))
     with pytest.raises(KeyError):
         ledger.show(Key("measure", "invented"))
+
+
+def test_a_foot_without_a_cycle_is_said(found: Evaluation) -> None:
+    """Once for all its coordinates, of the condition that lacks it."""
+    cycles = tuple(replace(cycle, side="l") if found.conditions[k] == "on" else cycle for k, cycle in
+                   enumerate(found.cycles))  # fmt: skip
+    said = [gap for gap in find_gaps(replace(found, cycles=cycles)) if "no cycle of that foot" in gap.why]
+    assert len(said) == 1 and "hip_r_flexion" in said[0].what and said[0].what.endswith("in on")
+
+
+def test_a_sheet_that_recordings_contradict_is_said_first(found: Evaluation, tmp_path: Path) -> None:
+    """On the first page, in the list of gaps, and in the JSON; what is right, or cannot be tested, is none."""
+    weak = Finding("stiffness", "hip_l.stiffness_Nm_rad", True, 200.0, 141.0, 3.0, -11.0)
+    place = Finding("carried_elsewhere", "box", True, "thigh_l", "pelvis", z=40.0)
+    rest = Finding("unexplained", "hip_l", True, 0.0, 0.23, why="friction")
+    right, blind = replace(weak, wrong=False), Finding("rest", "hip_l.rest_rad", False, 0.1, None, why="no sensor")
+    worn = replace(found.worn["on"], findings=(weak, right, place, rest, blind))
+    wrong = replace(found, worn=found.worn | {"on": worn})
+    wrong = replace(wrong, gaps=find_gaps(wrong))
+    said = [f"{gap.what}: {gap.why}" for gap in wrong.gaps[:3]]
+    assert "the sheet says 200, the recordings 141 (sd 3)" in said[0] and "identified" in said[0]
+    assert "the sheet says thigh_l, the recordings pelvis" in said[1] and said[2].startswith("23% of what hip_l")
+    assert len(wrong.gaps) == len(found.gaps) + 3 - sum(one.wrong for one in found.worn["on"].findings)
+    with OutputFolder(tmp_path / "out") as folder:
+        write_evaluation(wrong, folder)
+    page = (tmp_path / "out" / "evaluation.html").read_text()
+    assert "the sheet says 200" in page.partition('id="summary"')[2].partition('id="differences"')[0]
+    held = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert [one["wrong"] for one in held["sheet"]["on"]] == [True, False, True, True, False]
 
 
 def test_files_hold_what_the_contract_says(found: Evaluation, tmp_path: Path) -> None:

@@ -80,17 +80,21 @@ def run(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -
 
 @app.command()
 def evaluate(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -> None:
-    """Assistive device: what the conditions of the config differ by, and how sure that is."""
+    """Assistive device: what the conditions of a config differ by, or those of a study of several subjects."""
     with _exit_codes(debug):
-        from torchid.config import load_config
+        from torchid.config import Study, load_evaluation
 
-        loaded = load_config(config, overrides or ())
+        loaded = load_evaluation(config, overrides or ())
         from torchid.evaluation.evaluate import evaluate as run_evaluation
+        from torchid.evaluation.study.write import evaluate_study
 
         keep_memory()
         with _progress() as progress:
-            run_evaluation(loaded, progress)
-        page = loaded.out / "evaluation.html"
+            if isinstance(loaded, Study):
+                evaluate_study(loaded, progress)
+            else:
+                run_evaluation(loaded, progress)
+        page = loaded.out / ("subjects.html" if isinstance(loaded, Study) else "evaluation.html")
         _Terminal().print(f"Done: {page}", soft_wrap=True, highlight=False, markup=False)
 
 

@@ -3,4 +3,6 @@
 from torchid.config.explain import InvalidConfig as InvalidConfig
 from torchid.config.loading import dump_config as dump_config
 from torchid.config.loading import load_config as load_config
+from torchid.config.loading import load_evaluation as load_evaluation
 from torchid.config.sections import Config as Config
+from torchid.config.study import Study as Study

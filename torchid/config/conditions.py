@@ -9,7 +9,7 @@ from annotated_types import Ge, Gt, Lt
 from pydantic import PlainValidator
 
 from torchid.bounds import Count, Name, Positive
-from torchid.config.paths import UserPath, resolve_path
+from torchid.config.paths import resolve_path
 from torchid.errors import OptionError
 
 DEVICE_SUFFIXES = (".yaml", ".yml", ".json", ".urdf", ".xml")
@@ -102,8 +102,6 @@ class EvaluateOptions:
     lever_arm_m: tuple[Positive, Positive] = (0.05, 0.075)
     """Cited. Lever arms of the equivalent back muscle between which compression is given: 5 cm (Chaffin & Andersson,
     Occupational Biomechanics) and 7.5 cm (McGill & Norman 1987, J Biomech 20:591)."""
-    subjects: tuple[UserPath, ...] = ()
-    """Folders of other subjects' finished evaluations, to be tested together with this one into ``subjects.json``."""
     shortest_s: Positive = 0.15
     """Choice. A cycle that is shorter is none: the stance of a run takes as long."""
     longest_s: Positive = 10.0

@@ -4,14 +4,17 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from torchid.config.explain import InvalidConfig, explain
 from torchid.config.sections import Config
+from torchid.config.study import Study
 from torchid.documents import Document, dump_document, parse_document, read_document
 from torchid.errors import ConfigError
+
+Kind = TypeVar("Kind", bound=BaseModel)
 
 CORRECT_PATH = "Correct the path; relative ones start at the config's folder."
 
@@ -28,6 +31,32 @@ def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
         InvalidConfig: keys or values at fault, all of them at once; so are recordings that do not exist.
     """
     path = Path(path)
+    return _config(_document(path, overrides), path)
+
+
+def load_evaluation(path: str | Path, overrides: Sequence[str] = ()) -> Config | Study:
+    """The config of one subject's evaluation, or the study in a file that lists ``subjects``.
+
+    Args:
+        path: the file; relative paths inside it start at its folder.
+        overrides: as of ``load_config``.
+
+    Raises:
+        ConfigError: as of ``load_config``.
+        InvalidConfig: as of ``load_config``; so are configs of subjects that do not exist.
+    """
+    path = Path(path)
+    document = _document(path, overrides)
+    if "subjects" not in document:
+        return _config(document, path)
+    study = _validated(document, Study, path)
+    absent = [(k, one.config) for k, one in enumerate(study.subjects) if one.config and not os.path.isfile(one.config)]
+    if absent:
+        raise InvalidConfig([_missing(f"subjects.{k}.config", file, str(path)) for k, file in absent])
+    return study
+
+
+def _document(path: Path, overrides: Sequence[str]) -> dict[str, Document]:
     document = read_document(path)
     if not isinstance(document, dict):
         raise ConfigError(
@@ -35,16 +64,23 @@ def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
         )
     for override in overrides:
         _override(document, override)
-    # JSON mode: strict about numbers and truth values, yet a list is a tuple and a text a path.
-    text = json.dumps(document)
-    try:
-        config = Config.model_validate_json(text, context={"base": path.resolve().parent})
-    except ValidationError as error:
-        raise explain(error.errors(include_url=False), document, Config, str(path)) from error
+    return document
+
+
+def _config(document: dict[str, Document], path: Path) -> Config:
+    config = _validated(document, Config, path)
     missing = _missing_files(config, str(path))
     if missing:
         raise InvalidConfig(missing)
     return config
+
+
+def _validated(document: dict[str, Document], kind: type[Kind], path: Path) -> Kind:
+    # JSON mode: strict about numbers and truth values, yet a list is a tuple and a text a path.
+    try:
+        return kind.model_validate_json(json.dumps(document), context={"base": path.resolve().parent})
+    except ValidationError as error:
+        raise explain(error.errors(include_url=False), document, kind, str(path)) from error
 
 
 def dump_config(config: Config) -> str:
@@ -58,12 +94,13 @@ def _missing_files(config: Config, source: str) -> list[ConfigError]:
         named |= {f"trials.{k}.{key}": getattr(trial, key) for key in ("file", "forces", "channels")}
     named |= {f"conditions.{name}.device": condition.device for name, condition in config.conditions.items()}
     absent = [(key, file) for key, file in named.items() if isinstance(file, Path) and not os.path.isfile(file)]
-    return [
-        ConfigError(
-            "config.missing_file", "no such file", source=source, place=key, found=str(file), remedy=CORRECT_PATH
-        )
-        for key, file in absent
-    ]
+    return [_missing(key, file, source) for key, file in absent]
+
+
+def _missing(key: str, file: Path, source: str) -> ConfigError:
+    return ConfigError(
+        "config.missing_file", "no such file", source=source, place=key, found=str(file), remedy=CORRECT_PATH
+    )
 
 
 def _override(document: dict[str, Document], override: str) -> None:

@@ -1,5 +1,6 @@
 """Assistive devices: what they are, what they do to a body, and what recordings tell of them."""
 
+from torchid.devices.action import refuse_foreign as refuse_foreign
 from torchid.devices.device import Device as Device
 from torchid.devices.device import Element as Element
 from torchid.devices.device import Part as Part

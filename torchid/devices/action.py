@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.devices.device import WORLD, Axis, Coordinate, Element, Handle, Path, Point
+from torchid.devices.device import WORLD, Axis, Coordinate, Device, Element, Handle, Path, Point
 from torchid.dynamics import DynamicState, generalised_forces
 from torchid.errors import ConfigError
 from torchid.model.tree import Tree
@@ -86,6 +86,28 @@ def coordinate_row(tree: Tree, name: str, element: str) -> int:
             remedy=f"Known: {', '.join(tree.dof_names[6:])}",
         )  # fmt: skip
     return tree.dof_names.index(name)
+
+
+def refuse_foreign(device: Device, tree: Tree) -> None:
+    """Raise ConfigError where a device is on segments or coordinates that a model does not have.
+
+    Args:
+        device: as its sheet says it.
+        tree: of the human model.
+
+    Raises:
+        ConfigError: ``device.segment`` or ``device.coordinate``.
+    """
+    for part in device.parts:
+        segment_index(tree, part.segment, part.name)
+    for element in device.elements:
+        line = element.line
+        points = line.points if isinstance(line, Path) else (line.point,) if isinstance(line, Handle) else ()
+        for name in (*element.between, *(point.segment for point in points)):
+            if name != WORLD:
+                segment_index(tree, name, element.name)
+        if isinstance(line, Coordinate):
+            coordinate_row(tree, line.name, element.name)
 
 
 def _on_coordinate(line: Coordinate, element: Element, state: DynamicState, q: Tensor) -> Action:

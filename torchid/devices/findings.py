@@ -14,15 +14,12 @@ import torch
 from torchid.devices.base_columns import has_line
 from torchid.devices.device import Device, Element
 from torchid.devices.identify import identify_device, measured_by
-from torchid.devices.joint_fit import Extra, fit_jointly
 from torchid.devices.options import DeviceOptions
-from torchid.devices.parts import parts_prior
+from torchid.devices.places import carried_elsewhere, moved
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
-from torchid.devices.sensor import fit_law
+from torchid.devices.sensor import Measured, fit_law
 from torchid.devices.supports import Recorded
 from torchid.devices.values import Value
-from torchid.inertia.pseudo import com
-from torchid.model.tree import Tree
 from torchid.regressor.rows import WrenchTrial
 
 SURE = 3.0
@@ -31,8 +28,6 @@ RELEVANT = {"stiffness": 0.02, "gain": 0.02, "mass_kg": 0.02}
 """Difference relative to the sheet's number below which no fault is named, chosen: sensors are no better calibrated."""
 LEAST = {"rest": 0.005, "lag": 0.005, "mass_kg": 0.1}
 """Difference below which none is named [m or rad, s, kg], chosen: a strap's give, half a frame, a cable."""
-ELSEWHERE = 5.0
-"""Log evidence by which another segment must beat the sheet's, chosen: odds of 150, for a handful of segments."""
 SLID = 0.03
 """Part of the mean way beyond rest by which rest must differ between trials to matter, chosen: 3 % of the force."""
 UNEXPLAINED = 0.1
@@ -85,11 +80,20 @@ def device_findings(
         DataError, ConfigError: as of ``identify_device``.
     """
     recorded, options = recorded or {}, options or DeviceOptions()
-    found = identify_device(opened(device), body, trials, recorded, options)
+    moves = carried_elsewhere(device, body, trials)
+    found = identify_device(opened(moved(device, moves)), body, trials, recorded, options)
+    slid = {e.name: _slid(e, found, trials, recorded, options) for e in device.elements}
+    apart = {}
+    for element in device.elements:
+        if any(one.wrong for one in slid[element.name]):
+            apart |= _law_by_trial(element, found, measured_by(element, trials, recorded), options)
     return (
-        *_numbers(device, found),
-        *(one for e in device.elements for one in _slid(e, found, trials, recorded, options)),
-        *_elsewhere(device, body, trials, options),
+        *_numbers(device, found.parameters | apart),
+        *(one for each in slid.values() for one in each),
+        *(
+            Finding("carried_elsewhere", m.part, m.sure, m.sheet, m.segment, z=m.evidence, why=" or ".join(m.rivals))
+            for m in moves
+        ),
         *(one for e in found.device.elements for one in _unexplained(e, trials, recorded)),
     )
 
@@ -114,13 +118,13 @@ def opened(device: Device) -> Device:
     return replace(device, parts=parts, elements=tuple(map(law, device.elements)), mass_kg=None)
 
 
-def _numbers(sheet: Device, found: IdentifiedDevice) -> list[Finding]:
+def _numbers(sheet: Device, parameters: dict[str, Determined | NotDeterminable]) -> list[Finding]:
     stated: dict[str, Value | None] = {f"{part.name}.mass_kg": part.mass_kg for part in sheet.parts}
     stated |= {f"{e.name}.{e.key(name)}": number for e in sheet.elements for name, number in e.numbers()}
     if sheet.mass_kg is not None:
         stated["mass_kg"] = sheet.mass_kg
     findings = []
-    for key, one in found.parameters.items():
+    for key, one in parameters.items():
         number = stated.get(key)
         if number is None:
             continue
@@ -162,6 +166,25 @@ def _slid(
                     mean, float(rest[k]), float(sd[k]), z, text)]  # fmt: skip
 
 
+def _law_by_trial(
+    element: Element, found: IdentifiedDevice, measured: Sequence[Measured], options: DeviceOptions
+) -> dict[str, Determined | NotDeterminable]:
+    """Stiffness of an element whose rest is not the same in all trials: one rest for all would bend it.
+
+    What the trials' fits err by may be common to all, so that their mean is no better known than one of them.
+    """
+    numbers = {n: v for n, v in found.device.element(element.name).numbers() if v is not None}
+    fits = [fit_law([one], ("stiffness", "rest"), numbers, options) for one in measured]
+    weight = torch.tensor([1.0 / max(float(fit.sd[0]), 1e-9) ** 2 for fit in fits], dtype=torch.float64)
+    value = torch.tensor([float(fit.value[0]) for fit in fits], dtype=torch.float64)
+    mean = float((weight * value).sum() / weight.sum())
+    rest = NotDeterminable("what it holds to has slid between trials, so that it has no one value")
+    return {
+        f"{element.name}.{element.key('stiffness')}": Determined(mean, float(weight.mean() ** -0.5)),
+        f"{element.name}.{element.key('rest')}": rest,
+    }
+
+
 def _unexplained(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded) -> list[Finding]:
     """What the best law of this kind leaves of what the sensor measured."""
     measured = measured_by(element, trials, recorded) if has_line(element) and not element.unknown else []
@@ -171,36 +194,3 @@ def _unexplained(element: Element, trials: Sequence[WrenchTrial], recorded: Reco
     share = float(left / torch.cat([one.force for one in measured]).square().mean().sqrt().clamp_min(1e-12))
     text = "friction, a strap that gives, a law of another shape, or a strap that slid between trials"
     return [Finding("unexplained", element.name, share > UNEXPLAINED, 0.0, share, why=text)]
-
-
-def _elsewhere(
-    device: Device, body: BodyBelief, trials: Sequence[WrenchTrial], options: DeviceOptions
-) -> list[Finding]:
-    """Evidence of each part on the neighbours of its segment against the sheet's."""
-    trials = [trial for trial in trials if any(True for _ in trial.blocks())]
-    if not device.parts or not trials:
-        return []
-    tree, none = trials[0].tree, body.phi.new_zeros(0)
-    extra = Extra(none, none, tuple(body.phi.new_zeros(6, 0, len(t.wrench)) for t in trials))
-    free = replace(device, mass_kg=None)
-    sheet = fit_jointly(trials, body, parts_prior(free, tree, com(body.phi)), extra)
-    findings = []
-    for k, part in enumerate(device.parts):
-        scores = {}
-        for segment in neighbours(tree, part.segment):
-            parts = list(device.parts)
-            parts[k] = replace(part, segment=segment, com_m=None)
-            prior = parts_prior(replace(free, parts=tuple(parts)), tree, com(body.phi))
-            scores[segment] = fit_jointly(trials, body, prior, extra, sheet.whitening).log_evidence
-        best = max(scores, key=lambda name: scores[name])
-        gain = scores[best] - sheet.log_evidence
-        findings.append(Finding("carried_elsewhere", part.name, gain > ELSEWHERE, part.segment, best, z=gain))
-    return findings
-
-
-def neighbours(tree: Tree, segment: str) -> tuple[str, ...]:
-    """Return the segments that a segment is joined to."""
-    k = tree.index(segment)
-    above = [tree.bodies[k].parent] if tree.bodies[k].parent >= 0 else []
-    below = [j for j, body in enumerate(tree.bodies) if body.parent == k]
-    return tuple(tree.names[j] for j in (*above, *below))

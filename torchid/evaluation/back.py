@@ -62,15 +62,17 @@ class LowBack:
 
 
 def trunk_of(tree: Tree) -> str | None:
-    """Body that stands on the root by a joint of three turns, None where the model has no such joint.
+    """Body that stands on the root by a joint of three turns, each driven by a coordinate of its own; None where the
+    model has no such joint.
 
     Args:
         tree: of the model.
     """
     for name in TRUNKS:
         if name in tree.names:
-            body = tree.bodies[tree.index(name)]
-            if body.parent == 0 and len([turn for turn in body.turns if turn.moving]) == 3:
+            k = tree.index(name)
+            moving = [turn for turn in tree.bodies[k].turns if turn.moving]
+            if tree.bodies[k].parent == 0 and len(moving) == 3 and tree.own_turns(k) == moving:
                 return name
     return None
 

@@ -4,7 +4,7 @@ The body is identified from the trials without a device. Its run is the run of `
 of it is finished is taken up again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.config.conditions import EvaluateOptions
+from torchid.devices import Device, refuse_foreign
 from torchid.errors import ConfigError, DataError
 from torchid.evaluation.answers import answer
 from torchid.evaluation.back import lever_arms
@@ -25,11 +26,11 @@ from torchid.evaluation.layout import Layout, make_layout
 from torchid.evaluation.rows import CycleRows, Scene, cycle_rows, joined
 from torchid.evaluation.shares import shares
 from torchid.evaluation.simulation import with_conditions
-from torchid.evaluation.subjects import read_subjects
 from torchid.evaluation.trials import ConditionTrial, condition_trials, refuse_still
 from torchid.evaluation.wearing import Worn, channels_of, identified_devices, worn_devices
 from torchid.evaluation.write import file_names, write_evaluation
 from torchid.experiment.fits import OnStage
+from torchid.experiment.read import read_setup
 from torchid.experiment.run import run_experiment
 from torchid.experiment.stages import soles
 from torchid.geometry.result import GeometryFit
@@ -63,8 +64,8 @@ def evaluate(config: Config, progress: OnStage = lambda stage, fraction: None) -
         DataError: ``evaluate.no_cycles`` where a condition has none.
     """
     refuse_nothing(config)
-    read_subjects(config.evaluate.subjects)  # before hours of work
     devices = worn_devices(config)
+    _refuse_foreign(config, devices)  # before hours of work
     config = with_conditions(config, devices)
     outcome = run_experiment(config, progress)
     with OutputFolder(config.out, beside=True) as folder:
@@ -92,6 +93,14 @@ def refuse_nothing(config: Config) -> None:
         )  # fmt: skip
 
 
+def _refuse_foreign(config: Config, devices: Mapping[str, Device | None]) -> None:
+    worn = [device for device in devices.values() if device is not None]
+    if worn:
+        tree = read_setup(config)[0].tree
+        for device in worn:
+            refuse_foreign(device, tree)
+
+
 def gather(config: Config, outcome: Outcome, trials: tuple[ConditionTrial, ...], devices: dict) -> Material:
     """Cycles, columns, devices and their channels.
 
@@ -114,7 +123,7 @@ def gather(config: Config, outcome: Outcome, trials: tuple[ConditionTrial, ...],
     worn = identified_devices(devices, outcome, trials, recorded, options.draws, config.seed)
     every = [cycle for own in cycles.values() for cycle in own]
     mass = float(outcome.phi[:, 0].sum()) if config.evaluate.per_mass else None
-    layout = make_layout(config.evaluate, outcome.fit.model.tree, every)
+    layout = make_layout(config, outcome.fit.model, every)
     return Material(trials, cycles, layout, worn, recorded, mass)
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchid.config import Config
 from torchid.evaluation.comparing import Comparison, Sample
 from torchid.evaluation.cycles import Cycle
-from torchid.evaluation.layout import Layout
+from torchid.evaluation.layout import Layout, from_file, usual_body
 from torchid.evaluation.rows import CycleRows
 from torchid.evaluation.trials import ConditionTrial
 from torchid.evaluation.wearing import Worn
@@ -81,6 +81,17 @@ class Evaluation:
     def others(self) -> tuple[str, ...]:
         """Conditions that are compared with the reference."""
         return tuple(name for name in self.config.conditions if name != self.reference)
+
+    @property
+    def usual(self) -> str:
+        """What ``template`` is: the scaled template, or the user's own model as it was shipped."""
+        return usual_body(self.config)
+
+    @property
+    def signs(self) -> str:
+        """Whose names and signs coordinates have: those of the convention, or of the user's own model (``file``)."""
+        chosen = self.config.evaluate.convention
+        return f"file_{chosen}" if from_file(self.config) else chosen
 
     def unit(self, ending: str) -> str:
         """Unit of a torque measure, per mass where that is wanted.

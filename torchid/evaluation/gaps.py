@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import torch
 
 from torchid.conventions import GRAVITY
+from torchid.devices import Finding
 from torchid.evaluation.draws import SAID
 from torchid.evaluation.evaluation import Evaluation, Gap
 from torchid.evaluation.measures import MEASURES
@@ -23,7 +24,44 @@ def find_gaps(found: Evaluation) -> tuple[Gap, ...]:
     Args:
         found: the evaluation, without its gaps.
     """
-    return (*_coordinates(found), *_tests(found), *_torques(found), *_device(found), *_body(found), *_back(found))
+    return (
+        *_sheets(found),
+        *_coordinates(found),
+        *_tests(found),
+        *_torques(found),
+        *_device(found),
+        *_body(found),
+        *_back(found),
+    )
+
+
+def contradicted(finding: Finding) -> str:
+    """What sheet and recordings say of one thing, in words.
+
+    Args:
+        finding: with what was found.
+    """
+    sheet, own = (x if isinstance(x, str) else f"{x:.4g}" for x in (finding.sheet, finding.found))
+    doubt = f" (sd {finding.sd:.2g})" if finding.sd > 0.0 else ""
+    rivals = f", or else {finding.why}" if finding.kind == "carried_elsewhere" and finding.why else ""
+    return f"the sheet says {sheet}, the recordings {own}{doubt}{rivals}"
+
+
+def _sheets(found: Evaluation) -> Iterator[Gap]:
+    """Faults of devices: what their sheets say, and recordings contradict."""
+    for condition, worn in found.worn.items():
+        for finding in worn.findings:
+            if finding.wrong and finding.kind == "unexplained":
+                yield Gap(
+                    f"{finding.found:.0%} of what {finding.where} of the device of {condition} does",
+                    f"the law of its sheet leaves so much of what its sensor read: {finding.why}",
+                )
+            elif finding.wrong:
+                yield Gap(
+                    f"{finding.kind.replace('_', ' ')}: {finding.where} of the device of {condition}",
+                    f"{contradicted(finding)}. Shares are computed with the sheet's numbers; `unknown` in their "
+                    "place has them identified",
+                )
 
 
 def _coordinates(found: Evaluation) -> Iterator[Gap]:
@@ -56,7 +94,9 @@ def _torques(found: Evaluation) -> Iterator[Gap]:
                 unknown = int(torch.isnan(sample.values[own][:, columns]).all(1).sum())
                 lost.setdefault((unknown, len(own)), []).append(name)
         for (unknown, every), names in lost.items():
-            if unknown:
+            if not every:
+                yield Gap(f"{listing(names)} in {condition}", "no cycle of that foot was found")
+            elif unknown:
                 yield Gap(
                     f"torque of {listing(names)} in {unknown} of {plural(every, 'cycle')} of {condition}",
                     "a foot's force is not known throughout: it stood beside the plates, or on one that does not tell",

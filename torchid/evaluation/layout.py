@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from torchid.config.conditions import EvaluateOptions
+from torchid.config import Config
+from torchid.config.sections import BUILTIN_MODELS
 from torchid.evaluation.back import trunk_of
 from torchid.evaluation.comparing import Column
-from torchid.evaluation.conventions import chosen, side_of, spelt
+from torchid.evaluation.conventions import chosen, side_of, spellings
 from torchid.evaluation.cycles import Cycle
 from torchid.evaluation.spatiotemporal import STANCE, STRIDE, WHOLE
-from torchid.model.tree import Tree
+from torchid.model.model import Model
 
 BACK = "L5/S1"
 """Where of the low back's columns."""
@@ -58,16 +59,36 @@ class Layout:
         return (*each, *(Column(BACK, course) for course in (BACK_COURSES if self.back else ())))
 
 
-def make_layout(options: EvaluateOptions, tree: Tree, cycles: Sequence[Cycle]) -> Layout:
+def from_file(config: Config) -> bool:
+    """Whether the model is a file's: its coordinates keep their names, and its inertia is what would have been taken.
+
+    Args:
+        config: of the evaluation.
+    """
+    return config.model not in BUILTIN_MODELS
+
+
+def usual_body(config: Config) -> str:
+    """What would have been taken instead of the identified body, in words.
+
+    Args:
+        config: of the evaluation.
+    """
+    return "model as shipped" if from_file(config) else "scaled template"
+
+
+def make_layout(config: Config, model: Model, cycles: Sequence[Cycle]) -> Layout:
     """The columns of an evaluation.
 
     Args:
-        options: coordinates, measures, convention.
-        tree: of the model.
+        config: coordinates, measures, convention, and whether the model is from a file.
+        model: as it was read.
         cycles: of all trials; strides have other values than squats.
     """
-    dofs, missing = chosen(options.joints, tree.dof_names)
-    names, signs = zip(*(spelt(dof, options.convention) for dof in dofs), strict=True) if dofs else ((), ())
+    options, tree = config.evaluate, model.tree
+    spelling = spellings(model, options.convention, from_file(config))
+    dofs, missing = chosen(options.joints, tree.dof_names[6:])
+    names, signs = zip(*(spelling[dof] for dof in dofs), strict=True) if dofs else ((), ())
     sided = bool(cycles) and all(cycle.side for cycle in cycles)
     return Layout(
         dofs, tuple(names), tuple(tree.dof_names.index(dof) for dof in dofs), tuple(signs),

@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 from torchid.wording import number
 
+BODIES = ("identified", "template")
+"""What a number may be of: the identified body, or the scaled template with tabulated inertia."""
+
 
 class Key(NamedTuple):
     """What a number is of."""
@@ -43,6 +46,14 @@ class Ledger:
         for key, value, unit in numbers:
             assert key not in self._value, f"{key} is told twice"
             self._value[key], self._unit[key] = float(value), unit
+
+    def has(self, key: Key) -> bool:
+        """Whether there is a number under a key.
+
+        Args:
+            key: perhaps of nothing.
+        """
+        return key in self._value
 
     def value(self, key: Key) -> float:
         """The number under a key.

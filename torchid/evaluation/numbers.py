@@ -11,12 +11,12 @@ from torchid.evaluation.comparing import Column
 from torchid.evaluation.cycles import APART
 from torchid.evaluation.effects import Estimate, mean_of
 from torchid.evaluation.evaluation import Answer, Evaluation
-from torchid.evaluation.ledger import Key
+from torchid.evaluation.layout import BACK
+from torchid.evaluation.ledger import BODIES, Key
 from torchid.evaluation.measures import divides_by_mass, unit_of
 from torchid.evaluation.units import Units, trial_units, unit_means
 
 Entry = tuple[Key, float, str]
-BODIES = ("identified", "template")
 COVERAGE = 0.95
 """Choice. Of all intervals and bands."""
 
@@ -44,9 +44,19 @@ def unit(found: Evaluation, column: Column) -> str:
         found: the evaluation, which may divide by mass.
         column: of measures or courses.
     """
+    return column_unit(column, found.per_mass_kg is not None)
+
+
+def column_unit(column: Column, per_mass: bool) -> str:
+    """Unit of a column.
+
+    Args:
+        column: of measures or courses.
+        per_mass: whether torques are divided by mass; compression, which is judged against a limit in newtons, is not.
+    """
     own = unit_of(column.measure)
-    back = column.where == "L5/S1" and own == "N"
-    return found.unit(own) if divides_by_mass(column.measure) and not back else own
+    back = column.where == BACK and own == "N"
+    return f"{own}/kg" if per_mass and divides_by_mass(column.measure) and not back else own
 
 
 def condition_units(answer: Answer, condition: str) -> tuple[list[int], Units]:

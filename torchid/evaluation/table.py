@@ -1,5 +1,6 @@
 """Content of ``evaluation.json``, by joints, conditions and measures."""
 
+from dataclasses import asdict
 from typing import Any
 
 from torchid.evaluation.comparing import Comparison
@@ -27,9 +28,16 @@ def evaluation_table(found: Evaluation) -> dict[str, Any]:
             for name in found.config.conditions
         },
         "convention": options.convention,
+        "signs": found.signs,
+        "template_is": found.usual,
         "per_mass_kg": found.per_mass_kg,
         **answer_table(found, found.identified),
         "device": {name: worn.parameters for name, worn in found.worn.items() if worn.device is not None},
+        "sheet": {
+            name: [asdict(finding) for finding in worn.findings]
+            for name, worn in found.worn.items()
+            if worn.device is not None
+        },
         "template": answer_table(found, found.template),
         "test": {one.condition: _test(one, options.level) for one in found.identified.comparisons},
         "level": options.level,

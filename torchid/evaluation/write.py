@@ -6,9 +6,8 @@ from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Ledger
 from torchid.evaluation.numbers import all_numbers
 from torchid.evaluation.report.page import render_evaluation
-from torchid.evaluation.subjects import compare_subjects, read_subjects, subjects_table
 from torchid.evaluation.table import evaluation_table
-from torchid.files import plain, safe_name, write_json, write_text
+from torchid.files import safe_name, write_json, write_text
 from torchid.netcdf import write_netcdf
 from torchid.results import OutputFolder
 
@@ -30,11 +29,6 @@ def write_evaluation(found: Evaluation, folder: OutputFolder) -> None:
     write_json(folder.path("evaluation.json"), evaluation_table(found))
     write_text(folder.path("evaluation.csv"), ledger.csv())
     write_text(folder.path("evaluation.html"), page)
-    options = found.config.evaluate
-    if options.subjects:
-        every = [plain(evaluation_table(found)), *read_subjects(options.subjects)]
-        together = compare_subjects(every, options, found.config.seed)
-        write_json(folder.path("subjects.json"), subjects_table(together, options.level))
     for condition in found.config.conditions:
         write_netcdf(folder.path(f"cycles_{safe_name(condition)}.nc"), [cycles_dataset(found, condition)])
 
@@ -46,4 +40,4 @@ def file_names(config: Config) -> list[str]:
         config: of the evaluation.
     """
     cycles = [f"cycles_{safe_name(condition)}.nc" for condition in config.conditions]
-    return [*FILES, *(["subjects.json"] if config.evaluate.subjects else []), *cycles]
+    return [*FILES, *cycles]

@@ -141,7 +141,7 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     session = read_session(alone, folder.aside)
     finished = None
     with suppress(OSError):  # a trial that is not there has no part in a finished run
-        finished = folder.stored(GEOMETRY, run_key(config))
+        finished = folder.stored(GEOMETRY, run_key(config.body))
     fit = finished or _from_standing(alone, session, folder, progress)
     cutoff_hz = CUTOFF_HZ if config.motion.cutoff_hz == "auto" else float(config.motion.cutoff_hz)
     tracked = {name: track(fit, trial.markers) for name, trial in session.trials.items()}

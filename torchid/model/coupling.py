@@ -6,7 +6,7 @@ are all followers. Poses and equations of motion see s; whoever asks for coordin
 
     s' = J q',   s'' = J q'' + J' q',   tau_q = J^T tau_s,   J = ds/dq
 
-Derivatives are exact (forward-mode, ``torch.func``). All tensors have the frames last.
+Derivatives are exact: J by the chain rule, J' in forward mode (``torch.func``). All tensors have the frames last.
 """
 
 from collections.abc import Callable, Sequence
@@ -61,19 +61,6 @@ class Coupling:
             found.append(frozenset().union(*reached))
         return tuple(found)
 
-    @cached_property
-    def _colours(self) -> tuple[tuple[int, ...], ...]:
-        """Rows of q in groups of which no follower depends on two: one derivative tells all columns of a group."""
-        groups: list[list[int]] = []
-        for row in sorted(frozenset().union(*self.leads)):
-            met = frozenset().union(*(lead for lead in self.leads if row in lead))
-            free = next((group for group in groups if not met & set(group)), None)
-            if free is None:
-                groups.append([row])
-            else:
-                free.append(row)
-        return tuple(map(tuple, groups))
-
     def axes(self, q: Float[Tensor, "dofs frames"]) -> Float[Tensor, "axes frames"]:
         """Return s at q [rad, m].
 
@@ -86,13 +73,22 @@ class Coupling:
         """Return the followers alone (followers, frames)."""
         rows = list(q)
         for one in self.followers:
-            given = torch.stack([rows[row] for row in one.rows], -1) if one.rows else q.new_zeros(q.shape[1], 0)
-            rows.append(one.function(given))
+            rows.append(one.function(self._given(rows, one)))
         return torch.stack(rows[self.n_dofs :]) if self.followers else q[:0]
 
+    @staticmethod
+    def _given(rows: list[Tensor], one: Follower) -> Tensor:
+        """Return what a follower is given (frames, arguments)."""
+        return torch.stack([rows[row] for row in one.rows], -1) if one.rows else rows[0].new_zeros(len(rows[0]), 0)
+
     def _rate(self, q: Tensor, v: Tensor) -> Tensor:
-        """Return the followers' rates (followers, frames)."""
-        return pushed(self._values, (q,), (v,))[1]
+        """Return the followers' rates (followers, frames) by the chain rule."""
+        rows, rates = list(q), list(v)
+        for one in self.followers:
+            given = self._given(rows, one)
+            rows.append(one.function(given))
+            rates.append((one.function.slopes(given) * self._given(rates, one)).sum(-1))
+        return torch.stack(rates[self.n_dofs :])
 
     def rates(
         self, q: Float[Tensor, "dofs frames"], v: Float[Tensor, "dofs frames"], a: Float[Tensor, "dofs frames"]
@@ -115,14 +111,16 @@ class Coupling:
         Args:
             q: coordinates [rad, m].
         """
-        J = q.new_zeros(len(self.followers), self.n_dofs, q.shape[1])
-        for group in self._colours:
-            seed = torch.zeros_like(q)
-            seed[list(group)] = 1.0
-            rate = self._rate(q, seed)
-            for k, lead in enumerate(self.leads):
-                for row in lead & set(group):
-                    J[k, row] = rate[k]
+        rows, J = list(q), q.new_zeros(len(self.followers), self.n_dofs, q.shape[1])
+        for k, one in enumerate(self.followers):
+            given = self._given(rows, one)
+            rows.append(one.function(given))
+            slopes = one.function.slopes(given)
+            for row, slope in zip(one.rows, slopes.unbind(-1), strict=True):
+                if row < self.n_dofs:
+                    J[k, row] += slope
+                else:
+                    J[k] += slope * J[row - self.n_dofs]
         return J
 
     def fold(self, q: Float[Tensor, "dofs frames"], x: Float[Tensor, "axes *some frames"]) -> Tensor:

@@ -7,11 +7,12 @@ from torchid.devices import Finding
 from torchid.evaluation.comparing import Comparison
 from torchid.evaluation.cycles import APART
 from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.gaps import contradicted
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import cycle_name, unit
 from torchid.evaluation.report.figures import draw_courses
 from torchid.evaluation.report.sentences import difference_key, ranked
-from torchid.evaluation.report.words import column_words, digits_of, where_words
+from torchid.evaluation.report.words import column_words, digits_of, headed, where_words
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
 from torchid.wording import ABSENT, clean, segment
 
@@ -52,7 +53,7 @@ def difference_rows(
         ))  # fmt: skip
     own = set(one.found(found.config.evaluate.level))
     strong = frozenset(k for k, column in enumerate(columns) if column in own)
-    return Table(title, HEAD if effects else HEAD[:-1], tuple(rows), strong=strong)
+    return Table(title, headed(HEAD if effects else HEAD[:-1], found.usual), tuple(rows), strong=strong)
 
 
 def differences_section(found: Evaluation, ledger: Ledger) -> Section:
@@ -93,7 +94,7 @@ def values_section(found: Evaluation, ledger: Ledger) -> Section:
                 ledger.show(key._replace(statistic="cycles"), 0),
                 ledger.show(key._replace(body="template"), digits),
             ))  # fmt: skip
-        head = ("Measure", "Mean", "Interval", "Cycles", "Scaled template")
+        head = ("Measure", "Mean", "Interval", "Cycles", found.usual.capitalize())
         tables.append(Table(clean(name), head, tuple(rows)))
     said = "Means over trials; torques, powers and works are the human's share."
     return Section("values", "Values of every condition", said, tuple(tables))
@@ -160,10 +161,7 @@ def _sheet(ledger: Ledger, findings: Sequence[Finding]) -> list[Block]:
         if one.found is None:
             said.append(f"{kind} of {one.where}: cannot be tested, {one.why}.")
         elif one.wrong:
-            numbers = [x if isinstance(x, str) else f"{x:.4g}" for x in (one.sheet, one.found)]
-            said.append(
-                f"{kind} of {one.where}: the sheet says {numbers[0]}, the recordings {numbers[1]} (sd {one.sd:.2g})."
-            )
+            said.append(f"{kind} of {one.where}: {contradicted(one)}.")
     lines = tuple(ledger.say("device", clean(text, 400)) for text in said)
     return [Paragraph("The sheet against the recordings:"), Items(lines)] if lines else []
 

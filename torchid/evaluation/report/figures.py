@@ -104,7 +104,7 @@ def _handles(found: Evaluation, comparison: Comparison) -> list[Line2D | Patch]:
             Line2D([], [], color=MUTED, linestyle=(0, (4, 2)), label="human and device"),
         ]
     handles.append(Line2D([], [], color=SCALED, linestyle=(0, (3, 1.5)),
-                          label=f"{clean(comparison.condition, 30)}: scaled template"))  # fmt: skip
+                          label=f"{clean(comparison.condition, 30)}: {found.usual}"))  # fmt: skip
     if any(bool((p <= found.config.evaluate.level).any()) for p in found.identified.course_p):
         handles.append(Patch(color=IDENTIFIED, label="differs here"))
     return handles

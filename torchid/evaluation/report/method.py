@@ -10,7 +10,17 @@ SIGNS = {
     "torchid": "flexion, adduction, internal rotation, dorsiflexion and inversion are positive (signs of ISB)",
     "isb": "names and signs of ISB: flexion, adduction, internal rotation, dorsiflexion and inversion are positive",
     "opensim": "names and signs of OpenSim (Rajagopal et al. 2016): lumbar extension is positive",
+    "file_torchid": "names and signs of the model's own file",
+    "file_opensim": "names and signs of the model's own file",
+    "file_isb": "names and signs of ISB where the file's coordinate turns about the same axis, else the file's own",
 }
+"""By ``Evaluation.signs``."""
+BODIES = {
+    "scaled template": "The scaled template has tabulated inertia and lengths scaled to the markers.",
+    "model as shipped": "The model as shipped has the joints and the inertia of its file, and the same markers placed "
+    "on it anew.",
+}
+"""What is held beside the identified body, by ``Evaluation.usual``."""
 
 
 def method_section(found: Evaluation, ledger: Ledger) -> Section:
@@ -23,8 +33,8 @@ def method_section(found: Evaluation, ledger: Ledger) -> Section:
     levers = [ledger.show(Key("method", name, where="L5/S1"), 1, 100.0) for name in ("lever_low", "lever_high")]
     items = [
         "Human torque: inverse dynamics of the body and of the parts that it carries, minus the plates, minus the "
-        "device's generalised force. The scaled template has tabulated inertia and lengths scaled to the markers.",
-        f"Coordinates: {SIGNS[found.config.evaluate.convention]}.",
+        f"device's generalised force. {BODIES[found.usual]}",
+        f"Coordinates: {SIGNS[found.signs]}.",
         *(_test(ledger, one.condition, one.units.kind) for one in found.identified.comparisons),
         "p-values are adjusted by the step-down maximum over all measures (Westfall & Young 1993), and by the number "
         "of conditions that are compared. Intervals are Welch's, widened by what differs over bodies drawn.",

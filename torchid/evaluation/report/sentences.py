@@ -54,17 +54,24 @@ def finding(found: Evaluation, ledger: Ledger, comparison: Comparison, k: int) -
     percent = ledger.show(Key("method", "coverage"), 0, 100.0)
     words = column_words(column)
     return (
-        f"{words[0].upper()}{words[1:]}: {_change(ledger, comparison, column, digits, own, 'identified')} "
+        f"{words[0].upper()}{words[1:]}: {change(ledger, difference_key(comparison, column, 'value'), digits, own)} "
         f"({means[0]} against {means[1]}; {percent} % interval of the difference {low} to {high}; adjusted "
         f"p = {ledger.show(difference_key(comparison, column, 'p_adjusted'), 3)}). "
         f"{template(found, ledger, comparison, k)}"
     )
 
 
-def _change(ledger: Ledger, comparison: Comparison, column: Column, digits: int, own: str, body: str) -> str:
-    key = difference_key(comparison, column, "value", body)
+def change(ledger: Ledger, key: Key, digits: int, own: str) -> str:
+    """A difference in words: ``4.2 N m lower``.
+
+    Args:
+        ledger: of its number.
+        key: of a difference's value.
+        digits: decimals.
+        own: its unit.
+    """
     behind = own if own in ("", "°") else f" {own}"
-    if column.measure in SIGNED:
+    if key.measure in SIGNED:
         return f"{ledger.show(key, digits)}{behind} different"
     way = "lower" if ledger.value(key) < 0.0 else "higher"
     return f"{ledger.size(key, digits)}{behind} {way}"
@@ -83,11 +90,11 @@ def template(found: Evaluation, ledger: Ledger, comparison: Comparison, k: int) 
     digits = digits_of(column.measure, found.per_mass_kg is not None)
     key = difference_key(comparison, column, "p_adjusted", "template")
     if not math.isfinite(ledger.value(key)):
-        return "The scaled template would have said nothing."
-    said = _change(ledger, comparison, column, digits, unit(found, column), "template")
+        return f"The {found.usual} would have said nothing."
+    said = change(ledger, difference_key(comparison, column, "value", "template"), digits, unit(found, column))
     same = (ledger.value(key) <= level) == (float(comparison.tested.adjusted[k]) <= level)
     verdict = "the same verdict" if same else "another verdict"
-    return f"The scaled template would have said {said}, adjusted p = {ledger.show(key, 3)}: {verdict}."
+    return f"The {found.usual} would have said {said}, adjusted p = {ledger.show(key, 3)}: {verdict}."
 
 
 def headline(found: Evaluation, ledger: Ledger) -> str:

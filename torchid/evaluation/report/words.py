@@ -1,7 +1,9 @@
 """Measures and coordinates in plain words."""
 
+from collections.abc import Sequence
+
 from torchid.evaluation.comparing import Column
-from torchid.evaluation.conventions import OPENSIM, SIDED
+from torchid.evaluation.conventions import SIDED
 from torchid.wording import clean
 
 MEASURES = {
@@ -20,7 +22,6 @@ DECIMALS = {
 }  # fmt: skip
 WHOLE_BODY = "cycle"
 _SIDES = {"l": "left", "r": "right"}
-_THEIRS = {name: ours for ours, (name, _) in OPENSIM.items()}
 
 
 def where_words(where: str) -> str:
@@ -31,12 +32,6 @@ def where_words(where: str) -> str:
     """
     if where in ("L5/S1", WHOLE_BODY):
         return where
-    stem, _, side = where.rpartition("_")
-    ours = _THEIRS.get(f"{stem}_{{}}", _THEIRS.get(where, ""))
-    if ours:
-        return (
-            f"{_SIDES[side]} {ours.replace('_{}_', ' ').replace('_', ' ')}" if "{}" in ours else where.replace("_", " ")
-        )
     parts = where.split("_")
     own = next((part for part in parts if part in SIDED), "")
     rest = " ".join(part for part in parts if part != own)
@@ -61,6 +56,16 @@ def column_words(column: Column) -> str:
     if column.where == WHOLE_BODY:
         return measure_words(column.measure)
     return f"{measure_words(column.measure)}, {where_words(column.where)}"
+
+
+def headed(head: Sequence[str], usual: str) -> tuple[str, ...]:
+    """Head of a table whose column ``Template`` is of what the identified body is held against.
+
+    Args:
+        head: of the table.
+        usual: as of ``Evaluation.usual``.
+    """
+    return tuple("Shipped" if one == "Template" and "template" not in usual else one for one in head)
 
 
 def digits_of(measure: str, per_mass: bool) -> int:

@@ -33,7 +33,7 @@ def motion_of(row: int, turns: Sequence[TransformAxis], slides: Sequence[Transfo
     motion = Motion.COUPLED
     for axes, kind in ((turns, Motion.ROTATIONAL), (slides, Motion.TRANSLATIONAL)):
         for axis in axes:
-            straight = isinstance(axis.function, Linear) and abs(float(axis.function.slopes[0])) == 1.0
+            straight = isinstance(axis.function, Linear) and abs(float(axis.function.weights[0])) == 1.0
             motion = kind if row in axis.rows and straight else motion
     return motion
 

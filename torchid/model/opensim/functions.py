@@ -21,6 +21,10 @@ class Function(ABC):
     def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
         """Evaluate the function."""
 
+    @abstractmethod
+    def slopes(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch arguments"]:
+        """Return the derivatives by the arguments: forward mode has the same, at forty times the cost of a value."""
+
 
 @dataclass(frozen=True)
 class Constant(Function):
@@ -37,22 +41,30 @@ class Constant(Function):
         """Return the value for every entry of the batch."""
         return x.new_full(x.shape[:-1], self.value)
 
+    def slopes(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch arguments"]:
+        """Return zeros."""
+        return torch.zeros_like(x)
+
 
 @dataclass(frozen=True)
 class Linear(Function):
     """A weighted sum of the arguments and a constant."""
 
-    slopes: Float[Tensor, " arguments"]
+    weights: Float[Tensor, " arguments"]
     intercept: float
 
     @property
     def n_arguments(self) -> int:
-        """One argument for every slope."""
-        return len(self.slopes)
+        """One argument for every weight."""
+        return len(self.weights)
 
     def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
-        """Return slopes times arguments, plus the intercept."""
-        return x @ self.slopes.to(x) + self.intercept
+        """Return weights times arguments, plus the intercept."""
+        return x @ self.weights.to(x) + self.intercept
+
+    def slopes(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch arguments"]:
+        """Return the weights for every entry of the batch."""
+        return self.weights.to(x).expand(x.shape)
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,14 @@ class Polynomial(Function):
         total = torch.zeros_like(x[..., 0])
         for coefficient in self.coefficients.to(x):
             total = total * x[..., 0] + coefficient
+        return total
+
+    def slopes(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch arguments"]:
+        """Evaluate the derivative by Horner's rule."""
+        highest = len(self.coefficients) - 1
+        total = torch.zeros_like(x)
+        for k, coefficient in enumerate(self.coefficients[:-1].to(x)):
+            total = total * x + (highest - k) * coefficient
         return total
 
 
@@ -86,6 +106,10 @@ class Scaled(Function):
         """Return the scale times the other function."""
         return self.scale * self.function(x)
 
+    def slopes(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch arguments"]:
+        """Return the scale times the other function's derivatives."""
+        return self.scale * self.function.slopes(x)
+
 
 @dataclass(frozen=True)
 class Sine(Function):
@@ -100,6 +124,10 @@ class Sine(Function):
         """Return amplitude sin(omega x + phase) + offset."""
         return self.amplitude * torch.sin(self.omega * x[..., 0] + self.phase) + self.offset
 
+    def slopes(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch arguments"]:
+        """Return amplitude omega cos(omega x + phase)."""
+        return self.amplitude * self.omega * torch.cos(self.omega * x + self.phase)
+
 
 @dataclass(frozen=True)
 class Pieces(Function):
@@ -112,10 +140,19 @@ class Pieces(Function):
 
     def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
         """Evaluate the piece that each argument lies on."""
-        value = x[..., 0].contiguous()
-        knots, powers = self.x.to(value), self.powers.to(value)
-        piece = (torch.searchsorted(knots, value.detach(), right=True) - 1).clamp(min=0)
-        a, b, c, d = powers[piece].unbind(-1)
-        step = value - knots[piece]
+        (a, b, c, d), step = self._piece(x[..., 0])
         curved = step.clamp(min=0.0)  # below the first knot the tangent goes on
         return a + b * step + curved * curved * (c + d * curved)
+
+    def slopes(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch arguments"]:
+        """Return the derivative of the piece that each argument lies on."""
+        (_, b, c, d), step = self._piece(x)
+        curved = step.clamp(min=0.0)
+        return b + curved * (2.0 * c + 3.0 * d * curved)
+
+    def _piece(self, value: Tensor) -> tuple[tuple[Tensor, ...], Tensor]:
+        """Powers of the piece that each value lies on, and the way from its knot."""
+        value = value.contiguous()
+        knots, powers = self.x.to(value), self.powers.to(value)
+        piece = (torch.searchsorted(knots, value.detach(), right=True) - 1).clamp(min=0)
+        return powers[piece].unbind(-1), value - knots[piece]

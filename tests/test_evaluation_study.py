@@ -1,0 +1,312 @@
+"""A study of several subjects: what is tested over them, its files, its page, and what is refused or left out."""
+
+import csv
+import json
+import re
+import shutil
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import xarray
+import yaml
+from playwright.sync_api import sync_playwright
+from scipy import stats
+from test_evaluation import NUMBER, YEAR, shown_text
+from typer.testing import CliRunner
+
+from torchid.cli import app
+from torchid.config import Config, InvalidConfig, Study, load_evaluation
+from torchid.errors import ConfigError, DataError, InputError
+from torchid.evaluation.effects import hedges_paired
+from torchid.evaluation.study.compare import least_subjects
+from torchid.evaluation.study.study import pool, subjects_of
+from torchid.evaluation.study.subject import read_subject
+from torchid.evaluation.study.write import FILES, evaluate_study
+from torchid.files import write_json
+from torchid.netcdf import write_netcdf
+
+MEASURE, POINTS = "peak_torque_Nm", 21
+JOINTS = ("hip_l_flexion", "knee_l_flexion", "ankle_l_flexion")
+
+
+def folder(out: Path, name: str, changes: dict[str, dict[str, float | None]], **other: object) -> Path:
+    """The files that a finished evaluation leaves; changes by condition and joint, its template's a tenth larger."""
+    rng = np.random.default_rng(sum(name.encode()))
+    conditions = ("without", *changes)
+    values = {j: {"without": 40.0} | {c: 40.0 + (own[j] or 0.0) for c, own in changes.items() if j in own}
+              for j in JOINTS if any(j in own for own in changes.values())}  # fmt: skip
+
+    def answer(scale: float) -> dict:
+        joints = {
+            j: {c: {MEASURE: {"value": v * scale, "sd": 1.0, "low": v * scale - 2.0, "high": v * scale + 2.0}}
+                for c, v in own.items()} for j, own in values.items()
+        }  # fmt: skip
+        joints["L5/S1"] = {
+            c: {"peak_compression_N": {"value": 3300.0 + 200.0 * k, "sd": 1.0, "low": None, "high": None}}
+            for k, c in enumerate(conditions)
+        }
+        rows = [
+            {"condition": c, "where": j, "measure": MEASURE, "value": None if v is None else v * scale,
+             "low": None if v is None else v * scale - 3.0, "high": None if v is None else v * scale + 3.0}
+            for c, own in changes.items() for j, v in own.items()
+        ]  # fmt: skip
+        back = [{"condition": c, "where": "L5/S1", "measure": "peak_compression_N", "value": 200.0 * (k + 1),
+                 "low": None, "high": None} for k, c in enumerate(changes)]  # fmt: skip
+        return {"joints": joints, "differences": rows + back}
+
+    worn = {c: {"device": None if c == "without" else "spring"} for c in conditions}
+    write_json(out / "evaluation.json", {
+        "subject": name, "reference": "without", "conditions": worn, "convention": "torchid", "per_mass_kg": None,
+        "signs": "torchid", "template_is": "scaled template",
+        **answer(1.0), "template": answer(1.1),
+        "not_determinable": [{"what": "hands", "why": f"{name} holds 3 things"}],
+    } | other)  # fmt: skip
+    shape = np.sin(np.pi * np.linspace(0.0, 1.0, POINTS))[None, :, None]
+    for c in conditions:
+        own = np.array([v.get(c, np.nan) for v in values.values()])
+        demand = shape * own + 0.01 * rng.normal(size=(3, POINTS, len(own)))
+        device = 0.25 * demand * (c != "without")
+        by = ("cycle", "percent", "course")
+        data = {n: (by, x) for n, x in (("human", demand - device), ("demand", demand), ("device", device),
+                                        ("human_template", 1.1 * demand))}  # fmt: skip
+        coords = {"course": [f"{j} torque_Nm" for j in values], "percent": np.linspace(0.0, 100.0, POINTS),
+                  "trial": ("cycle", ["a", "a", "b"]), "side": ("cycle", ["", "", ""])}  # fmt: skip
+        write_netcdf(out / f"cycles_{c}.nc", [xarray.Dataset(data, coords)])
+    return out
+
+
+def study_of(tmp_path: Path, subjects: dict[str, dict[str, dict[str, float | None]]], **options: object) -> Study:
+    """A study over folders that are written first."""
+    folders = []
+    for name, changes in subjects.items():
+        (tmp_path / name).mkdir(exist_ok=True)
+        folders.append({"out": str(folder(tmp_path / name, name, changes))})
+    path = tmp_path / "study.yaml"
+    path.write_text(yaml.safe_dump({"name": "springs", "subjects": folders, "out": "study", **options}))
+    found = load_evaluation(path)
+    assert isinstance(found, Study)
+    return found
+
+
+def drawn(seed: int, count: int = 8) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Subjects whose hips are lower, whose knees change as it comes, two of whom have no ankle."""
+    rng = np.random.default_rng(seed)
+    return {
+        f"S{k}": {"spring": {
+            JOINTS[0]: float(rng.normal(-8.0, 1.0)), JOINTS[1]: float(rng.choice([-1, 1]) * (0.5 + rng.random())),
+            **({} if k < 2 else {JOINTS[2]: float(-3.0 - rng.random())}),
+        }} for k in range(count)
+    }  # fmt: skip
+
+
+def test_a_change_that_all_subjects_share_is_found(tmp_path: Path, seed: int) -> None:
+    """With both bodies, over the whole course too; a measure that two subjects lack is tested over the others."""
+    study = study_of(tmp_path, drawn(seed))
+    found = pool(study, subjects_of(study, lambda stage, fraction: None)[0])
+    (one,) = found.comparisons
+    assert [c.where for c in one.columns[:3]] == [JOINTS[0], JOINTS[1], "L5/S1"] and one.least_p == 2 / 256
+    own = one.answers["identified"]
+    assert 0 in own.found(0.05) and float(own.difference.high[0]) < 0.0 and own.agreeing[0] == (8, 8)
+    ankle = [c.where for c in one.columns].index(JOINTS[2])
+    assert own.agreeing[ankle] == (6, 6) and float(own.tested.p[ankle]) == 2 / 64
+    plain = one.answers["template"].difference.value
+    torch.testing.assert_close(plain[[0, ankle]], 1.1 * own.difference.value[[0, ankle]])
+    hip = one.differing[:, [c.where for c in one.courses].index(JOINTS[0])]
+    assert float(hip[POINTS // 2]) <= 0.05
+    assert any("S0 and S1" in gap.why and JOINTS[2] in gap.what for gap in found.gaps)
+
+
+def test_signs_of_subjects_are_wrong_as_rarely_as_they_say(tmp_path: Path, seed: int) -> None:
+    """Correlated measures of six subjects without an effect: a finding in at most 5 % of 200, within chance."""
+    rng, wrong = np.random.default_rng(seed), 0
+    study = study_of(tmp_path, drawn(seed, 6))
+    subjects, _ = subjects_of(study, lambda stage, fraction: None)
+    for k in range(200):
+        for one in subjects:
+            common = rng.normal()
+            for key, own in one.differences.items():
+                one.differences[key] = own.__class__(common + rng.normal(), own.low, own.high)
+        again = pool(study.model_copy(update={"seed": k}), subjects)
+        wrong += bool(again.comparisons[0].answers["identified"].found(0.05))
+    assert wrong <= stats.binom.ppf(1 - 1e-5, 200, 0.05)
+
+
+def test_too_few_subjects_find_nothing_and_are_told_how_many_do(tmp_path: Path, seed: int) -> None:
+    """Five cannot reach 5 %, and seven are needed for two conditions; the differences are given all the same."""
+    assert [least_subjects(0.05, 1), least_subjects(0.05, 2), least_subjects(0.0625, 1)] == [6, 7, 5]
+    study = study_of(tmp_path, drawn(seed, 5))
+    found = pool(study, subjects_of(study, lambda stage, fraction: None)[0])
+    own = found.comparisons[0].answers["identified"]
+    assert not own.found(0.9999) and bool(own.difference.value.isfinite().all())
+    assert any("6 subjects are the least" in gap.why for gap in found.gaps)
+
+
+def test_adjusted_p_values_count_the_conditions(tmp_path: Path, seed: int) -> None:
+    """Two conditions double them."""
+    both = {name: own | {"motor": {j: 2.0 + 0.1 * k for j in JOINTS[:2]}}
+            for k, (name, own) in enumerate(drawn(seed).items())}  # fmt: skip
+    study = study_of(tmp_path, both)
+    subjects, _ = subjects_of(study, lambda stage, fraction: None)
+    two, one = pool(study, subjects).comparisons, pool(study_of(tmp_path, drawn(seed)), subjects_of(
+        study_of(tmp_path, drawn(seed)), lambda stage, fraction: None)[0]).comparisons  # fmt: skip
+    doubled = (2.0 * one[0].answers["identified"].tested.adjusted).clamp(max=1.0)
+    torch.testing.assert_close(two[0].answers["identified"].tested.adjusted, doubled)
+
+
+def test_who_lacks_a_condition_is_left_out_by_name(tmp_path: Path, seed: int) -> None:
+    """Of that comparison alone; a condition that one subject alone has is not compared, and that is said."""
+    own = drawn(seed, 7)
+    for name in ("S1", "S2", "S3", "S4", "S5", "S6"):
+        own[name]["motor"] = {JOINTS[0]: -5.0 + float(name[1])}
+    own["S6"]["crutch"] = {JOINTS[0]: 1.0}
+    study = study_of(tmp_path, own)
+    found = pool(study, subjects_of(study, lambda stage, fraction: None)[0])
+    assert {one.condition: len(one.subjects) for one in found.comparisons} == {"spring": 7, "motor": 6}
+    said = [f"{gap.what}: {gap.why}" for gap in found.gaps]
+    assert any(text.startswith("motor of S0: left out") for text in said)
+    assert any(text.startswith("crutch: not compared: S6 alone") for text in said)
+
+
+def test_files_hold_the_same_numbers(tmp_path: Path, seed: int) -> None:
+    """Every number of the page is in the CSV as it is shown; JSON and netCDF hold what the subjects' files say."""
+    study = study_of(tmp_path, drawn(seed))
+    found = evaluate_study(study)
+    assert {path.name for path in study.out.iterdir() if path.is_file()} == set(FILES)
+    rows = list(csv.DictReader(StringIO((study.out / "subjects.csv").read_text())))
+    told = {number for row in rows for number in NUMBER.findall(row["shown"])}
+    page = (study.out / "subjects.html").read_text()
+    body = YEAR.sub(" ", re.sub(r"\bS\d\b", " ", shown_text(page)).partition("Summary")[2])
+    missing = [number for number in NUMBER.findall(body) if number not in told]
+    assert not missing, missing
+    assert len(NUMBER.findall(body)) > 100 and "<script" not in page
+    held = json.loads((study.out / "subjects.json").read_text())
+    hip = next(row for row in held["differences"] if row["where"] == JOINTS[0])
+    each = {one.name: one.differences["identified", "spring", JOINTS[0], MEASURE].value for one in found.subjects}
+    assert hip["each"] == pytest.approx(each) and hip["found"] and hip["agree"] == 8
+    assert hip["value"] == pytest.approx(np.mean(list(each.values())))
+    assert held["device"]["spring"][JOINTS[0]]["S3"] == pytest.approx(0.25, abs=0.01)
+    data = xarray.open_dataset(study.out / "subjects.nc", engine="h5netcdf")
+    assert dict(data.sizes) == {"subject": 8, "condition": 2, "percent": POINTS, "course": 3, "column": 4}
+    one = data.measure.sel(subject="S4", condition="spring", column=f"{JOINTS[0]} {MEASURE}")
+    assert float(one) == pytest.approx(40.0 + each["S4"])
+
+
+def test_the_effect_size_of_pairs_is_cohens_with_an_exact_interval(seed: int) -> None:
+    """Hedges' correction of mean over standard deviation; bounds at which the observed t has a chance of 2.5 %."""
+    rng = np.random.default_rng(seed)
+    values = rng.normal(1.0, 1.0, size=(7, 3))
+    values[2, 1] = np.nan
+    found = hedges_paired(torch.as_tensor(values))
+    for k in range(3):
+        own = values[np.isfinite(values[:, k]), k]
+        n, t = len(own), stats.ttest_1samp(own, 0.0).statistic
+        scale = (1.0 - 3.0 / (4.0 * (n - 1) - 1.0)) / np.sqrt(n)
+        assert float(found.value[k]) == pytest.approx(scale * t)
+        for bound, chance in ((found.low[k], 0.975), (found.high[k], 0.025)):
+            assert stats.nct.cdf(t, n - 1, float(bound) / scale) == pytest.approx(chance, abs=2e-4)
+    assert bool(torch.isnan(hedges_paired(torch.as_tensor(values[:2])).value).all())
+
+
+def test_a_folder_without_an_evaluation_is_refused(tmp_path: Path) -> None:
+    """Missing, damaged or another file."""
+    for content in (None, "{", json.dumps({"subject": "a"})):
+        if content is not None:
+            (tmp_path / "evaluation.json").write_text(content)
+        with pytest.raises(InputError) as caught:
+            read_subject(tmp_path)
+        assert caught.value.code == "study.subject" and caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("document", "code"),
+    [
+        ({"subjects": [{"out": "a"}]}, "config.invalid_value"),
+        ({"subjects": [{"out": "a"}, {"out": "b", "config": "c.yaml"}]}, "study.member"),
+        ({"subjects": [{"out": "a"}, {"out": "b", "set": ["seed=1"]}]}, "study.member"),
+        ({"subjects": [{"out": "a"}, {"config": "absent.yaml"}]}, "config.missing_file"),
+        ({"subjects": [{"out": "a"}, {"out": "b"}], "levle": 0.1}, "config.unknown_key"),
+    ],
+)
+def test_a_study_that_makes_no_sense_is_refused(tmp_path: Path, document: dict, code: str) -> None:
+    """With a code of its own, the place and what to do."""
+    path = tmp_path / "study.yaml"
+    path.write_text(yaml.safe_dump({"name": "a", **document}))
+    with pytest.raises(InvalidConfig) as caught:
+        load_evaluation(path)
+    assert caught.value.code == code and caught.value.remedy
+
+
+def test_subjects_that_cannot_be_put_together_are_refused(tmp_path: Path, seed: int) -> None:
+    """The same folder or name twice, different choices, no condition in common."""
+    own = drawn(seed, 3)
+    study = study_of(tmp_path, own)
+    member = study.subjects[0]
+    with pytest.raises(ConfigError) as caught:
+        subjects_of(study.model_copy(update={"subjects": (member, member)}), lambda stage, fraction: None)
+    assert caught.value.code == "study.twice"
+    folder(tmp_path / "S1", "S0", own["S1"])
+    with pytest.raises(ConfigError) as caught:
+        subjects_of(study, lambda stage, fraction: None)
+    assert caught.value.code == "study.twice" and "S0" in caught.value.found
+    for other in ({"signs": "isb"}, {"per_mass_kg": 70.0}):
+        folder(tmp_path / "S1", "S1", own["S1"], **other)
+        with pytest.raises(ConfigError) as caught:
+            pool(study, subjects_of(study, lambda stage, fraction: None)[0])
+        assert caught.value.code == "study.differs" and "S1" in caught.value.found
+    alone = {name: {f"worn{k}": changes["spring"]} for k, (name, changes) in enumerate(own.items())}
+    study = study_of(tmp_path, alone)
+    with pytest.raises(DataError) as caught:
+        pool(study, subjects_of(study, lambda stage, fraction: None)[0])
+    assert caught.value.code == "study.nothing"
+
+
+def test_configs_of_subjects_are_evaluated_first(tmp_path: Path, seed: int) -> None:
+    """Each with its own keys; one whose data support nothing is left out by name, with the reason."""
+    (tmp_path / "a.c3d").write_text("")
+    document = {"subject": {"name": "a"}, "markers": "opencap", "trials": [{"name": "one", "file": "a.c3d"}]}
+    (tmp_path / "one.yaml").write_text(yaml.safe_dump(document))
+    subjects = [{"config": "one.yaml", "set": [f"subject.name=S{k}", f"out=S{k}"]} for k in range(3)]
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump({"name": "a", "subjects": subjects, "out": "study"}))
+    study = load_evaluation(tmp_path / "study.yaml")
+    changes, stages = drawn(seed, 3), []
+
+    def make(config: Config, progress: object) -> None:
+        if config.subject.name == "S1":
+            raise DataError("evaluate.no_cycles", "no cycle was found", remedy="Look")
+        config.out.mkdir()
+        folder(config.out, config.subject.name, changes[config.subject.name])
+        progress("geometry", 0.5)
+
+    assert isinstance(study, Study)
+    found, refused = subjects_of(study, lambda stage, fraction: stages.append(stage), make)
+    assert [one.name for one in found] == ["S0", "S2"] and stages == ["S0: geometry", "S2: geometry"]
+    assert [gap.what for gap in refused] == ["subject S1"] and "no cycle was found" in refused[0].why
+    assert pool(study, found, refused).gaps[0] is refused[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "conditions"), [(6, 1), (14, 1), (9, 2)])
+def test_the_summary_fills_one_printed_page(tmp_path: Path, seed: int, count: int, conditions: int) -> None:
+    """On A4 between the margins of the style sheet, in a browser that complains of nothing."""
+    if shutil.which("chromium") is None:
+        pytest.skip("no chromium on this machine")
+    own = drawn(seed, count)
+    if conditions == 2:
+        own = {name: changes | {"motor": dict(changes["spring"])} for name, changes in own.items()}
+    study = study_of(tmp_path, own)
+    done = CliRunner().invoke(app, ["evaluate", str(tmp_path / "study.yaml")])
+    assert done.exit_code == 0, done.output
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        view, complaints = browser.new_page(viewport={"width": 695, "height": 1017}), []
+        view.on("console", lambda message: complaints.append(message.text))
+        view.goto((study.out / "subjects.html").as_uri())
+        view.emulate_media(media="print")
+        bottom, wide = view.evaluate(
+            "[document.querySelector('#summary').getBoundingClientRect().bottom, document.body.scrollWidth]"
+        )
+        browser.close()
+    assert bottom <= 1017 and wide <= 700 and not complaints

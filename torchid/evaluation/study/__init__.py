@@ -1,0 +1,1 @@
+"""Several subjects' evaluations as one: read, tested over subjects, and reported."""

@@ -1,0 +1,1 @@
+"""The page of a study that an ergonomist can hand on."""
