@@ -1,0 +1,267 @@
+"""Whole evaluations in which no condition does anything: simulated recordings, read from C3D, judged as any others.
+
+Two conditions, nothing worn in either. A trial's pace, depth, stance, arms, noise, zero of the plates and places of the
+markers are drawn for the trial; every cycle is drawn within it. Nothing drifts over the session: an effect of order would be a
+true difference between conditions recorded one after the other. Marker files, reading, tracking, contacts, cycles,
+torques and tests are those of ``torchid evaluate``; bands and reports, which decide nothing, are left out.
+
+The body is either ``apart``, identified once from other trials of the person and kept for ``PER_BODY`` evaluations, or
+``reference``, identified for every evaluation from its reference trials as well, as it is where the other condition
+wears a device: a spring without stiffness.
+"""
+
+import json
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+import yaml
+from scipy.stats import binomtest
+
+from torchid.config import Config, load_config
+from torchid.errors import TorchidError
+from torchid.evaluation.evaluate import gather, judge
+from torchid.evaluation.evaluation import Answer, Evaluation
+from torchid.evaluation.trials import condition_trials
+from torchid.evaluation.wearing import worn_devices
+from torchid.experiment.read import read_session
+from torchid.experiment.run import compute_outcome
+from torchid.io.c3d_write import write_c3d
+from torchid.outcome import Outcome
+from torchid.results import OutputFolder
+from torchid.simulate.balance import balance
+from torchid.simulate.motions import make_script
+from torchid.simulate.noise import MOMENT_ARM
+from torchid.simulate.options import SimulateOptions
+from torchid.simulate.session import Session, session_config, simulate_session
+from torchid.simulate.subject import SimulatedSubject
+from torchid.simulate.trial import SimulatedTrial, impossible, measure, record, with_margins
+
+CYCLES = {"squats": {"coordinate": "pelvis_z", "turn": "low"}, "sway_steps": "gait"}
+"""Movements, and how their cycles are found."""
+CALIBRATION = ("arms", "trunk", "sway_steps")
+PER_BODY = 10
+"""Choice. Evaluations with one body where it is identified apart: given the body, they are independent."""
+PACE_SD, DEPTH_SD = 0.08, 0.08
+"""Choice. Scatter of the pace and of the depth of a whole trial, in proportion."""
+PLACED_M = 0.001
+"""Choice. Scatter of every marker's place from trial to trial [m]: straps slip, markers are put on again."""
+ZERO_N = 2.0
+"""Choice. Scatter of the plates' zero from trial to trial [N]; of moments about the centre, ``MOMENT_ARM`` times that."""
+EASIER, ATTEMPTS = 0.07, 12
+"""Choice. As in ``torchid.simulate.trial``: how much easier a motion is made that cannot be done, and how often."""
+NOTHING = {"name": "nothing", "elements": [{"type": "spring", "name": "none", "between": ["pelvis", "thigh_l"],
+           "coordinate": "hip_l_flexion", "stiffness_Nm_rad": 0.0}]}  # fmt: skip
+"""A device that weighs and does nothing."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What every evaluation of a run has in common."""
+
+    movement: str = "squats"
+    body: str = "apart"
+    trials: int = 5
+    """Of each condition: five against five can be told apart at 4.8 %, four against four at 2.9 % only."""
+    seconds: float = 6.0
+    """Of each trial: one to three cycles."""
+    rate_hz: float = 100.0
+    seed: int = 0
+
+    @property
+    def options(self) -> SimulateOptions:
+        """Of all recordings."""
+        return SimulateOptions(
+            fit=CALIBRATION, heldout=(), duration_s=self.seconds, rate_hz=self.rate_hz, skin_motion_mm=3.0
+        )  # fmt: skip
+
+    @property
+    def file(self) -> str:
+        """Name of the file of results."""
+        return f"evaluation_whole_{self.movement}_{self.body}_{self.trials}.jsonl"
+
+
+def run(plan: Plan, evaluations: int, folder: Path) -> dict:
+    """Make the evaluations that the file of results lacks, and say what all in it have found.
+
+    Args:
+        plan: of all.
+        evaluations: with the plan's seed, those of earlier runs included.
+        folder: of the file of results.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / plan.file
+    path.touch()
+    done = {(line["seed"], line["number"]) for line in _lines(path)}
+    for number in (k for k in range(evaluations) if (plan.seed, k) not in done):
+        line = json.dumps({"seed": plan.seed, "number": number, **evaluation(plan, number)})
+        with path.open("a") as file:
+            file.write(line + "\n")
+        print(line, flush=True)
+    return summary(list(_lines(path)))
+
+
+def _lines(path: Path) -> Iterator[dict]:
+    return (json.loads(line) for line in path.read_text().splitlines())
+
+
+def summary(lines: list[dict]) -> dict:
+    """The rate of evaluations with a finding, with its exact 95 % interval (Clopper & Pearson 1934), and what was found.
+
+    Args:
+        lines: of the file of results.
+    """
+    good = [line for line in lines if "failed" not in line]
+    said: dict = {"evaluations": len(good), "failed": [line["failed"] for line in lines if "failed" in line]}
+    for body in ("identified", "template"):
+        wrong = [line for line in good if line[body]["found"]]
+        interval = binomtest(len(wrong), len(good)).proportion_ci(method="exact")
+        said[body] = {
+            "with_findings": len(wrong), "rate": len(wrong) / len(good), "low": interval.low, "high": interval.high,
+            "found": Counter(name for line in wrong for name in line[body]["found"]),
+            "courses": sum(line[body]["courses"] for line in good),
+            "intervals_cover": float(np.mean([line[body]["covered"] for line in good])),
+        }  # fmt: skip
+    said["cycles"] = float(np.mean([line["cycles"] for line in good]))
+    said["seconds"] = float(np.median([line["seconds"] for line in good]))
+    return said
+
+
+def evaluation(plan: Plan, number: int) -> dict:
+    """One evaluation as a line of results.
+
+    Args:
+        plan: of all.
+        number: of this one.
+    """
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="torchid-") as folder:
+        try:
+            found = evaluated(plan, number, Path(folder))
+        except TorchidError as error:
+            return {"failed": str(error)}
+    return {
+        "subject": found.outcome.session.trials["static"].parameters["subject"], "cycles": len(found.cycles),
+        "identified": _said(found.identified, found), "template": _said(found.template, found),
+        "seconds": round(time.perf_counter() - began, 1),
+    }  # fmt: skip
+
+
+def _said(answer: Answer, found: Evaluation) -> dict:
+    one, level = answer.comparisons[0], found.config.evaluate.level
+    low, high = (getattr(one.difference, end) for end in ("low", "high"))
+    known = torch.isfinite(low)
+    return {
+        "found": [f"{one.columns[k].where} {one.columns[k].measure}" for k in one.found(level)],
+        "courses": int((answer.course_p[0] <= level).any()),
+        "least": float(one.tested.adjusted.nan_to_num(1.0).min()),
+        "units": f"{len(one.units.second)} {one.units.kind}", "columns": int(one.tested.adjusted.isfinite().sum()),
+        "covered": float(((low <= 0.0) & (high >= 0.0))[known].double().mean()),
+    }  # fmt: skip
+
+
+def evaluated(plan: Plan, number: int, folder: Path) -> Evaluation:
+    """Record, identify the body where it is not known already, follow and judge.
+
+    Args:
+        plan: of all.
+        number: of the evaluation.
+        folder: for its files.
+    """
+    person = 1000 * plan.seed + (number // PER_BODY if plan.body == "apart" else number)
+    session = calibration(plan, person)
+    own = {
+        f"{condition}_{k}": (condition, perform(session.subject, plan, (plan.seed, number, k), f"{condition}_{k}"))
+        for c, condition in enumerate(("without", "with"))
+        for k in range(c * plan.trials, (c + 1) * plan.trials)
+    }
+    every = Session(session.subject, (*session.trials, *(item for _, item in own.values())))
+    config = written(plan, every, {name: condition for name, (condition, _) in own.items()}, folder)
+    outcome = known_body(plan, person) if plan.body == "apart" else identified(config, folder / "body")
+    with OutputFolder(folder / "out") as results:
+        trials = condition_trials(config, outcome, results, quiet)
+        return judge(config, outcome, gather(config, outcome, trials, worn_devices(config)))
+
+
+@lru_cache(maxsize=1)
+def calibration(plan: Plan, person: int) -> Session:
+    """The trials that tell of the body alone; the last person's are kept."""
+    return simulate_session(plan.options, person)
+
+
+@lru_cache(maxsize=1)
+def known_body(plan: Plan, person: int) -> Outcome:
+    """A person's body from those trials, in a folder that stays until the end."""
+    folder = Path(tempfile.mkdtemp(prefix="torchid-"))
+    return identified(written(plan, calibration(plan, person), {}, folder), folder / "body")
+
+
+def identified(config: Config, out: Path) -> Outcome:
+    """The body of the run of ``torchid evaluate`` on a config, without its report."""
+    config = config.body.model_copy(update={"out": out})
+    with OutputFolder(out) as folder:
+        outcome, failure = compute_outcome(config, read_session(config, folder.aside), folder, quiet)
+    if failure is not None:
+        raise failure
+    return outcome
+
+
+def perform(subject: SimulatedSubject, plan: Plan, key: tuple[int, ...], name: str) -> SimulatedTrial:
+    """One trial as the person does it this time, and as cameras and plates read it this time.
+
+    Args:
+        subject: who moves.
+        plan: which movement, and for how long.
+        key: of chance.
+        name: of the trial.
+    """
+    rng, options, time_ = np.random.default_rng(key), plan.options, with_margins(plan.seconds, plan.rate_hz)
+    pace, depth = 1.0 + np.array([PACE_SD, DEPTH_SD]) * rng.normal(size=2).clip(-2.0, 2.0)
+    placed = subject.p_BM_B + PLACED_M * torch.as_tensor(rng.normal(size=subject.p_BM_B.shape))
+    person = replace(subject, trial=name, p_BM_B=placed)
+    for attempt in range(ATTEMPTS):
+        own, effort = np.random.default_rng((*key, attempt)), float(depth) * (1.0 - EASIER * attempt)
+        script = make_script(plan.movement, own, person, pace * time_, float(pace) * plan.seconds, effort)
+        script = replace(script, time=time_)
+        moving = balance(person, script, plan.rate_hz)
+        if not impossible(person, moving):
+            break
+    item = measure(person, record(person, script, moving, options), options, rng)
+    assert item.trial.forces is not None
+    return replace(item, trial=replace(item.trial, forces=replace(
+        item.trial.forces, wrench=item.trial.forces.wrench + _zeros(item, rng)
+    )))  # fmt: skip
+
+
+def _zeros(item: SimulatedTrial, rng: np.random.Generator) -> torch.Tensor:
+    """What every plate (plates, 6) reads of nothing in a trial."""
+    assert item.trial.forces is not None
+    centre = torch.stack([p.corners.mean(0) for p in item.trial.forces.plates if p.corners is not None])
+    force, moment = (ZERO_N * torch.as_tensor(rng.normal(size=(len(centre), 3))) for _ in range(2))
+    return torch.cat([force, MOMENT_ARM * moment + torch.linalg.cross(centre, force)], 1)
+
+
+def written(plan: Plan, session: Session, conditions: dict[str, str], folder: Path) -> Config:
+    """Write recordings as C3D and read the config that lists them, with the condition of every trial that has one."""
+    for item in session.trials:
+        write_c3d(folder / f"{item.trial.name}.c3d", item.trial)
+    (folder / "nothing.yaml").write_text(yaml.safe_dump(NOTHING))
+    listed = session_config(session)
+    entries = [t | ({"condition": conditions[t["name"]]} if t["name"] in conditions else {}) for t in listed["trials"]]
+    worn = {} if plan.body == "apart" else {"device": "nothing.yaml"}
+    more = {"conditions": {"without": {"reference": True}, "with": worn}} if conditions else {}
+    asked = {"cycles": CYCLES[plan.movement], "draws": 0}
+    document = listed | more | {"trials": entries, "evaluate": asked, "diagnosis": {"enabled": False}}
+    (folder / "config.yaml").write_text(yaml.safe_dump(document))
+    return load_config(folder / "config.yaml")
+
+
+def quiet(stage: str, fraction: float | None) -> None:
+    """Nobody waits for these."""
+    del stage, fraction
