@@ -1,13 +1,13 @@
 """Whole evaluations in which no condition does anything: simulated recordings, read from C3D, judged as any others.
 
-Two conditions, nothing worn in either. A trial's pace, depth, stance, arms, noise, zero of the plates and places of the
-markers are drawn for the trial; every cycle is drawn within it. Nothing drifts over the session: an effect of order would be a
-true difference between conditions recorded one after the other. Marker files, reading, tracking, contacts, cycles,
-torques and tests are those of ``torchid evaluate``; bands and reports, which decide nothing, are left out.
+Pace, depth, stance, arms, noise, zeros of the plates and places of the markers are drawn for every trial, and every
+cycle within it. Nothing drifts: an effect of order is a true difference of conditions recorded one after the other.
+Files, reading, tracking, contacts, cycles, torques and tests are those of ``torchid evaluate``; bands and reports,
+which decide nothing, are left out.
 
 The body is either ``apart``, identified once from other trials of the person and kept for ``PER_BODY`` evaluations, or
-``reference``, identified for every evaluation from its reference trials as well, as it is where the other condition
-wears a device: a spring without stiffness.
+``reference``, identified anew for every evaluation from its reference trials as well, as it is where the other
+condition wears a device: here a spring without stiffness.
 """
 
 import json
@@ -45,15 +45,16 @@ from torchid.simulate.trial import SimulatedTrial, impossible, measure, record, 
 
 CYCLES = {"squats": {"coordinate": "pelvis_z", "turn": "low"}, "sway_steps": "gait"}
 """Movements, and how their cycles are found."""
-CALIBRATION = ("arms", "trunk", "sway_steps")
+CALIBRATION = {"apart": ("arms", "trunk", "sway_steps"), "reference": ("arms", "trunk")}
+"""Trials that tell of the body alone."""
 PER_BODY = 10
-"""Choice. Evaluations with one body where it is identified apart: given the body, they are independent."""
+"""Choice. Evaluations of one person: given the body, they are independent."""
 PACE_SD, DEPTH_SD = 0.08, 0.08
 """Choice. Scatter of the pace and of the depth of a whole trial, in proportion."""
 PLACED_M = 0.001
 """Choice. Scatter of every marker's place from trial to trial [m]: straps slip, markers are put on again."""
 ZERO_N = 2.0
-"""Choice. Scatter of the plates' zero from trial to trial [N]; of moments about the centre, ``MOMENT_ARM`` times that."""
+"""Choice. Scatter of the plates' zero from trial to trial [N]; of moments, ``MOMENT_ARM`` times that."""
 EASIER, ATTEMPTS = 0.07, 12
 """Choice. As in ``torchid.simulate.trial``: how much easier a motion is made that cannot be done, and how often."""
 NOTHING = {"name": "nothing", "elements": [{"type": "spring", "name": "none", "between": ["pelvis", "thigh_l"],
@@ -65,26 +66,31 @@ NOTHING = {"name": "nothing", "elements": [{"type": "spring", "name": "none", "b
 class Plan:
     """What every evaluation of a run has in common."""
 
-    movement: str = "squats"
-    body: str = "apart"
+    body: str = "reference"
+    movements: tuple[str, ...] = tuple(CYCLES)
+    """Taken in turn."""
     trials: int = 5
     """Of each condition: five against five can be told apart at 4.8 %, four against four at 2.9 % only."""
     seconds: float = 6.0
     """Of each trial: one to three cycles."""
-    rate_hz: float = 100.0
+    rate_hz: float = 50.0
     seed: int = 0
+
+    def movement(self, number: int) -> str:
+        """Of an evaluation."""
+        return self.movements[number % len(self.movements)]
 
     @property
     def options(self) -> SimulateOptions:
         """Of all recordings."""
         return SimulateOptions(
-            fit=CALIBRATION, heldout=(), duration_s=self.seconds, rate_hz=self.rate_hz, skin_motion_mm=3.0
+            fit=CALIBRATION[self.body], heldout=(), duration_s=self.seconds, rate_hz=self.rate_hz, skin_motion_mm=3.0
         )  # fmt: skip
 
     @property
     def file(self) -> str:
         """Name of the file of results."""
-        return f"evaluation_whole_{self.movement}_{self.body}_{self.trials}.jsonl"
+        return f"evaluation_whole_{self.body}_{self.trials}.jsonl"
 
 
 def run(plan: Plan, evaluations: int, folder: Path) -> dict:
@@ -99,11 +105,12 @@ def run(plan: Plan, evaluations: int, folder: Path) -> dict:
     path = folder / plan.file
     path.touch()
     done = {(line["seed"], line["number"]) for line in _lines(path)}
-    for number in (k for k in range(evaluations) if (plan.seed, k) not in done):
-        line = json.dumps({"seed": plan.seed, "number": number, **evaluation(plan, number)})
-        with path.open("a") as file:
-            file.write(line + "\n")
-        print(line, flush=True)
+    with tempfile.TemporaryDirectory(prefix="torchid-") as work:
+        for number in (k for k in range(evaluations) if (plan.seed, k) not in done):
+            line = json.dumps({"seed": plan.seed, "number": number, **evaluation(plan, number, Path(work))})
+            with path.open("a") as file:
+                file.write(line + "\n")
+            print(line, flush=True)
     return summary(list(_lines(path)))
 
 
@@ -112,13 +119,19 @@ def _lines(path: Path) -> Iterator[dict]:
 
 
 def summary(lines: list[dict]) -> dict:
-    """The rate of evaluations with a finding, with its exact 95 % interval (Clopper & Pearson 1934), and what was found.
+    """The rate of evaluations with a finding, its exact 95 % interval (Clopper & Pearson 1934), and what was found.
 
     Args:
         lines: of the file of results.
     """
     good = [line for line in lines if "failed" not in line]
-    said: dict = {"evaluations": len(good), "failed": [line["failed"] for line in lines if "failed" in line]}
+    said: dict = {
+        "evaluations": len(good), "failed": [line["failed"] for line in lines if "failed" in line],
+        "by_movement": {
+            m: f"{sum(bool(x['identified']['found']) for x in good if x['movement'] == m)} of "
+            f"{sum(x['movement'] == m for x in good)}" for m in sorted({x["movement"] for x in good})
+        },
+    }  # fmt: skip
     for body in ("identified", "template"):
         wrong = [line for line in good if line[body]["found"]]
         interval = binomtest(len(wrong), len(good)).proportion_ci(method="exact")
@@ -133,21 +146,22 @@ def summary(lines: list[dict]) -> dict:
     return said
 
 
-def evaluation(plan: Plan, number: int) -> dict:
+def evaluation(plan: Plan, number: int, work: Path) -> dict:
     """One evaluation as a line of results.
 
     Args:
         plan: of all.
         number: of this one.
+        work: folder for files; bodies that are known already stay in it.
     """
     began = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="torchid-") as folder:
+    with tempfile.TemporaryDirectory(dir=work) as folder:
         try:
-            found = evaluated(plan, number, Path(folder))
+            found = evaluated(plan, number, Path(folder), work)
         except TorchidError as error:
-            return {"failed": str(error)}
+            return {"movement": plan.movement(number), "failed": str(error)}
     return {
-        "subject": found.outcome.session.trials["static"].parameters["subject"], "cycles": len(found.cycles),
+        "movement": plan.movement(number), "cycles": len(found.cycles),
         "identified": _said(found.identified, found), "template": _said(found.template, found),
         "seconds": round(time.perf_counter() - began, 1),
     }  # fmt: skip
@@ -166,24 +180,21 @@ def _said(answer: Answer, found: Evaluation) -> dict:
     }  # fmt: skip
 
 
-def evaluated(plan: Plan, number: int, folder: Path) -> Evaluation:
+def evaluated(plan: Plan, number: int, folder: Path, work: Path) -> Evaluation:
     """Record, identify the body where it is not known already, follow and judge.
 
     Args:
         plan: of all.
         number: of the evaluation.
         folder: for its files.
+        work: for bodies that other evaluations know as well.
     """
-    person = 1000 * plan.seed + (number // PER_BODY if plan.body == "apart" else number)
+    person = 1000 * plan.seed + number // PER_BODY
     session = calibration(plan, person)
-    own = {
-        f"{condition}_{k}": (condition, perform(session.subject, plan, (plan.seed, number, k), f"{condition}_{k}"))
-        for c, condition in enumerate(("without", "with"))
-        for k in range(c * plan.trials, (c + 1) * plan.trials)
-    }
-    every = Session(session.subject, (*session.trials, *(item for _, item in own.values())))
-    config = written(plan, every, {name: condition for name, (condition, _) in own.items()}, folder)
-    outcome = known_body(plan, person) if plan.body == "apart" else identified(config, folder / "body")
+    conditions = {f"{name}_{k}": name for name in ("without", "with") for k in range(plan.trials)}
+    items = [perform(session.subject, plan, (plan.seed, number, k), name) for k, name in enumerate(conditions)]
+    config = written(plan, number, Session(session.subject, (*session.trials, *items)), conditions, folder)
+    outcome = known_body(plan, person, work) if plan.body == "apart" else identified(config, folder / "body")
     with OutputFolder(folder / "out") as results:
         trials = condition_trials(config, outcome, results, quiet)
         return judge(config, outcome, gather(config, outcome, trials, worn_devices(config)))
@@ -196,10 +207,11 @@ def calibration(plan: Plan, person: int) -> Session:
 
 
 @lru_cache(maxsize=1)
-def known_body(plan: Plan, person: int) -> Outcome:
-    """A person's body from those trials, in a folder that stays until the end."""
-    folder = Path(tempfile.mkdtemp(prefix="torchid-"))
-    return identified(written(plan, calibration(plan, person), {}, folder), folder / "body")
+def known_body(plan: Plan, person: int, work: Path) -> Outcome:
+    """A person's body from those trials."""
+    folder = work / f"person_{person}"
+    folder.mkdir()
+    return identified(written(plan, 0, calibration(plan, person), {}, folder), folder / "body")
 
 
 def identified(config: Config, out: Path) -> Outcome:
@@ -212,23 +224,24 @@ def identified(config: Config, out: Path) -> Outcome:
     return outcome
 
 
-def perform(subject: SimulatedSubject, plan: Plan, key: tuple[int, ...], name: str) -> SimulatedTrial:
+def perform(subject: SimulatedSubject, plan: Plan, key: tuple[int, int, int], name: str) -> SimulatedTrial:
     """One trial as the person does it this time, and as cameras and plates read it this time.
 
     Args:
         subject: who moves.
         plan: which movement, and for how long.
-        key: of chance.
+        key: of chance: seed, number of the evaluation, trial.
         name: of the trial.
     """
-    rng, options, time_ = np.random.default_rng(key), plan.options, with_margins(plan.seconds, plan.rate_hz)
+    rng, options, frames = np.random.default_rng(key), plan.options, with_margins(plan.seconds, plan.rate_hz)
+    movement = plan.movement(key[1])
     pace, depth = 1.0 + np.array([PACE_SD, DEPTH_SD]) * rng.normal(size=2).clip(-2.0, 2.0)
     placed = subject.p_BM_B + PLACED_M * torch.as_tensor(rng.normal(size=subject.p_BM_B.shape))
     person = replace(subject, trial=name, p_BM_B=placed)
     for attempt in range(ATTEMPTS):
         own, effort = np.random.default_rng((*key, attempt)), float(depth) * (1.0 - EASIER * attempt)
-        script = make_script(plan.movement, own, person, pace * time_, float(pace) * plan.seconds, effort)
-        script = replace(script, time=time_)
+        script = make_script(movement, own, person, pace * frames, float(pace) * plan.seconds, effort)
+        script = replace(script, time=frames)
         moving = balance(person, script, plan.rate_hz)
         if not impossible(person, moving):
             break
@@ -247,7 +260,7 @@ def _zeros(item: SimulatedTrial, rng: np.random.Generator) -> torch.Tensor:
     return torch.cat([force, MOMENT_ARM * moment + torch.linalg.cross(centre, force)], 1)
 
 
-def written(plan: Plan, session: Session, conditions: dict[str, str], folder: Path) -> Config:
+def written(plan: Plan, number: int, session: Session, conditions: dict[str, str], folder: Path) -> Config:
     """Write recordings as C3D and read the config that lists them, with the condition of every trial that has one."""
     for item in session.trials:
         write_c3d(folder / f"{item.trial.name}.c3d", item.trial)
@@ -256,7 +269,7 @@ def written(plan: Plan, session: Session, conditions: dict[str, str], folder: Pa
     entries = [t | ({"condition": conditions[t["name"]]} if t["name"] in conditions else {}) for t in listed["trials"]]
     worn = {} if plan.body == "apart" else {"device": "nothing.yaml"}
     more = {"conditions": {"without": {"reference": True}, "with": worn}} if conditions else {}
-    asked = {"cycles": CYCLES[plan.movement], "draws": 0}
+    asked = {"cycles": CYCLES[plan.movement(number)], "draws": 0}
     document = listed | more | {"trials": entries, "evaluate": asked, "diagnosis": {"enabled": False}}
     (folder / "config.yaml").write_text(yaml.safe_dump(document))
     return load_config(folder / "config.yaml")

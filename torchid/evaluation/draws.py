@@ -32,7 +32,8 @@ def torque_deviations(
         seed: of chance.
 
     Returns:
-        None where no inertia was identified, or no draw is wanted. The device's own numbers are drawn elsewhere (``device_draws``).
+        None where no inertia was identified, or no draw is wanted. The device's own numbers are drawn elsewhere
+        (``device_draws``).
     """
     if outcome.identified is None or not draws:
         return None
