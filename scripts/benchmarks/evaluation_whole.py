@@ -1,9 +1,8 @@
 """Whole evaluations in which no condition does anything: simulated recordings, read from C3D, judged as any others.
 
-Pace, depth, stance, arms, noise, zeros of the plates and places of the markers are drawn for every trial, and every
-cycle within it. Nothing drifts: an effect of order is a true difference of conditions recorded one after the other.
-Files, reading, tracking, contacts, cycles, torques and tests are those of ``torchid evaluate``; bands and reports,
-which decide nothing, are left out.
+Recordings are those of ``evaluation_recordings.py``: trials scatter, and nothing differs between conditions. Files,
+reading, tracking, contacts, cycles, torques and tests are those of ``torchid evaluate``; bands and reports, which
+decide nothing, are left out.
 
 The body is either ``apart``, identified once from other trials of the person and kept for ``PER_BODY`` evaluations, or
 ``reference``, identified anew for every evaluation from its reference trials as well, as it is where the other
@@ -15,7 +14,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -24,6 +23,7 @@ import torch
 import yaml
 from scipy.stats import binomtest
 
+from benchmarks.evaluation_recordings import perform
 from torchid.config import Config, load_config
 from torchid.errors import TorchidError
 from torchid.evaluation.evaluate import gather, judge
@@ -35,13 +35,8 @@ from torchid.experiment.run import compute_outcome
 from torchid.io.c3d_write import write_c3d
 from torchid.outcome import Outcome
 from torchid.results import OutputFolder
-from torchid.simulate.balance import balance
-from torchid.simulate.motions import make_script
-from torchid.simulate.noise import MOMENT_ARM
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, session_config, simulate_session
-from torchid.simulate.subject import SimulatedSubject
-from torchid.simulate.trial import SimulatedTrial, impossible, measure, record, with_margins
 
 CYCLES = {"squats": {"coordinate": "pelvis_z", "turn": "low"}, "sway_steps": "gait"}
 """Movements, and how their cycles are found."""
@@ -49,14 +44,6 @@ CALIBRATION = {"apart": ("arms", "trunk", "sway_steps"), "reference": ("arms", "
 """Trials that tell of the body alone."""
 PER_BODY = 10
 """Choice. Evaluations of one person: given the body, they are independent."""
-PACE_SD, DEPTH_SD = 0.08, 0.08
-"""Choice. Scatter of the pace and of the depth of a whole trial, in proportion."""
-PLACED_M = 0.001
-"""Choice. Scatter of every marker's place from trial to trial [m]: straps slip, markers are put on again."""
-ZERO_N = 2.0
-"""Choice. Scatter of the plates' zero from trial to trial [N]; of moments, ``MOMENT_ARM`` times that."""
-EASIER, ATTEMPTS = 0.07, 12
-"""Choice. As in ``torchid.simulate.trial``: how much easier a motion is made that cannot be done, and how often."""
 NOTHING = {"name": "nothing", "elements": [{"type": "spring", "name": "none", "between": ["pelvis", "thigh_l"],
            "coordinate": "hip_l_flexion", "stiffness_Nm_rad": 0.0}]}  # fmt: skip
 """A device that weighs and does nothing."""
@@ -192,7 +179,10 @@ def evaluated(plan: Plan, number: int, folder: Path, work: Path) -> Evaluation:
     person = 1000 * plan.seed + number // PER_BODY
     session = calibration(plan, person)
     conditions = {f"{name}_{k}": name for name in ("without", "with") for k in range(plan.trials)}
-    items = [perform(session.subject, plan, (plan.seed, number, k), name) for k, name in enumerate(conditions)]
+    items = [
+        perform(session.subject, plan.movement(number), plan.options, (plan.seed, number, k), name)
+        for k, name in enumerate(conditions)
+    ]
     config = written(plan, number, Session(session.subject, (*session.trials, *items)), conditions, folder)
     outcome = known_body(plan, person, work) if plan.body == "apart" else identified(config, folder / "body")
     with OutputFolder(folder / "out") as results:
@@ -222,42 +212,6 @@ def identified(config: Config, out: Path) -> Outcome:
     if failure is not None:
         raise failure
     return outcome
-
-
-def perform(subject: SimulatedSubject, plan: Plan, key: tuple[int, int, int], name: str) -> SimulatedTrial:
-    """One trial as the person does it this time, and as cameras and plates read it this time.
-
-    Args:
-        subject: who moves.
-        plan: which movement, and for how long.
-        key: of chance: seed, number of the evaluation, trial.
-        name: of the trial.
-    """
-    rng, options, frames = np.random.default_rng(key), plan.options, with_margins(plan.seconds, plan.rate_hz)
-    movement = plan.movement(key[1])
-    pace, depth = 1.0 + np.array([PACE_SD, DEPTH_SD]) * rng.normal(size=2).clip(-2.0, 2.0)
-    placed = subject.p_BM_B + PLACED_M * torch.as_tensor(rng.normal(size=subject.p_BM_B.shape))
-    person = replace(subject, trial=name, p_BM_B=placed)
-    for attempt in range(ATTEMPTS):
-        own, effort = np.random.default_rng((*key, attempt)), float(depth) * (1.0 - EASIER * attempt)
-        script = make_script(movement, own, person, pace * frames, float(pace) * plan.seconds, effort)
-        script = replace(script, time=frames)
-        moving = balance(person, script, plan.rate_hz)
-        if not impossible(person, moving):
-            break
-    item = measure(person, record(person, script, moving, options), options, rng)
-    assert item.trial.forces is not None
-    return replace(item, trial=replace(item.trial, forces=replace(
-        item.trial.forces, wrench=item.trial.forces.wrench + _zeros(item, rng)
-    )))  # fmt: skip
-
-
-def _zeros(item: SimulatedTrial, rng: np.random.Generator) -> torch.Tensor:
-    """What every plate (plates, 6) reads of nothing in a trial."""
-    assert item.trial.forces is not None
-    centre = torch.stack([p.corners.mean(0) for p in item.trial.forces.plates if p.corners is not None])
-    force, moment = (ZERO_N * torch.as_tensor(rng.normal(size=(len(centre), 3))) for _ in range(2))
-    return torch.cat([force, MOMENT_ARM * moment + torch.linalg.cross(centre, force)], 1)
 
 
 def written(plan: Plan, number: int, session: Session, conditions: dict[str, str], folder: Path) -> Config:

@@ -1,0 +1,52 @@
+"""The harness of whole evaluations without an effect: it finds one where there is one, and counts as it should."""
+
+import json
+from pathlib import Path
+
+import pytest
+from benchmarks import evaluation_recordings, evaluation_whole
+from benchmarks.evaluation_whole import Plan, run, summary
+
+from torchid.simulate.motions import make_script
+
+SHALLOW = 0.4
+"""Depth of squats with a condition that does something."""
+
+
+def line(number: int, found: list[str]) -> dict:
+    """Of the file of results."""
+    said = {"found": found, "courses": len(found), "covered": 0.95}
+    return {"seed": 0, "number": number, "movement": "squats", "cycles": 9, "seconds": 1.0,
+            "identified": said, "template": said | {"found": [], "courses": 0}}  # fmt: skip
+
+
+def test_rates_have_exact_intervals() -> None:
+    """Three of twenty: Clopper and Pearson's interval is 3.2 to 37.9 %; what failed is not counted."""
+    lines = [line(k, ["hip_l_flexion range_deg"] if k < 3 else []) for k in range(20)]
+    said = summary([*lines, {"seed": 0, "number": 20, "movement": "squats", "failed": "evaluate.no_cycles"}])
+    own = said["identified"]
+    assert said["evaluations"] == 20 and said["failed"] == ["evaluate.no_cycles"]
+    assert (own["with_findings"], own["rate"], own["courses"]) == (3, 0.15, 3)
+    assert own["low"] == pytest.approx(0.0321, abs=1e-4) and own["high"] == pytest.approx(0.3789, abs=1e-4)
+    assert said["template"]["rate"] == said["template"]["low"] == 0.0
+    assert own["found"] == {"hip_l_flexion range_deg": 3}
+
+
+def test_a_real_difference_is_found_and_a_run_goes_on(
+    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Squats less deep with the condition, from files to findings; evaluations that are there are not made again."""
+
+    def shallow(movement, rng, subject, time, duration, effort):
+        return make_script(
+            movement, rng, subject, time, duration, effort * (SHALLOW if subject.trial.startswith("with_") else 1)
+        )
+
+    monkeypatch.setattr(evaluation_recordings, "make_script", shallow)
+    plan = Plan("apart", ("squats",), trials=4, seconds=4.0, seed=seed % 1000)
+    first = run(plan, 1, tmp_path)
+    (said,) = map(json.loads, (tmp_path / plan.file).read_text().splitlines())
+    assert said["identified"]["units"] == "8 trials" and said["identified"]["least"] == pytest.approx(2 / 70)
+    assert any("knee" in name for name in said["identified"]["found"]), said
+    monkeypatch.setattr(evaluation_whole, "evaluation", lambda *given: pytest.fail("made again"))
+    assert run(plan, 1, tmp_path) == first
