@@ -5,9 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 from benchmarks import evaluation_whole
 from benchmarks.evaluation_recordings import perform
-from benchmarks.evaluation_whole import Plan, run, summary
+from benchmarks.evaluation_whole import Plan, evaluated, run, summary
 
 LADEN_KG = 50.0
 """Carried on the thorax in a condition that does something, and known to nobody."""
@@ -52,3 +53,28 @@ def test_a_real_difference_is_found_and_a_run_goes_on(
     assert any("knee" in name for name in said["identified"]["found"]), said
     monkeypatch.setattr(evaluation_whole, "evaluation", lambda *given: pytest.fail("made again"))
     assert run(plan, 1, tmp_path) == first
+
+
+@pytest.mark.slow
+def test_the_label_of_a_trial_changes_nothing_that_is_said_of_it(
+    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same recordings under the other condition, in another order: on this the exactness of permutations rests."""
+    plan = Plan("apart", ("squats",), trials=2, seed=seed % 1000)
+
+    def swapped(subject, movement, options, key, name):
+        return perform(subject, movement, options, (*key[:2], (key[2] + plan.trials) % (2 * plan.trials)), name)
+
+    found = []
+    for k, recorded in enumerate((perform, swapped)):
+        monkeypatch.setattr(evaluation_whole, "perform", recorded)
+        (tmp_path / str(k)).mkdir()
+        found.append(evaluated(plan, 0, tmp_path / str(k), tmp_path).identified.sample)
+    other = {"without": "with", "with": "without"}
+    one, two = (
+        {name: own.values[[k for k, x in enumerate(own.trials) if x == name]] for name in own.trials} for own in found
+    )
+    for name, values in one.items():
+        condition, _, number = name.partition("_")
+        partner = f"{other[condition]}_{number}"
+        torch.testing.assert_close(two[partner], values, rtol=0, atol=0, equal_nan=True)

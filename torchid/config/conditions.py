@@ -97,8 +97,8 @@ class EvaluateOptions:
     permutations: Annotated[int, Ge(99)] = 9999
     """At most; where there are fewer arrangements, all of them."""
     draws: Annotated[int, Ge(0)] = 64
-    """Choice. Of body, markers and plates, for bands: their standard deviation is then known to 9 %. 0 draws none, in
-    less than half of the time: no test needs them."""
+    """Choice. Of body, markers and plates, for bands: their standard deviation is then known to 9 %. 0 draws none: no
+    test needs them, and they are two thirds of what an evaluation computes after its body's run."""
     per_mass: bool = False
     """Torques, powers and works divided by the subject's mass."""
     convention: Literal["torchid", "isb", "opensim"] = "torchid"
