@@ -62,13 +62,13 @@ def device(tmp_path_factory: pytest.TempPathFactory) -> Device:
     return load_device(path)
 
 
-def config_of(**options: object):
+def config_of(draws: int = 20, **options: object):
     """The small session's config, two of its trials under a condition each."""
     config = small.outcome().config
     under = {"squats": "without", "trunk": "on"}
     trials = tuple(trial.model_copy(update={"condition": under.get(trial.name)}) for trial in config.trials)
     conditions = {"without": Condition(reference=True), "on": Condition(device="exo")}
-    asked = EvaluateOptions(cycles=CYCLES, draws=20, permutations=199, units="blocks", **options)
+    asked = EvaluateOptions(cycles=CYCLES, draws=draws, permutations=199, units="blocks", **options)
     return config.model_copy(update={"trials": trials, "conditions": conditions, "evaluate": asked})
 
 
@@ -131,6 +131,19 @@ def test_a_device_that_plates_contradict_is_said(found: Evaluation) -> None:
     assert unweighed(wrong, "on") == pytest.approx(unweighed(right, "on") - 2.0, abs=0.05)
     assert any("plates bear" in gap.why for gap in find_gaps(wrong))
     assert not any("plates bear" in gap.why for gap in find_gaps(right))
+
+
+def test_without_draws_the_findings_are_the_same(found: Evaluation, device: Device, tmp_path: Path) -> None:
+    """Bands take most of the time and decide nothing; the page does not claim any."""
+    config, outcome = config_of(draws=0), small.outcome()
+    with OutputFolder(tmp_path / "out") as folder:
+        trials = condition_trials(config, outcome, folder, lambda stage, fraction: None)
+        plain = judge(config, outcome, gather(config, outcome, trials, {"without": None, "on": device}))
+    one, other = (each.identified.comparisons[0].tested.adjusted for each in (plain, found))
+    torch.testing.assert_close(one, other, equal_nan=True, rtol=0, atol=0)
+    page = render_evaluation(plain, Ledger(all_numbers(plain)))
+    assert plain.identified.rows.draws is None and "none was drawn" in page
+    assert "no draws were asked for" in page and "bodies that the recordings allow" not in page
 
 
 def test_blocks_are_said_to_take_something_for_granted(found: Evaluation) -> None:
@@ -282,6 +295,7 @@ def written(folder: Path, **changes: object) -> Path:
         ("evaluate.cycles=[{trial: one, t0: 2.0, t1: 1.0}]", "evaluate.cycle"),
         ("evaluate.lever_arm_m=[0.07, 0.05]", "evaluate.lever_arm"),
         ("evaluate.shortest_s=20.0", "evaluate.duration"),
+        ("evaluate.draws=3", "evaluate.draws"),
         ("evaluate.measures=[peek_torque_Nm]", "config.unknown_value"),
     ],
 )

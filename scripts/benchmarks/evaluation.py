@@ -2,12 +2,14 @@
 
     cd scripts && python -m benchmarks.evaluation --null 200 [--seed N] [--trials 4] [--cycles 5] [--units trials]
     cd scripts && python -m benchmarks.evaluation --power [--evaluations 200] [--out ../docs]
+    cd scripts && python -m benchmarks.evaluation --whole 200 [--seed N] [--trials 5] [--body reference] [--out DIR]
     cd scripts && python -m benchmarks.evaluation --learn OUT      # anew from a finished evaluation of walks
 
 What is in: courses of torque and angle of whole trials and cycles, whose means, scatter and correlation over the cycle
 and between joints are those of twelve walks of one subject (``evaluation_walks.json``: deviations of each walk from
 the mean of its kind), measures of every cycle, units, permutations, adjusted p-values, gatekept courses, intervals.
-What is not: recordings, body and device; a simulated evaluation from files takes minutes (``scripts/demo --device``).
+What is not: recordings, body and device. ``--whole`` has them all (``evaluation_whole.py``); it goes on where it was
+interrupted.
 Cycles of one trial scatter about the trial's own mean as much as trials do, with a correlation of 0.3 from one to the
 next; the walks, of one stride each, do not tell that.
 """
@@ -24,6 +26,7 @@ import xarray
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from benchmarks import evaluation_whole
 from torchid.config.conditions import EvaluateOptions
 from torchid.evaluation.comparing import Column, Comparison, Sample, compare, course_p
 from torchid.evaluation.cycles import Cycle
@@ -212,7 +215,9 @@ def main() -> None:
     parser.add_argument("--null", type=int)
     parser.add_argument("--power", action="store_true")
     parser.add_argument("--evaluations", type=int, default=200)
-    parser.add_argument("--trials", type=int, default=4)
+    parser.add_argument("--whole", type=int)
+    parser.add_argument("--body", choices=("apart", "reference"), default="reference")
+    parser.add_argument("--trials", type=int)
     parser.add_argument("--cycles", type=int, default=5)
     parser.add_argument("--units", choices=("trials", "blocks"), default="trials")
     parser.add_argument("--permutations", type=int, default=999)
@@ -222,8 +227,11 @@ def main() -> None:
     options = replace(EvaluateOptions(), permutations=given.permutations, units=given.units)
     if given.learn:
         learn(given.learn)
+    if given.whole:
+        plan = evaluation_whole.Plan(given.body, trials=given.trials or 5, seed=given.seed)
+        print(json.dumps(evaluation_whole.run(plan, given.whole, given.out or Path("../out/benchmarks")), indent=1))
     if given.null:
-        print(json.dumps(null(load(), given.null, given.trials, given.cycles, options, given.seed), indent=1))
+        print(json.dumps(null(load(), given.null, given.trials or 4, given.cycles, options, given.seed), indent=1))
     if given.power:
         rows = power(load(), given.evaluations, options, given.seed)
         if given.out:

@@ -19,6 +19,9 @@ MEASURES = (
 )  # fmt: skip
 """Of a coordinate in one cycle; ``torchid/evaluation/measures.py`` defines them."""
 
+FEWEST_DRAWS = 20
+"""Choice. They tell a standard deviation to 16 %."""
+
 
 def _device(value: object, info: Any) -> Path | str | None:
     """The path of a device's file, or the name of one in the library."""
@@ -93,8 +96,9 @@ class EvaluateOptions:
     """Family-wise rate of false findings."""
     permutations: Annotated[int, Ge(99)] = 9999
     """At most; where there are fewer arrangements, all of them."""
-    draws: Annotated[int, Ge(20)] = 64
-    """Choice. Of body, markers and plates, for bands: their standard deviation is then known to 9 %."""
+    draws: Annotated[int, Ge(0)] = 64
+    """Choice. Of body, markers and plates, for bands: their standard deviation is then known to 9 %. 0 draws none: no
+    test needs them, and they are two thirds of what an evaluation computes after its body's run."""
     per_mass: bool = False
     """Torques, powers and works divided by the subject's mass."""
     convention: Literal["torchid", "isb", "opensim"] = "torchid"
@@ -115,6 +119,11 @@ class EvaluateOptions:
             raise OptionError(
                 "evaluate.lever_arm", "the smaller lever arm comes first", place="lever_arm_m",
                 found=f"{low}, {high}", remedy="Give [smaller, larger] in metres",
+            )  # fmt: skip
+        if 0 < self.draws < FEWEST_DRAWS:
+            raise OptionError(
+                "evaluate.draws", "so few draws tell no scatter", place="draws", found=str(self.draws),
+                remedy=f"Give {FEWEST_DRAWS} or more, or 0 for no bands",
             )  # fmt: skip
         if not self.shortest_s < self.longest_s:
             raise OptionError(

@@ -32,9 +32,10 @@ def torque_deviations(
         seed: of chance.
 
     Returns:
-        None where no inertia was identified. The device's own numbers are drawn elsewhere (``device_draws``).
+        None where no inertia was identified, or no draw is wanted. The device's own numbers are drawn elsewhere
+        (``device_draws``).
     """
-    if outcome.identified is None:
+    if outcome.identified is None or not draws:
         return None
     every = with_trials(outcome, trials, feet)
     found = outcome_draws(every, [trial.name for trial in trials], draws, seed)

@@ -136,7 +136,11 @@ def unweighed(found: Evaluation, condition: str) -> float:
 
 
 def _body(found: Evaluation) -> Iterator[Gap]:
-    if found.identified.rows.draws is None:
+    if not found.config.evaluate.draws:
+        yield Gap(
+            "bands from the body", "no draws were asked for: intervals hold what trials scatter, and nothing else"
+        )
+    elif found.identified.rows.draws is None:
         yield Gap("bands from the body", "no inertia was identified, so nobody knows how uncertain it is")
     else:
         yield Gap("errors that are in no band", f"bands draw {SAID}; what else is wrong with the model is not in them")

@@ -62,7 +62,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
             if len(listed) == len(config.trials) or not listed:
                 refuse_unknown_plates(config, session.trials)
         progress("read", 1.0)
-        outcome, failure = _compute(config, session, folder, progress)
+        outcome, failure = compute_outcome(config, session, folder, progress)
         failure = failure or impossible(outcome)
         outcome = replace(outcome, times=dict(folder.times))
         progress("write", 0.0)
@@ -112,9 +112,20 @@ def run_key(config: Config) -> str:
     return stage_key(inputs=[file_sha256(path) for path in _inputs(config)], config=own)
 
 
-def _compute(
+def compute_outcome(
     config: Config, session: Session, folder: OutputFolder, progress: OnStage
 ) -> tuple[Outcome, DataError | None]:
+    """Compute what a run finds from what was read, without its files and reports.
+
+    Args:
+        config: of the run.
+        session: all trials.
+        folder: for stages.
+        progress: called with stages and fractions.
+
+    Returns:
+        What was found, and what kept the rest from being found; None where nothing did.
+    """
     key = run_key(config)
     fit, scaled = _geometry(config, session, folder, key, progress)
     cutoff_hz = cutoff(config, session)

@@ -37,8 +37,7 @@ def method_section(found: Evaluation, ledger: Ledger) -> Section:
         f"Coordinates: {SIGNS[found.signs]}.",
         *(_test(ledger, one.condition, one.units.kind) for one in found.identified.comparisons),
         "p-values are adjusted by the step-down maximum over all measures (Westfall & Young 1993), and by the number "
-        "of conditions that are compared. Intervals are Welch's, widened by what differs over bodies drawn.",
-        f"Bodies drawn differ in: {SAID}; the same bodies for all conditions.",
+        f"of conditions that are compared. Intervals are Welch's{_widened(found)}.",
         f"L5/S1: moment between pelvis and trunk in the pelvis' axes; compression of a single equivalent muscle "
         f"(Chaffin & Andersson) with a lever arm of {levers[0]} to {levers[1]} cm; limit of NIOSH "
         "(Waters et al. 1993).",
@@ -46,6 +45,13 @@ def method_section(found: Evaluation, ledger: Ledger) -> Section:
     blocks: tuple[Block, ...] = (Items(tuple(items)),)
     mass = "" if found.per_mass_kg is None else f"Torques are divided by {ledger.show(Key('method', 'mass'), 1)} kg. "
     return Section("method", "Method", f"{mass}Equations and limits: docs/evaluate.md of torchid.", blocks)
+
+
+def _widened(found: Evaluation) -> str:
+    """What intervals hold beside the scatter of trials."""
+    if found.identified.rows.draws is None:
+        return " between trials, of one body: none was drawn"
+    return f", widened by what differs over bodies drawn, the same for all conditions; they differ in: {SAID}"
 
 
 def _test(ledger: Ledger, condition: str, kind: str) -> str:
