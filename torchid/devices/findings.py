@@ -30,9 +30,9 @@ LEAST = {"rest": 0.005, "lag": 0.005, "mass_kg": 0.1}
 """Difference below which none is named [m or rad, s, kg], chosen: a strap's give, half a frame, a cable."""
 SLID = 0.03
 """Part of the mean way beyond rest by which rest must differ between trials to matter, chosen: 3 % of the force."""
-PULLS = 0.05
-"""Part of a trial's frames in which an element must act for the trial to tell its rest, chosen: of one that is slack
-throughout, recordings tell that its rest is no shorter."""
+PULLED, PULLS = 0.1, 0.05
+"""Part of the RMS of all readings beyond which an element acts, and part of a trial's frames in which it must for the
+trial to tell its rest, chosen: ten times a good sensor's noise; a trial in which it is slack tells a bound alone."""
 UNEXPLAINED = 0.1
 """RMS that a law leaves of a measured force, relative to it, from which on something is unexplained, chosen: what a
 fault of stiffness or rest of a tenth leaves, ten times the noise of a good sensor."""
@@ -172,15 +172,14 @@ def _slid(
 def _acting(
     element: Element, found: IdentifiedDevice, trials: Sequence[WrenchTrial], recorded: Recorded
 ) -> list[Measured]:
-    """What the sensor of an element read in the trials in which it acts, by the law that all trials together tell."""
-    law = found.device.element(element.name)
-    if element.law is None or not has_line(element) or law.unknown:
+    """What the sensor of an element read in the trials in which it acts, where its law is told at all."""
+    if element.law is None or not has_line(element) or found.device.element(element.name).unknown:
         return []
-    numbers = {name: value for name, value in law.numbers() if value is not None}
     measured = measured_by(element, trials, recorded)
-    return [
-        one for one in measured if float((one.acting.slopes(numbers, ("rest",))[0] != 0.0).double().mean()) >= PULLS
-    ]
+    if not measured:
+        return []
+    least = PULLED * float(torch.cat([one.force for one in measured]).square().mean().sqrt())
+    return [one for one in measured if float((one.force.abs() > least).double().mean()) >= PULLS]
 
 
 def _law_by_trial(
