@@ -31,8 +31,8 @@ LEAST = {"rest": 0.005, "lag": 0.005, "mass_kg": 0.1}
 SLID = 0.03
 """Part of the mean way beyond rest by which rest must differ between trials to matter, chosen: 3 % of the force."""
 PULLED, PULLS = 0.1, 0.05
-"""Part of the RMS of all readings beyond which an element acts, and part of a trial's frames in which it must for the
-trial to tell its rest, chosen: ten times a good sensor's noise; a trial in which it is slack tells a bound alone."""
+"""Part of the largest reading beyond which an element acts, and part of a trial's frames in which it must for the trial
+to tell its rest, chosen: ten times a good sensor's noise; a trial in which it is slack tells a bound alone."""
 UNEXPLAINED = 0.1
 """RMS that a law leaves of a measured force, relative to it, from which on something is unexplained, chosen: what a
 fault of stiffness or rest of a tenth leaves, ten times the noise of a good sensor."""
@@ -178,7 +178,7 @@ def _acting(
     measured = measured_by(element, trials, recorded)
     if not measured:
         return []
-    least = PULLED * float(torch.cat([one.force for one in measured]).square().mean().sqrt())
+    least = PULLED * max(float(one.force.abs().max()) for one in measured)
     return [one for one in measured if float((one.force.abs() > least).double().mean()) >= PULLS]
 
 
