@@ -243,6 +243,22 @@ def test_one_fault_makes_no_others(body: BodyBelief, seed: int) -> None:
     assert others == [("carried_elsewhere", "box")], others
 
 
+def test_a_trial_in_which_a_cable_is_slack_tells_nothing_of_its_strap(body: BodyBelief, seed: int) -> None:
+    """One of three trials hardly moves and never stretches it: neither a slide nor a stiffness is called wrong."""
+    back = {**BACK, "stiffness_N_m": {"value": 515.6, "sd": 10}, "sensor": {"force": "back"}}
+    first = worn(seed, made())[0][0]
+    motion = first.motion
+    still = replace(motion, q=0.0 * motion.q, v=0.0 * motion.v, a=0.0 * motion.a)
+    length = device_forces(made(elements=[{**back, "rest_m": 0.5}]), TREE, GEOMETRY, still).elements["back"].length
+    sheet = made(parts=TRUE, elements=[{**back, "rest_m": float(length.max()) + 0.005}])
+    trials, channels = worn(seed, sheet, 3)
+    noise = torch.tensor(np.random.default_rng(seed).normal(size=len(still.q)))
+    trials[0], channels["on_0"] = replace(trials[0], motion=still), {"back": 0.3 * noise}
+    found = [one for one in device_findings(sheet, body, trials, channels) if one.where.startswith("back")]
+    assert not [one for one in found if one.wrong], found
+    assert any(one.kind == "strap_slides" and one.found is not None for one in found)
+
+
 @pytest.mark.parametrize("tight", [False, True])
 def test_intervals_of_a_sensor_hold_what_they_say(tight: bool, seed: int) -> None:
     """Angles that err by half a degree for tenths of a second: most 95 % intervals cover, and the mean is right."""

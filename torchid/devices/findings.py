@@ -30,6 +30,9 @@ LEAST = {"rest": 0.005, "lag": 0.005, "mass_kg": 0.1}
 """Difference below which none is named [m or rad, s, kg], chosen: a strap's give, half a frame, a cable."""
 SLID = 0.03
 """Part of the mean way beyond rest by which rest must differ between trials to matter, chosen: 3 % of the force."""
+PULLED, PULLS = 0.1, 0.05
+"""Part of the largest reading beyond which an element acts, and part of a trial's frames in which it must for the trial
+to tell its rest, chosen: ten times a good sensor's noise; a trial in which it is slack tells a bound alone."""
 UNEXPLAINED = 0.1
 """RMS that a law leaves of a measured force, relative to it, from which on something is unexplained, chosen: what a
 fault of stiffness or rest of a tenth leaves, ten times the noise of a good sensor."""
@@ -86,7 +89,7 @@ def device_findings(
     apart = {}
     for element in device.elements:
         if any(one.wrong for one in slid[element.name]):
-            apart |= _law_by_trial(element, found, measured_by(element, trials, recorded), options)
+            apart |= _law_by_trial(element, found, _acting(element, found, trials, recorded), options)
     return (
         *_numbers(device, found.parameters | apart),
         *(one for each in slid.values() for one in each),
@@ -145,10 +148,10 @@ def _slid(
 ) -> list[Finding]:
     """Rest of one element in each trial: where it differs, what the element holds to has moved."""
     stiffness = found.parameters.get(f"{element.name}.{element.key('stiffness')}")
-    measured = measured_by(element, trials, recorded) if has_line(element) and element.law is not None else []
+    measured = _acting(element, found, trials, recorded)
     key = f"{element.name}.{element.key('rest')}"
     if not isinstance(stiffness, Determined) or len(measured) < 2:
-        why = "needs a sensor of the element in two trials or more"
+        why = "needs a sensor of the element, and that it acts, in two trials or more"
         return [Finding("strap_slides", key, False, "", None, why=why)] if element.law is not None else []
     numbers = {n: v for n, v in found.device.element(element.name).numbers() if v is not None}
     narrow = replace(options, length_scale_sd=0.0, angle_course_sd=0.0, length_sd=0.0, angle_sd=0.0)
@@ -164,6 +167,19 @@ def _slid(
     text = "markers knocked in that trial look the same"
     return [Finding("strap_slides", f"{key} in {measured[k].acting.trial.name}", abs(z) > SURE and abs(moved) > least,
                     mean, float(rest[k]), float(sd[k]), z, text)]  # fmt: skip
+
+
+def _acting(
+    element: Element, found: IdentifiedDevice, trials: Sequence[WrenchTrial], recorded: Recorded
+) -> list[Measured]:
+    """What the sensor of an element read in the trials in which it acts, where its law is told at all."""
+    if element.law is None or not has_line(element) or found.device.element(element.name).unknown:
+        return []
+    measured = measured_by(element, trials, recorded)
+    if not measured:
+        return []
+    least = PULLED * max(float(one.force.abs().max()) for one in measured)
+    return [one for one in measured if float((one.force.abs() > least).double().mean()) >= PULLS]
 
 
 def _law_by_trial(
