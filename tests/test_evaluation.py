@@ -20,12 +20,14 @@ from typer.testing import CliRunner
 from torchid.cli import app
 from torchid.config import InvalidConfig, load_config
 from torchid.config.conditions import Condition, EvaluateOptions, GivenCycle
+from torchid.contact.options import ContactOptions
 from torchid.conventions import GRAVITY
 from torchid.devices import Device, Finding, load_device
 from torchid.devices.values import Value
 from torchid.dynamics import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.evaluation.back import lever_arms, low_back, trunk_of
+from torchid.evaluation.contacts import feet_of
 from torchid.evaluation.device_draws import device_deviations
 from torchid.evaluation.evaluate import evaluate, gather, judge
 from torchid.evaluation.evaluation import Evaluation
@@ -34,7 +36,7 @@ from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import all_numbers
 from torchid.evaluation.report.page import render_evaluation
 from torchid.evaluation.trials import condition_trials
-from torchid.evaluation.wearing import acting
+from torchid.evaluation.wearing import Worn, acting
 from torchid.evaluation.write import write_evaluation
 from torchid.results import OutputFolder
 from torchid.torque.inverse import joint_torques
@@ -131,6 +133,29 @@ def test_a_device_that_plates_contradict_is_said(found: Evaluation) -> None:
     assert unweighed(wrong, "on") == pytest.approx(unweighed(right, "on") - 2.0, abs=0.05)
     assert any("plates bear" in gap.why for gap in find_gaps(wrong))
     assert not any("plates bear" in gap.why for gap in find_gaps(right))
+
+
+@pytest.mark.parametrize("lift_n", [0.0, 30.0])
+def test_contacts_bear_the_device_and_not_what_its_supports_give(tmp_path: Path, lift_n: float) -> None:
+    """Feet without plates bear a part's weight as well, less what a rope from above lifts of it."""
+    path = tmp_path / "exo.yaml"
+    path.write_text(
+        "name: weight\nparts:\n  - {segment: pelvis, mass_kg: 4.0, com_m: [0, 0, 0.1], inertia_kgm2: [0.01, 0.01, 0.01]}"
+        "\nelements:\n  - {type: ground, name: lift, between: [pelvis, world], from_m: [0, 0, 0.1], to_m: [0, 0, 50],\n"
+        f"     rail: [1, 0, 0], force_N: {lift_n}}}\n"
+    )
+    config, outcome = config_of(), small.outcome()
+    config = config.model_copy(update={"contact": ContactOptions(torques="predicted")})
+    with OutputFolder(tmp_path / "out") as folder:
+        (trial,) = (t for t in condition_trials(config, outcome, folder, lambda *_: None) if t.condition == "on")
+    bare = replace(trial.followed, contact=None, wrench=None)
+    blind = replace(trial, followed=bare, recording=replace(trial.recording, forces=None))
+    down = []
+    for worn in (Worn(None), Worn(load_device(path))):
+        feet = feet_of(config, [blind], outcome.fit, outcome.phi, False, {"on": worn}, {trial.name: {}})[trial.name]
+        assert feet is not None
+        down.append(feet.wrench[30:-30, :, 2].sum(1).mean())
+    assert float(down[1] - down[0]) == pytest.approx(4.0 * GRAVITY - lift_n, abs=3.0)
 
 
 def test_without_draws_the_findings_are_the_same(found: Evaluation, device: Device, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from torchid.config import Config
 from torchid.contact.sharing.records import ContactWrenches, Source
 from torchid.evaluation.evaluation import ContactCount
 from torchid.evaluation.trials import ConditionTrial
+from torchid.evaluation.wearing import Worn, acting, carried
 from torchid.experiment.contacts import wrenches_under
 from torchid.geometry.result import GeometryFit
 
@@ -18,19 +19,37 @@ Feet = Mapping[str, ContactWrenches | None]
 
 
 def feet_of(
-    config: Config, trials: Sequence[ConditionTrial], fit: GeometryFit, phi: Float[Tensor, "bodies 10"], scaled: bool
+    config: Config,
+    trials: Sequence[ConditionTrial],
+    fit: GeometryFit,
+    phi: Float[Tensor, "bodies 10"],
+    scaled: bool,
+    worn: Mapping[str, Worn],
+    recorded: Mapping[str, dict[str, Tensor]],
 ) -> Feet:
     """Wrenches of the contacts of all trials, shared and predicted ones too, as ``contact.torques`` wants them.
+
+    Contacts bear what the body with the device's parts needs beyond what supports from the ground give.
 
     Args:
         config: of the evaluation.
         trials: of all conditions.
         fit: geometry of the body.
-        phi: inertia of the body.
+        phi: inertia of the body alone.
         scaled: whether it is the scaled template that follows the markers.
+        worn: device of every condition.
+        recorded: channels of the device by trial.
+
+    Raises:
+        ConfigError: ``device.*``.
     """
-    followed = {trial.name: trial.scaled if scaled else trial.followed for trial in trials}
-    return {t.name: wrenches_under(followed[t.name], fit, phi, t.recording, config.contact) for t in trials}
+    tree, found = fit.model.tree, {}
+    for t in trials:
+        followed, device = t.scaled if scaled else t.followed, worn[t.condition]
+        given = acting(device, tree, fit.geometry, followed.motion, recorded[t.name]).torque
+        both = carried(device, tree, phi)
+        found[t.name] = wrenches_under(followed, fit, both, t.recording, config.contact, given)
+    return found
 
 
 def count_contacts(trials: Sequence[ConditionTrial], feet: Feet) -> tuple[ContactCount, ...]:

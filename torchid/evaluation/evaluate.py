@@ -165,7 +165,9 @@ def judge(config: Config, outcome: Outcome, material: Material) -> Evaluation:
     """
     options, trials = config.evaluate, material.trials
     bodies = (outcome.fit, outcome.phi, False), (outcome.scaled, outcome.prior_scaled.mean, True)
-    feet, plain_feet = (feet_of(config, trials, fit, phi, scaled) for fit, phi, scaled in bodies)
+    feet, plain_feet = (
+        feet_of(config, trials, fit, phi, scaled, material.worn, material.recorded) for fit, phi, scaled in bodies
+    )
     deviations = torque_deviations(outcome, trials, feet, options.draws, config.seed)
     known = _rows(config, *bodies[0], material, feet, deviations)
     plain = _rows(config, *bodies[1], material, plain_feet, None)
