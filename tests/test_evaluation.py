@@ -139,11 +139,10 @@ def test_a_device_that_plates_contradict_is_said(found: Evaluation) -> None:
 def test_contacts_bear_the_device_and_not_what_its_supports_give(tmp_path: Path, lift_n: float) -> None:
     """Feet without plates bear a part's weight as well, less what a rope from above lifts of it."""
     path = tmp_path / "exo.yaml"
-    path.write_text(
-        "name: weight\nparts:\n  - {segment: pelvis, mass_kg: 4.0, com_m: [0, 0, 0.1], inertia_kgm2: [0.01, 0.01, 0.01]}"
-        "\nelements:\n  - {type: ground, name: lift, between: [pelvis, world], from_m: [0, 0, 0.1], to_m: [0, 0, 50],\n"
-        f"     rail: [1, 0, 0], force_N: {lift_n}}}\n"
-    )
+    part = {"segment": "pelvis", "mass_kg": 4.0, "com_m": [0, 0, 0.1], "inertia_kgm2": [0.01, 0.01, 0.01]}
+    lift = {"type": "ground", "name": "lift", "between": ["pelvis", "world"], "from_m": [0, 0, 0.1],
+            "to_m": [0, 0, 50], "rail": [1, 0, 0], "force_N": lift_n}  # fmt: skip
+    path.write_text(yaml.safe_dump({"name": "weight", "parts": [part], "elements": [lift]}))
     config, outcome = config_of(), small.outcome()
     config = config.model_copy(update={"contact": ContactOptions(torques="predicted")})
     with OutputFolder(tmp_path / "out") as folder:
