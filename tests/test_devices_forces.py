@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -210,12 +211,12 @@ def test_a_few_lost_samples_are_lost_alone(rng: np.random.Generator) -> None:
              "channel": "wish"}  # fmt: skip
     hand = {"type": "ground", "name": "hand", "between": ["hand_l", "world"], "from_m": [0, 0, -0.05],
             "channels": ["wish", "wish", "wish"]}  # fmt: skip
-    both = {**motor, "name": "both", "gain": 3, "sensor": {"torque": "wish"}}
+    both = {**motor, "name": "both", "channel": "read", "gain": 3, "sensor": {"torque": "read"}}
     wish = torch.sin(2.0 * torch.pi * motion.time) + 2.0
     lost = torch.zeros(60, dtype=torch.bool)
     lost[20:23] = True
     device = made(elements=[motor, hand, both])
-    found = device_forces(device, tree, geometry, motion, {"wish": torch.where(lost, torch.nan, wish)})
+    found = device_forces(device, tree, geometry, motion, dict.fromkeys(("wish", "read"), wish.masked_fill(lost, nan)))
     for values in (found.elements["ankle"].force, found.external["hand_l"][:, 2], found.elements["both"].force):
         assert torch.equal(torch.isnan(values), lost)
         torch.testing.assert_close(values[~lost], wish[~lost], atol=0.05, rtol=0.0)

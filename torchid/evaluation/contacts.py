@@ -8,6 +8,9 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.sharing.records import ContactWrenches, Source
+from torchid.devices import Device
+from torchid.devices.device import Handle
+from torchid.errors import ConfigError
 from torchid.evaluation.evaluation import ContactCount
 from torchid.evaluation.trials import ConditionTrial
 from torchid.evaluation.wearing import Worn, acting, carried
@@ -50,6 +53,30 @@ def feet_of(
         both = carried(device, tree, phi)
         found[t.name] = wrenches_under(followed, fit, both, t.recording, config.contact, given)
     return found
+
+
+def refuse_twice(config: Config, devices: Mapping[str, Device | None]) -> None:
+    """Refuse a segment whose support is told both by a device's recorded forces and by a plate: it would count twice.
+
+    Args:
+        config: of the evaluation, with its contacts.
+        devices: by condition, None where none is worn.
+
+    Raises:
+        ConfigError: ``evaluate.support``.
+    """
+    for condition, device in devices.items():
+        trials = {trial.name for trial in config.trials if trial.condition == condition}
+        held = {e.line.point.segment: e.name for e in device.elements if isinstance(e.line, Handle)} if device else {}
+        for name, one in config.contact.others.items():
+            bears = not isinstance(one.when, dict) or bool(trials & one.when.keys())
+            if one.segment in held and one.plate is not None and bears:
+                raise ConfigError(
+                    "evaluate.support", "a device's channels and a plate both measure what holds this segment",
+                    place=f"contact.others.{name}", found=f"{one.segment}, held by {held[one.segment]} in {condition}",
+                    remedy="Leave the element to the device if the support belongs to it and records its own force, "
+                    "and the contact to contact.others if a plate measures it",
+                )  # fmt: skip
 
 
 def count_contacts(trials: Sequence[ConditionTrial], feet: Feet) -> tuple[ContactCount, ...]:
