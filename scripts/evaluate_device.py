@@ -54,7 +54,7 @@ def main(argv: list[str] | None = None) -> None:
 
         # 3. demand = ID(phi + parts) - J' F of the plates; human = demand - device, for one coordinate.
         row, rows, names, labels = tree.dof_names.index(args.joint), [], [], []
-        feet = feet_of(config, trials, fit, outcome.phi, scaled=False)
+        feet = feet_of(config, trials, fit, outcome.phi, False, material.worn, material.recorded)
         for trial in trials:
             worn, recorded = material.worn[trial.condition], material.recorded[trial.name]
             own = shares(trial, trial.followed, fit, outcome.phi, worn, recorded, feet[trial.name])

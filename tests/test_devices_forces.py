@@ -1,6 +1,8 @@
 """What a device does to the body: virtual work, MuJoCo's tendons and springs, laws."""
 
 import sys
+from dataclasses import replace
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from torchid.devices.action import action
 from torchid.devices.forces import states
 from torchid.dynamics import inverse_dynamics
 from torchid.errors import ConfigError
+from torchid.filters import Smoother
 from torchid.motion import Motion
 
 CLOSE = 1e-8
@@ -185,6 +188,38 @@ def test_what_a_sensor_reads_needs_no_number(rng: np.random.Generator) -> None:
         assert not told_of(device, trials).elements
     with pytest.raises(ConfigError, match="device.unknown"):
         device_forces(device, tree, geometry, motion, {"read": silent})
+
+
+@pytest.mark.parametrize("zero", [0.0, torch.nan])
+def test_a_dead_sensor_is_not_believed(zero: float, rng: np.random.Generator) -> None:
+    """One that reads zero or nothing throughout: the law counts, and without numbers nobody knows the element."""
+    _, tree, geometry = person()
+    motion = random_motion(rng, tree, 20)
+    sheet, dead = {**HIP, "stiffness_Nm_rad": 120, "sensor": {"torque": "read"}}, torch.full_like(motion.time, zero)
+    law, found = (device_forces(made(elements=[sheet]), tree, geometry, motion, x) for x in ({}, {"read": dead}))
+    torch.testing.assert_close(found.torque, law.torque)
+    assert float(law.torque.abs().max()) > 1.0
+    assert not told_of(made(elements=[{**sheet, "stiffness_Nm_rad": "unknown"}]), [{"read": dead}]).elements
+
+
+def test_a_few_lost_samples_are_lost_alone(rng: np.random.Generator) -> None:
+    """Of a command, a handle and a sensor, filters do not carry a gap into other frames; what drives and is read as
+    well is read."""
+    _, tree, geometry = person()
+    motion = replace(random_motion(rng, tree, 60), smoother=Smoother(6.0, 100.0))
+    motor = {"type": "torque", "name": "ankle", "between": ["shank_l", "foot_l"], "coordinate": "ankle_l_flexion",
+             "channel": "wish"}  # fmt: skip
+    hand = {"type": "ground", "name": "hand", "between": ["hand_l", "world"], "from_m": [0, 0, -0.05],
+            "channels": ["wish", "wish", "wish"]}  # fmt: skip
+    both = {**motor, "name": "both", "channel": "read", "gain": 3, "sensor": {"torque": "read"}}
+    wish = torch.sin(2.0 * torch.pi * motion.time) + 2.0
+    lost = torch.zeros(60, dtype=torch.bool)
+    lost[20:23] = True
+    device = made(elements=[motor, hand, both])
+    found = device_forces(device, tree, geometry, motion, dict.fromkeys(("wish", "read"), wish.masked_fill(lost, nan)))
+    for values in (found.elements["ankle"].force, found.external["hand_l"][:, 2], found.elements["both"].force):
+        assert torch.equal(torch.isnan(values), lost)
+        torch.testing.assert_close(values[~lost], wish[~lost], atol=0.05, rtol=0.0)
 
 
 def test_supports_are_external(rng: np.random.Generator) -> None:

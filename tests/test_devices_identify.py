@@ -139,6 +139,38 @@ def test_a_support_that_nothing_stretches_is_not_determinable(body: BodyBelief, 
     assert isinstance(one, NotDeterminable) and "prior" in one.why
 
 
+def test_a_sensor_tells_by_the_frames_that_it_has(body: BodyBelief, seed: int) -> None:
+    """A few lost samples of a spring's force and angle cost a little; none of them is called a dead sensor."""
+    sensed = {**HIP, "sensor": {"torque": "hip", "angle": "angle"}}
+    true = filled(made(parts=TRUE, elements=[sensed]), hip={"stiffness": 150.0, "rest": 0.1})
+    trials, channels = worn(seed, true, 1)
+    motion, rng = trials[0].motion, np.random.default_rng(seed)
+    for name in ("hip", "angle"):
+        if name == "angle":
+            channels[trials[0].name][name] = motion.q[:, TREE.dof_names.index("hip_l_flexion")].clone()
+        start = int(rng.integers(100, 1000))
+        channels[trials[0].name][name][start : start + 7] = torch.nan
+    found = identify_device(made(parts=PARTS, elements=[sensed]), body, trials, channels).parameters
+    assert abs(value(found, "hip.stiffness_Nm_rad").value - 150.0) < 7.5
+    assert abs(value(found, "hip.rest_rad").value - 0.1) < 0.05
+    weak = {**sensed, "stiffness_Nm_rad": {"value": 200, "sd": 5}, "rest_rad": 0.1}
+    findings = device_findings(made(parts=TRUE, elements=[weak]), body, trials, channels)
+    wrong = {one.kind for one in findings if one.wrong}
+    assert "stiffness" in wrong and "unexplained" not in wrong, findings
+
+
+def test_frames_without_a_handles_force_tell_nothing(body: BodyBelief, seed: int) -> None:
+    """The others tell the masses all the same."""
+    hand = {"type": "ground", "name": "hand", "between": ["hand_l", "world"], "from_m": [0, 0, -0.05],
+            "channels": ["x", "y", "z"]}  # fmt: skip
+    trials, channels = worn(seed, made(parts=TRUE), 1)
+    force = torch.zeros_like(trials[0].motion.time)
+    force[300:310] = torch.nan
+    channels[trials[0].name] = dict.fromkeys("xyz", force)
+    found = identify_device(made(parts=PARTS, elements=[hand]), body, trials, channels, REPEATING).parameters
+    assert abs(value(found, "mass_kg").value - 3.5) < 0.2
+
+
 def test_rest_and_preload_are_one_number(body: BodyBelief, seed: int) -> None:
     """A straight law has two parameters; of three unknown ones two act alike, and that is said."""
     three = {**HIP, "preload_Nm": "unknown", "sensor": {"torque": "hip"}}

@@ -20,12 +20,15 @@ from typer.testing import CliRunner
 from torchid.cli import app
 from torchid.config import InvalidConfig, load_config
 from torchid.config.conditions import Condition, EvaluateOptions, GivenCycle
+from torchid.contact.options import ContactOptions
+from torchid.contact.other_options import OtherContact
 from torchid.conventions import GRAVITY
 from torchid.devices import Device, Finding, load_device
 from torchid.devices.values import Value
 from torchid.dynamics import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.evaluation.back import lever_arms, low_back, trunk_of
+from torchid.evaluation.contacts import feet_of, refuse_twice
 from torchid.evaluation.device_draws import device_deviations
 from torchid.evaluation.evaluate import evaluate, gather, judge
 from torchid.evaluation.evaluation import Evaluation
@@ -34,7 +37,7 @@ from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import all_numbers
 from torchid.evaluation.report.page import render_evaluation
 from torchid.evaluation.trials import condition_trials
-from torchid.evaluation.wearing import acting
+from torchid.evaluation.wearing import Worn, _usable, acting, worn_devices
 from torchid.evaluation.write import write_evaluation
 from torchid.results import OutputFolder
 from torchid.torque.inverse import joint_torques
@@ -133,6 +136,28 @@ def test_a_device_that_plates_contradict_is_said(found: Evaluation) -> None:
     assert not any("plates bear" in gap.why for gap in find_gaps(right))
 
 
+@pytest.mark.parametrize("lift_n", [0.0, 30.0])
+def test_contacts_bear_the_device_and_not_what_its_supports_give(tmp_path: Path, lift_n: float) -> None:
+    """Feet without plates bear a part's weight as well, less what a rope from above lifts of it."""
+    path = tmp_path / "exo.yaml"
+    part = {"segment": "pelvis", "mass_kg": 4.0, "com_m": [0, 0, 0.1], "inertia_kgm2": [0.01, 0.01, 0.01]}
+    lift = {"type": "ground", "name": "lift", "between": ["pelvis", "world"], "from_m": [0, 0, 0.1],
+            "to_m": [0, 0, 50], "rail": [1, 0, 0], "force_N": lift_n}  # fmt: skip
+    path.write_text(yaml.safe_dump({"name": "weight", "parts": [part], "elements": [lift]}))
+    config, outcome = config_of(), small.outcome()
+    config = config.model_copy(update={"contact": ContactOptions(torques="predicted")})
+    with OutputFolder(tmp_path / "out") as folder:
+        (trial,) = (t for t in condition_trials(config, outcome, folder, lambda *_: None) if t.condition == "on")
+    bare = replace(trial.followed, contact=None, wrench=None)
+    blind = replace(trial, followed=bare, recording=replace(trial.recording, forces=None))
+    down = []
+    for worn in (Worn(None), Worn(load_device(path))):
+        feet = feet_of(config, [blind], outcome.fit, outcome.phi, False, {"on": worn}, {trial.name: {}})[trial.name]
+        assert feet is not None
+        down.append(feet.wrench[30:-30, :, 2].sum(1).mean())
+    assert float(down[1] - down[0]) == pytest.approx(4.0 * GRAVITY - lift_n, abs=3.0)
+
+
 def test_without_draws_the_findings_are_the_same(found: Evaluation, device: Device, tmp_path: Path) -> None:
     """Bands take most of the time and decide nothing; the page does not claim any."""
     config, outcome = config_of(draws=0), small.outcome()
@@ -208,6 +233,38 @@ def test_a_sheet_that_recordings_contradict_is_said_first(found: Evaluation, tmp
     assert "the sheet says 200" in page.partition('id="summary"')[2].partition('id="differences"')[0]
     held = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert [one["wrong"] for one in held["sheet"]["on"]] == [True, False, True, True, False]
+
+
+def test_what_a_contradicted_sheet_is_used_for_is_said(found: Evaluation) -> None:
+    """A sensor's reading is the share whatever the sheet says; places and slides are no number to leave open."""
+    findings = (
+        Finding("stiffness", "hip_l.stiffness_Nm_rad", True, 200.0, 141.0, 3.0, -11.0),
+        Finding("stiffness", "hip_r.stiffness_Nm_rad", True, 200.0, 141.0, 3.0, -11.0),
+        Finding("strap_slides", "hip_l.rest_rad in trunk", True, 0.1, 0.2, 0.01, 9.0),
+        Finding("carried_elsewhere", "box", True, "thigh_l", "pelvis", z=40.0),
+        Finding("unexplained", "hip_l", True, 0.0, 0.23, why="friction"),
+    )
+    worn = replace(found.worn["on"], findings=findings, read=("hip_l",))
+    said = [gap.why for gap in find_gaps(replace(found, worn=found.worn | {"on": worn}))[:5]]
+    assert "share is what its sensor read" in said[0] and "sheet's number" not in said[0]
+    assert "computed with the sheet's number" in said[1] and "`unknown` in its place" in said[1]
+    assert "condition with a sheet of its own" in said[2] and "unknown" not in said[2]
+    assert "write that segment" in said[3] and "part on thigh_l" in said[3]
+    assert "fitted anew" in said[4] and "law of its sheet" not in said[4]
+
+
+def test_a_sensor_that_lost_a_frame_stands_for_no_number(found: Evaluation, device: Device) -> None:
+    """The gap says that it needs all frames; one that reads zero throughout reads nothing."""
+    (hip,) = (one for one in device.elements if one.name == "hip_r")
+    sensed = replace(device, elements=(replace(hip, sensor=replace(hip.sensor, force="read")),))
+    whole = torch.ones(5, dtype=torch.float64)
+    lost = torch.where(torch.arange(5) == 2, torch.nan, whole)
+    for values, kept, read in ((whole, 1, ("hip_r",)), (lost, 0, ()), (0.0 * whole, 0, ())):
+        worn = _usable(sensed, {"trunk": {"read": values}})
+        assert worn.device is not None and len(worn.device.elements) == kept and worn.read == read
+        assert worn.left_out == (() if kept else ("hip_r",))
+    gaps = find_gaps(replace(found, worn=found.worn | {"on": worn}))
+    assert any("reads in all of its frames" in gap.why and "hip_r" in gap.what for gap in gaps)
 
 
 def test_files_hold_what_the_contract_says(found: Evaluation, tmp_path: Path) -> None:
@@ -321,6 +378,32 @@ def test_nothing_to_compare_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         evaluate(config)
     assert caught.value.code == "evaluate.no_conditions"
+
+
+@pytest.mark.parametrize(
+    ("contact", "refused"),
+    [
+        (OtherContact("hand_l", plate=3), True),
+        (OtherContact("hand_l", plate=3, when={"two": ((0.0, 1.0),)}), True),
+        (OtherContact("hand_l", plate=3, when={"one": ((0.0, 1.0),)}), False),
+        (OtherContact("hand_l", when="always"), False),
+        (OtherContact("hand_r", plate=3), False),
+    ],
+)
+def test_one_rail_is_no_two_supports(tmp_path: Path, contact: OtherContact, refused: bool) -> None:
+    """A hand whose handle is the device's is measured by no plate under the same condition."""
+    hand = {"type": "ground", "name": "walker", "between": ["hand_l", "world"], "from_m": [0, 0, -0.05],
+            "channels": ["x", "y", "z"]}  # fmt: skip
+    (tmp_path / "exo.yaml").write_text(yaml.safe_dump({"name": "walker", "elements": [hand]}))
+    config = load_config(written(tmp_path), ["conditions.on.device=exo.yaml"])
+    config = config.model_copy(update={"contact": ContactOptions(others={"rail": contact})})
+    devices = worn_devices(config)
+    if not refused:
+        refuse_twice(config, devices)
+        return
+    with pytest.raises(ConfigError) as caught:
+        evaluate(config)
+    assert caught.value.code == "evaluate.support" and "walker" in caught.value.found
 
 
 def test_conditions_without_cycles_channels_or_motion_are_refused(device: Device, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from torchid.devices.findings import Finding as Finding
 from torchid.devices.findings import device_findings as device_findings
 from torchid.devices.forces import DeviceForces as DeviceForces
 from torchid.devices.forces import device_forces as device_forces
+from torchid.devices.forces import tells as tells
 from torchid.devices.forces import told_of as told_of
 from torchid.devices.identify import identify_device as identify_device
 from torchid.devices.options import DeviceOptions as DeviceOptions

@@ -5,7 +5,7 @@ element makes them; a support from the ground leaves its whole wrench. Which of 
 its columns and not looked up by its type.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -97,6 +97,8 @@ def seen_share(one: Acting) -> float:
 def known_external(device: Device, trial: WrenchTrial, recorded: Channels) -> Float[Tensor, "frames 6"]:
     """Return the wrench of the grounded supports whose numbers are all known, about the world's origin.
 
+    It is NaN in frames in which a support's channel was not recorded.
+
     Args:
         device: whose other elements are left out.
         trial: with the motion.
@@ -110,6 +112,16 @@ def known_external(device: Device, trial: WrenchTrial, recorded: Channels) -> Fl
     for wrench in device_forces(few, trial.tree, trial.geometry, trial.motion, recorded).external.values():
         total = total + wrench
     return total
+
+
+def heard(trial: WrenchTrial, support: Float[Tensor, "frames 6"]) -> WrenchTrial:
+    """Return a trial without the frames in which nobody knows what supports carried.
+
+    Args:
+        trial: with the device.
+        support: its wrench, NaN where it was not recorded.
+    """
+    return replace(trial, used=trial.used & torch.isfinite(support).all(dim=1))
 
 
 def about_root(trial: WrenchTrial, wrench: Float[Tensor, "frames 6"]) -> Float[Tensor, "6 frames"]:

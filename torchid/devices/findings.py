@@ -160,7 +160,7 @@ def _slid(
     sd = torch.tensor([max(float(fit.sd[0]), 1e-9) for fit in fits], dtype=torch.float64)
     mean = float((rest / sd.square()).sum() / sd.square().reciprocal().sum())
     k = int((rest - mean).abs().argmax())
-    beyond = torch.cat([one.acting.act.length for one in measured]) - mean
+    beyond = torch.cat([one.length for one in measured]) - mean
     least = SLID * float(beyond.abs().mean())
     z = float((rest[k] - mean) / sd[k])
     moved = float(rest[k] - mean)
@@ -178,8 +178,8 @@ def _acting(
     measured = measured_by(element, trials, recorded)
     if not measured:
         return []
-    least = PULLED * max(float(one.force.abs().max()) for one in measured)
-    return [one for one in measured if float((one.force.abs() > least).double().mean()) >= PULLS]
+    least = PULLED * max(float(one.read.abs().max()) for one in measured)
+    return [one for one in measured if float((one.read.abs() > least).double().mean()) >= PULLS]
 
 
 def _law_by_trial(
@@ -206,7 +206,7 @@ def _unexplained(element: Element, trials: Sequence[WrenchTrial], recorded: Reco
     measured = measured_by(element, trials, recorded) if has_line(element) and not element.unknown else []
     if not measured:
         return []
-    left = torch.cat([one.force - one.acting.force({}) for one in measured]).square().mean().sqrt()
-    share = float(left / torch.cat([one.force for one in measured]).square().mean().sqrt().clamp_min(1e-12))
+    left = torch.cat([one.left(one.acting.force({})) for one in measured]).square().mean().sqrt()
+    share = float(left / torch.cat([one.read for one in measured]).square().mean().sqrt().clamp_min(1e-12))
     text = "friction, a strap that gives, a law of another shape, or a strap that slid between trials"
     return [Finding("unexplained", element.name, share > UNEXPLAINED, 0.0, share, why=text)]

@@ -84,22 +84,44 @@ def device_forces(
         motion: q, v, a at marker rate.
         recorded: channels of the device on the motion's frames as recorded, by name; ``phase`` for profiles over
             phase. Commands and forces go through the motion's filter, as everything else has. An element whose sensor
-            reads its force carries that, and what its numbers say where the sensor reads nothing (NaN).
+            reads its force carries that, and what its numbers say where the sensor reads nothing (NaN, or zero
+            throughout). What a command or a handle does in frames in which it was not recorded is NaN.
 
     Raises:
         ConfigError: ``device.unknown``, ``device.channel``, ``device.segment`` or ``device.coordinate``.
     """
     recorded, parts = recorded or {}, []
-    recorded = {**filtered(device.elements, recorded, motion), **readings(device.elements, recorded, motion)}
+    every = filtered(device.elements, recorded, motion), readings(device.elements, recorded, motion)
     for start in range(0, len(motion.q), CHUNK):
         part = slice(start, start + CHUNK)
-        some = {name: values[part] for name, values in recorded.items()}
-        parts.append(_some_frames(device, tree, geometry, motion, part, some))
+        some, read = ({name: values[part] for name, values in one.items()} for one in every)
+        parts.append(_some_frames(device, tree, geometry, motion, part, some, read))
     return _joined(parts)
 
 
+def smoothed(values: Float[Tensor, " frames"], motion: Motion) -> Float[Tensor, " frames"]:
+    """Return a channel through the filter of a motion; NaN in frames without a sample, which nothing else is told of.
+
+    Args:
+        values: on the motion's frames, NaN where nothing was recorded.
+        motion: with the filter.
+    """
+    values = values.to(motion.time)
+    known = torch.isfinite(values)
+    return torch.where(known, motion.smoother(torch.where(known, values, 0.0), known.to(values)), torch.nan)
+
+
+def tells(values: Float[Tensor, " frames"]) -> bool:
+    """Return whether a sensor reads anything: one that is dead or unplugged reads zero or nothing throughout.
+
+    Args:
+        values: as recorded, NaN where nothing was.
+    """
+    return bool((torch.isfinite(values) & (values != 0.0)).any())
+
+
 def filtered(elements: Iterable[Element], recorded: Channels, motion: Motion) -> Channels:
-    """Return recorded channels, those that are forces through the filter of the motion.
+    """Return recorded channels, those that are forces through the filter of the motion; NaN where nothing was recorded.
 
     Args:
         elements: whose commands and handles are forces.
@@ -108,9 +130,7 @@ def filtered(elements: Iterable[Element], recorded: Channels, motion: Motion) ->
     """
     names = {one.drive.channel for one in elements if one.drive is not None}
     names |= {name for one in elements if isinstance(one.line, Handle) for name in one.line.channels}
-    return {
-        name: motion.smoother(values.to(motion.time)) if name in names else values for name, values in recorded.items()
-    }
+    return {name: smoothed(values, motion) if name in names else values for name, values in recorded.items()}
 
 
 def readings(elements: Iterable[Element], recorded: Channels, motion: Motion) -> dict[str, Float[Tensor, " frames"]]:
@@ -120,15 +140,12 @@ def readings(elements: Iterable[Element], recorded: Channels, motion: Motion) ->
         elements: with their sensors.
         recorded: channels on the motion's frames, by name.
         motion: with the filter.
+
+    Returns:
+        Channels of sensors that tell anything (``tells``), by name.
     """
-    found = {}
-    for name in {one.sensor.force for one in elements} & recorded.keys():
-        values = recorded[name].to(motion.time)
-        read = torch.isfinite(values)
-        if bool(read.any()):
-            smooth = motion.smoother(torch.nan_to_num(values), read.to(values))
-            found[name] = torch.where(read, smooth, torch.nan)
-    return found
+    names = {one.sensor.force for one in elements} & recorded.keys()
+    return {name: smoothed(recorded[name], motion) for name in names if tells(recorded[name])}
 
 
 def told_of(device: Device, trials: Iterable[Channels]) -> Device:
@@ -136,22 +153,24 @@ def told_of(device: Device, trials: Iterable[Channels]) -> Device:
 
     Args:
         device: with or without unknown numbers.
-        trials: what was recorded in every trial that it was worn in.
+        trials: what was recorded in every trial that it was worn in. A sensor that stands for unknown numbers must tell
+            something in each of them (``tells``), and have read in all of its frames.
     """
     trials = list(trials)
 
     def read(element: Element) -> bool:
-        readings = [trial.get(element.sensor.force) for trial in trials]
-        return bool(trials) and all(one is not None and bool(torch.isfinite(one).all()) for one in readings)
+        found = [trial.get(element.sensor.force) for trial in trials]
+        return bool(trials) and all(x is not None and bool(torch.isfinite(x).all()) and tells(x) for x in found)
 
     return replace(device, elements=tuple(one for one in device.elements if not one.unknown or read(one)))
 
 
 def carried_force(
-    element: Element, act: Action, v: Float[Tensor, "dofs frames"], time: Float[Tensor, " frames"], recorded: Channels
-) -> Float[Tensor, " frames"]:
+    element: Element, act: Action, v: Float[Tensor, "dofs frames"], time: Float[Tensor, " frames"], recorded: Channels,
+    read: Channels,
+) -> Float[Tensor, " frames"]:  # fmt: skip
     """Return what an element carries: what its sensor reads, else what its numbers say; see ``element_force``."""
-    reading = recorded.get(element.sensor.force)
+    reading = read.get(element.sensor.force)
     if reading is None:
         return element_force(element, act, v, time, recorded)
     silent = torch.isnan(reading)
@@ -164,7 +183,7 @@ def states(tree: Tree, geometry: Geometry, motion: Motion, part: slice) -> Dynam
 
 
 def _some_frames(
-    device: Device, tree: Tree, geometry: Geometry, motion: Motion, part: slice, recorded: Channels
+    device: Device, tree: Tree, geometry: Geometry, motion: Motion, part: slice, recorded: Channels, read: Channels
 ) -> DeviceForces:
     state, time = states(tree, geometry, motion, part), motion.time[part]
     q, v = motion.q[part].T, motion.v[part].T
@@ -177,7 +196,7 @@ def _some_frames(
             _add(external, element.line.point.segment, wrench.T)
         else:
             act = action(element, state, q)
-            force = carried_force(element, act, v, time, recorded)
+            force = carried_force(element, act, v, time, recorded, read)
             work = act.unit * force
             course = ElementCourse(force, act.length, (work * v).sum(0))
             for segment, unit in act.ground.items():

@@ -12,10 +12,14 @@ from torchid.devices.base_columns import (
     INNER,
     acting,
     has_line,
+    heard,
+    known_external,
     seen_share,
 )
 from torchid.devices.device import Device, Element, Part
+from torchid.devices.forces import smoothed, tells
 from torchid.devices.joint_fit import JointFit
+from torchid.devices.laws import Channels, command
 from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import PartsPrior, parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
@@ -53,6 +57,7 @@ def identify_device(
         ConfigError: ``device.segment``, ``device.coordinate`` or ``device.channel``.
     """
     recorded, options = recorded or {}, options or DeviceOptions()
+    trials = [heard(trial, known_external(device, trial, recorded.get(trial.name, {}))) for trial in trials]
     trials = [trial for trial in trials if any(True for _ in trial.blocks())]
     if not trials:
         raise DataError(
@@ -93,20 +98,30 @@ def measured_by(element: Element, trials: Sequence[WrenchTrial], recorded: Recor
     Raises:
         ConfigError: ``device.segment`` or ``device.coordinate``.
     """
-    found, sensor = [], element.sensor
+    found = []
     for trial in trials:
         channels = recorded.get(trial.name, {})
-        if not sensor.force or sensor.force not in channels:
-            continue
-        one = acting(element, trial, channels)
-        own = bool(sensor.length) and sensor.length in channels
-        if own:
-            length = channels[sensor.length].to(one.act.length)
-            length = length + (one.act.length - length).mean()
-            one = replace(one, act=replace(one.act, length=trial.motion.smoother(length)))
-        raw = channels[sensor.force].to(one.act.length)
-        found.append(Measured(one, raw, trial.motion.smoother(raw), own))
+        if element.sensor.force and element.sensor.force in channels:
+            one = _measured(element, trial, channels)
+            found += [one] if bool(one.known.any()) else []
     return found
+
+
+def _measured(element: Element, trial: WrenchTrial, channels: Channels) -> Measured:
+    """An element in one trial with what its sensors say, in the frames in which they and its command do."""
+    one, sensor = acting(element, trial, channels), element.sensor
+    own, length = bool(sensor.length) and sensor.length in channels, one.act.length
+    raw = channels[sensor.force].to(length)
+    known = torch.isfinite(raw)
+    if own:
+        course = channels[sensor.length].to(length)
+        known = known & torch.isfinite(course)
+        course = smoothed(course + (length - course).nanmean(), trial.motion)
+        one = replace(one, act=replace(one.act, length=course))
+    if element.drive is not None:
+        wanted = command(element.drive, element, one.act.length, trial.motion.time, one.recorded)
+        known = known & torch.isfinite(wanted)
+    return Measured(one, raw, smoothed(raw, trial.motion), own, known)
 
 
 def _from_sensors(device: Device, trials: Sequence[WrenchTrial], recorded: Recorded, options: DeviceOptions) -> Known:
@@ -114,7 +129,7 @@ def _from_sensors(device: Device, trials: Sequence[WrenchTrial], recorded: Recor
     for element in device.elements:
         free = free_parameters(element)
         measured = measured_by(element, trials, recorded) if free and has_line(element) else []
-        if measured and not any(float(one.force.abs().max()) > 0.0 for one in measured):
+        if measured and not any(tells(one.raw) for one in measured):
             why = {(element.name, name): f"its sensor {element.sensor.force} read zero throughout" for name in free}
             known = known.joined(Known({}, {}, {}, why))
         elif measured:

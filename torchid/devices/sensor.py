@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from torch import Tensor
 
 from torchid.devices.base_columns import SCALE, Acting
+from torchid.devices.forces import smoothed
 from torchid.devices.options import DeviceOptions
 from torchid.devices.values import Value
 from torchid.regressor.whitening import white_scatter
@@ -45,6 +46,26 @@ class Measured:
     """The same through the motion's filter."""
     own_length: bool
     """Whether the length is the device's own measurement rather than the markers'."""
+    known: Bool[Tensor, " frames"]
+    """Frames in which everything was recorded that the law is held against; the others count for nothing."""
+
+    @property
+    def read(self) -> Float[Tensor, " known"]:
+        """Return the filtered force in the known frames."""
+        return self.force[self.known]
+
+    @property
+    def length(self) -> Float[Tensor, " known"]:
+        """Return length [m] or angle [rad] in the known frames."""
+        return self.acting.act.length[self.known]
+
+    def left(self, force: Float[Tensor, " frames"]) -> Float[Tensor, " known"]:
+        """Return the read force less another in the known frames, 0 where a late command is not known.
+
+        Args:
+            force: of a law, in all frames.
+        """
+        return torch.nan_to_num(self.force - force)[self.known]
 
 
 @dataclass(frozen=True)
@@ -95,10 +116,13 @@ def _sensor_noise(measured: Sequence[Measured]) -> float:
     for one in measured:
         smoother = one.acting.trial.motion.smoother
         sd = one.acting.element.sensor.force_sd
-        raw = one.raw
-        sd = float(white_scatter(raw.to(torch.float64)[:, None])[0]) if sd is None else sd
+        if sd is None:
+            # A frame that is filled smoothly holds no noise.
+            raw = torch.where(one.known, one.raw, torch.nan_to_num(one.force))
+            share = float(one.known.double().mean())
+            sd = float(white_scatter(raw.to(torch.float64)[:, None])[0]) / share**0.5
         found.append((sd * min(1.0, 2.0 * smoother.cutoff_hz / smoother.rate_hz) ** 0.5) ** 2)
-    scatter = float(torch.cat([one.force for one in measured]).std())
+    scatter = float(torch.cat([one.read for one in measured]).std())
     return max(float(np.mean(found)) ** 0.5, LEAST_NOISE * scatter, 1e-12)
 
 
@@ -107,7 +131,7 @@ def _values(names: tuple[str, ...], x: np.ndarray, numbers: dict[str, Value]) ->
 
 
 def _start(measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value]) -> np.ndarray:
-    force, length = (torch.cat(x) for x in ([m.force for m in measured], [m.acting.act.length for m in measured]))
+    force, length = (torch.cat(x) for x in ([m.read for m in measured], [m.length for m in measured]))
     slope = float((force.max() - force.min()) / (length.max() - length.min()).clamp_min(1e-9))
     first = {"stiffness": slope, "rest": float(length.median()), "gain": 1.0, "damping": 0.0}
     return np.array([numbers[n].value if n in numbers else first.get(n, 0.0) for n in names])
@@ -116,7 +140,7 @@ def _start(measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[s
 def _starts(measured: Sequence[Measured], names: tuple[str, ...], start: np.ndarray) -> list[np.ndarray]:
     if "rest" not in names:
         return [start]
-    length = torch.cat([m.acting.act.length for m in measured])
+    length = torch.cat([m.length for m in measured])
     found = []
     for share in STARTS:
         x = start.copy()
@@ -129,15 +153,20 @@ def _residual(one: Measured, numbers: dict[str, Value]) -> Tensor:
     """Measured less fitted force, both through the filter: a kink has frequencies that no filtered motion has."""
     law, force = one.acting.element.law, one.acting.force(numbers)
     bent = law is not None and (law.tension_only or bool(law.table) or numbers["free_play"].value > 0.0)
-    return one.force - (one.acting.trial.motion.smoother(force) if bent else force)
+    return one.left(smoothed(force, one.acting.trial.motion) if bent else force)
 
 
 def _steepness(one: Measured, numbers: dict[str, Value]) -> Tensor:
     """Derivative of the law's force with respect to the length, by the stiffness that acts at each frame."""
     law = one.acting.element.law
     if law is None or "rest" not in numbers:
-        return torch.zeros_like(one.force)
-    return one.acting.slopes(numbers, ("rest",))[0]
+        return torch.zeros_like(one.read)
+    return _slopes(one, numbers, ("rest",))[0]
+
+
+def _slopes(one: Measured, numbers: dict[str, Value], names: tuple[str, ...]) -> Tensor:
+    """Derivatives of the force in the known frames, 0 where a late command is not known."""
+    return torch.nan_to_num(one.acting.slopes(numbers, names))[:, one.known]
 
 
 def _white(
@@ -186,7 +215,7 @@ def _judged(
     slopes = []
     for one in measured:
         sd = (noise**2 + (_steepness(one, values) * length_sd) ** 2).sqrt().cpu().numpy()
-        slopes.append((one.acting.slopes(values, names).cpu().numpy() / sd).T * scale)
+        slopes.append((_slopes(one, values, names).cpu().numpy() / sd).T * scale)
     bread = sum((J.T @ J for J in slopes), np.zeros((len(names),) * 2))
     alike = _alike(bread, names)
     residual = float(torch.cat([_residual(one, values) for one in measured]).square().mean().sqrt())
@@ -268,7 +297,7 @@ def _in_proportion(
 ) -> np.ndarray:
     """Covariance from an error of the length that goes with its changes, and from one common to all frames."""
     move = np.zeros((2, len(names)))
-    length = torch.cat([m.acting.act.length for m in measured])
+    length = torch.cat([m.length for m in measured])
     middle = float(length.median())
     turns = measured[0].acting.element.turns
     by_course = options.angle_course_sd / max(float(length.std()), LEAST_COURSE)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.devices.base_columns import Acting, about_root, acting, known_external
+from torchid.devices.base_columns import Acting, about_root, acting, heard, known_external
 from torchid.devices.device import Device, Element
 from torchid.devices.joint_fit import Considered, Extra, JointFit, fit_jointly
 from torchid.devices.laws import Channels
@@ -113,7 +113,7 @@ def _linearised(
             for unit in acts[k].act.ground.values():
                 total = total + (unit * force).T
             some.append(-acts[k].act.unit[None, :6] * acts[k].slopes(full, element.unknown)[:, None])
-        moved.append(replace(trial, wrench=trial.wrench + total))
+        moved.append(replace(heard(trial, total), wrench=torch.nan_to_num(trial.wrench + total)))
         empty = trial.wrench.new_zeros(6, 0, len(trial.wrench))
         columns.append(torch.cat(some).movedim(0, 1) if some else empty)
     return moved, columns

@@ -16,7 +16,7 @@ from torchid.devices import Device, refuse_foreign
 from torchid.errors import ConfigError, DataError
 from torchid.evaluation.answers import answer
 from torchid.evaluation.back import lever_arms
-from torchid.evaluation.contacts import Feet, count_contacts, feet_of
+from torchid.evaluation.contacts import Feet, count_contacts, feet_of, refuse_twice
 from torchid.evaluation.cycles import Course, Cycle, find_cycles, outliers
 from torchid.evaluation.device_draws import device_deviations
 from torchid.evaluation.draws import torque_deviations
@@ -65,6 +65,7 @@ def evaluate(config: Config, progress: OnStage = lambda stage, fraction: None) -
     """
     refuse_nothing(config)
     devices = worn_devices(config)
+    refuse_twice(config, devices)
     _refuse_foreign(config, devices)  # before hours of work
     config = with_conditions(config, devices)
     outcome = run_experiment(config, progress)
@@ -165,7 +166,9 @@ def judge(config: Config, outcome: Outcome, material: Material) -> Evaluation:
     """
     options, trials = config.evaluate, material.trials
     bodies = (outcome.fit, outcome.phi, False), (outcome.scaled, outcome.prior_scaled.mean, True)
-    feet, plain_feet = (feet_of(config, trials, fit, phi, scaled) for fit, phi, scaled in bodies)
+    feet, plain_feet = (
+        feet_of(config, trials, fit, phi, scaled, material.worn, material.recorded) for fit, phi, scaled in bodies
+    )
     deviations = torque_deviations(outcome, trials, feet, options.draws, config.seed)
     known = _rows(config, *bodies[0], material, feet, deviations)
     plain = _rows(config, *bodies[1], material, plain_feet, None)

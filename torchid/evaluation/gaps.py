@@ -9,7 +9,7 @@ from torchid.devices import Finding
 from torchid.evaluation.draws import SAID
 from torchid.evaluation.evaluation import Evaluation, Gap
 from torchid.evaluation.measures import MEASURES
-from torchid.evaluation.wearing import carried
+from torchid.evaluation.wearing import Worn, carried
 from torchid.regressor.rows import predict
 from torchid.wording import listing, plural
 
@@ -54,14 +54,37 @@ def _sheets(found: Evaluation) -> Iterator[Gap]:
             if finding.wrong and finding.kind == "unexplained":
                 yield Gap(
                     f"{finding.found:.0%} of what {finding.where} of the device of {condition} does",
-                    f"the law of its sheet leaves so much of what its sensor read: {finding.why}",
+                    f"its law, with numbers fitted anew, leaves so much of what its sensor read: {finding.why}. Its "
+                    "share is what the sensor read all the same",
                 )
             elif finding.wrong:
                 yield Gap(
                     f"{finding.kind.replace('_', ' ')}: {finding.where} of the device of {condition}",
-                    f"{contradicted(finding)}. Shares are computed with the sheet's numbers; `unknown` in their "
-                    "place has them identified",
+                    f"{contradicted(finding)}. {_used(finding, worn)}",
                 )
+
+
+def _used(finding: Finding, worn: Worn) -> str:
+    """What shares are computed with in spite of a finding, and what a user can do about it."""
+    if finding.kind == "carried_elsewhere":
+        return (
+            f"Shares are computed with the part on {finding.sheet}; if it was worn elsewhere, write that segment and "
+            "the centre of mass in its axes into the sheet (`unknown` finds no place), and evaluate again"
+        )
+    if finding.kind == "strap_slides":
+        return (
+            "Its share is what its sensor read, along the line that the sheet says. If the strap slid, give that trial "
+            "a condition with a sheet of its own; if markers were knocked, leave the trial out"
+        )
+    if any(finding.where.startswith(f"{name}.") for name in worn.read):
+        return (
+            "Its share is what its sensor read, and the number is used in frames without a reading alone: correct it, "
+            "or write `unknown`"
+        )
+    return (
+        "Shares are computed with the sheet's number, as closely as its standard deviation holds it; `unknown` in its "
+        "place has it identified from the recordings alone"
+    )
 
 
 def _coordinates(found: Evaluation) -> Iterator[Gap]:
@@ -115,7 +138,8 @@ def _device(found: Evaluation) -> Iterator[Gap]:
         for element in worn.left_out:
             yield Gap(
                 f"what {element} of the device of {condition} does",
-                "a number of it is unknown and no sensor tells it: its share is counted as the human's",
+                "a number of it is unknown, and no sensor tells something in every trial and reads in all of its "
+                "frames: its share is counted as the human's",
             )
         for name, parameter in worn.parameters.items():
             if "why" in parameter:

@@ -24,6 +24,7 @@ from torchid.devices import (
     load_device,
     placed,
     read_channels,
+    tells,
     told_of,
 )
 from torchid.devices.draws import parts_draws
@@ -55,6 +56,8 @@ class Worn:
     """Its sheet against what the recordings tell."""
     left_out: tuple[str, ...] = ()
     """Elements whose forces nobody knows."""
+    read: tuple[str, ...] = ()
+    """Elements whose force a sensor reads in some trial, which is their share there."""
     parts: Float[Tensor, "bodies 10"] | None = None
     """What its parts add to the bodies' inertial parameters, where it was identified; None: as its sheet says."""
     draws: tuple[Device, ...] = ()
@@ -156,7 +159,12 @@ def _usable(device: Device, recorded: Mapping[str, dict[str, Tensor]]) -> Worn:
     """A device without the elements that nobody knows the force of."""
     known = told_of(device, recorded.values())
     kept = {element.name for element in known.elements}
-    return Worn(known, left_out=tuple(one.name for one in device.elements if one.name not in kept))
+    heard = {name for trial in recorded.values() for name, values in trial.items() if tells(values)}
+    return Worn(
+        known,
+        left_out=tuple(one.name for one in device.elements if one.name not in kept),
+        read=tuple(one.name for one in known.elements if one.sensor.force in heard),
+    )
 
 
 def carried(worn: Worn, tree: Tree, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "bodies 10"]:

@@ -44,7 +44,12 @@ moment over the weight [m]."""
 
 
 def wrenches_under(
-    followed: Followed, fit: GeometryFit, phi: Float[Tensor, "bodies 10"], trial: Trial, options: ContactOptions
+    followed: Followed,
+    fit: GeometryFit,
+    phi: Float[Tensor, "bodies 10"],
+    trial: Trial,
+    options: ContactOptions,
+    given: Float[Tensor, "frames dofs"] | None = None,
 ) -> ContactWrenches | None:
     """Return the wrench of every contact of a trial; None for a body without any, or where nobody may tell more than
     plates do of one contact alone.
@@ -52,9 +57,11 @@ def wrenches_under(
     Args:
         followed: the trial's motion, and its contacts where it has forces.
         fit: geometry of the body.
-        phi: inertia of the body.
+        phi: inertia of the body with what it carries.
         trial: the recording.
         options: of contact; ``torques`` tells what may be shared or predicted.
+        given: generalised forces of a device, supports from the ground included, NaN where nobody knows them; base
+            rows about the root's origin in W. Neither contacts nor the person supply them.
 
     Returns:
         Wrenches through the filter of the motion, and where each comes from.
@@ -67,10 +74,12 @@ def wrenches_under(
     forces, contact = _plates(followed, fit, trial, outlines, options)
     patches = None if contact.others is None else patches_of(fit, followed.tracked, options, contact.others.bearing)
     com, needed = body_needs(tree, geometry, motion, phi)
+    given = torch.zeros_like(motion.q) if given is None else given
+    needed = needed - wrench_about(given[:, :6], -motion.q[:, :3])
     predicted = _needed(followed, contact, needed, motion, phi) if options.torques == "predicted" else None
     return contact_wrenches(
         contact, outlines, forces, com, motion.smoother, predicted,
-        _effort(tree, geometry, motion, phi, contact.bodies), options, patches=patches,
+        _effort(tree, geometry, motion, phi, contact.bodies, given), options, patches=patches,
     )  # fmt: skip
 
 
@@ -110,17 +119,21 @@ def body_needs(
 
 def _needed(followed: Followed, contact: Contact, needed: Tensor, motion: Motion, phi: Tensor) -> Needed:
     """What the body needs, and how far that is from what plates measured of the whole body."""
-    known = torch.isfinite(followed.tracked.error).any(dim=1)
+    told = torch.isfinite(needed).all(dim=1)
+    known = torch.isfinite(followed.tracked.error).any(dim=1) & told
     weight = float(phi[:, 0].sum()) * GRAVITY
     sd = needed.new_tensor([NEEDED_SD[0] * weight] * 3 + [NEEDED_SD[1] * weight] * 3)
-    if followed.wrench is not None and bool(contact.used.any()):
+    if followed.wrench is not None and bool((contact.used & told).any()):
         gap = wrench_about(needed - followed.wrench.wrench, motion.q[:, :3])
-        sd = gap[contact.used].square().mean(0).sqrt()
+        sd = gap[contact.used & told].square().mean(0).sqrt()
     return Needed(needed, known, sd, motion.q[:, :3])
 
 
-def _effort(tree: Tree, geometry: Geometry, motion: Motion, phi: Tensor, bodies: tuple[str, ...]) -> Effort:
-    """Torques of the joints between root and contacts as rows on the contacts' wrenches, over their deviation.
+def _effort(
+    tree: Tree, geometry: Geometry, motion: Motion, phi: Tensor, bodies: tuple[str, ...], given: Tensor
+) -> Effort:
+    """The person's torques of the joints between root and contacts as rows on the contacts' wrenches, over their
+    deviation; of frames in which nobody knows what a device gives, as if it gave nothing.
 
     tau = S' (what the bodies beyond the joint need - the wrenches on them), with S a joint's twist about the root's
     origin r: in terms of a wrench (f, m) about the world's origin, S_l f + S_a (m - r x f).
@@ -134,6 +147,7 @@ def _effort(tree: Tree, geometry: Geometry, motion: Motion, phi: Tensor, bodies:
         part = slice(part.start, min(part.stop, len(motion.q)))
         state = dynamic_state(tree, geometry, *(x[part].T.contiguous() for x in (motion.q, motion.v, motion.a)))
         needed = generalised_forces(state, body_wrenches(state.plan, body_rows(state), phi))
+        needed = needed - torch.nan_to_num(given[part]).T
         S = tree.fold(state.at.q, joint_axes(state)[0])
         own = S[rows].permute(2, 0, 1)
         root = motion.q[part, None, :3].expand(-1, len(rows), -1)
