@@ -21,6 +21,7 @@ from torchid.cli import app
 from torchid.config import Config, InvalidConfig, Study, load_evaluation
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.evaluation.effects import hedges_paired
+from torchid.evaluation.evaluation import Gap
 from torchid.evaluation.study.compare import least_subjects
 from torchid.evaluation.study.study import pool, subjects_of
 from torchid.evaluation.study.subject import read_subject
@@ -285,6 +286,18 @@ def test_configs_of_subjects_are_evaluated_first(tmp_path: Path, seed: int) -> N
     assert [one.name for one in found] == ["S0", "S2"] and stages == ["S0: geometry", "S2: geometry"]
     assert [gap.what for gap in refused] == ["subject S1"] and "no cycle was found" in refused[0].why
     assert pool(study, found, refused).gaps[0] is refused[0]
+
+
+def test_why_too_few_subjects_are_left_is_said(tmp_path: Path, seed: int) -> None:
+    """With the reason that left the others out, however many did."""
+    study = study_of(tmp_path, drawn(seed, 2))
+    found, _ = subjects_of(study, lambda stage, fraction: None)
+    refused = [Gap(f"subject X{k}", f"left out: no cycle was found under condition {k}") for k in range(3)]
+    for left in ((), found[:1]):
+        with pytest.raises(DataError) as caught:
+            pool(study, left, refused)
+        assert caught.value.code == "study.nothing" and "left subjects out" in (caught.value.remedy or "")
+        assert all(gap.what in caught.value.found and gap.why in caught.value.found for gap in refused)
 
 
 @pytest.mark.slow

@@ -116,10 +116,12 @@ def pool(study: Study, subjects: Sequence[Subject], refused: Sequence[Gap] = ())
     having = {c: [one for one in subjects if c in one.conditions] for c in every}
     compared = [c for c in every if len(having[c]) >= 2]
     if not compared:
+        had = [f"{one.name}: {', '.join(one.conditions)}"[:200] for one in subjects]
+        mend = "Mend what left subjects out; else n" if refused else "N"
         raise DataError(
             "study.nothing", "no condition was recorded with two subjects or more", source=study.name,
-            found="; ".join(f"{one.name}: {', '.join(one.conditions)}" for one in subjects)[:300] or "no subject",
-            remedy="Name the same conditions alike in the subjects' configs, or add subjects",
+            found="; ".join((*(f"{gap.what} {gap.why}"[:200] for gap in refused), *had)) or "no subject",
+            remedy=f"{mend}ame the same conditions alike in the subjects' configs, or add subjects",
         )  # fmt: skip
     comparisons = tuple(compare_condition(having[c], c, len(compared), study) for c in compared)
     gaps = (*refused, *_lacking(subjects, having), *(gap for one in comparisons for gap in _limits(one, study.level)))
