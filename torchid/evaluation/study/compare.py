@@ -58,7 +58,7 @@ class SubjectsComparison:
     answers: dict[str, Answer]
     """By body."""
     least_p: float
-    """Smallest p-value that so many subjects and permutations can give, before it is multiplied by the number of conditions."""
+    """Least p-value that so many subjects and permutations give, before the number of conditions multiplies it."""
     testable: bool
     """Whether so small a p-value, multiplied by that number, would be a finding."""
     wanted: int

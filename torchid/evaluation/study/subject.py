@@ -42,7 +42,7 @@ class Courses:
     mean: dict[str, Float[Tensor, "points courses"]]
     """By ``SHARES``, and ``template``: the human's with the scaled template, or the model as shipped."""
     taken: dict[str, float]
-    """Part of the load on each coordinate that the device takes: 1 - int |human| / int |demand|, over the time of all cycles."""
+    """Part of the load on each coordinate that the device takes: 1 - int |human| dt / int |demand| dt, all cycles."""
 
 
 @dataclass(frozen=True)
