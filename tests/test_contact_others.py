@@ -3,6 +3,7 @@
 import math
 import sys
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from benchmarks import hidden_contact
 
 from torchid.agreement.judge import judge
 from torchid.config import InvalidConfig, load_config
+from torchid.config.conditions import Condition
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.options import ContactOptions
 from torchid.contact.other_options import Near, OtherContact
@@ -24,6 +26,7 @@ from torchid.contact.sharing.records import Needed, Source
 from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import ConfigError, DataError, OptionError
 from torchid.evaluation.back import low_back
+from torchid.experiment import run
 from torchid.experiment.contacts import sharing_notes, wrenches_under
 from torchid.experiment.others import check_others, local_points, refuse_unknown_plates
 from torchid.experiment.read import on_feet
@@ -359,8 +362,32 @@ def test_contacts_that_the_session_does_not_have_are_refused(name: str, contact:
     config = config.model_copy(update={"contact": ContactOptions(others={name: contact})})
     with pytest.raises((ConfigError, DataError)) as refusal:
         check_others(config, small_session.assignment(), trials)
-        refuse_unknown_plates(config, trials)
+        refuse_unknown_plates(config, trials.values())
     assert refusal.value.code == code and said in refusal.value.remedy
+
+
+def test_a_plate_that_no_trial_has_is_refused_before_the_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Also where trials with a device on are left to an evaluation, which may be those that have the plate."""
+    config = load_config(small_session.config())
+    worn = config.trials[-1].model_copy(update={"condition": "on"})
+    contact = ContactOptions(others={"rail": OtherContact("hand_r", "loaded", plate=9)})
+    conditions = {"without": Condition(reference=True), "on": Condition(device="exo")}
+    config = config.model_copy(update={"trials": (*config.trials[:-1], worn), "conditions": conditions,
+                                       "contact": contact, "out": tmp_path})  # fmt: skip
+    monkeypatch.setattr(run, "compute_outcome", lambda *given: pytest.fail("the body was fitted first"))
+    with pytest.raises(ConfigError) as refusal:
+        run.run_experiment(config)
+    assert refusal.value.code == "contact.plate" and "1, 2, 3, 4" in refusal.value.remedy
+
+
+def test_trials_are_read_until_all_plates_are_found():
+    """A recording that tells nothing more stays closed."""
+    config = load_config(small_session.config())
+    config = config.model_copy(update={"contact": ContactOptions(others={"rail": OtherContact("hand_r", plate=2)})})
+    (first, *_) = (item.trial for item in small_session.session().trials)
+    rest = iter([first, first])
+    refuse_unknown_plates(config, chain([first], rest))
+    assert len(list(rest)) == 2
 
 
 def hidden_case(seed: int, seated: bool) -> tuple:

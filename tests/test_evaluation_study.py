@@ -19,9 +19,11 @@ from typer.testing import CliRunner
 
 from torchid.cli import app
 from torchid.config import Config, InvalidConfig, Study, load_evaluation
-from torchid.errors import ConfigError, DataError, InputError
+from torchid.config.study import Member
+from torchid.errors import ConfigError, DataError, InputError, TorchidError
 from torchid.evaluation.effects import hedges_paired
-from torchid.evaluation.study.compare import least_subjects
+from torchid.evaluation.evaluation import Gap
+from torchid.evaluation.study.compare import least_permutations, least_subjects
 from torchid.evaluation.study.study import pool, subjects_of
 from torchid.evaluation.study.subject import read_subject
 from torchid.evaluation.study.write import FILES, evaluate_study
@@ -73,7 +75,8 @@ def folder(out: Path, name: str, changes: dict[str, dict[str, float | None]], **
         data = {n: (by, x) for n, x in (("human", demand - device), ("demand", demand), ("device", device),
                                         ("human_template", 1.1 * demand))}  # fmt: skip
         coords = {"course": [f"{j} torque_Nm" for j in values], "percent": np.linspace(0.0, 100.0, POINTS),
-                  "trial": ("cycle", ["a", "a", "b"]), "side": ("cycle", ["", "", ""])}  # fmt: skip
+                  "trial": ("cycle", ["a", "a", "b"]), "side": ("cycle", ["", "", ""]),
+                  "duration": ("cycle", [1.0, 1.2, 1.1])}  # fmt: skip
         write_netcdf(out / f"cycles_{c}.nc", [xarray.Dataset(data, coords)])
     return out
 
@@ -285,6 +288,84 @@ def test_configs_of_subjects_are_evaluated_first(tmp_path: Path, seed: int) -> N
     assert [one.name for one in found] == ["S0", "S2"] and stages == ["S0: geometry", "S2: geometry"]
     assert [gap.what for gap in refused] == ["subject S1"] and "no cycle was found" in refused[0].why
     assert pool(study, found, refused).gaps[0] is refused[0]
+
+
+def test_why_too_few_subjects_are_left_is_said(tmp_path: Path, seed: int) -> None:
+    """With the reason that left the others out, however many did."""
+    study = study_of(tmp_path, drawn(seed, 2))
+    found, _ = subjects_of(study, lambda stage, fraction: None)
+    refused = [Gap(f"subject X{k}", f"left out: no cycle was found under condition {k}") for k in range(3)]
+    for left in ((), found[:1]):
+        with pytest.raises(DataError) as caught:
+            pool(study, left, refused)
+        assert caught.value.code == "study.nothing" and "left subjects out" in (caught.value.remedy or "")
+        assert all(gap.what in caught.value.found and gap.why in caught.value.found for gap in refused)
+
+
+def test_permutations_too_few_for_the_level_test_nothing(tmp_path: Path, seed: int) -> None:
+    """Signs that are drawn cannot reach a level below one of their number; that is no verdict, and names the key."""
+    assert [least_permutations(0.05, 1), least_permutations(0.01, 1), least_permutations(0.05, 6)] == [20, 100, 120]
+    study = study_of(tmp_path, drawn(seed), permutations=99, level=0.01)
+    found = evaluate_study(study)
+    (one,) = found.comparisons
+    assert not one.testable and one.needs == (False, True) and one.least_p == 1 / 99
+    assert any("permutations: 100 are the least" in gap.why for gap in found.gaps)
+    page = shown_text((study.out / "subjects.html").read_text())
+    assert "permutations: 100 are the least" in page and "than chance" not in page
+    again = pool(study.model_copy(update={"permutations": 100}), found.subjects).comparisons[0]
+    assert again.testable and again.needs == (False, False)
+
+
+def test_what_the_device_takes_is_weighed_by_time(tmp_path: Path, seed: int) -> None:
+    """A cycle of four seconds counts as four of one."""
+    out = folder(tmp_path, "S0", drawn(seed, 1)["S0"])
+    path = out / "cycles_spring.nc"
+    data = xarray.load_dataset(path, engine="h5netcdf")
+    demand, parts, lasting = data.demand.values, np.array([0.8, 0.1, 0.4]), np.array([1.0, 4.0, 2.0])
+    data["human"] = data.demand * (1.0 - xarray.DataArray(parts, dims="cycle"))
+    path.unlink()
+    write_netcdf(path, [data.assign_coords(duration=("cycle", lasting))])
+    load = np.trapezoid(np.abs(demand[..., 0]), axis=1) * lasting
+    taken = read_subject(out).courses["spring"].taken
+    assert taken[JOINTS[0]] == pytest.approx((load * parts).sum() / load.sum())
+
+
+def test_who_has_no_compression_is_not_below_its_limit(tmp_path: Path, seed: int) -> None:
+    """Of eight subjects two have none: the page counts six."""
+    study = study_of(tmp_path, drawn(seed))
+    for name in ("S2", "S5"):
+        path = tmp_path / name / "evaluation.json"
+        table = json.loads(path.read_text())
+        for answer in (table, table["template"]):
+            del answer["joints"]["L5/S1"]
+            answer["differences"] = [row for row in answer["differences"] if row["where"] != "L5/S1"]
+        write_json(path, table)
+    evaluate_study(study)
+    page = shown_text((study.out / "subjects.html").read_text())
+    assert "above the limit in 0 of 6 subjects" in page and "above the limit in 6 of 6 subjects" in page
+
+
+@pytest.mark.parametrize("fault", ["missing", "damaged", "same name", "foreign"])
+def test_what_is_wrong_with_a_study_is_said_before_any_evaluation(tmp_path: Path, seed: int, fault: str) -> None:
+    """A folder, a name or a file that is in the way, listed behind a config that would take hours."""
+    study, made = study_of(tmp_path, drawn(seed, 2)), []
+    (tmp_path / "a.c3d").write_text("")
+    name = "S1" if fault == "same name" else "S9"
+    document = {"subject": {"name": name}, "markers": "opencap", "trials": [{"name": "one", "file": "a.c3d"}],
+                "out": "S9"}  # fmt: skip
+    (tmp_path / "one.yaml").write_text(yaml.safe_dump(document))
+    study = study.model_copy(update={"subjects": (Member(config=tmp_path / "one.yaml"), *study.subjects)})
+    if fault == "missing":
+        (tmp_path / "S1" / "evaluation.json").unlink()
+    if fault == "damaged":
+        (tmp_path / "S1" / "cycles_spring.nc").write_text("no")
+    if fault == "foreign":
+        study.out.mkdir()
+        (study.out / "subjects.html").write_text("mine")
+    code = {"same name": "study.twice", "foreign": "results.foreign"}.get(fault, "study.subject")
+    with pytest.raises(TorchidError) as caught:
+        evaluate_study(study, make=lambda config, progress: made.append(config))
+    assert caught.value.code == code and not made
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import pytest
 import torch
 from small_session import outcome
 
+from torchid.diagnosis.diagnose import select_effects
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import effect
 from torchid.effects.place import SESSION, Interval, Place
@@ -27,6 +28,7 @@ from torchid.outcome.tables import diagnosis_table
 from torchid.report.decisions import sentence
 from torchid.results import OutputFolder
 from torchid.tracking.statement import Kind, Statement
+from torchid.witnesses.faults import name_faults, sizes, suspects_of, without
 from torchid.witnesses.panel import Panel
 from torchid.witnesses.testimony import Claim, answers, hear
 from torchid.witnesses.watched import share_load
@@ -111,13 +113,29 @@ def refuted(base: Outcome) -> tuple[tuple[Cause, ...], tuple[Refuted, ...]]:
 
 
 def test_what_is_refuted_is_not_named_again_nor_anything_in_its_place() -> None:
-    """Without it the others have to describe what witnesses state, and nothing else here describes it."""
+    """Nothing is named of a session in which all that was named has not stood."""
     base, rng = outcome(), np.random.default_rng(SEED)
     session = planted(base, "time_offset", *drawn("time_offset", rng, base))
     named, gone = refuted(session)
-    assert named
-    verdict = examine(session, panel(session), gone)
-    assert not verdict.causes and all(step.rule == "witnesses_disagree" for step in verdict.trace), verdict
+    assert named and examine(session, panel(session), gone).causes == ()
+
+
+def test_what_is_left_beside_a_refuted_fault_has_the_size_that_it_has_alone() -> None:
+    """Of a clock and a gain, which a wrong record of the mass is much like, the clock's place alone is barred."""
+    base, rng = outcome(), np.random.default_rng(SEED)
+    session = planted(base, "plate_gain", *drawn("plate_gain", rng, base))
+    heard = panel(planted(session, "time_offset", *drawn("time_offset", rng, base)))
+    faults = name_faults(heard, suspects_of(heard, select_effects((), ())))
+    alike = ("plate_gain", "body_mass")
+    gains = [one for one in faults if one.suspect.effect.name in alike]
+    found = {(one.suspect.effect.name, one.suspect.place.where) for one in faults}
+    kept = without(heard, faults, {one for one in found if one[0] not in alike})
+    assert 0 < len(gains) < len(faults) and all(a.suspect is b.suspect for a, b in zip(kept, gains, strict=True)), found
+    alone = sizes(heard, [one.suspect for one in gains])
+    for one, size, before in zip(kept, alone, gains, strict=True):
+        torch.testing.assert_close(one.size.mean, size.mean)
+        torch.testing.assert_close(one.size.covariance, size.covariance)
+        assert (one.size.mean - before.size.mean).norm() > 1e-3 * before.size.mean.norm()
 
 
 def test_what_was_found_beside_a_refuted_fault_is_looked_for_again(

@@ -28,7 +28,7 @@ def cycles_dataset(found: Evaluation, condition: str) -> xarray.Dataset:
     }
     if rows.human_draws is not None:
         held["human_sd"] = (by_course, rows.human_draws[:, own].std(0).numpy())
-    cycles = [found.cycles[k] for k in own]
+    cycles, times = [found.cycles[k] for k in own], {t.name: t.followed.motion.time for t in found.trials}
     coords = {
         "percent": np.linspace(0.0, 100.0, rows.human.shape[1]),
         "course": [f"{column.where} {column.measure}" for column in layout.courses],
@@ -36,6 +36,7 @@ def cycles_dataset(found: Evaluation, condition: str) -> xarray.Dataset:
         "column": [f"{column.where} {column.measure}" for column in layout.columns],
         "trial": (("cycle",), [cycle.trial for cycle in cycles]),
         "side": (("cycle",), [cycle.side for cycle in cycles]),
+        "duration": (("cycle",), [float(times[c.trial][c.stop] - times[c.trial][c.start]) for c in cycles]),
         "frame": (("cycle", "end"), np.array([[c.start, c.stop] for c in cycles], dtype=np.int64).reshape(-1, 2)),
     }
     return xarray.Dataset(

@@ -10,7 +10,7 @@ from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.errors import DataError, InputError
 from torchid.experiment.fits import OnStage
-from torchid.experiment.others import check_others, refuse_unknown_plates
+from torchid.experiment.others import check_others
 from torchid.experiment.read import read_recording, read_setup
 from torchid.experiment.run import run_key
 from torchid.experiment.stages import put_aside
@@ -79,7 +79,6 @@ def _worn_session(config: Config, outcome: Outcome, folder: OutputFolder) -> Ses
     files = {file.name: file for file in config.trials if file.name not in outcome.session.trials}
     trials = {n: folder.aside(synchronise(read_recording(file, config, markers))) for n, file in files.items()}
     check_others(config, outcome.session.assignment, trials)
-    refuse_unknown_plates(config, outcome.session.trials | trials)
     wrong = look_at_session(trials, outcome.session.assignment)
     sound, _ = taken_out(trials, wrong, folder.aside)
     every = outcome.session.trials | {name: replace(trial, role="heldout") for name, trial in sound.items()}

@@ -41,7 +41,7 @@ def check_session(config: Config) -> Iterator[Finding]:
         assignment = assign_markers(model, markers, tuple(trials), config.unlisted_choice)
         named = {trial.name: trial for trial in trials}
         check_others(config, assignment, named)
-        refuse_unknown_plates(config, named)
+        refuse_unknown_plates(config, trials)
         wrong = look_at_session({trial.name: trial for trial in trials}, assignment)
         # Leaps and frozen markers have been said of each recording.
         between = [one for one in wrong if one.kind in (Kind.EXCHANGED, Kind.MOVED)]

@@ -1,6 +1,6 @@
 """Contacts other than feet on the body of a session: where they touch it, when they bear, and what is refused."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -87,17 +87,21 @@ def check_others(config: Config, assignment: Assignment, trials: Mapping[str, Tr
         _refuse_times(one, trials, place)
 
 
-def refuse_unknown_plates(config: Config, trials: Mapping[str, Trial]) -> None:
+def refuse_unknown_plates(config: Config, trials: Iterable[Trial]) -> None:
     """Refuse contacts whose plate no recording has; a plate may be in some trials only.
 
     Args:
         config: with the contacts.
-        trials: all that the config lists.
+        trials: all that the config lists; read no further than plates are missing.
 
     Raises:
         ConfigError: ``contact.plate``.
     """
-    plates = {number_of(p, k) for t in trials.values() if t.forces for k, p in enumerate(t.forces.plates)}
+    wanted, plates = {one.plate for one in config.contact.others.values()} - {None}, set()
+    for trial in trials:
+        plates |= {number_of(p, k) for k, p in enumerate(trial.forces.plates)} if trial.forces else set()
+        if wanted <= plates:
+            return
     for name, one in config.contact.others.items():
         if one.plate is not None and one.plate not in plates:
             raise ConfigError(

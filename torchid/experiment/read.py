@@ -1,6 +1,6 @@
 """Recordings and model of a config, ready for the fits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from torchid.agreement.session import Recording, refuse_disagreement
@@ -91,6 +91,20 @@ def _own_markers(model: Model, config: Config) -> MarkerSet:
 def read_recording(file: TrialFile, config: Config, markers: MarkerSet) -> Trial:
     """One trial of a config, markers and forces each on their own clock. Errors as ``read_trial``."""
     return read_trial(file.name, file.file, file.forces, file.role, config.reading(file, markers.wanted))
+
+
+def read_each(config: Config, files: Iterable[TrialFile]) -> Iterator[Trial]:
+    """Read trials one by one, as they are asked for.
+
+    Args:
+        config: of the session.
+        files: of the trials.
+
+    Raises:
+        TorchidError: a file, the model or the marker set is at fault.
+    """
+    for file in files:
+        yield read_recording(file, config, read_setup(config)[2])
 
 
 def _recording(file: TrialFile, config: Config, markers: MarkerSet) -> Recording:

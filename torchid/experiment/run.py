@@ -4,6 +4,7 @@ import logging
 import math
 from dataclasses import replace
 from importlib.util import find_spec
+from itertools import chain
 
 import torch
 
@@ -13,7 +14,7 @@ from torchid.experiment.acceptance import impossible
 from torchid.experiment.contacts import sharing_notes, wrenches_under
 from torchid.experiment.fits import OnStage, fit_session, identify
 from torchid.experiment.others import refuse_unknown_plates
-from torchid.experiment.read import read_session
+from torchid.experiment.read import read_each, read_session
 from torchid.experiment.simulation import with_recordings
 from torchid.experiment.stages import cutoff, follow, put_aside, subject_prior, torques
 from torchid.experiment.standing import follow_each
@@ -59,8 +60,9 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
         progress("read", 0.0)
         with folder.timed("read"):
             session = read_session(config, folder.aside)
-            if len(listed) == len(config.trials) or not listed:
-                refuse_unknown_plates(config, session.trials)
+            known = {trial.name for trial in config.trials}
+            others = read_each(config, [file for file in listed if file.name not in known])
+            refuse_unknown_plates(config, chain(session.trials.values(), others))
         progress("read", 1.0)
         outcome, failure = compute_outcome(config, session, folder, progress)
         failure = failure or impossible(outcome)

@@ -58,17 +58,24 @@ class SubjectsComparison:
     answers: dict[str, Answer]
     """By body."""
     least_p: float
-    """Smallest p-value that so many subjects can give, before it is multiplied by the number of conditions."""
+    """Least p-value that so many subjects and permutations give, before the number of conditions multiplies it."""
+    testable: bool
+    """Whether so small a p-value, multiplied by that number, would be a finding."""
     wanted: int
-    """Subjects from which on a finding is possible."""
+    """Subjects from which on a finding is possible, with permutations enough."""
+    permutations: int
+    """At most so many ways of flipping signs are tried."""
+    wanted_permutations: int
+    """Permutations from which on a finding is possible, with subjects enough."""
     courses: tuple[Column, ...]
     differing: Float[Tensor, "points courses"]
     """Adjusted p-values of the courses of which a measure was found; NaN for the others."""
 
     @property
-    def testable(self) -> bool:
-        """Whether there are subjects enough for any finding."""
-        return len(self.subjects) >= self.wanted
+    def needs(self) -> tuple[bool, bool]:
+        """Whether more subjects and whether more permutations are needed for any finding."""
+        short = not self.testable
+        return short and len(self.subjects) < self.wanted, short and self.permutations < self.wanted_permutations
 
 
 def least_subjects(level: float, comparisons: int) -> int:
@@ -79,6 +86,16 @@ def least_subjects(level: float, comparisons: int) -> int:
         comparisons: conditions that are compared with the reference.
     """
     return 1 + math.ceil(math.log2(comparisons / level) - 1e-9)
+
+
+def least_permutations(level: float, comparisons: int) -> int:
+    """Randomly drawn signs from which on they can reach a level: the comparisons over their number are no larger.
+
+    Args:
+        level: family-wise.
+        comparisons: conditions that are compared with the reference.
+    """
+    return math.ceil(comparisons / level - 1e-9)
 
 
 def compare_condition(
@@ -96,18 +113,20 @@ def compare_condition(
     columns = tuple(Column(where, measure) for where, measure in keys)
     signs = flip(len(subjects), study.permutations, study.seed)
     complete = len(signs) == 2 ** len(subjects)
-    wanted = least_subjects(study.level, comparisons)
+    least_p = (2 if complete else 1) / len(signs)
+    testable = least_p * comparisons <= study.level
     answers = {}
     for body in BODIES:
         rows = [[_difference(one, body, condition, *key) for key in keys] for one in subjects]
-        answers[body] = _answer(torch.tensor(rows, dtype=torch.float64), signs, comparisons, study.level, wanted)
+        answers[body] = _answer(torch.tensor(rows, dtype=torch.float64), signs, comparisons, study.level, testable)
     courses = tuple(dict.fromkeys(column for one in subjects for column in one.courses[condition].columns))
     found = {columns[k].where for k in answers["identified"].found(study.level)}
     changes = torch.stack([_changes(one, condition, courses) for one in subjects])
     differing = _course_p(changes, [c.where in found for c in courses], signs)
     return SubjectsComparison(
-        subjects[0].reference, condition, tuple(subjects), columns, answers, (2 if complete else 1) / len(signs),
-        wanted, courses, differing,
+        subjects[0].reference, condition, tuple(subjects), columns, answers, least_p, testable,
+        least_subjects(study.level, comparisons), study.permutations, least_permutations(study.level, comparisons),
+        courses, differing,
     )  # fmt: skip
 
 
@@ -116,9 +135,9 @@ def _difference(subject: Subject, body: str, condition: str, where: str, measure
     return math.nan if own is None else own.value
 
 
-def _answer(values: Tensor, signs: Tensor, comparisons: int, level: float, wanted: int) -> Answer:
+def _answer(values: Tensor, signs: Tensor, comparisons: int, level: float, testable: bool) -> Answer:
     statistics = sign_means(values, signs)
-    if len(values) < wanted:
+    if not testable:
         statistics = torch.zeros_like(statistics)
     enough = torch.isfinite(values).sum(0) >= 2
     tested = step_down(torch.where(enough, statistics, 0.0), level)

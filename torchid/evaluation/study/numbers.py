@@ -99,6 +99,8 @@ def _method(found: Pooled) -> Iterator[Entry]:
         own = one.answers["identified"]
         yield Key("test", "subjects", one.condition), len(one.subjects), ""
         yield Key("test", "wanted", one.condition), one.wanted, ""
+        yield Key("test", "permutations", one.condition), one.permutations, ""
+        yield Key("test", "wanted_permutations", one.condition), one.wanted_permutations, ""
         yield Key("test", "least_p", one.condition), one.least_p, ""
         yield Key("test", "hypotheses", one.condition), int(own.tested.adjusted.isfinite().sum()), ""
         yield Key("test", "findings", one.condition), len(own.found(found.study.level)), ""
@@ -141,8 +143,9 @@ def _pressed(found: Pooled) -> Iterator[Entry]:
     for k, column in enumerate(columns):
         if (column.where, column.measure) == PRESSED:
             for condition in found.conditions:
-                above = int((condition_values(found, condition, "identified")[:, k] > NIOSH_N).sum())
-                yield Key("measure", "above_limit", condition, *PRESSED), above, ""
+                own = condition_values(found, condition, "identified")[:, k]
+                yield Key("measure", "above_limit", condition, *PRESSED), int((own > NIOSH_N).sum()), ""
+                yield Key("measure", "known", condition, *PRESSED), int(own.isfinite().sum()), ""
 
 
 def _shares(found: Pooled) -> Iterator[Entry]:

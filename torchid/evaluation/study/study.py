@@ -70,18 +70,20 @@ def subjects_of(
     configs = [None if one.config is None else load_config(one.config, one.set) for one in study.subjects]
     folders = [one.out if own is None else own.out for one, own in zip(study.subjects, configs, strict=True)]
     _refuse_twice([str(folder) for folder in folders], "folder")
+    finished = {one.out: read_subject(one.out) for one in study.subjects if one.out is not None}
+    _refuse_twice([own.subject.name for own in configs if own] + [one.name for one in finished.values()], "name")
     found, refused = [], []
     for folder, config in zip(folders, configs, strict=True):
         assert isinstance(folder, Path)
+        if config is None:
+            found.append(finished[folder])
+            continue
         try:
-            if config is not None:
-                make(config, _named(progress, config.subject.name))
+            make(config, _named(progress, config.subject.name))
         except DataError as error:
-            assert config is not None
             refused.append(Gap(f"subject {config.subject.name}", f"left out: {error.message} [{error.code}]"))
             continue
         found.append(read_subject(folder))
-    _refuse_twice([one.name for one in found], "name")
     return tuple(found), tuple(refused)
 
 
@@ -116,10 +118,12 @@ def pool(study: Study, subjects: Sequence[Subject], refused: Sequence[Gap] = ())
     having = {c: [one for one in subjects if c in one.conditions] for c in every}
     compared = [c for c in every if len(having[c]) >= 2]
     if not compared:
+        had = [f"{one.name}: {', '.join(one.conditions)}"[:200] for one in subjects]
+        mend = "Mend what left subjects out; else n" if refused else "N"
         raise DataError(
             "study.nothing", "no condition was recorded with two subjects or more", source=study.name,
-            found="; ".join(f"{one.name}: {', '.join(one.conditions)}" for one in subjects)[:300] or "no subject",
-            remedy="Name the same conditions alike in the subjects' configs, or add subjects",
+            found="; ".join((*(f"{gap.what} {gap.why}"[:200] for gap in refused), *had)) or "no subject",
+            remedy=f"{mend}ame the same conditions alike in the subjects' configs, or add subjects",
         )  # fmt: skip
     comparisons = tuple(compare_condition(having[c], c, len(compared), study) for c in compared)
     gaps = (*refused, *_lacking(subjects, having), *(gap for one in comparisons for gap in _limits(one, study.level)))
@@ -158,13 +162,15 @@ def _lacking(subjects: Sequence[Subject], having: dict[str, list[Subject]]) -> I
 
 
 def _limits(one: SubjectsComparison, level: float) -> Iterator[Gap]:
-    """Measures that subjects lack, and too few subjects."""
+    """Measures that subjects lack, and too few subjects or permutations."""
     what = f"{one.condition} against {one.reference}"
     if not one.testable:
+        least = (f"{one.wanted} subjects", f"permutations: {one.wanted_permutations}")
+        needed = listing([words for words, short in zip(least, one.needs, strict=True) if short])
         yield Gap(
             f"whether {what} differs",
-            f"{len(one.subjects)} subjects cannot show anything at a level of {level:g}: no p-value of flipped "
-            f"signs is below {one.least_p:g}; {one.wanted} subjects are the least that can",
+            f"{len(one.subjects)} subjects with permutations: {one.permutations} cannot show anything at a level of "
+            f"{level:g}: no p-value of flipped signs is below {one.least_p:g}; {needed} are the least that can",
         )
     known = one.answers["identified"].values.isfinite()
     lacking: dict[str, list[str]] = {}

@@ -42,7 +42,7 @@ class Courses:
     mean: dict[str, Float[Tensor, "points courses"]]
     """By ``SHARES``, and ``template``: the human's with the scaled template, or the model as shipped."""
     taken: dict[str, float]
-    """Part of the load on each coordinate that the device takes: 1 - int |human| / int |demand| over all cycles."""
+    """Part of the load on each coordinate that the device takes: 1 - int |human| dt / int |demand| dt, all cycles."""
 
 
 @dataclass(frozen=True)
@@ -119,13 +119,15 @@ def _interval(row: dict[str, Any]) -> Interval:
 def _courses(path: Path) -> Courses:
     with xarray.open_dataset(path, engine="h5netcdf") as data:
         columns = tuple(_column(str(name)) for name in data["course"].values)
+        lasting = torch.tensor(data["duration"].values, dtype=torch.float64)
         trials, sides = ([str(x) for x in data[name].values] for name in ("trial", "side"))
         held = {name: torch.tensor(data[name].values, dtype=torch.float64) for name in (*SHARES, "human_template")}
     foreign = torch.tensor([[bool(s and c.side) and s != c.side for c in columns] for s in sides], dtype=torch.bool)
     held = {name: x.masked_fill(foreign[:, None, :], torch.nan) for name, x in held.items()}
     mean = {name: _over_trials(x, trials) for name, x in held.items()}
     mean["template"] = mean.pop("human_template")
-    human, demand = (held[name].abs().nansum((0, 1)) for name in ("human", "demand"))
+    loads = torch.stack([torch.trapezoid(held[name].abs(), dim=1) * lasting[:, None] for name in ("human", "demand")])
+    human, demand = torch.where(loads.isfinite().all(0), loads, 0.0).sum(1)
     share = torch.where(demand > 0.0, 1.0 - human / demand, torch.nan)
     taken = {c.where: float(share[k]) for k, c in enumerate(columns) if c.measure == "torque_Nm"}
     return Courses(columns, mean, taken)

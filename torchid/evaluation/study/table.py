@@ -32,7 +32,8 @@ def study_table(found: Pooled) -> dict[str, Any]:
         "test": {
             one.condition: {
                 "subjects": [subject.name for subject in one.subjects], "least_p": one.least_p,
-                "subjects_wanted": one.wanted, "testable": one.testable,
+                "subjects_wanted": one.wanted, "permutations_wanted": one.wanted_permutations,
+                "testable": one.testable,
                 "findings": len(one.answers["identified"].found(found.study.level)),
             }
             for one in found.comparisons

@@ -1,6 +1,9 @@
 """Files of a study."""
 
-from torchid.config import Study
+from collections.abc import Callable
+
+from torchid.config import Config, Study
+from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.ledger import Ledger
 from torchid.evaluation.study.numbers import study_numbers
 from torchid.evaluation.study.report.page import render_study
@@ -14,17 +17,24 @@ from torchid.results import OutputFolder
 FILES = ("subjects.json", "subjects.csv", "subjects.nc", "subjects.html")
 
 
-def evaluate_study(study: Study, progress: OnStage = lambda stage, fraction: None) -> Pooled:
+def evaluate_study(
+    study: Study,
+    progress: OnStage = lambda stage, fraction: None,
+    make: Callable[[Config, OnStage], object] = evaluate,
+) -> Pooled:
     """Evaluate the subjects of a study, test them together, and write the study's files into its ``out``.
 
     Args:
         study: whom, and how.
         progress: called with stages and the share of each that is done.
+        make: evaluates a config.
 
     Raises:
         TorchidError: as of ``subjects_of`` and ``pool``; ``results.*`` where the folder cannot be written.
     """
-    subjects, refused = subjects_of(study, progress)
+    with OutputFolder(study.out, beside=True) as folder:
+        folder.claim(FILES)  # before hours of work, which may write into this folder too
+    subjects, refused = subjects_of(study, progress, make)
     found = pool(study, subjects, refused)
     with OutputFolder(study.out, beside=True) as folder:
         folder.claim(FILES)

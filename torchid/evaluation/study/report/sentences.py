@@ -104,15 +104,11 @@ def headline(found: Pooled, ledger: Ledger) -> str:
     said = []
     for one in found.comparisons:
         names = f"{clean(one.condition)} and {clean(one.reference)}"
-        count, every, findings, wanted = (
-            ledger.show(Key("test", name, one.condition), 0)
-            for name in ("subjects", "hypotheses", "findings", "wanted")
+        count, every, findings = (
+            ledger.show(Key("test", name, one.condition), 0) for name in ("subjects", "hypotheses", "findings")
         )
         if not one.testable:
-            said.append(
-                f"Whether {names} differ for people in general cannot be told from {count} subjects: {wanted} are the "
-                "least that can."
-            )
+            said.append(_untestable(ledger, one, names, count))
         else:
             number = len(one.answers["identified"].found(found.study.level))
             shown, verb = findings if number else "None", "differ" if number > 1 else "differs"
@@ -121,6 +117,19 @@ def headline(found: Pooled, ledger: Ledger) -> str:
             )
     level = ledger.show(Key("method", "level"), 0, 100.0)
     return " ".join(said) + f" The chance of any false finding is held at {level} %."
+
+
+def _untestable(ledger: Ledger, one: SubjectsComparison, names: str, count: str) -> str:
+    wanted, permutations, more = (
+        ledger.show(Key("test", name, one.condition), 0) for name in ("wanted", "permutations", "wanted_permutations")
+    )
+    least = (f"{wanted} subjects", f"permutations: {more}")
+    needed = " with ".join(words for words, short in zip(least, one.needs, strict=True) if short)
+    given = f" with permutations: {permutations}" if one.needs[1] else ""
+    return (
+        f"Whether {names} differ for people in general cannot be told from {count} subjects{given}: {needed} are the "
+        "least that can."
+    )
 
 
 def gap_line(ledger: Ledger, gap: Gap) -> str:

@@ -87,7 +87,7 @@ def _back(found: Pooled, ledger: Ledger) -> list[Block]:
         if not ledger.has(key) or not math.isfinite(ledger.value(key)):
             continue
         count = ledger.show(key._replace(statistic="above_limit"), 0)
-        every = ledger.show(Key("test", "recorded", condition), 0)
+        every = ledger.show(key._replace(statistic="known"), 0)
         said.append(f"{ledger.show(key, 0)} N in {clean(condition)} ({interval(ledger, key, 0)}; above the limit in "
                     f"{count} of {every} subjects)")  # fmt: skip
         above = above or ledger.value(key) > NIOSH_N
