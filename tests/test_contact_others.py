@@ -15,12 +15,14 @@ import small_session
 from benchmarks import hidden_contact
 
 from torchid.agreement.judge import judge
+from torchid.check_report import Given
 from torchid.config import InvalidConfig, load_config
 from torchid.config.conditions import Condition
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.options import ContactOptions
 from torchid.contact.other_options import Near, OtherContact
-from torchid.contact.others import Others, feet_alone, find_others
+from torchid.contact.others import Others, feet_alone, find_others, inside
+from torchid.contact.sharing.costs import Effort
 from torchid.contact.sharing.patches import Patch, axes_about, patch_rows, rest_of
 from torchid.contact.sharing.records import Needed, Source
 from torchid.contact.sharing.wrenches import contact_wrenches
@@ -516,3 +518,92 @@ def test_usual_places_are_where_segments_are_supported(segment: str):
         named = local_points(OtherContact(segment, "always", ("RFIN", (0.1, 0.0, 0.2))), *places)
         torch.testing.assert_close(named[0], attachment.mean[attachment.labels.index("RFIN")])
         assert named[1].tolist() == [0.1, 0.0, 0.2]
+
+
+def test_a_trunk_without_arms_has_no_usual_place():
+    """Nobody knows how high its shoulders are: points are asked for, and taken where they are given."""
+    given, model = small_session.assignment(), small_session.template()
+    bodies = tuple(replace(b, name=b.name.replace("upper_arm", "wing")) for b in model.tree.bodies)
+    tree = replace(model.tree, bodies=bodies)
+    places = (tree, torch.zeros(len(bodies), 3).double(), given.attachment, given.attachment.mean)
+    with pytest.raises(ConfigError) as refusal:
+        local_points(OtherContact("thorax", "always"), *places)
+    assert refusal.value.code == "contact.points" and "points" in refusal.value.remedy and "wing" in refusal.value.found
+    assert local_points(OtherContact("thorax", "always", ((-0.1, 0.0, 0.3),)), *places).tolist() == [[-0.1, 0.0, 0.3]]
+
+
+def held(effort_n: float, column: int) -> Effort:
+    """A joint beyond which the second and the last contact are, and which answers for all of their vertical force."""
+
+    def effort(part: slice) -> tuple[torch.Tensor, torch.Tensor]:
+        frames = len(TIME[part])
+        rows = torch.zeros(frames, 1, column + 1, 6, dtype=torch.float64)
+        rows[:, 0, [1, column], 2] = 10.0
+        return rows, torch.full((frames, 1), 10.0 * effort_n, dtype=torch.float64)
+
+    return effort
+
+
+def test_joints_do_not_answer_twice_for_what_is_measured():
+    """What a plate reads of a limb is taken off before its other contacts are told, beside the plates or shared."""
+    smoother, always = Smoother(10.0, RATE), torch.ones(FRAMES, 2, dtype=torch.bool)
+    handle, elbow = (acting((0.4, -0.3, z), pushing(0.0, 0.0, fz)) for z, fz in ((1.0, 60.0), (1.1, 30.0)))
+    forces = Forces(TIME, FEET, two_plates())
+    contact = seen(forces, Others(("elbow",), ("ulna_r",), always[:, :1], (-1,)))
+    needed, patches = need(smoother(FEET.sum(1) + elbow), 10.0), {"elbow": grip((0.4, -0.3, 1.1))}
+    given = contact, SOLES, forces, COM, smoother, needed
+    found = contact_wrenches(*given, held(380.0, 2), patches=patches)  # foot_r's 350 N are measured
+    assert float((found.of("elbow")[:, 2] - 30.0).abs().max()) < 2.0
+    wrench = torch.cat([FEET, (handle + elbow)[:, None]], dim=1)
+    forces = Forces(TIME, wrench, (*two_plates(), Plate("rail", None, number=3)))
+    contact = seen(forces, Others(("left", "right"), ("hand_l", "hand_r"), always, (2, 2)))
+    patches = {"left": grip((0.4, -0.3, 1.0)), "right": grip((0.4, -0.3, 1.1))}
+    found = contact_wrenches(contact, SOLES, forces, COM, smoother, None, held(380.0, 3), patches=patches)
+    assert float((found.of("right")[:, 2] - 30.0).abs().max()) < 2.0
+
+
+def test_two_rails_of_a_model_without_soles_are_not_pooled():
+    """Each is shared by its own hands, and a floor without feet is nobody's."""
+    loads = [
+        acting((0.5, y, 0.9), pushing(0.0, 0.0, fz)) for y, fz in ((0.3, 40.0), (0.1, 80.0), (-0.1, 5.0), (-0.3, 9.0))
+    ]
+    wrench = torch.stack([FEET.sum(1), loads[0] + loads[1], loads[2] + loads[3]], dim=1)
+    plates = (Plate("floor", square(0.0, 0.0, 0.8), number=1), Plate("a", None, number=2), Plate("b", None, number=3))
+    forces, names = Forces(TIME, wrench, plates), ("a_l", "a_r", "b_l", "b_r")
+    always = torch.ones(FRAMES, 4, dtype=torch.bool)
+    others = Others(names, ("hand_l", "hand_r", "ulna_l", "ulna_r"), always, (1, 1, 2, 2))
+    contact = find_contact({}, forces, always[:, 0], RATE, 0.0, others=others)
+    assert contact.floor == () and bool(contact.used.all()) and not bool(contact.untold[:, :0].any())
+    patches = {name: grip((0.5, y, 0.9)) for name, y in zip(names, (0.3, 0.1, -0.1, -0.3), strict=True)}
+    smoother = Smoother(10.0, RATE)
+    found = contact_wrenches(contact, {}, forces, COM, smoother, patches=patches)
+    assert bool((found.source == Source.SHARED).all())
+    for first, plate in ((0, 1), (2, 2)):
+        own = found.wrench[:, first : first + 2].sum(1)
+        torch.testing.assert_close(own, smoother(wrench[:, plate]), atol=1e-5, rtol=1e-9)
+
+
+def test_a_declared_hand_does_not_tell_of_feet_without_plates():
+    """Torques of the legs stay unknown in a trial without plates, those of the arm while it bears."""
+    outcome = small_session.outcome()
+    item = replace(outcome.followed["arms"], contact=None, wrench=None)
+    trial = replace(outcome.session.trials["arms"], forces=None)
+    options = ContactOptions(others={"rail": OtherContact("hand_r", {"arms": ((0.5, 1.0),)})})
+    tree, time = outcome.fit.model.tree, item.motion.time
+    under = wrenches_under(item, outcome.fit, outcome.phi, trial, options)
+    found = torques(item, tree, outcome.fit.geometry, outcome.phi, trial, under)
+    arm, leg = (found[:, [r for r in limb(tree, body) if r >= 6]] for body in ("hand_r", "foot_l"))
+    bears = inside(((0.5, 1.0),), time)
+    assert bool(torch.isnan(leg).all())
+    assert bool(torch.isnan(arm[bears]).all()) and bool(torch.isfinite(arm[~bears]).all())
+
+
+def test_a_recording_that_an_interval_covers_is_not_refused():
+    """Nothing is left that feet must answer for, and that is no fault of the recording."""
+    trial = small_session.session().trial("arms").trial
+    config = load_config(small_session.config())
+    contact = ContactOptions(others={"rail": OtherContact("hand_r", {"arms": ((-1.0, 1e3),)})})
+    config = config.model_copy(update={"contact": contact})
+    given = Given("arms", Path("arms.c3d"), on_feet=lambda one: on_feet(one, config))
+    assert given.disagreements(trial) == ()
+    assert on_feet(synchronise(trial), config).forces is None

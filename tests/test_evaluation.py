@@ -18,7 +18,7 @@ from playwright.sync_api import sync_playwright
 from typer.testing import CliRunner
 
 from torchid.cli import app
-from torchid.config import InvalidConfig, load_config
+from torchid.config import InvalidConfig, dump_config, load_config
 from torchid.config.conditions import Condition, EvaluateOptions, GivenCycle
 from torchid.contact.options import ContactOptions
 from torchid.contact.other_options import OtherContact
@@ -370,6 +370,34 @@ def test_worn_trials_tell_nothing_of_the_body(tmp_path: Path) -> None:
     assert [trial.name for trial in config.body.trials] == ["one"]
     assert [trial.name for trial in load_config(written(tmp_path)).body.trials] == ["one", "two"]
     assert config.body.conditions == {} and config.body.trials[0].condition is None
+
+
+def test_the_bodys_config_can_be_read_again_where_a_worn_trial_has_a_contact(tmp_path: Path) -> None:
+    """Intervals of trials with a device go with them; a contact that has no others never bears."""
+    (tmp_path / "exo.yaml").write_text(SHEET)
+    rail = {"segment": "hand_r", "when": {"two": [[0.1, 0.2]]}}
+    both = {"segment": "hand_l", "when": {"one": [[0.3, 0.4]], "two": [[0.1, 0.2]]}}
+    path = written(tmp_path, contact={"others": {"rail": rail, "both": both}})
+    config = load_config(path, ["conditions.on.device=exo.yaml"])
+    path.write_text(dump_config(config.body))
+    again = load_config(path)
+    assert again == config.body
+    assert [again.contact.others[name].when for name in ("rail", "both")] == [{}, {"one": ((0.3, 0.4),)}]
+    assert config.contact.others["rail"].when == {"two": ((0.1, 0.2),)}
+
+
+def test_a_torque_that_a_declared_contact_hides_is_said_to_be_its_own(found: Evaluation) -> None:
+    """Feet are not blamed alone for a hand that nothing measured, and L5/S1 is said to count it."""
+    rail = ContactOptions(others={"rail": OtherContact("hand_r", "always")})
+    sample = found.identified.sample
+    lost = replace(sample, values=torch.full_like(sample.values, torch.nan))
+    held = replace(found, identified=replace(found.identified, sample=lost))
+    why = [gap.why for gap in find_gaps(held) if gap.what.startswith("torque of ")]
+    assert why and all("a foot stood beside" in one and "rail" not in one for one in why)
+    held = replace(held, config=found.config.model_copy(update={"contact": rail}))
+    why = [gap.why for gap in find_gaps(held) if gap.what.startswith("torque of ")]
+    assert why and all("no plate measured rail" in one for one in why)
+    assert any("declared contacts" in gap.why for gap in find_gaps(held) if "L5/S1" in gap.what)
 
 
 def test_nothing_to_compare_is_refused(tmp_path: Path) -> None:

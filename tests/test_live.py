@@ -22,6 +22,8 @@ from typer.testing import CliRunner
 from torchid.cli import app
 from torchid.config import Config, load_config
 from torchid.config.sections import TrialFile
+from torchid.contact.options import ContactOptions
+from torchid.contact.other_options import OtherContact
 from torchid.errors import ConfigError, DataError
 from torchid.experiment import run_experiment
 from torchid.experiment.fits import given_mass
@@ -363,3 +365,15 @@ def test_what_is_no_source_is_said(tmp_path):
 
 def static_of(config: Config) -> tuple[TrialFile, ...]:
     return tuple(t for t in config.trials if t.role == "static")
+
+
+def test_contacts_that_a_stream_cannot_tell_are_refused(tmp_path, monkeypatch):
+    """Intervals, which are of recorded trials, and a plate that does not come: a hand would be taken for mass."""
+    config = load_config(small_session.config(), [f"out={tmp_path / 'out'}"])
+    hand = {"rail": OtherContact("hand_r", {MOVING: ((0.5, 1.0),)})}
+    with pytest.raises(ConfigError, match=r"contact\.live"):
+        run_live(config.model_copy(update={"contact": ContactOptions(others=hand)}), f"replay:{MOVING}")
+    handle = config.model_copy(update={"contact": ContactOptions(others={"rail": OtherContact("hand_r", plate=9)})})
+    monkeypatch.setattr("torchid.live.run.prepare_subject", lambda *_: (subject(), small_session.outcome()))
+    with pytest.raises(ConfigError, match=r"contact\.plate"):
+        run_live(handle, f"replay:{MOVING}")

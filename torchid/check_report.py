@@ -43,7 +43,7 @@ class Given:
             return ()
         mass = self.mass_kg if self.mass_kg is not None else stated_mass(trial)
         again = Recording(lambda options: self.on_feet(self.read(options)), self.options, mass)
-        found = judge_recording(synchronise(self.on_feet(trial)), again)
+        found = judge_recording(self.on_feet(synchronise(trial)), again)
         return tuple(
             Note("forces.feet", f"{f.what}. Cure: {f.remedy('to the trial in a config')}", str(self.file))
             for f in found

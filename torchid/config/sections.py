@@ -3,7 +3,7 @@
 The sections of stages are the stages' own options: pydantic validates a dataclass under the strictness of ``Section``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -176,14 +176,26 @@ class Config(Section):
 
     @property
     def body(self) -> "Config":
-        """The config of the body alone: without the trials that were recorded with a device on."""
+        """The config of the body alone: without the trials that were recorded with a device on, and their intervals."""
         worn = {name for name, condition in self.conditions.items() if condition.device is not None}
         alone = tuple(
             trial.model_copy(update={"condition": None, "channels": None})
             for trial in self.trials
             if trial.condition not in worn
         )
-        return self.model_copy(update={"trials": alone, "conditions": {}, "evaluate": EvaluateOptions()})
+        kept = {"trials": alone, "contact": self._contact_without(worn), "conditions": {}}
+        return self.model_copy(update={**kept, "evaluate": EvaluateOptions()})
+
+    def _contact_without(self, conditions: set[str]) -> ContactOptions:
+        """Contacts without the intervals of the trials of some conditions; without any left, one never bears."""
+        gone = {trial.name for trial in self.trials if trial.condition in conditions}
+        others = {
+            name: replace(one, when={trial: parts for trial, parts in one.when.items() if trial not in gone})
+            if isinstance(one.when, dict)
+            else one
+            for name, one in self.contact.others.items()
+        }
+        return replace(self.contact, others=others)
 
     @property
     def unlisted_choice(self) -> Literal["assign", "leave_out"]:

@@ -40,7 +40,7 @@ class Contact:
     others: Others | None = None
     """Contacts other than feet; None where the config names none."""
     floor: tuple[int, ...] | None = None
-    """Plates on which feet may stand; None for all."""
+    """Plates on which feet may stand, whose load is shared as one; None for all."""
 
     def frames(self, part: slice) -> "Contact":
         """Some of the frames."""
@@ -188,4 +188,4 @@ def _footless(
     if others is not None:
         plate = assign_others(plate, others, 0, whole.new_zeros(*plate.shape, 0))
     belt, used = forces.wrench.new_zeros(0, 2), ~dilate(~whole, spread) & seen
-    return Contact((), none, none, plate, whole, used, belt, short, others)
+    return Contact((), none, none, plate, whole, used, belt, short, others, None if others is None else ())

@@ -29,7 +29,7 @@ class OtherContact:
     """Body that is touched."""
     when: Literal["loaded", "always"] | Near | dict[Name, Intervals] = "loaded"
     """When it bears: while its plate is loaded, in all frames, while it is near a place, or within intervals of some
-    trials [s]; in trials that are not listed it does not bear."""
+    trials [s]; in trials that are not listed it does not bear, with none listed in none."""
     points: tuple[Name | Point, ...] = ()
     """Where it is touched: markers of the segment, or points in the segment's axes [m]; none: those that are usual for
     the segment (``other_places``)."""

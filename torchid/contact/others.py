@@ -186,4 +186,6 @@ def feet_alone(options: ContactOptions, trial: str, forces: Forces) -> Forces | 
             return None
         if plate_of(one, forces) < 0 and isinstance(one.when, dict):
             wrench[inside(one.when.get(trial, ()), forces.time)] = torch.nan
+    if not bool(torch.isfinite(wrench).any()):
+        return None
     return Forces(forces.time, wrench, tuple(forces.plates[p] for p in kept))

@@ -101,7 +101,7 @@ def over_each(
     some = torch.ones(shape, dtype=torch.bool, device=forces.wrench.device)
     whole = torch.zeros_like(some)
     for p, plate in enumerate(forces.plates):
-        if plate.corners is not None:
+        if plate.corners is not None and soles:
             inside = [over_plates(sole, [plate.corners], margin_m) for sole in soles.values()]
             some[:, p] = torch.stack([one.any(dim=1) for one in inside], dim=1)
             whole[:, p] = torch.stack([one.all(dim=1) for one in inside], dim=1)

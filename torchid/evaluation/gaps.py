@@ -122,8 +122,15 @@ def _torques(found: Evaluation) -> Iterator[Gap]:
             elif unknown:
                 yield Gap(
                     f"torque of {listing(names)} in {unknown} of {plural(every, 'cycle')} of {condition}",
-                    "a foot's force is not known throughout: it stood beside the plates, or on one that does not tell",
+                    "the force of a contact that they answer for is not known throughout: a foot stood beside the "
+                    "plates, or on one that does not tell" + _declared(found),
                 )
+
+
+def _declared(found: Evaluation) -> str:
+    """Contacts of the config that no plate may have measured either."""
+    others = found.config.contact.others
+    return f"; or no plate measured {listing(list(others))}" if others else ""
 
 
 def _device(found: Evaluation) -> Iterator[Gap]:
@@ -181,5 +188,6 @@ def _back(found: Evaluation) -> Iterator[Gap]:
     else:
         yield Gap(
             "loads in the hands that the config does not declare, and a device's own pull along the spine, at L5/S1",
-            "moment and compression follow from the motion of trunk, head and arms and from the device's torque alone",
+            "moment and compression follow from the motion of trunk, head and arms, from the forces of declared "
+            "contacts and from the device's torque alone",
         )

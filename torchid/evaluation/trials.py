@@ -62,7 +62,7 @@ def condition_trials(
         _refuse_strange(outcome, session)
         key = stage_key(inputs=[run_key(config.body)], config=_files(config, worn))
         for kind, fit, into in (("worn", outcome.fit, followed), ("worn_scaled", outcome.scaled, scaled)):
-            into |= _follow(kind, fit, outcome, session, folder, key, progress)
+            into |= _follow(kind, fit, outcome, session, folder, key, config, progress)
     return tuple(
         ConditionTrial(
             file.name, file.condition, session.trials[file.name], followed[file.name], scaled[file.name],
@@ -101,8 +101,9 @@ def _files(config: Config, worn: list) -> dict[str, object]:
 
 
 def _follow(
-    kind: str, fit: GeometryFit, outcome: Outcome, session: Session, folder: OutputFolder, key: str, progress: OnStage
-) -> dict[str, Followed]:
+    kind: str, fit: GeometryFit, outcome: Outcome, session: Session, folder: OutputFolder, key: str, config: Config,
+    progress: OnStage,
+) -> dict[str, Followed]:  # fmt: skip
     """The worn trials followed by one model, static ones of the run before them: they tell the weight."""
     known = outcome.followed if kind == "worn" else outcome.followed_scaled
     new = [name for name in session.trials if name not in outcome.session.trials]
@@ -113,7 +114,7 @@ def _follow(
         progress("motion with the device", (k + 1) / len(new))
     wanted = {n: t for n, t in session.trials.items() if t.role == "static" or n in new}
     part = replace(session, trials=wanted)
-    each = follow_each(fit, part, lambda name: tracked[name], outcome.cutoff_hz, outcome.config)
+    each = follow_each(fit, part, lambda name: tracked[name], outcome.cutoff_hz, config)
     return {one.name: put_aside(one, folder) for one in each if one.name in new}
 
 

@@ -64,10 +64,12 @@ def wrenches_under(
             rows about the root's origin in W. Neither contacts nor the person supply them.
 
     Returns:
-        Wrenches through the filter of the motion, and where each comes from.
+        Wrenches through the filter of the motion, and where each comes from; without feet in a trial without plates
+        whose wrenches are not predicted.
     """
     untold = options.torques == "measured" or (followed.contact is None and options.torques != "predicted")
-    outlines = soles(fit, followed.tracked)
+    # Without plates and unpredicted nobody tells of feet, not even that they are in the air.
+    outlines = {} if followed.contact is None and untold else soles(fit, followed.tracked)
     if math.isinf(followed.motion.smoother.rate_hz) or not (options.others or (outlines and not untold)):
         return None
     tree, geometry, motion = fit.model.tree, fit.geometry, followed.motion

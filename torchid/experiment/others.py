@@ -1,6 +1,6 @@
 """Contacts other than feet on the body of a session: where they touch it, when they bear, and what is refused."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,7 +22,7 @@ from torchid.io.mend import number_of
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
 from torchid.model.tree import Tree
-from torchid.recording import Forces, Trial
+from torchid.recording import Forces, Plate, Trial
 from torchid.torque.inverse import CHUNK
 
 GRIPS = ("hand",)
@@ -97,17 +97,35 @@ def refuse_unknown_plates(config: Config, trials: Iterable[Trial]) -> None:
     Raises:
         ConfigError: ``contact.plate``.
     """
-    wanted, plates = {one.plate for one in config.contact.others.values()} - {None}, set()
+    wanted, seen = {one.plate for one in config.contact.others.values()} - {None}, []
     for trial in trials:
-        plates |= {number_of(p, k) for k, p in enumerate(trial.forces.plates)} if trial.forces else set()
-        if wanted <= plates:
+        seen += [trial.forces.plates] if trial.forces else []
+        if wanted <= _numbers(seen):
             return
+    refuse_plates(config, *seen)
+
+
+def _numbers(plates: Sequence[Sequence[Plate]]) -> set[int]:
+    return {number_of(plate, k) for own in plates for k, plate in enumerate(own)}
+
+
+def refuse_plates(config: Config, *plates: Sequence[Plate]) -> None:
+    """Refuse contacts whose plate is not there.
+
+    Args:
+        config: with the contacts.
+        plates: of each recording or stream.
+
+    Raises:
+        ConfigError: ``contact.plate``.
+    """
+    known = _numbers(plates)
     for name, one in config.contact.others.items():
-        if one.plate is not None and one.plate not in plates:
+        if one.plate is not None and one.plate not in known:
             raise ConfigError(
                 "contact.plate", "no recording has this plate", place=f"contact.others.{name}.plate",
                 found=str(one.plate),
-                remedy=f"Plates of these recordings: {', '.join(map(str, sorted(plates))) or 'none'}; leave plate: out "
+                remedy=f"Plates that there are: {', '.join(map(str, sorted(known))) or 'none'}; leave plate: out "
                 "for a contact that nothing measures",
             )  # fmt: skip
 
@@ -166,7 +184,8 @@ def local_points(
         place: in the config.
 
     Raises:
-        ConfigError: ``contact.points`` where a marker is not one of the segment's, or nobody says where it is touched.
+        ConfigError: ``contact.points`` where a marker is not one of the segment's, or nobody says where it is touched;
+            so where the limbs are not found from whose joints its usual place is told.
     """
     body = tree.index(one.segment)
     own = {label: p for label, k, p in zip(attachment.labels, attachment.body, p_BM_B, strict=True) if int(k) == body}
@@ -182,15 +201,29 @@ def local_points(
         return torch.stack(each)
     usual = _usual(one)
     if usual is not None:
-        limbs = [k for k, b in enumerate(tree.bodies) if b.parent == body and b.name.startswith(usual.limbs or ("-",))]
-        middle = offset[limbs].mean(dim=0) if limbs else torch.zeros_like(offset[0])
-        return p_BM_B.new_tensor(usual.corners) + middle
+        return p_BM_B.new_tensor(usual.corners) + _middle(usual, one, tree, offset, place)
     if not own:
         raise ConfigError(
             "contact.points", f"nobody says where {one.segment} is touched: it has no markers", place=place,
             found="no points", remedy="Give points: [[x, y, z]] in the segment's axes [m]",
         )  # fmt: skip
     return torch.stack(list(own.values())).mean(dim=0, keepdim=True)
+
+
+def _middle(usual: Usual, one: OtherContact, tree: Tree, offset: Tensor, place: str) -> Float[Tensor, "3"]:
+    """What corners are counted from, in the segment's axes [m]."""
+    if not usual.limbs:
+        return torch.zeros_like(offset[0])
+    own = [k for k, b in enumerate(tree.bodies) if b.parent == tree.index(one.segment)]
+    limbs = [k for k in own if tree.bodies[k].name.startswith(usual.limbs)]
+    if not limbs:
+        raise ConfigError(
+            "contact.points",
+            f"nobody says where {one.segment} is touched: none of {', '.join(usual.limbs)} is joined to it",
+            place=place, found=", ".join(tree.bodies[k].name for k in own) or "no limbs",
+            remedy="Give points: [[x, y, z]] in the segment's axes [m], or markers of it",
+        )  # fmt: skip
+    return offset[limbs].mean(dim=0)
 
 
 def place_others(

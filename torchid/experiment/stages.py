@@ -201,10 +201,11 @@ def _unknown(
     """Body of every contact, and the frames in which nobody tells its wrench."""
     if under is not None:
         yield from zip(under.body, (under.source == Source.UNKNOWN).unbind(1), strict=True)
-    elif contact is None:
-        yield from ((foot, torch.tensor(True)) for foot in legs(tree))
-    else:
+    elif contact is not None:
         yield from zip(contact.bodies, (contact.beside | contact.untold).unbind(1), strict=True)
+    if contact is None:
+        told = () if under is None else under.body
+        yield from ((foot, torch.tensor(True)) for foot in legs(tree) if foot not in told)
 
 
 def legs(tree: Tree) -> dict[str, list[int]]:

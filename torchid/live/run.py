@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from torchid.config import Config
 from torchid.errors import ConfigError, DataError
 from torchid.experiment.fits import fit_session, given_mass, refuse_unseen
+from torchid.experiment.others import refuse_plates
 from torchid.experiment.read import read_recording, read_session, read_setup
 from torchid.experiment.run import GEOMETRY, run_key
 from torchid.experiment.stages import subject_prior
@@ -98,6 +99,7 @@ def run_live(
         if possibilities is not None:
             subject = guided(subject, possibilities)
         stream = _opened(source, config, speed) if isinstance(source, str) else source
+        refuse_plates(config, stream.plates)
         progress("live", 0.0)
         performance, identified, guidance, (fit, prior) = _streamed(subject, stream, record, seconds, page, opened)
         table = identified_table(replace(base, fit=fit, prior=prior, identified=identified))
@@ -125,8 +127,10 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
         The subject, and an outcome that has everything but an inertia.
 
     Raises:
+        ConfigError: ``live.static`` without a static trial, ``contact.live`` where intervals tell when a contact bears.
         TorchidError: as ``read_session`` and ``fit_session``.
     """
+    _refuse_intervals(config)
     static = tuple(file for file in config.trials if file.role == "static")
     if not static:
         raise ConfigError(
@@ -154,6 +158,17 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     assert session.static is not None
     refining = session.static.markers if finished is None else None
     return Subject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz, refining), outcome
+
+
+def _refuse_intervals(config: Config) -> None:
+    """Intervals are of trials that are recorded already: in a stream they would never bear."""
+    for name, one in config.contact.others.items():
+        if isinstance(one.when, dict) and one.when:
+            raise ConfigError(
+                "contact.live", "a stream has no intervals in which a contact bears",
+                place=f"contact.others.{name}.when", found=", ".join(one.when),
+                remedy="Give when: {at_m: [x, y, z]}, always, or the plate that measures it",
+            )  # fmt: skip
 
 
 def _from_standing(config: Config, session: Session, folder: OutputFolder, progress: OnStage) -> GeometryFit:

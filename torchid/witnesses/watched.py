@@ -36,7 +36,8 @@ class Watched:
     soles: Float[Tensor, "feet frames 2 3"] | None = None
     """Heel and tip of each sole in W [m]."""
     foot_on: Int[Tensor, "frames plates"] | None = None
-    """Number of the foot that each plate bears; negative: none, or none alone."""
+    """Number of the contact that each plate bears, those of ``feet`` first and others behind them; negative: none, or
+    none alone."""
 
     @property
     def name(self) -> str:

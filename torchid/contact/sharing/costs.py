@@ -38,6 +38,8 @@ class Task:
     given: Float[Tensor, "frames contacts 6"]
     rest: Rest | None = None
     """A last contact, of ``bearing`` and ``given`` too, that is nobody: the error of the total."""
+    besides: Float[Tensor, "frames known 6"] | None = None
+    """What contacts bear already besides their shares, which joints answer for; None: what is given."""
 
     @property
     def part(self) -> Bool[Tensor, "frames contacts"]:
@@ -120,6 +122,8 @@ class Costs:
         aim = rows.new_zeros(rows.shape[:2])
         if self.effort is not None:
             more, wanted = self.effort(part)
+            besides = (task.given if task.besides is None else task.besides)[part]
+            wanted = wanted - torch.einsum("trcw,tcw->tr", more, besides)
             if task.rest is not None:
                 more = torch.cat([more, torch.zeros_like(more[:, :, :1])], dim=2)
             rows, aim = torch.cat([rows, more], dim=1), torch.cat([aim, wanted], dim=1)

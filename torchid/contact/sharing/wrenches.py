@@ -1,5 +1,7 @@
 """The wrench of every contact: measured where a plate bears it alone, shared where several are on one, predicted."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -68,7 +70,7 @@ def contact_wrenches(
     source = torch.where(gone | stray | (part & found.lost[:, None]), int(Source.UNKNOWN), source)
     wrench, doubt, status = smoother(found.wrench), found.doubt, found.status
     if needed is not None and bool(gone.any()):
-        beside = _beside(gone, needed, smoother(raw.sum(1)), margin, len(soles))
+        beside = replace(_beside(gone, needed, smoother(raw.sum(1)), margin, len(soles)), besides=wrench)
         more = costs.share(beside)
         told = beside.part[:, :count] & ~more.lost[:, None] & ~part
         wrench = wrench + torch.where(told[..., None], more.wrench[:, :count], 0.0)
