@@ -19,7 +19,7 @@ from torchid.devices import (
     device_forces,
     identify_device,
 )
-from torchid.devices.identify import measured_by
+from torchid.devices.measured import measured_by
 from torchid.devices.sensor import fit_law
 from torchid.devices.supports import stated
 from torchid.errors import DataError

@@ -86,15 +86,13 @@ def session(kind: str, seed: int, out: Path, options: SimulateOptions) -> list[T
     settings = [f"out={(folder / 'result').resolve()}", "diagnosis.enabled=false"]
     outcome = run_experiment(load_config(recorded.session.config, settings))
     assert outcome.identified is not None
-    fit, attachment = outcome.identified.fit, outcome.fit.attachment
-    places = {label: (outcome.fit.model.tree.names[int(b)], tuple(p)) for label, b, p in
-              zip(attachment.labels, attachment.body, outcome.fit.place.tolist(), strict=True)}  # fmt: skip
+    fit = outcome.identified.fit
     rows = [outcome.followed[name].wrench for name in recorded.truth]
     trials, body = [row for row in rows if row is not None], BodyBelief(fit.phi, fit.covariance)
     rng = np.random.default_rng((seed, 36))
     told = []
     for fault in ("", *FAULTS[kind]):
-        planted = plant(fault, recorded, placed(sound(recorded), places), trials, rng)
+        planted = plant(fault, recorded, placed(sound(recorded), outcome.fit.places), trials, rng)
         told.append(_told(fault, planted, body, trials))
     return told
 

@@ -81,10 +81,8 @@ def subject(kind: str, seed: int, out: Path, options: SimulateOptions, blind: bo
     settings = [f"out={(folder / 'result').resolve()}", "diagnosis.enabled=false"]
     outcome = run_experiment(load_config(recorded.session.config, settings))
     assert outcome.identified is not None
-    fit, attachment = outcome.identified.fit, outcome.fit.attachment
-    places = {label: (outcome.fit.model.tree.names[int(b)], tuple(p)) for label, b, p in
-              zip(attachment.labels, attachment.body, outcome.fit.place.tolist(), strict=True)}  # fmt: skip
-    sheet = placed(recorded.case.sheet, places)
+    fit = outcome.identified.fit
+    sheet = placed(recorded.case.sheet, outcome.fit.places)
     trials = [outcome.followed[name].wrench for name in recorded.truth]
     found = identify_device(
         sheet, BodyBelief(fit.phi, fit.covariance), [t for t in trials if t is not None],

@@ -13,11 +13,12 @@ import torch
 
 from torchid.devices.base_columns import has_line
 from torchid.devices.device import Device, Element
-from torchid.devices.identify import identify_device, measured_by
+from torchid.devices.identify import identify_device
+from torchid.devices.measured import Measured, measured_by
 from torchid.devices.options import DeviceOptions
 from torchid.devices.places import carried_elsewhere, moved
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
-from torchid.devices.sensor import Measured, fit_law
+from torchid.devices.sensor import fit_law
 from torchid.devices.supports import Recorded
 from torchid.devices.values import Value
 from torchid.regressor.rows import WrenchTrial

@@ -17,13 +17,13 @@ from torchid.devices.base_columns import (
     seen_share,
 )
 from torchid.devices.device import Device, Element, Part
-from torchid.devices.forces import smoothed, tells
+from torchid.devices.forces import tells
 from torchid.devices.joint_fit import JointFit
-from torchid.devices.laws import Channels, command
+from torchid.devices.measured import measured_by
 from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import PartsPrior, parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
-from torchid.devices.sensor import LawFit, Measured, fit_law
+from torchid.devices.sensor import LawFit, fit_law
 from torchid.devices.supports import Known, Recorded, fit_by_base_rows, stated
 from torchid.devices.values import Value
 from torchid.errors import DataError
@@ -85,43 +85,6 @@ def identify_device(
 def free_parameters(element: Element) -> tuple[str, ...]:
     """Return the parameters of an element that its sheet does not say exactly."""
     return tuple(name for name, number in element.numbers() if number is None or number.sd > 0.0)
-
-
-def measured_by(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded) -> list[Measured]:
-    """Return an element in every trial in which its sensor of force was recorded.
-
-    Args:
-        element: with a line of its own.
-        trials: with the device.
-        recorded: channels by trial.
-
-    Raises:
-        ConfigError: ``device.segment`` or ``device.coordinate``.
-    """
-    found = []
-    for trial in trials:
-        channels = recorded.get(trial.name, {})
-        if element.sensor.force and element.sensor.force in channels:
-            one = _measured(element, trial, channels)
-            found += [one] if bool(one.known.any()) else []
-    return found
-
-
-def _measured(element: Element, trial: WrenchTrial, channels: Channels) -> Measured:
-    """An element in one trial with what its sensors say, in the frames in which they and its command do."""
-    one, sensor = acting(element, trial, channels), element.sensor
-    own, length = bool(sensor.length) and sensor.length in channels, one.act.length
-    raw = channels[sensor.force].to(length)
-    known = torch.isfinite(raw)
-    if own:
-        course = channels[sensor.length].to(length)
-        known = known & torch.isfinite(course)
-        course = smoothed(course + (length - course).nanmean(), trial.motion)
-        one = replace(one, act=replace(one.act, length=course))
-    if element.drive is not None:
-        wanted = command(element.drive, element, one.act.length, trial.motion.time, one.recorded)
-        known = known & torch.isfinite(wanted)
-    return Measured(one, raw, smoothed(raw, trial.motion), own, known)
 
 
 def _from_sensors(device: Device, trials: Sequence[WrenchTrial], recorded: Recorded, options: DeviceOptions) -> Known:

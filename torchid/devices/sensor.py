@@ -2,22 +2,23 @@
 
 Minimised is the sum of r^2 / (s_f^2 + f'(x)^2 s_x^2) with r the measured force less the law's (the effective variance
 of Orear, Am J Phys 50:912 (1982), which for a straight line is Deming's regression): s_f is the sensor's noise, s_x the
-error of the length that the residuals then ask for. The covariance is White's sandwich with Newey & West's sum over
-lags (Econometrica 55:703 (1987)), so that residuals that go on for a second count once.
+error of the length that the residuals then ask for. Residuals that go on for a second count once (``sandwich``).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from torchid.devices.base_columns import SCALE, Acting
+from torchid.devices.base_columns import SCALE
 from torchid.devices.forces import smoothed
+from torchid.devices.measured import Measured
 from torchid.devices.options import DeviceOptions
+from torchid.devices.sandwich import sandwich
 from torchid.devices.values import Value
 from torchid.regressor.whitening import white_scatter
 
@@ -33,39 +34,6 @@ SECANT = 1.0
 """Half width of secants in standard deviations, chosen: a law's kink is smooth on this scale."""
 ALIKE = 1e-6
 """Singular value of the scaled derivatives, relative to the largest, below which parameters act alike, chosen."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """An element, where its trial shows it, and what its sensor says at the same frames."""
-
-    acting: Acting
-    raw: Float[Tensor, " frames"]
-    """Of the sensor, as recorded."""
-    force: Float[Tensor, " frames"]
-    """The same through the motion's filter."""
-    own_length: bool
-    """Whether the length is the device's own measurement rather than the markers'."""
-    known: Bool[Tensor, " frames"]
-    """Frames in which everything was recorded that the law is held against; the others count for nothing."""
-
-    @property
-    def read(self) -> Float[Tensor, " known"]:
-        """Return the filtered force in the known frames."""
-        return self.force[self.known]
-
-    @property
-    def length(self) -> Float[Tensor, " known"]:
-        """Return length [m] or angle [rad] in the known frames."""
-        return self.acting.act.length[self.known]
-
-    def left(self, force: Float[Tensor, " frames"]) -> Float[Tensor, " known"]:
-        """Return the read force less another in the known frames, 0 where a late command is not known.
-
-        Args:
-            force: of a law, in all frames.
-        """
-        return torch.nan_to_num(self.force - force)[self.known]
 
 
 @dataclass(frozen=True)
@@ -227,59 +195,10 @@ def _judged(
             return _white(measured, names, numbers, noise, length_sd, x + move * scale)
 
         lags = [round(options.correlation_s * one.acting.trial.rate) for one in measured]
-        covariance = _sandwich(white, step, lags)
+        covariance = sandwich(white, step, lags)
     markers = not all(one.own_length for one in measured)
     spread = _in_proportion(measured, names, x, options, markers)
     return LawFit(names, x, covariance * np.outer(scale, scale) + spread, alike, noise, length_sd, residual)
-
-
-def _sandwich(
-    white: Callable[[np.ndarray], list[np.ndarray]], step: np.ndarray, lags: Sequence[int]
-) -> Float[np.ndarray, "params params"]:
-    """Covariance of the minimiser of half the sum of squares, by secants as wide as ``step``.
-
-    The weights follow the parameters, and laws have kinks: scores are secants of each frame's own half square, and the
-    curvature is that of the sum.
-    """
-    n = len(step)
-    moves = np.diag(step)
-    ups, downs = ([[0.5 * e**2 for e in white(side * move)] for move in moves] for side in (1.0, -1.0))
-    cost = sum(0.5 * float(e @ e) for e in white(np.zeros(n)))
-    curvature, meat = np.zeros((n, n)), np.zeros((n, n))
-    for i in range(n):
-        curvature[i, i] = sum(float(u.sum() + d.sum()) for u, d in zip(ups[i], downs[i], strict=True)) - 2.0 * cost
-        for j in range(i):
-            corners = [(a * b, white(a * moves[i] + b * moves[j])) for a in (1.0, -1.0) for b in (1.0, -1.0)]
-            mixed = sum(sign * sum(0.5 * float(e @ e) for e in parts) for sign, parts in corners)
-            curvature[i, j] = curvature[j, i] = 0.25 * mixed
-    for k, lag in enumerate(lags):
-        scores = np.stack([0.5 * (ups[i][k] - downs[i][k]) for i in range(n)], 1)
-        meat += _long_run(scores, lag)
-    inverse = np.linalg.pinv(curvature, hermitian=True)
-    frames = sum(len(e) for e in ups[0])
-    return inverse @ meat @ inverse * np.outer(step, step) * _short(float(np.mean(lags)) / frames)
-
-
-def _short(b: float) -> float:
-    """Factor on a variance so that 1.96 standard deviations cover 95 %, where the lags are a part b of the frames.
-
-    The statistic is then no normal one; its 97.5 % point is that of Kiefer & Vogelsang, Econometric Theory 21:1130
-    (2005), table 1, Bartlett's weights.
-    """
-    b = min(b, 1.0)
-    return ((1.96 + 2.9694 * b + 0.4160 * b**2 - 0.5324 * b**3) / 1.96) ** 2
-
-
-def _long_run(scores: Float[np.ndarray, "frames params"], lags: int) -> np.ndarray:
-    """Covariance of the sum of scores, with Bartlett's weights on their lagged products."""
-    lags = min(lags, len(scores) // 3)
-    centred = scores - scores.mean(0)
-    total = centred.T @ centred
-    for lag in range(1, lags + 1):
-        product = centred[lag:].T @ centred[:-lag]
-        total += (1.0 - lag / (lags + 1)) * (product + product.T)
-    values, vectors = np.linalg.eigh(total)
-    return (vectors * np.clip(values, 0.0, None)) @ vectors.T
 
 
 def _alike(bread: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:

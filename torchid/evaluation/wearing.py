@@ -111,16 +111,10 @@ def identified_devices(
     Raises:
         ConfigError: ``device.*``.
     """
-    places = {
-        label: (outcome.fit.model.tree.names[int(body)], (float(p[0]), float(p[1]), float(p[2])))
-        for label, body, p in zip(
-            outcome.fit.attachment.labels, outcome.fit.attachment.body, outcome.fit.place, strict=True
-        )
-    }
     found = {}
     for name, device in devices.items():
         rows = [t.followed.wrench for t in trials if t.condition == name]
-        own = None if device is None else placed(device, places)
+        own = None if device is None else placed(device, outcome.fit.places)
         heard = {t.name: recorded[t.name] for t in trials if t.condition == name}
         chance = draws, seed
         found[name] = Worn(None) if own is None else _identified(own, outcome, [r for r in rows if r], heard, chance)

@@ -59,15 +59,9 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
         _write_trial(outcome, name, folder)
         release()
     tree, geometry = outcome.fit.model.tree, outcome.fit.geometry
-    places = {
-        label: (tree.names[int(body)], p.tolist())
-        for label, body, p in zip(
-            outcome.fit.attachment.labels, outcome.fit.attachment.body, outcome.fit.place, strict=True
-        )
-    }
-    write_urdf(tree.uncoupled, geometry, outcome.phi, folder.path("model.urdf"), places)
+    write_urdf(tree.uncoupled, geometry, outcome.phi, folder.path("model.urdf"), outcome.fit.places)
     if outcome.fit.model.osim is None:
-        write_osim(tree, geometry, outcome.phi, folder.path("model.osim"), places)
+        write_osim(tree, geometry, outcome.phi, folder.path("model.osim"), outcome.fit.places)
     else:
         named = zip(outcome.fit.attachment.landmark, outcome.fit.place, strict=True)
         own = {name: place for name, place in named if name is not None}

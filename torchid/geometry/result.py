@@ -44,6 +44,12 @@ class GeometryFit:
         return self.xi[len(self.prior.mean) :].reshape(-1, 3)
 
     @property
+    def places(self) -> dict[str, tuple[str, tuple[float, float, float]]]:
+        """Return the body of every marker by name, and the marker's place p_BM_B on it [m]."""
+        found = zip(self.attachment.labels, self.attachment.body.tolist(), self.place.tolist(), strict=True)
+        return {label: (self.model.tree.names[body], (x, y, z)) for label, body, (x, y, z) in found}
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Return the names of all entries of xi, those of places as ``<label>_<axis>``."""
         return self.prior.names + tuple(f"{label}_{axis}" for label in self.attachment.labels for axis in "xyz")
