@@ -8,6 +8,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from torchid.dynamics import wrench_about
 from torchid.filters import Smoother
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
 from torchid.geometry.problem import MarkerProblem, PosturePrior
@@ -18,11 +19,13 @@ from torchid.kinematics.plan import plan_tree
 from torchid.model.model import Geometry, Model
 from torchid.model.opensim.as_model import read_osim_model
 from torchid.model.opensim.group_inertia import phi_to_pseudo
-from torchid.motion import smooth_motion
+from torchid.motion import Motion, smooth_motion
 from torchid.recording import Forces, Markers, Plate, Trial
 from torchid.regressor.rows import WrenchTrial, predict
 
 RATE = 60.0
+ASKEW = 0.06
+"""How far beside the feet the ground may push [m]."""
 FIRM, LOOSE = 1e-3, 0.3
 """Scatter of planted feet [m], and of all else about its course [rad or m]."""
 
@@ -41,26 +44,35 @@ class Truth:
 def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, seconds: float = 8.0) -> Truth:
     """Write ``static.c3d``, ``fit.c3d``, ``heldout.c3d`` and ``config.yaml``, and return the truth."""
     model, _ = read_osim_model(source)
-    prior = model.geometry
-    geometry = prior.geometry(prior.mean + 0.7 * prior.sd * torch.tensor(rng.normal(size=len(prior.mean))))
-    marks = {marker.name: model.landmarks[marker.name] for marker in model.osim.model.markers}  # type: ignore[union-attr]
-    mean = torch.tensor([mark.p_BM_B for mark in marks.values()], dtype=torch.float64)
-    place = mean + 0.01 * torch.tensor(rng.normal(size=mean.shape))
-    truth = Truth(model, geometry, _inertia(model, rng), place, tuple(marks))
-    for name, moving in (("static", 0.0), ("fit", 1.0), ("heldout", 1.0)):
-        write_c3d(folder / f"{name}.c3d", _trial(truth, name, moving, rng, seconds if moving else 1.0))
+    roles, trials, truth = ("static", "fit", "heldout"), [None], None
+    while truth is None or not all(trials):  # a body that could not stand like this is drawn anew
+        truth = _truth(model, rng)
+        trials = [_trial(truth, name, rng, 1.0 if name == "static" else seconds) for name in roles]
+    for trial in trials:
+        assert trial is not None
+        write_c3d(folder / f"{trial.name}.c3d", trial)
     mass = float(truth.phi[:, 0].sum())
     config = {
         "subject": {"name": "osim", "mass_kg": mass, "mass_sd_kg": 0.1},
         "model": str(source),
         "markers": "model",
-        "trials": [{"name": name, "file": f"{name}.c3d", "role": name} for name in ("static", "fit", "heldout")],
+        "trials": [{"name": name, "file": f"{name}.c3d", "role": name} for name in roles],
         "motion": {"cutoff_hz": 6.0},
         "diagnosis": {"enabled": False},
         "out": "out",
     }
     (folder / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     return truth
+
+
+def _truth(model: Model, rng: np.random.Generator) -> Truth:
+    """A body of the model's kind."""
+    prior = model.geometry
+    geometry = prior.geometry(prior.mean + 0.7 * prior.sd * torch.tensor(rng.normal(size=len(prior.mean))))
+    marks = {marker.name: model.landmarks[marker.name] for marker in model.osim.model.markers}  # type: ignore[union-attr]
+    mean = torch.tensor([mark.p_BM_B for mark in marks.values()], dtype=torch.float64)
+    place = mean + 0.01 * torch.tensor(rng.normal(size=mean.shape))
+    return Truth(model, geometry, _inertia(model, rng), place, tuple(marks))
 
 
 def _inertia(model: Model, rng: np.random.Generator) -> Tensor:
@@ -74,25 +86,45 @@ def _inertia(model: Model, rng: np.random.Generator) -> Tensor:
     return found
 
 
-def _trial(truth: Truth, name: str, moving: float, rng: np.random.Generator, seconds: float) -> Trial:
-    """One recording, 1 mm and 2 N of noise."""
-    tree = truth.model.tree
+def _trial(truth: Truth, name: str, rng: np.random.Generator, seconds: float) -> Trial | None:
+    """One recording, 1 mm and 2 N of noise; None where nobody could stand like this."""
+    tree, role = truth.model.tree, name
     time = torch.arange(round(seconds * RATE) + 1, dtype=torch.float64) / RATE
-    q = _planted(truth, moving * _courses(tree.dofs, time, rng))
-    motion = smooth_motion(tree, time, q.T.contiguous(), Smoother(6.0, RATE))
+    course, motion, soles, total = _courses(tree.dofs, time, rng), None, None, None
+    # Feet that stay where they are do not hold every motion: the same one is made smaller until they do.
+    for part in (0.0,) if role == "static" else (1.0, 0.75, 0.5, 0.35, 0.25):
+        motion = smooth_motion(tree, time, _planted(truth, part * course).T.contiguous(), Smoother(6.0, RATE))
+        total, soles = _total(truth, name, motion), _soles(truth, motion.q)
+        if _balanced(total, soles):
+            break
+    else:
+        return None
     body = torch.tensor([tree.index(truth.model.landmarks[label].segment) for label in truth.labels])
     seen = chain_points(tree, motion.q, truth.geometry, body, truth.place)
     seen = seen + 1e-3 * torch.tensor(rng.normal(size=seen.shape))
-    unused = torch.ones(len(time), dtype=torch.bool)
-    rows = WrenchTrial(name, tree, truth.geometry, motion, torch.zeros(len(time), 6, dtype=torch.float64), unused)
-    about_root = predict(rows, truth.phi)
-    total = torch.cat(
-        [about_root[:, :3], about_root[:, 3:] + torch.linalg.cross(motion.q[:, :3], about_root[:, :3])], dim=1
-    )
-    wrench = _shared(total, _soles(truth, motion.q))
+    wrench = _shared(total, soles)
     wrench[..., :3] += 2.0 * torch.tensor(rng.normal(size=wrench[..., :3].shape))
-    forces = Forces(time, wrench, _plates(_soles(truth, motion.q)))
+    forces = Forces(time, wrench, _plates(soles))
     return Trial(name=name, role=name, markers=Markers(truth.labels, time, seen), forces=forces)
+
+
+def _total(truth: Truth, name: str, motion: Motion) -> Tensor:
+    """Wrench that the ground gives, about the world's origin (frames, 6)."""
+    unused = torch.ones(len(motion.q), dtype=torch.bool)
+    rows = WrenchTrial(name, truth.model.tree, truth.geometry, motion, motion.q.new_zeros(len(motion.q), 6), unused)
+    return wrench_about(predict(rows, truth.phi), -motion.q[:, :3])
+
+
+def _pressed(total: Tensor) -> Tensor:
+    """Where the total acts on the ground [m]."""
+    return torch.stack([-total[:, 4], total[:, 3]], 1) / total[:, 2:3]
+
+
+def _balanced(total: Tensor, soles: Tensor) -> bool:
+    """Whether the total acts on the feet or between them, within ``ASKEW``, throughout."""
+    first, last = soles.reshape(-1, 3)[:, :2].aminmax(dim=0)
+    pressed = _pressed(total)
+    return bool(((pressed > first - ASKEW) & (pressed < last + ASKEW)).all())
 
 
 def _courses(dofs, time: Tensor, rng: np.random.Generator) -> Tensor:
@@ -147,10 +179,9 @@ def _soles(truth: Truth, q: Tensor) -> Tensor:
 
 def _shared(total: Tensor, soles: Tensor) -> Tensor:
     """The wrench of two plates (frames, 2, 6): by the lever rule, the sum exact."""
-    middle = soles.mean(1)
-    pressure_x, pressure_y = -total[:, 4] / total[:, 2], total[:, 3] / total[:, 2]
-    share = ((pressure_y - middle[1, 1]) / (middle[0, 1] - middle[1, 1])).clamp(0.05, 0.95)
-    point = torch.stack([pressure_x, middle[0, 1].expand_as(share), torch.zeros_like(share)], 1)
+    pressed, middle = _pressed(total), soles.mean(1)
+    share = ((pressed[:, 1] - middle[1, 1]) / (middle[0, 1] - middle[1, 1])).clamp(0.05, 0.95)
+    point = torch.stack([pressed[:, 0], middle[0, 1].expand_as(share), torch.zeros_like(share)], 1)
     force = share[:, None] * total[:, :3]
     left = torch.cat([force, torch.linalg.cross(point, force)], 1)
     return torch.stack([left, total - left], 1)

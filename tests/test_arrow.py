@@ -63,12 +63,14 @@ def test_poses_of_a_frame_do_not_depend_on_the_batch(seed: int) -> None:
     problem, q, xi = random_problem(np.random.default_rng(seed), frames=40, bodies=4)
     start = q + 0.05
     problem.target[:, :, 7] = 50.0
-    together, cost = solve_poses(problem, start, xi, tolerance=1e-13)
+    # Some frames go down a narrow valley, for which forty steps are too few.
+    exact = {"tolerance": 1e-13, "iterations": 400}
+    together, cost = solve_poses(problem, start, xi, **exact)
     for frame in (0, 6, 8, 39):
         one = torch.tensor([frame])
-        alone, own = solve_poses(problem.frames(one), start[:, one], xi, tolerance=1e-13)
-        # Costs that agree to 1e-13 leave a coordinate the square root of that.
-        assert_close(alone[:, 0], together[:, frame], rtol=0, atol=1e-5)
+        alone, own = solve_poses(problem.frames(one), start[:, one], xi, **exact)
+        # A cost near 10 that is known to 1e-13 leaves a weakly held coordinate some 1e-5 rad.
+        assert_close(alone[:, 0], together[:, frame], rtol=0, atol=1e-4)
         assert_close(own[0], cost[frame], rtol=1e-9, atol=1e-9)
 
 

@@ -14,9 +14,16 @@ from torchid.live.pose import Follower
 from torchid.live.replay import Replay
 from torchid.recording import Trial
 
+Said = list[tuple[float, tuple[tuple[str, str], ...]]]
 
-def watched(given: Trial) -> list[tuple[float, tuple[tuple[str, str], ...]]]:
+
+def watched(given: Trial) -> Said:
     """Time of every block's end, and what was said then."""
+    return told(given)[0]
+
+
+def told(given: Trial) -> tuple[Said, Identifier]:
+    """The same, and who said it."""
     who, source = subject(), Replay(given, float("inf"))
     intake, follower = Intake(RATE, source.force_rate_hz, 0.5), Follower(who.fit, source.labels)
     identifier, said = Identifier(who, RATE, source.plates, source.force_rate_hz), []
@@ -26,7 +33,7 @@ def watched(given: Trial) -> list[tuple[float, tuple[tuple[str, str], ...]]]:
             identifier.put(placed.index, follower(placed.markers), placed.sample, placed.wrench)
             identifier.work()
             said += [(end_s, tuple((one.what, one.where) for one in notices)) for end_s, notices in identifier.watched]
-    return said
+    return said, identifier
 
 
 def offset(rng: np.random.Generator, given: Trial) -> tuple[Trial, str]:
@@ -88,6 +95,19 @@ def test_what_is_wrong_is_said_within_seconds(fault: Callable, seed: int):
     said = watched(given)
     names = [f"{what} {where}" for end, some in said if end <= 3.0 for what, where in some]
     assert any(name.startswith(expected) for name in names), (expected, said)
+
+
+@pytest.mark.slow
+def test_how_late_forces_come_is_said(seed: int):
+    """To a third, within three seconds, although the body has been identified from the same forces."""
+    given, rng = moving(), np.random.default_rng(seed)
+    assert given.forces is not None
+    late_s = float(rng.choice([-1, 1]) * rng.uniform(0.03, 0.05))
+    late_forces = replace(given.forces, time=given.forces.time + late_s)
+    _, identifier = told(replace(given, forces=late_forces))
+    found = identifier.instruments.found()
+    assert found is not None and abs(found.late_s - late_s) < 0.005 + abs(late_s) / 3.0, (late_s, found)
+    assert found.late_sd_s < 0.005
 
 
 @pytest.mark.slow

@@ -29,8 +29,10 @@ from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.rotations import R_OW
 from torchid.model.opensim.tree_of_osim import as_free, tree_of_osim
 from torchid.model.opensim.writing_back import write_back
+from torchid.model.tree_of_links import LEAST_EXTENT
 from torchid.model.whole_body import lock_bodies
 from torchid.osim_dynamics import file_forces, osim_inverse_dynamics
+from torchid.regressor.rows import residual_rms
 
 FUNCTION_KNEES = "opensim_rajagopal_walk/subject_walk_scaled.osim"
 """A model whose knees turn about three axes by functions of one coordinate, with kneecaps that follow."""
@@ -411,9 +413,15 @@ def test_a_body_of_functions_is_recovered_by_a_run(data_dir: Path, seed: int, tm
     mass = outcome.phi[:, 0] - truth.phi[:, 0]
     known = outcome.identified.fit.sd.mass
     assert float((mass / known).square().mean().sqrt()) < 3.0, mass / known
-    prior = outcome.prior.mean[:, 0] - truth.phi[:, 0]
-    assert float(mass.square().sum()) < float(prior.square().sum())
-    written, _ = read_osim(tmp_path / "out" / "model.osim")
+    unused = [item.wrench for name, item in outcome.followed.items() if name == "heldout" and item.wrench is not None]
+    after, before = residual_rms(unused, outcome.phi), residual_rms(unused, outcome.prior.mean)
+    # The noise of markers alone leaves 10 N and 4 N m: what the template has less of cannot be halved.
+    assert after[0] * after[1] < 0.6 * before[0] * before[1] and after[0] < 1.1 * before[0], (after, before)
+    written, notes = read_osim(tmp_path / "out" / "model.osim")
     _, read, binding = tree_of_osim(written)
     assert_close(read.offset, outcome.fit.geometry.offset, rtol=0, atol=1e-9)
-    assert_close(of_groups(binding, written.inertias.phi), outcome.phi, rtol=1e-6, atol=1e-9)
+    # A body that the fit leaves thinner than a reader takes is given that extent by it, and the reader says so.
+    thin = any(note.code == "osim.inertia" for note in notes)
+    given = 2.0 * LEAST_EXTENT**2 * outcome.phi[:, :1] * thin
+    off = (of_groups(binding, written.inertias.phi) - outcome.phi).abs()
+    assert bool((off <= 1e-6 * outcome.phi.abs() + given + 1e-9).all()), (off, notes)

@@ -39,7 +39,7 @@ def test_a_decision_is_a_sentence(rule):
              "background_nats", "missing_part", "lowest_sd", "remaining_part", "residual_part", "least_part", "factor",
              "error_growth_part", "field_part", "p_value", "force_growth_part", "moment_growth_part",
              "markers_growth_part", "base_growth_part", "most_part", "misfit_mm", "undone_mm",
-             "witness_nats", "heard_sd", "least_p_value", "probability", "least_probability",
+             "witness_nats", "rival_nats", "heard_sd", "least_p_value", "probability", "least_probability",
              "size_sd", "least_size_sd", "confidence")  # fmt: skip
     numbers = {name: float(rng.normal(scale=30.0 if name.endswith("nats") else 0.4)) for name in names}
     said = sentence(Step(StepKind.ENTER, "drag", ("thorax",), rule, numbers))

@@ -14,7 +14,7 @@ from torchid.diagnosis.testing.heldout import Errors, HeldOutFit
 from torchid.diagnosis.trace import Trace
 from torchid.diagnosis.verdict.causes import after_forces
 from torchid.diagnosis.verdict.found_twice import joined
-from torchid.diagnosis.verdict.laboratory import NAMED, causes_of_faults, refusals_of, steps_of
+from torchid.diagnosis.verdict.laboratory import DISAGREE, NAMED, OUTDONE, causes_of_faults, refusals_of, steps_of
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.scene import PlateFrame, make_scene, reading
 from torchid.effects.traits import Correction
@@ -32,7 +32,7 @@ from torchid.experiment.stages import soles, subject_prior
 from torchid.outcome import Outcome
 from torchid.regressor.rows import residual_rms
 from torchid.results import OutputFolder
-from torchid.witnesses.faults import left_by, name_faults, suspects_of, without
+from torchid.witnesses.faults import left_by, name_faults, outdone, suspects_of, without
 from torchid.witnesses.panel import Panel, make_panel
 from torchid.witnesses.watched import Watched, watch
 
@@ -97,8 +97,11 @@ def examine(outcome: Outcome, panel: Panel | None, refuted: Sequence[Refuted] = 
         effects = tuple(one for one in effects if not one.on_record)  # a model's file has its masses from elsewhere
     faults = name_faults(panel, suspects_of(panel, effects))
     faults = without(panel, faults, {(one.effect, one.where) for one in refuted})
-    if (chance := left_by(panel, faults)) < wanted.thresholds.witnesses.p_value:
-        return Laboratory((), refusals_of(faults, chance, wanted.thresholds))
+    chance, least = left_by(panel, faults), wanted.thresholds.witnesses.p_value
+    if chance < least:
+        return Laboratory((), refusals_of(faults, DISAGREE, {"p_value": chance, "least_p_value": least}))
+    if faults and (better := outdone(panel, faults, effects)) > 0.0:
+        return Laboratory((), refusals_of(faults, OUTDONE, {"rival_nats": better}))
     trials = [name for role in ("fit", "heldout") for name in outcome.session.part(role, "inertia")]
     causes = causes_of_faults(panel, faults, trials, wanted.thresholds)
     return Laboratory(causes, steps_of(faults, wanted.thresholds))

@@ -4,12 +4,11 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.balance import Weight
-from torchid.contact.contact import Contact
 from torchid.contact.runs import dilate
 from torchid.dynamics import wrench_about
 from torchid.experiment.fits import com_boxes
@@ -22,6 +21,7 @@ from torchid.io.resample import to_clock
 from torchid.live.estimator import Estimator
 from torchid.live.gather import Gatherer
 from torchid.live.guidance import Guide
+from torchid.live.instruments import InstrumentRows
 from torchid.live.pose import Postures
 from torchid.live.timeline import Timeline
 from torchid.live.watch import Block, Notice, Watch
@@ -108,6 +108,8 @@ class Identifier:
         self._gatherer, self._next = Gatherer(), 0
         self.forces: Reconstructed | None = None
         """Of the last block, where it could be used."""
+        self.instruments = InstrumentRows(subject.prior)
+        """What the newest rows say of clock and gains."""
         self._watch = Watch(subject.fit.attachment.labels, [plate.name for plate in plates])
         self.watched: list[tuple[float, tuple[Notice, ...]]] = []
         """What was wrong in each of the last blocks, by its end [s]."""
@@ -166,17 +168,19 @@ class Identifier:
     def _advance(self, stop: int, known: int) -> None:
         """Rows of the frames up to ``stop``, from all that is known up to another."""
         first = max(self._q.start, self._next - self._context)
-        followed, vertical = self._followed(slice(first, known))
+        followed, read = self._followed(slice(first, known))
         blocks = [slice(a, min(a + self._block, stop)) for a in range(self._next, stop, self._block)]
         inner = [slice(block.start - first, block.stop - first) for block in blocks]
         rows = None if followed is None else followed.wrench
         self._take(None if rows is None else rows.frames(slice(inner[0].start, inner[-1].stop)))
+        plates = read if rows is None else rows.motion.smoother(torch.nan_to_num(read))
         for block, part in zip(blocks, inner, strict=True):
             self.forces = None if rows is None else self._reconstructed(rows.frames(part))
             contact = None if followed is None or followed.contact is None else followed.contact.frames(part)
-            used = None if rows is None else rows.used[part]
-            notices = self._watch.after(self._block_of(self._error.get(block), contact, vertical[part], used))
-            self.watched.append((block.stop / self._rate, notices))
+            if rows is not None:
+                self.instruments.add(rows, plates, part)
+            seen = Block(self._error.get(block), contact, read[part, :, 2], self.instruments.found())
+            self.watched.append((block.stop / self._rate, self._watch.after(seen)))
         self._next = stop
         kept = self._next - self._context
         for line in (self._q, self._error):
@@ -188,19 +192,9 @@ class Identifier:
         done = self._gatherer.close() if rows is None else self._gatherer.add(rows)
         self.estimator.add(done, self._gatherer.open, self._q.stop / self._rate)
 
-    def _block_of(
-        self, error: Float[Tensor, "frames markers"], contact: Contact | None,
-        vertical: Float[Tensor, "frames plates"], used: Bool[Tensor, " frames"] | None,
-    ) -> Block:  # fmt: skip
-        found, cutoff_hz = self.forces, self._subject.cutoff_hz
-        nothing = error.new_zeros(0, 3)
-        measured, predicted = (nothing, nothing) if found is None else (found.measured[:, :3], found.predicted[:, :3])
-        used = torch.zeros(len(error), dtype=torch.bool) if used is None or found is None else used
-        return Block(error, contact, vertical, used, measured, predicted, self._rate, cutoff_hz)
-
-    def _followed(self, part: slice) -> tuple[Followed | None, Float[Tensor, "frames plates"]]:
+    def _followed(self, part: slice) -> tuple[Followed | None, Float[Tensor, "frames plates 6"]]:
         """A window as a trial of its own, None where no posture or no force in it is known; and what plates read."""
-        nothing = None, self._q.get(part).new_zeros(part.stop - part.start, len(self._plates))
+        nothing = None, self._q.get(part).new_zeros(part.stop - part.start, len(self._plates), 6)
         if part.stop - part.start <= SHORTEST or not self._plates:
             return nothing
         q, error = _bridged(self._q.get(part), self._error.get(part), round(BRIDGED_S * self._rate))
@@ -218,7 +212,7 @@ class Identifier:
         assert found.wrench is not None
         # Beside a gap, as at an end, a filter knows one side only.
         beside = dilate(~seen, round(ENDS / found.motion.smoother.cutoff_hz * self._rate))
-        return replace(found, wrench=replace(found.wrench, used=found.wrench.used & ~beside)), forces.wrench[..., 2]
+        return replace(found, wrench=replace(found.wrench, used=found.wrench.used & ~beside)), forces.wrench
 
     def _reconstructed(self, rows: WrenchTrial) -> Reconstructed | None:
         """Forces of a block; None before anything is identified, and where a foot was off the plates."""

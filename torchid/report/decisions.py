@@ -160,6 +160,10 @@ RULES: dict[str, Callable[[Numbers], str]] = {
         f"is not named: what needs no body model says so with {odds(n['witness_nats'])}, but disagrees in itself by "
         f"more than chance (probability {number(n['p_value'])}, {number(n['least_p_value'])} is asked)"
     ),
+    "witnesses_outdone": lambda n: (
+        f"is not named: what needs no body model says so with {odds(n['witness_nats'])}, but something without a size,"
+        f" as exchanged cables, describes it better, with {odds(n['rival_nats'])}: the body model is asked"
+    ),
     "witnesses_contradict": lambda n: (
         f"is not named: of what needs no body model, it would change something by {number(n['heard_sd'], 1)} standard "
         f"deviations, which is {odds(n['witness_nats'])}"

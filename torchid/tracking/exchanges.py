@@ -1,7 +1,7 @@
 """Labels that carry each other's marker: distances to the markers beside them fit better the other way round."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -112,57 +112,85 @@ def find_exchanges(trial: str, markers: Markers, clusters: Clusters, shapes: Seq
         clusters: which markers sit on one segment.
         shapes: of other trials; of the trial itself where there are none.
     """
-    position = markers.select(clusters.labels).position
-    found = _told(position, clusters.together, shapes)
+    position = markers.select(clusters.labels).position.clone()
+    told = _told(position, clusters.together, shapes, _candidates(position, clusters, shapes))
     against = tuple(shape.trial for shape in shapes if shape.trial != trial)
     taken = torch.zeros(position.shape[:2], dtype=torch.bool)
+    rate = markers.rate if len(markers.time) > 1 else 1.0
     statements = []
-    for pair, at, now, undone in sorted(found, key=lambda one: -float(((one[2] - one[3]) * one[1]).nansum())):
-        at = at & ~taken[:, list(pair)].any(dim=1)
-        at = _lasting(at, now, undone, markers.rate if len(markers.time) > 1 else 1.0)
-        if not at.any():
-            continue
-        taken[at, pair[0]] = taken[at, pair[1]] = True
-        statements.append(_statement(trial, markers, clusters, pair, at, now, undone, against))
+    # One by one, the plainest first and put right before the others are asked: exchanged markers contradict those
+    # beside them too.
+    while told:
+        free = [replace(one, at=one.at & ~taken[:, list(one.pair)].any(dim=1)) for one in told]
+        lasting = [replace(one, at=_lasting(one, rate)) for one in free]
+        best = max((one for one in lasting if one.at.any()), key=lambda one: one.saved, default=None)
+        if best is None:
+            break
+        statements.append(_statement(trial, markers, clusters, best, against))
+        rows, pair = best.at.nonzero(), torch.tensor(best.pair)
+        taken[rows, pair] = True
+        position[rows, pair] = position[rows, pair.flip(0)]
+        told = _told(position, clusters.together, shapes, [one.pair for one in told if one.pair != best.pair])
     return statements
 
 
-def _told(position: Tensor, together: Tensor, shapes: Sequence[Shape]) -> list[tuple]:
-    """Return pairs, the frames in which most shapes tell an exchange, and the misfits, the median over the shapes."""
-    seen = torch.isfinite(position).all(dim=2)
-    doubtful = [suspects(position, together, shape) for shape in shapes]
+@dataclass(frozen=True)
+class Told:
+    """Two markers whose exchange most shapes tell."""
+
+    pair: tuple[int, int]
+    at: Bool[Tensor, " frames"]
+    """Frames in which they do."""
+    now: Float[Tensor, " frames"]
+    """Mean misfit as labelled, the median over the shapes [m]."""
+    undone: Float[Tensor, " frames"]
+    """The same with the names exchanged [m]."""
+
+    @property
+    def saved(self) -> float:
+        """Return the misfit that exchanging takes away, summed over the frames [m]."""
+        return float(((self.now - self.undone) * self.at).nansum())
+
+
+def _candidates(position: Tensor, clusters: Clusters, shapes: Sequence[Shape]) -> list[tuple[int, int]]:
+    """Return the pairs of markers that most shapes find doubtful in the same frames."""
+    doubtful = [suspects(position, clusters.together, shape) for shape in shapes]
     if not doubtful:
         return []
     most = torch.stack(doubtful).sum(dim=0) * 2 > len(doubtful)
-    either = (most | ~seen).double()
+    either = (most | ~torch.isfinite(position).all(dim=2)).double()
     both = most.double().T @ either
     both = torch.maximum(both, both.T)
-    known = together.any(dim=1)
+    known = clusters.together.any(dim=1)
+    pairs = (both.triu(1) >= min(SHORTEST, len(position))).nonzero().tolist()
+    return [(a, b) for a, b in pairs if known[a] and known[b]]
+
+
+def _told(position: Tensor, together: Tensor, shapes: Sequence[Shape], pairs: Sequence[tuple[int, int]]) -> list[Told]:
+    """Return the pairs whose exchange most shapes tell in some frames."""
     found = []
-    for a, b in (both.triu(1) >= min(SHORTEST, len(position))).nonzero().tolist():
-        if not (known[a] and known[b]):
-            continue
-        each = [misfit(position, together, shape, (a, b)) for shape in shapes]
+    for pair in pairs:
+        each = [misfit(position, together, shape, pair) for shape in shapes]
         votes = torch.stack([one.exchanged for one in each]).sum(dim=0)
         told = torch.stack([torch.isfinite(one.now) & torch.isfinite(one.undone) for one in each]).sum(dim=0)
         at = (2 * votes > told) & (votes > 0)
         if int(at.sum()) >= min(SHORTEST, len(position)):
             middle = [torch.stack([getattr(one, name) for one in each]).nanmedian(dim=0).values for name in _MISFITS]
-            found.append(((a, b), at, *middle))
+            found.append(Told(pair, at, *middle))
     return found
 
 
 _MISFITS = ("now", "undone")
 
 
-def _lasting(at: Tensor, now: Tensor, undone: Tensor, rate: float) -> Bool[Tensor, " frames"]:
+def _lasting(one: Told, rate: float) -> Bool[Tensor, " frames"]:
     """Return the runs of an exchange that last, through frames that do not tell for a moment.
 
     Where nearly all that tell, tell an exchange, it goes on wherever they do not tell the contrary.
     """
-    told = torch.isfinite(now) & torch.isfinite(undone)
+    at, told = one.at, torch.isfinite(one.now) & torch.isfinite(one.undone)
     if int((at & told).sum()) >= THROUGHOUT * max(int(told.sum()), 1):
-        return ~(told & (now < undone))
+        return ~(told & (one.now < one.undone))
     filled = at.clone()
     for start, stop in runs_of(~at):
         if 0 < start and stop < len(at) and stop - start <= BRIDGED_S * rate:
@@ -175,12 +203,11 @@ def _lasting(at: Tensor, now: Tensor, undone: Tensor, rate: float) -> Bool[Tenso
 
 
 def _statement(
-    trial: str, markers: Markers, clusters: Clusters, pair: tuple[int, int], at: Tensor, now: Tensor, undone: Tensor,
-    against: tuple[str, ...],
+    trial: str, markers: Markers, clusters: Clusters, one: Told, against: tuple[str, ...]
 ) -> Statement:  # fmt: skip
-    time, told = markers.time, torch.isfinite(now)
+    at, time, told = one.at, markers.time, torch.isfinite(one.now)
     when = () if bool(at.all()) else tuple((float(time[a]), float(time[b - 1])) for a, b in runs_of(at))
-    labels = tuple(clusters.labels[k] for k in pair)
+    labels = tuple(clusters.labels[k] for k in one.pair)
     share = float((at & told).sum()) / max(float(told.sum()), 1.0)
-    size, left = (1e3 * float(x[at].nanmedian()) for x in (now, undone))
+    size, left = (1e3 * float(x[at].nanmedian()) for x in (one.now, one.undone))
     return Statement(Kind.EXCHANGED, trial, labels, when, size, 1e3 * SCATTER_M, left, share, against)

@@ -15,6 +15,8 @@ NAMED = "witnesses_name"
 """Rule by which witnesses name a fault, as in ``docs/diagnosis.md``."""
 DISAGREE = "witnesses_disagree"
 """Rule by which a fault is not named that leaves too much of what they state."""
+OUTDONE = "witnesses_outdone"
+"""Rule by which a fault is not named whose place one without a size takes better."""
 
 
 def causes_of_faults(
@@ -47,17 +49,17 @@ def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, 
     )  # fmt: skip
 
 
-def refusals_of(faults: Sequence[Fault], chance: float, options: DiagnosisOptions) -> tuple[Step, ...]:
-    """Return the refusal of each fault, where together they do not describe what the witnesses state.
+def refusals_of(faults: Sequence[Fault], rule: str, numbers: dict[str, float]) -> tuple[Step, ...]:
+    """Return the refusal of each fault, where together they are not what the witnesses state.
 
     Args:
         faults: the faults.
-        chance: of what they leave.
-        options: thresholds.
+        rule: ``DISAGREE`` or ``OUTDONE``.
+        numbers: what the rule decided by, under the names of the trace.
     """
     return tuple(
-        Step(StepKind.REFUSE, one.suspect.effect.name, one.suspect.place.where, DISAGREE,
-             {"witness_nats": one.scan[0].nats, "p_value": chance, "least_p_value": options.witnesses.p_value})
+        Step(StepKind.REFUSE, one.suspect.effect.name, one.suspect.place.where, rule,
+             {"witness_nats": one.scan[0].nats, **numbers})
         for one in faults
         if one.of_measuring
     )  # fmt: skip
