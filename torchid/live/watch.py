@@ -15,8 +15,8 @@ SHARE = 0.5
 OFFSET_N = 4.0
 """Choice. Mean vertical reading of a plate that nobody is on: less is what drift and cables do."""
 CLOCK_S = 0.025
-"""Calibrated. How late forces may come: those of living bodies come 1 to 10 ms late by themselves (``body_lag``), those of
-one recorded walk 22."""
+"""Calibrated. How late forces may come: those of living bodies come 1 to 10 ms late by themselves (``body_lag``),
+those of one recorded walk 22."""
 CLOCK_SD = 3.0
 """Choice. Standard deviations by which a clock must be off."""
 GAIN_SD = 6.0
