@@ -88,11 +88,11 @@ def _inertia(model: Model, rng: np.random.Generator) -> Tensor:
 
 def _trial(truth: Truth, name: str, rng: np.random.Generator, seconds: float) -> Trial | None:
     """One recording, 1 mm and 2 N of noise; None where nobody could stand like this."""
-    tree, role = truth.model.tree, name
+    tree = truth.model.tree
     time = torch.arange(round(seconds * RATE) + 1, dtype=torch.float64) / RATE
-    course, motion, soles, total = _courses(tree.dofs, time, rng), None, None, None
+    course = _courses(tree.dofs, time, rng)
     # Feet that stay where they are do not hold every motion: the same one is made smaller until they do.
-    for part in (0.0,) if role == "static" else (1.0, 0.75, 0.5, 0.35, 0.25):
+    for part in (0.0,) if name == "static" else (1.0, 0.75, 0.5, 0.35, 0.25):
         motion = smooth_motion(tree, time, _planted(truth, part * course).T.contiguous(), Smoother(6.0, RATE))
         total, soles = _total(truth, name, motion), _soles(truth, motion.q)
         if _balanced(total, soles):

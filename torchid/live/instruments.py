@@ -5,8 +5,7 @@ Forces that come ``late`` and plates that read by a part ``gain_k`` of themselve
     sum_n late^n / n! d^n F / dt^n = Y phi + sum_k gain_k F_k.
 
 Asked of what the identified body leaves, most of either would be missed: the body has been identified from the same
-rows, and has become one to which they fit. With the first derivative alone, half of 35 ms would be missed: it comes
-late itself.
+rows, and has become one to which they fit. The first derivative alone would not do, for it comes late itself.
 """
 
 import math

@@ -14,11 +14,10 @@ SHARE = 0.5
 """Choice. Part of a block for which something must last before it is said: a stance, and no foot that grazes."""
 OFFSET_N = 4.0
 """Choice. Mean vertical reading of a plate that nobody is on: less is what drift and cables do."""
-CLOCK_S = 0.025
-"""Calibrated. How late forces may come: those of living bodies come 1 to 10 ms late by themselves (``body_lag``),
-those of one recorded walk 22."""
+CLOCK_S = 0.02
+"""Choice. How late forces may come: those of living bodies come up to 15 ms late by themselves (``body_lag``)."""
 CLOCK_SD = 3.0
-"""Choice. Standard deviations by which a clock must be off."""
+"""Choice. Standard deviations by which a clock must be off by more than that."""
 GAIN_SD = 6.0
 """Choice. Standard deviations by which plates must disagree: motion that is modelled wrongly is no noise."""
 GAIN = 0.05
@@ -113,7 +112,7 @@ class Watch:
         if (found := block.instruments) is None:
             return
         late_s = found.late_s
-        if abs(late_s) > max(CLOCK_S, CLOCK_SD * found.late_sd_s):
+        if abs(late_s) - CLOCK_SD * found.late_sd_s > CLOCK_S:
             yield Notice("clock", "", f"Forces come {1e3 * abs(late_s):.0f} ms {'late' if late_s > 0.0 else 'early'}")
 
     def _gains(self, block: Block) -> Iterator[Notice]:
