@@ -84,11 +84,12 @@ def holds_everywhere(change: Change, trials: Mapping[str, tuple[Trial, Recording
     return True
 
 
-def refuse_disagreement(trials: Mapping[str, tuple[Trial, Recording]]) -> None:
+def refuse_disagreement(trials: Mapping[str, tuple[Trial, Recording]], everywhere: bool = True) -> None:
     """Refuse a session whose forces do not agree with the feet.
 
     Args:
         trials: by name, each as read and how to read it again.
+        everywhere: whether these are all trials of the config, so that a line may be advised for all of them.
 
     Raises:
         InputError: ``forces.feet``, with what was seen and the line of the config that mends it.
@@ -99,7 +100,8 @@ def refuse_disagreement(trials: Mapping[str, tuple[Trial, Recording]]) -> None:
     name, findings = next(iter(found.items()))
     first = findings[0]
     where, same = "to the trial", [n for n, each in found.items() if each[0].lines() == first.lines()]
-    if len(first.changes) == 1 and not first.changes[0].up and not first.removed and len(trials) > 1:
+    alone = len(first.changes) == 1 and not first.changes[0].up and not first.removed
+    if alone and everywhere and len(trials) > 1:
         if len(same) == len(found) and holds_everywhere(first.changes[0], trials):
             where = "to the config, for every trial,"
     rest = [n for n in found if n not in same]

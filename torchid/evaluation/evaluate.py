@@ -26,7 +26,7 @@ from torchid.evaluation.layout import Layout, make_layout
 from torchid.evaluation.rows import CycleRows, Scene, cycle_rows, joined
 from torchid.evaluation.shares import shares
 from torchid.evaluation.simulation import with_conditions
-from torchid.evaluation.trials import ConditionTrial, condition_trials, refuse_still
+from torchid.evaluation.trials import ConditionTrial, condition_trials, refuse_faulty, refuse_still
 from torchid.evaluation.wearing import Worn, channels_of, identified_devices, worn_devices
 from torchid.evaluation.write import file_names, write_evaluation
 from torchid.experiment.fits import OnStage
@@ -68,6 +68,8 @@ def evaluate(config: Config, progress: OnStage = lambda stage, fraction: None) -
     refuse_twice(config, devices)
     _refuse_foreign(config, devices)  # before hours of work
     config = with_conditions(config, devices)
+    with OutputFolder(config.out, beside=True) as folder:
+        refuse_faulty(config, folder)
     outcome = run_experiment(config, progress)
     with OutputFolder(config.out, beside=True) as folder:
         folder.claim(file_names(config))

@@ -10,16 +10,13 @@ from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.errors import DataError, InputError
 from torchid.experiment.fits import OnStage
-from torchid.experiment.others import check_others
-from torchid.experiment.read import read_recording, read_setup
+from torchid.experiment.read import join_trials, open_trials, read_setup
 from torchid.experiment.run import run_key
 from torchid.experiment.stages import put_aside
 from torchid.experiment.standing import follow_each
-from torchid.experiment.tracks import look_at_session, taken_out
 from torchid.files import file_sha256
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
-from torchid.io.resample import synchronise
 from torchid.outcome import Followed, Outcome, Session
 from torchid.provenance import stage_key
 from torchid.recording import Trial
@@ -73,16 +70,28 @@ def condition_trials(
     )  # fmt: skip
 
 
+def refuse_faulty(config: Config, folder: OutputFolder) -> None:
+    """Read the trials that were recorded with a device on, before the body is identified, and refuse what is wrong.
+
+    Args:
+        config: of the evaluation.
+        folder: where to put recordings while others are read.
+
+    Raises:
+        TorchidError: as ``open_trials``.
+    """
+    known = {file.name for file in config.body.trials}
+    worn = [file for file in config.trials if file.name not in known]
+    if worn:
+        open_trials(config, worn, read_setup(config)[2], folder.aside)
+
+
 def _worn_session(config: Config, outcome: Outcome, folder: OutputFolder) -> Session:
     """The session with the trials that its run has left out."""
-    _, _, markers = read_setup(config)
-    files = {file.name: file for file in config.trials if file.name not in outcome.session.trials}
-    trials = {n: folder.aside(synchronise(read_recording(file, config, markers))) for n, file in files.items()}
-    check_others(config, outcome.session.assignment, trials)
-    wrong = look_at_session(trials, outcome.session.assignment)
-    sound, _ = taken_out(trials, wrong, folder.aside)
-    every = outcome.session.trials | {name: replace(trial, role="heldout") for name, trial in sound.items()}
-    return replace(outcome.session, trials=every, files=outcome.session.files | files)
+    files = [file for file in config.trials if file.name not in outcome.session.trials]
+    added = join_trials(outcome.session, config, files, folder.aside)
+    every = outcome.session.trials | {name: replace(trial, role="heldout") for name, trial in added.trials.items()}
+    return replace(outcome.session, trials=every, files=outcome.session.files | added.files)
 
 
 def _refuse_strange(outcome: Outcome, session: Session) -> None:

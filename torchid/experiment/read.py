@@ -1,6 +1,6 @@
 """Recordings and model of a config, ready for the fits."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from torchid.agreement.session import Recording, refuse_disagreement
@@ -10,7 +10,7 @@ from torchid.contact.others import feet_alone
 from torchid.errors import ConfigError, DataError, Note
 from torchid.experiment.others import check_others
 from torchid.experiment.tracks import look_at_session, taken_out
-from torchid.geometry.assign import assign_markers
+from torchid.geometry.assign import Assignment, assign_markers
 from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
@@ -38,19 +38,91 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
         TorchidError: a file, the model or the marker set is at fault, or a trial that moves is too short.
     """
     model, said, markers = read_setup(config)
-    files = {file.name: file for file in config.trials}
-    # Kept twice: beside an hour's samples of the plates the markers would have no room.
-    trials = {name: keep(synchronise(keep(read_recording(file, config, markers)))) for name, file in files.items()}
-    _refuse_short(trials)
-    again = {name: (trial, _recording(files[name], config, markers)) for name, trial in trials.items()}
-    judged = {n: (on_feet(trial, config), recording) for n, (trial, recording) in again.items() if files[n].inertia}
-    refuse_disagreement(judged)
+    trials = open_trials(config, config.trials, markers, keep)
     assignment = assign_markers(model, markers, tuple(trials.values()), config.unlisted_choice)
+    return _tracked(config, config.trials, assignment, trials, keep, (*said, *assignment.notes))
+
+
+def join_trials(
+    session: Session, config: Config, files: Sequence[TrialFile], keep: Callable[[Trial], Trial] = lambda trial: trial
+) -> Session:
+    """Read more trials of the subject of a session, for the model on which its markers are assigned already.
+
+    Args:
+        session: as it was read.
+        config: with the trials.
+        files: which of them to read.
+        keep: where to put a trial while others are read.
+
+    Returns:
+        The session of these trials alone.
+
+    Raises:
+        TorchidError: as ``read_session``.
+    """
+    trials = open_trials(config, files, read_setup(config)[2], keep)
+    return _tracked(config, files, session.assignment, trials, keep)
+
+
+def open_trials(
+    config: Config,
+    files: Sequence[TrialFile],
+    markers: MarkerSet,
+    keep: Callable[[Trial], Trial] = lambda trial: trial,
+) -> dict[str, Trial]:
+    """Read trials by name, forces on the clock of the markers; whoever uses a recording of a config opens it here.
+
+    Args:
+        config: of the session.
+        files: which of its trials to read.
+        markers: the session's marker set.
+        keep: where to put a trial while others are read.
+
+    Raises:
+        InputError: a file is at fault, or ``forces.feet``: its forces do not agree with its feet.
+        DataError: ``trial.short`` where a trial that moves is too short.
+    """
+    # Kept twice: beside an hour's samples of the plates the markers would have no room.
+    trials = {file.name: keep(synchronise(keep(read_recording(file, config, markers)))) for file in files}
+    _refuse_short(trials)
+    _refuse_forces(config, files, markers, trials)
+    return trials
+
+
+def open_as_recorded(config: Config, name: str, keep: Callable[[Trial], Trial] = lambda trial: trial) -> Trial:
+    """Read one trial by itself, its forces on their own clock.
+
+    Args:
+        config: with the trial.
+        name: of the trial.
+        keep: where to put it while it is looked at.
+
+    Raises:
+        TorchidError: as ``open_trials``; the model or the marker set is at fault.
+    """
+    file, markers = next(file for file in config.trials if file.name == name), read_setup(config)[2]
+    trial = keep(read_recording(file, config, markers))
+    _refuse_forces(config, [file], markers, {name: synchronise(trial)})
+    return trial
+
+
+def _refuse_forces(config: Config, files: Sequence[TrialFile], markers: MarkerSet, trials: Mapping[str, Trial]) -> None:
+    """Refuse forces that do not agree with the feet, of trials whose forces are on the clock of the markers."""
+    judged = {f.name: (on_feet(trials[f.name], config), _recording(f, config, markers)) for f in files}
+    refuse_disagreement(judged, everywhere=len(files) == len(config.trials))
+
+
+def _tracked(
+    config: Config, files: Sequence[TrialFile], assignment: Assignment, trials: dict[str, Trial],
+    keep: Callable[[Trial], Trial], said: tuple[Note, ...] = (),
+) -> Session:  # fmt: skip
+    """The session of trials that were opened, without the samples of markers that say nothing of segments."""
     check_others(config, assignment, trials)
     notes = tuple(note for trial in trials.values() for note in trial.notes)
     wrong = look_at_session(trials, assignment)
     sound, before = taken_out(trials, wrong, keep)
-    return Session(sound, files, assignment, (*notes, *said, *assignment.notes, *notes_of(wrong)), wrong, before)
+    named = {file.name: file for file in files}
+    return Session(sound, named, assignment, (*notes, *said, *notes_of(wrong)), wrong, before)
 
 
 def read_setup(config: Config) -> tuple[Model, tuple[Note, ...], MarkerSet]:

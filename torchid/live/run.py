@@ -13,7 +13,7 @@ from torchid.config import Config
 from torchid.errors import ConfigError, DataError
 from torchid.experiment.fits import fit_session, given_mass, refuse_unseen
 from torchid.experiment.others import refuse_plates
-from torchid.experiment.read import read_recording, read_session, read_setup
+from torchid.experiment.read import open_as_recorded, read_session
 from torchid.experiment.run import GEOMETRY, run_key
 from torchid.experiment.stages import subject_prior
 from torchid.experiment.standing import follow_each, standing_weight
@@ -94,11 +94,12 @@ def run_live(
         _refuse_other(source, config)
     with OutputFolder(config.out, beside=True) as folder:
         folder.claim((RESULT,))
+        recorded = _replayed(source, config, speed)  # what is wrong with it is said before the geometry is fitted
         subject, base = prepare_subject(config, folder, progress)
         subject = replace(subject, half_life_s=half_life_s)
         if possibilities is not None:
             subject = guided(subject, possibilities)
-        stream = _opened(source, config, speed) if isinstance(source, str) else source
+        stream = recorded or (_opened(source, speed) if isinstance(source, str) else source)
         refuse_plates(config, stream.plates)
         progress("live", 0.0)
         performance, identified, guidance, (fit, prior) = _streamed(subject, stream, record, seconds, page, opened)
@@ -219,20 +220,21 @@ def _streamed(
         return performance, pipeline.finish(), pipeline.guidance(), pipeline.geometry
 
 
-def _replayed(config: Config, name: str, speed: float) -> Source:
-    file = next(file for file in config.trials if file.name == name)
-    trial = read_recording(file, config, read_setup(config)[2])
+def _replayed(source: str | Source, config: Config, speed: float) -> Source | None:
+    """A trial of the config as a source, None where the source is another."""
+    if not isinstance(source, str) or not source.startswith(REPLAY):
+        return None
+    trial = open_as_recorded(config, source.removeprefix(REPLAY))
     if trial.forces is None:
         raise DataError(
-            "live.no_forces", "nothing can be identified without force plates", source=file.file, place=f"trial {name}",
-            found="markers alone", remedy="Give its forces, or replay a trial that has some",
+            "live.no_forces", "nothing can be identified without force plates",
+            source=trial.parameters.get("file", ""), place=f"trial {trial.name}", found="markers alone",
+            remedy="Give its forces, or replay a trial that has some",
         )  # fmt: skip
     return Replay(trial, speed)
 
 
-def _opened(source: str, config: Config, speed: float) -> Source:
-    if source.startswith(REPLAY):
-        return _replayed(config, source.removeprefix(REPLAY), speed)
+def _opened(source: str, speed: float) -> Source:
     if source.startswith(XDF):
         return _extra("torchid.live.xdf").replay_xdf(Path(source.removeprefix(XDF)), speed)
     if _is(QUALISYS, source):
