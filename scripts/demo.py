@@ -13,10 +13,10 @@ from pathlib import Path
 
 from torchid.config import Config, load_config
 from torchid.diagnosis.verdict.records import Cause
-from torchid.experiment import run_experiment, run_simulation
-from torchid.outcome import Outcome
 from torchid.report.cause_sentences import chance, told
 from torchid.report.effect_words import called
+from torchid.run import run_experiment, run_simulation
+from torchid.session import Outcome
 from torchid.simulate.hiding import draw_hidden, judge
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "demo.yaml"

@@ -17,11 +17,11 @@ import yaml
 
 from torchid.config import Config, load_config
 from torchid.devices import Device, load_device
+from torchid.evaluation.cycle_measures.measures import measure
 from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.evaluation import Evaluation
-from torchid.evaluation.measures import measure
 from torchid.evaluation.simulation import simulate_conditions
-from torchid.results import OutputFolder
+from torchid.storage.results import OutputFolder
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "evaluate_simulated.yaml"
 JOINTS = {"hip": ("pelvis", "thigh"), "knee": ("thigh", "shank"), "ankle": ("shank", "foot")}

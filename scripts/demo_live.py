@@ -16,17 +16,17 @@ from typing import Any
 
 from torchid.config import load_config
 from torchid.errors import TorchidError
-from torchid.live.advice import Advice
-from torchid.live.exercises import Possibilities
-from torchid.live.identifier import Subject
-from torchid.live.page import Address, Page
-from torchid.live.pipeline import Moment
+from torchid.live.display.page import Address, Page
+from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.pipeline import Moment
+from torchid.live.exercises.advice import Advice
+from torchid.live.exercises.exercises import Possibilities
+from torchid.live.exercises.simulated import SimulatedSource
 from torchid.live.run import Display, run_live
-from torchid.live.simulated import SimulatedSource
-from torchid.live.stream import Source
-from torchid.logs import configure_logging
+from torchid.live.sources.stream import Source
 from torchid.simulate.session import simulate_session
 from torchid.simulate.subject import SimulatedSubject
+from torchid.storage.logs import configure_logging
 
 CONFIG = Path(__file__).resolve().parents[1] / "configs" / "demo.yaml"
 PLATES = 2

@@ -12,18 +12,18 @@ from dataclasses import replace
 import torch
 
 from torchid.config import load_config
-from torchid.evaluation.comparing import Sample, compare
-from torchid.evaluation.contacts import feet_of
-from torchid.evaluation.cycles import normalise
+from torchid.evaluation.cycle_measures.cycles import normalise
+from torchid.evaluation.cycle_measures.measures import measure, unit_of
 from torchid.evaluation.evaluate import gather, judge
-from torchid.evaluation.measures import measure, unit_of
-from torchid.evaluation.shares import shares
 from torchid.evaluation.simulation import with_conditions
+from torchid.evaluation.statistics.comparing import Sample, compare
+from torchid.evaluation.torque_shares.contacts import feet_of
+from torchid.evaluation.torque_shares.shares import shares
+from torchid.evaluation.torque_shares.wearing import worn_devices
 from torchid.evaluation.trials import condition_trials
-from torchid.evaluation.wearing import worn_devices
 from torchid.evaluation.write import write_evaluation
-from torchid.experiment import run_experiment
-from torchid.results import OutputFolder
+from torchid.run import run_experiment
+from torchid.storage.results import OutputFolder
 
 
 def quiet(stage: str, fraction: float) -> None:

@@ -17,10 +17,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchid.allocator import keep_memory
 from torchid.config import load_config
-from torchid.experiment.read import read_session
-from torchid.experiment.simulation import with_recordings
 from torchid.geometry.arrow.solver import Solution, solve_arrow
 from torchid.geometry.first_scale import start_fit
 from torchid.geometry.fit import finish_fit, joint_problem
@@ -28,7 +25,10 @@ from torchid.geometry.gradient_solvers import Q_SCALE, Q_STEP, XI_STEP, accumula
 from torchid.geometry.marker_weights import reweighted
 from torchid.geometry.problem import MarkerProblem
 from torchid.geometry.result import GeometryFit
-from torchid.snapshot import from_bytes, to_bytes
+from torchid.run.simulation import with_recordings
+from torchid.session.opening import read_session
+from torchid.storage.allocator import keep_memory
+from torchid.storage.snapshot import from_bytes, to_bytes
 
 SHOWN = 50
 """A line of progress and a checkpoint every so many iterations."""

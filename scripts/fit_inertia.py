@@ -15,17 +15,17 @@ from pathlib import Path
 import torch
 
 from torchid.config import load_config
-from torchid.experiment.read import Session, read_session
-from torchid.experiment.simulation import with_recordings
-from torchid.experiment.stages import cutoff, follow, subject_prior
+from torchid.dynamics.rows import residual_rms
+from torchid.dynamics.whitening import accumulate, estimate_whitening, initial_whitening, spectra
 from torchid.geometry.fit import fit_geometry
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import determined
-from torchid.regressor.rows import residual_rms
-from torchid.regressor.whitening import accumulate, estimate_whitening, initial_whitening, spectra
-from torchid.snapshot import from_bytes, to_bytes
+from torchid.run.simulation import with_recordings
+from torchid.session.following import cutoff, follow, subject_prior
+from torchid.session.opening import Session, read_session
+from torchid.storage.snapshot import from_bytes, to_bytes
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -12,18 +12,18 @@ from pathlib import Path
 
 import torch
 
-from torchid.allocator import keep_memory
 from torchid.config import load_config
-from torchid.experiment import run_experiment
-from torchid.experiment.stages import follow
+from torchid.dynamics.rows import predict, residual_rms
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
 from torchid.inertia.transform import move_frame
 from torchid.kinematics.chain import chain_poses
-from torchid.outcome import Outcome
-from torchid.regressor.rows import predict, residual_rms
+from torchid.run import run_experiment
+from torchid.session import Outcome
+from torchid.session.following import follow
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, simulate_session
+from torchid.storage.allocator import keep_memory
 
 
 def main() -> None:

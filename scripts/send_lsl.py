@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 
 from torchid.config import load_config
-from torchid.experiment.read import read_recording, read_setup
 from torchid.io import ReadOptions, read_trial
-from torchid.live.outlets import Outlets, play
+from torchid.live.sources.outlets import Outlets, play
 from torchid.recording import Trial
+from torchid.session.opening import read_recording, read_setup
 
 CONFIGS = (".yaml", ".yml", ".json")
 

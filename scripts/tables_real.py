@@ -13,13 +13,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.config.sections import PROJECT_DATA
 from torchid.errors import DataError
-from torchid.experiment import run_experiment
-from torchid.experiment.run import contributions
-from torchid.outcome import Outcome
+from torchid.run import run_experiment
+from torchid.run.sequence import contributions
+from torchid.session import Outcome
+from torchid.storage.allocator import keep_memory
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))

@@ -27,7 +27,7 @@ def data_dir() -> Path:
 @pytest.fixture
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs leave out the report, a quarter of a small one, where nothing is read there."""
-    monkeypatch.setattr("torchid.experiment.run.write_report", lambda *_: None)
+    monkeypatch.setattr("torchid.run.sequence.write_report", lambda *_: None)
 
 
 @pytest.fixture

@@ -11,13 +11,13 @@ from torch import Tensor
 from torchid.conventions import INERTIA_PAIRS
 from torchid.devices import Device, Value, device_forces
 from torchid.devices.reading import device_of
-from torchid.dynamics import wrench_about
+from torchid.dynamics.equations_of_motion import wrench_about
+from torchid.dynamics.rows import WrenchTrial, predict
 from torchid.filters import Smoother
 from torchid.model.model import Geometry, Model
 from torchid.model.tree import Tree
 from torchid.model.whole_body import whole_body
 from torchid.motion import Motion
-from torchid.regressor.rows import WrenchTrial, predict
 
 RATE = 100.0
 CUTOFF = 6.0

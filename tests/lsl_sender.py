@@ -8,7 +8,7 @@ import time
 
 import pylsl
 
-from torchid.live.outlets import describe_markers, describe_plates
+from torchid.live.sources.outlets import describe_markers, describe_plates
 from torchid.recording import Plate
 
 

@@ -9,7 +9,7 @@ from torchid.diagnosis.evidence.model import LinearModel
 from torchid.diagnosis.evidence.noise import initial_noise
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
-from torchid.regressor.whitening import initial_whitening
+from torchid.dynamics.whitening import initial_whitening
 
 
 def model_of(design: Design, prior: Prior, statistics: Statistics) -> LinearModel:

@@ -8,7 +8,8 @@ import torch
 import yaml
 from torch import Tensor
 
-from torchid.dynamics import wrench_about
+from torchid.dynamics.equations_of_motion import wrench_about
+from torchid.dynamics.rows import WrenchTrial, predict
 from torchid.filters import Smoother
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
 from torchid.geometry.problem import MarkerProblem, PosturePrior
@@ -21,7 +22,6 @@ from torchid.model.opensim.as_model import read_osim_model
 from torchid.model.opensim.group_inertia import phi_to_pseudo
 from torchid.motion import Motion, smooth_motion
 from torchid.recording import Forces, Markers, Plate, Trial
-from torchid.regressor.rows import WrenchTrial, predict
 
 RATE = 60.0
 ASKEW = 0.06

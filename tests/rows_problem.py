@@ -12,7 +12,7 @@ import cvxpy as cp
 import numpy as np
 import torch
 
-from torchid.dynamics import base_rows, body_rows, dynamic_state
+from torchid.dynamics.equations_of_motion import base_rows, body_rows, dynamic_state
 from torchid.inertia.pseudo import relative_map
 from torchid.model.whole_body import whole_body
 

@@ -19,7 +19,7 @@ import torch
 from filelock import FileLock
 
 from torchid.config import load_config
-from torchid.experiment import run_experiment
+from torchid.dynamics.rows import WrenchTrial
 from torchid.filters import Smoother
 from torchid.geometry.assign import Assignment, assign_markers
 from torchid.geometry.fit import fit_geometry
@@ -30,9 +30,9 @@ from torchid.model.marker_set import load_marker_set
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
 from torchid.motion import smooth_motion
-from torchid.outcome import Outcome
 from torchid.recording import Markers
-from torchid.regressor.rows import WrenchTrial
+from torchid.run import run_experiment
+from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, simulate_session, write_session
 

@@ -8,10 +8,10 @@ import torch
 from small_session import outcome as small_outcome
 
 from torchid.errors import InputError
-from torchid.experiment.acceptance import impossible
 from torchid.io.repeats import frame_repeats
-from torchid.outcome import Outcome
 from torchid.report.page import render_report
+from torchid.run.acceptance import impossible
+from torchid.session import Outcome
 
 
 def with_subject(outcome: Outcome, **facts: float) -> Outcome:

@@ -9,11 +9,11 @@ import torch
 import yaml
 from walker import BODY, FOOT, MASS, walking_trial
 
-from torchid.agreement.changes import Change
-from torchid.agreement.finding import BELIEVED
-from torchid.agreement.judge import judge
-from torchid.agreement.readings import changed
-from torchid.agreement.session import Recording, judge_recording, judge_session, refuse_disagreement
+from torchid.checks.plates_against_feet.changes import Change
+from torchid.checks.plates_against_feet.finding import BELIEVED
+from torchid.checks.plates_against_feet.judge import judge
+from torchid.checks.plates_against_feet.readings import changed
+from torchid.checks.plates_against_feet.session import Recording, judge_recording, judge_session, refuse_disagreement
 from torchid.config.sections import Config
 from torchid.conventions import GRAVITY
 from torchid.errors import InputError

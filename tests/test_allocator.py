@@ -7,7 +7,7 @@ import pytest
 
 CHILD = """
 import resource, torch
-from torchid.allocator import keep_memory
+from torchid.storage.allocator import keep_memory
 kept = keep_memory()
 def batch():
     return sum(torch.ones(400_000, dtype=torch.float64).sum() for _ in range(4))
@@ -31,7 +31,7 @@ def test_batches_take_up_the_memory_of_earlier_ones():
 
 LARGE_CHILD = """
 import resource, torch
-from torchid.allocator import keep_memory, keeping_large
+from torchid.storage.allocator import keep_memory, keeping_large
 def faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     for _ in range(20):

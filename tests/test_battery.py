@@ -31,7 +31,7 @@ from torchid.diagnosis.search.estimates import estimate
 from torchid.diagnosis.search.result import SearchResult
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
-from torchid.experiment import run_experiment
+from torchid.run import run_experiment
 
 SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
 HIDDEN = ("time_offset", "plate_pose", "gravity_tilt", "body_weight_support", "flywheel", "marker_scale")

@@ -1,4 +1,4 @@
-"""Tests of torchid.check: each planted fault is named with its cure, and a clean trial raises none."""
+"""Tests of torchid.checks.recording: each planted fault is named with its cure, and a clean trial raises none."""
 
 from dataclasses import replace
 from io import StringIO
@@ -9,8 +9,8 @@ import torch
 from numpy.testing import assert_allclose
 from rich.console import Console
 
-from torchid.check import check_trial, format_check
-from torchid.check_plates import moved_mass, plate_weight
+from torchid.checks.plates import moved_mass, plate_weight
+from torchid.checks.recording import check_trial, format_check
 from torchid.conventions import GRAVITY
 from torchid.errors import Note
 from torchid.recording import Forces, Markers, Plate, Trial

@@ -9,7 +9,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from torchid.check_report import schema
+from torchid.checks.report import schema
 from torchid.cli import app
 from torchid.errors import InputError
 from torchid.io.pairing import find_recordings, pair_files

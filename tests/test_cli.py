@@ -15,8 +15,8 @@ from torchid.cli import app
 from torchid.config import load_config
 from torchid.errors import DataError, InputError
 from torchid.io.trc import write_trc
-from torchid.logs import configure_logging
 from torchid.recording import Markers
+from torchid.storage.logs import configure_logging
 
 runner = CliRunner()
 CONFIG = "{subject: {name: S01}, markers: plug_in_gait, trials: [{name: a, file: a.c3d}]}"
@@ -33,7 +33,7 @@ def config(tmp_path: Path) -> str:
 def experiment(monkeypatch):
     """Replaces the run itself: what is tested here is what the command makes of its end."""
     seen: list = []
-    module = type(sys)("torchid.experiment")
+    module = type(sys)("torchid.run")
     outcome: list[BaseException] = []
 
     def run_experiment(loaded, progress) -> None:
@@ -43,7 +43,7 @@ def experiment(monkeypatch):
             raise outcome[0]
 
     module.run_experiment = run_experiment
-    monkeypatch.setitem(sys.modules, "torchid.experiment", module)
+    monkeypatch.setitem(sys.modules, "torchid.run", module)
     return seen, outcome
 
 

@@ -8,7 +8,7 @@ import torch
 from torch.testing import assert_close
 
 from torchid.diagnosis.columns.design import Columns, Terms
-from torchid.snapshot import swap_out
+from torchid.storage.snapshot import swap_out
 
 SEED = int(os.environ.get("TORCHID_SEED", time.time_ns() % 2**32))
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from torchid.config import Config, InvalidConfig, dump_config, load_config
 from torchid.config.explain import MOST
 from torchid.contact.options import ContactOptions
-from torchid.documents import MAX_BYTES, dump_document, parse_document
 from torchid.errors import ConfigError
 from torchid.geometry.options import GeometryOptions
 from torchid.inertia.options import InertiaOptions
 from torchid.simulate.options import SimulateOptions
+from torchid.storage.documents import MAX_BYTES, dump_document, parse_document
 
 MINIMAL = """
 subject: {name: S01, mass_kg: 70}

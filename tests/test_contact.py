@@ -7,12 +7,12 @@ from torchid.contact.balance import Weight, falls_short
 from torchid.contact.contact import find_contact
 from torchid.contact.options import ContactOptions
 from torchid.conventions import GRAVITY
-from torchid.experiment.run import _contact_notes
 from torchid.filters import Smoother
 from torchid.geometry.tracking import Tracked
 from torchid.motion import Motion
-from torchid.outcome import Followed
 from torchid.recording import Forces, Plate
+from torchid.run.sequence import _contact_notes
+from torchid.session import Followed
 
 FRAMES, RATE = 100, 100.0
 TIME = torch.arange(FRAMES, dtype=torch.float64) / RATE

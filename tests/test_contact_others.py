@@ -14,8 +14,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import small_session
 from benchmarks import hidden_contact
 
-from torchid.agreement.judge import judge
-from torchid.check_report import Given
+from torchid.checks.plates_against_feet.judge import judge
+from torchid.checks.report import Given
 from torchid.config import InvalidConfig, load_config
 from torchid.config.conditions import Condition
 from torchid.contact.contact import Contact, find_contact
@@ -27,24 +27,24 @@ from torchid.contact.sharing.patches import Patch, axes_about, patch_rows, rest_
 from torchid.contact.sharing.records import Needed, Source
 from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import ConfigError, DataError, OptionError
-from torchid.evaluation.back import low_back
-from torchid.experiment import run
-from torchid.experiment.contacts import sharing_notes, wrenches_under
-from torchid.experiment.others import check_others, local_points, refuse_unknown_plates
-from torchid.experiment.read import on_feet
-from torchid.experiment.run import _contact_notes
-from torchid.experiment.stages import contact_loads, limb, torques
-from torchid.experiment.torque_bands import outcome_draws
-from torchid.experiment.write import motion_dataset
+from torchid.evaluation.torque_shares.back import low_back
 from torchid.filters import Smoother
 from torchid.geometry.tracking import Tracked
 from torchid.io.resample import synchronise
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses
 from torchid.motion import Motion
-from torchid.outcome import Followed
 from torchid.recording import Forces, Plate
 from torchid.report.contacts import contacts_figure
+from torchid.run import sequence
+from torchid.run.sequence import _contact_notes
+from torchid.run.torque_bands import outcome_draws
+from torchid.run.write import motion_dataset
+from torchid.session import Followed
+from torchid.session.contact_wrenches import sharing_notes, wrenches_under
+from torchid.session.following import contact_loads, limb, torques
+from torchid.session.opening import on_feet
+from torchid.session.other_contacts import check_others, local_points, refuse_unknown_plates
 
 FRAMES, RATE = 100, 100.0
 TIME = torch.arange(FRAMES, dtype=torch.float64) / RATE
@@ -378,7 +378,7 @@ def test_a_plate_that_no_trial_has_is_refused_before_the_fit(tmp_path: Path, mon
                                        "contact": contact, "out": tmp_path})  # fmt: skip
     monkeypatch.setattr(run, "compute_outcome", lambda *given: pytest.fail("the body was fitted first"))
     with pytest.raises(ConfigError) as refusal:
-        run.run_experiment(config)
+        sequence.run_experiment(config)
     assert refusal.value.code == "contact.plate" and "1, 2, 3, 4" in refusal.value.remedy
 
 

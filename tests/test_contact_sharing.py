@@ -25,12 +25,12 @@ from torchid.contact.sharing.reference import share_by_clarabel
 from torchid.contact.sharing.solver import SharingStatus, share
 from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import DataError
-from torchid.experiment.contacts import sharing_notes, wrenches_under
-from torchid.experiment.stages import follow, legs, torques
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit
 from torchid.recording import Forces, Plate
 from torchid.report.contacts import contacts_figure
+from torchid.session.contact_wrenches import sharing_notes, wrenches_under
+from torchid.session.following import follow, legs, torques
 
 TOLERANCE_N = 0.2
 """Of a solution at the default tolerance: some 3e-4 of the weight."""

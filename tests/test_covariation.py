@@ -17,13 +17,13 @@ from torchid.diagnosis.columns.corrected_scores import noise_scores
 from torchid.diagnosis.columns.design import Columns, Design, only
 from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.diagnosis.evidence.spectra import trial_spectra
-from torchid.dynamics import base_rows, body_rows, wrench_about
+from torchid.dynamics.equations_of_motion import base_rows, body_rows, wrench_about
+from torchid.dynamics.whitening import BAND_EDGES_HZ, band_of, coefficients, column_spectra, cosine_matrix, frequencies
 from torchid.effects.catalogue import effect
 from torchid.effects.columns import columns
-from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.extension.diagnosing import observe_outcome
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.whitening import BAND_EDGES_HZ, band_of, coefficients, column_spectra, cosine_matrix, frequencies
-from torchid.snapshot import in_memory
+from torchid.storage.snapshot import in_memory
 
 pytestmark = pytest.mark.slow
 

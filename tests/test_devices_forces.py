@@ -18,7 +18,7 @@ from benchmarks.device_mujoco import inverse, worn
 from torchid.devices import Device, device_forces, told_of
 from torchid.devices.action import action
 from torchid.devices.forces import states
-from torchid.dynamics import inverse_dynamics
+from torchid.dynamics.equations_of_motion import inverse_dynamics
 from torchid.errors import ConfigError
 from torchid.filters import Smoother
 from torchid.motion import Motion

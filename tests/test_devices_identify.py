@@ -22,11 +22,11 @@ from torchid.devices import (
 from torchid.devices.measured import measured_by
 from torchid.devices.sensor import fit_law
 from torchid.devices.supports import stated
+from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError
 from torchid.inertia.identify import identify_inertia
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.pseudo import params_to_pseudo
-from torchid.regressor.rows import WrenchTrial
 
 PARTS = [
     {"segment": "pelvis", "mass_kg": "unknown", "com_m": {"value": [-0.1, 0, 0.1], "sd": 0.02}},

@@ -25,14 +25,16 @@ from torchid.diagnosis.search.stepwise import search
 from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.trace import StepKind
 from torchid.diagnosis.verdict.records import Diagnosis
-from torchid.dynamics import wrench_about
+from torchid.dynamics.equations_of_motion import wrench_about
+from torchid.dynamics.rows import WrenchTrial
+from torchid.dynamics.whitening import accumulate, initial_whitening, spectra
 from torchid.effects.catalogue import BODILY
 from torchid.effects.effect import Planted
 from torchid.effects.forces import Tether
 from torchid.effects.masses import Payload
 from torchid.effects.place import Place
 from torchid.errors import ConfigError
-from torchid.experiment.correction import _added
+from torchid.extension.correction import _added
 from torchid.filters import Smoother
 from torchid.inertia.identify import Identified, identify_inertia
 from torchid.io.resample import synchronise
@@ -41,8 +43,6 @@ from torchid.motion import smooth_motion
 from torchid.observation.plate_registry import SessionPlate, recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
 from torchid.recording import Forces, Plate
-from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import accumulate, initial_whitening, spectra
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import Session, simulate_session
 

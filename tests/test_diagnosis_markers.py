@@ -10,7 +10,7 @@ import pytest
 
 from torchid.config import load_config
 from torchid.effects.place import Interval
-from torchid.experiment import run_experiment
+from torchid.run import run_experiment
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import simulate_session
 

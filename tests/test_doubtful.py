@@ -28,7 +28,7 @@ from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.verdict.confidence import trust, visible
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
-from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.extension.diagnosing import observe_outcome
 
 
 def found(columns: torch.Tensor, rows: torch.Tensor) -> SearchResult:

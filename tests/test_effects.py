@@ -17,7 +17,7 @@ from torch.testing import assert_close
 import torchid
 from torchid.diagnosis.candidates.candidate import Source
 from torchid.diagnosis.columns.marker_columns import response_of
-from torchid.dynamics import base_rows, body_rows
+from torchid.dynamics.equations_of_motion import base_rows, body_rows
 from torchid.effects import columns as columns_module
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.columns import columns

@@ -25,21 +25,21 @@ from torchid.contact.other_options import OtherContact
 from torchid.conventions import GRAVITY
 from torchid.devices import Device, Finding, load_device
 from torchid.devices.values import Value
-from torchid.dynamics import body_rows, body_wrenches, dynamic_state
+from torchid.dynamics.equations_of_motion import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
-from torchid.evaluation.back import lever_arms, low_back, trunk_of
-from torchid.evaluation.contacts import feet_of, refuse_twice
-from torchid.evaluation.device_draws import device_deviations
 from torchid.evaluation.evaluate import evaluate, gather, judge
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.gaps import find_gaps, unweighed
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import all_numbers
 from torchid.evaluation.report.page import render_evaluation
+from torchid.evaluation.torque_shares.back import lever_arms, low_back, trunk_of
+from torchid.evaluation.torque_shares.contacts import feet_of, refuse_twice
+from torchid.evaluation.torque_shares.device_draws import device_deviations
+from torchid.evaluation.torque_shares.wearing import Worn, _usable, acting, worn_devices
 from torchid.evaluation.trials import condition_trials
-from torchid.evaluation.wearing import Worn, _usable, acting, worn_devices
 from torchid.evaluation.write import write_evaluation
-from torchid.results import OutputFolder
+from torchid.storage.results import OutputFolder
 from torchid.torque.inverse import joint_torques
 
 SHEET = """

@@ -19,19 +19,19 @@ from torchid.config import load_config
 from torchid.devices import device_forces, refuse_foreign
 from torchid.devices.action import action
 from torchid.devices.forces import states
-from torchid.dynamics import body_rows, body_wrenches, dynamic_state
+from torchid.dynamics.equations_of_motion import body_rows, body_wrenches, dynamic_state
 from torchid.effects.displacement import carriage
 from torchid.effects.scene import make_scene
 from torchid.errors import ConfigError
-from torchid.evaluation.back import low_back, trunk_of
-from torchid.evaluation.conventions import chosen, spellings
-from torchid.experiment import run_experiment
+from torchid.evaluation.cycle_measures.conventions import chosen, spellings
+from torchid.evaluation.torque_shares.back import low_back, trunk_of
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses
 from torchid.live.run import run_live
 from torchid.model.model import Geometry, Model
 from torchid.model.opensim.as_model import read_osim_model
 from torchid.motion import Motion
+from torchid.run import run_experiment
 from torchid.torque.inverse import joint_torques
 
 RAJAGOPAL = "opensim_rajagopal_walk/subject_walk_scaled.osim"

@@ -9,11 +9,11 @@ import torch
 from scipy import stats
 
 from torchid.config.conditions import EvaluateOptions
-from torchid.evaluation.arrangements import deal, flip
-from torchid.evaluation.comparing import Column, Sample, compare, course_p, spans, with_others
-from torchid.evaluation.effects import difference_of, hedges
-from torchid.evaluation.permutation import correlations, sign_means, step_down
-from torchid.evaluation.units import choose_units, least_units, memory, trial_units, unit_means
+from torchid.evaluation.statistics.arrangements import deal, flip
+from torchid.evaluation.statistics.comparing import Column, Sample, compare, course_p, spans, with_others
+from torchid.evaluation.statistics.effects import difference_of, hedges
+from torchid.evaluation.statistics.permutation import correlations, sign_means, step_down
+from torchid.evaluation.statistics.units import choose_units, least_units, memory, trial_units, unit_means
 
 OPTIONS = EvaluateOptions(permutations=999)
 

@@ -21,14 +21,14 @@ from torchid.cli import app
 from torchid.config import Config, InvalidConfig, Study, load_evaluation
 from torchid.config.study import Member
 from torchid.errors import ConfigError, DataError, InputError, TorchidError
-from torchid.evaluation.effects import hedges_paired
 from torchid.evaluation.evaluation import Gap
+from torchid.evaluation.statistics.effects import hedges_paired
 from torchid.evaluation.study.compare import least_permutations, least_subjects
 from torchid.evaluation.study.study import pool, subjects_of
 from torchid.evaluation.study.subject import read_subject
 from torchid.evaluation.study.write import FILES, evaluate_study
-from torchid.files import write_json
-from torchid.netcdf import write_netcdf
+from torchid.storage.files import write_json
+from torchid.storage.netcdf import write_netcdf
 
 MEASURE, POINTS = "peak_torque_Nm", 21
 JOINTS = ("hip_l_flexion", "knee_l_flexion", "ankle_l_flexion")

@@ -16,11 +16,11 @@ from typer.testing import CliRunner
 
 from torchid.cli import app
 from torchid.config import load_config
-from torchid.experiment import run_experiment
-from torchid.experiment.stages import legs
-from torchid.experiment.write import result_names
 from torchid.io.c3d_write import write_c3d
 from torchid.recording import Trial
+from torchid.run import run_experiment
+from torchid.run.write import result_names
+from torchid.session.following import legs
 
 pytestmark = pytest.mark.slow
 

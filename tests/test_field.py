@@ -15,7 +15,7 @@ from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.effect import Parameter
 from torchid.effects.forces import PointForce
 from torchid.effects.scene import Point, Scene
-from torchid.experiment import run_experiment
+from torchid.run import run_experiment
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import simulate_session
 

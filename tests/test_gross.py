@@ -14,7 +14,7 @@ from torchid.diagnosis.candidates.missing_weight import find_missing_weight, set
 from torchid.diagnosis.options import MissingWeightOptions
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import at_origin
-from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.extension.diagnosing import observe_outcome
 from torchid.observation.trial import TrialObservation
 from torchid.recording import Forces
 

@@ -6,7 +6,7 @@ from test_scripts import script
 
 from torchid.config import load_config
 from torchid.effects.catalogue import CATALOGUE
-from torchid.experiment import run_simulation
+from torchid.run import run_simulation
 from torchid.simulate.hiding import LOTS, draw_hidden, judge
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.planting import planted

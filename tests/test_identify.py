@@ -7,13 +7,13 @@ import small_session as small
 import torch
 from torch.testing import assert_close
 
+from torchid.dynamics.rows import WrenchTrial, residual_rms
+from torchid.dynamics.whitening import accumulate, spectra
 from torchid.errors import DataError
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import Identified, determined, identify_inertia
 from torchid.inertia.options import InertiaOptions
 from torchid.model.model import InertialPrior
-from torchid.regressor.rows import WrenchTrial, residual_rms
-from torchid.regressor.whitening import accumulate, spectra
 
 KNOWN = InertiaOptions(prior_weight=1.0, noise="known", base_parameters=False)
 

@@ -3,8 +3,8 @@
 import torch
 from inertia_cases import bodies, chain_rows, names, prior
 
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.inertia.base_parameters import base_parameters, structure
-from torchid.regressor.equations import NormalEquations
 
 
 def test_base_parameters_reproduce_the_regressor(seed: int) -> None:

@@ -9,6 +9,7 @@ import torch
 from inertia_cases import IDENTITY, bodies, chain_rows, draw, names, prior, relative
 from torch import Tensor
 
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import ConfigError, DataError
 from torchid.inertia import cone
 from torchid.inertia.certificate import InertiaStatus, judge
@@ -16,7 +17,6 @@ from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.pseudo import relative_map, triangle, untriangle
 from torchid.model.model import InertialPrior
-from torchid.regressor.equations import NormalEquations
 
 PLAIN = InertiaOptions(prior_weight=1.0, noise="known")
 

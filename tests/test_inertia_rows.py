@@ -13,6 +13,7 @@ from rows_problem import RowsProblem, direct, human, pseudo, small
 
 import torchid
 from torchid.conventions import INERTIAL_NAMES
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import ConfigError, DataError, TorchidError
 from torchid.inertia import cone, entropic
 from torchid.inertia.certificate import InertiaStatus
@@ -20,7 +21,6 @@ from torchid.inertia.linear import ellipsoid_matrix
 from torchid.inertia.pseudo import params_to_pseudo
 from torchid.inertia.rows_input import Limits, RowsPrior
 from torchid.inertia.rows_result import RowsFit
-from torchid.regressor.equations import NormalEquations
 
 KINDS = ("euclidean", "pullback", "entropic")
 SCALE = {"euclidean": 0.01, "pullback": 0.3, "entropic": 0.3}

@@ -9,7 +9,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
-from torchid.check import check_trial
+from torchid.checks.recording import check_trial
 from torchid.io import read_trial
 from torchid.io.c3d_data import read_analogs, read_points
 from torchid.io.c3d_header import read_header

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 
 from torchid.config import load_config
 from torchid.errors import DataError, InputError
-from torchid.experiment.read import read_session
 from torchid.io import ReadOptions, read_trial
 from torchid.io.mend import PlateAs
+from torchid.session.opening import read_session
 
 FRAMES, RATE, FIRST = 60, 100.0, 251
 BEGIN = (FIRST - 1) / RATE

@@ -24,29 +24,29 @@ from torchid.config import Config, load_config
 from torchid.config.sections import TrialFile
 from torchid.contact.options import ContactOptions
 from torchid.contact.other_options import OtherContact
+from torchid.dynamics.row_equations import NormalEquations
+from torchid.dynamics.rows import SHORTEST, WrenchTrial, runs
+from torchid.dynamics.whitening import BlockSpectrum, accumulate, block_spectrum
 from torchid.errors import ConfigError, DataError
-from torchid.experiment import run_experiment
-from torchid.experiment.fits import given_mass
-from torchid.experiment.read import read_recording, read_setup
-from torchid.experiment.standing import standing_weight
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import Identified
 from torchid.inertia.options import InertiaOptions
 from torchid.io.trc import write_trc
-from torchid.live.estimator import Estimator
-from torchid.live.identifier import Subject
-from torchid.live.intake import Intake
-from torchid.live.pipeline import Moment, Pipeline
-from torchid.live.pose import Follower
-from torchid.live.refining import Piece, Refining
-from torchid.live.replay import AT_ONCE, Replay
+from torchid.live.estimation.estimator import Estimator
+from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.pipeline import Moment, Pipeline
+from torchid.live.estimation.pose import Follower
+from torchid.live.estimation.refining import Piece, Refining
 from torchid.live.run import prepare_subject, run_live
-from torchid.live.stream import Packet
+from torchid.live.sources.intake import Intake
+from torchid.live.sources.replay import AT_ONCE, Replay
+from torchid.live.sources.stream import Packet
 from torchid.recording import Forces, Markers, Trial
-from torchid.regressor.equations import NormalEquations
-from torchid.regressor.rows import SHORTEST, WrenchTrial, runs
-from torchid.regressor.whitening import BlockSpectrum, accumulate, block_spectrum
-from torchid.results import OutputFolder
+from torchid.run import run_experiment
+from torchid.session.fitting import given_mass
+from torchid.session.opening import read_recording, read_setup
+from torchid.session.standing import standing_weight
+from torchid.storage.results import OutputFolder
 
 MOVING, RATE = "squats", 100.0
 
@@ -336,7 +336,7 @@ def test_a_disk_that_gets_full_costs_the_recording_and_nothing_else(tmp_path, se
     said = [text for what, text in full.notices if what == "recording"]
     assert len(said) == 1 and found["recording"]["fault"] in said[0]
     assert not [what for what, _ in free.notices if what == "recording"]
-    assert len([one for one in caplog.records if one.name == "torchid.live.recorder"]) == 1
+    assert len([one for one in caplog.records if one.name == "torchid.live.sources.recorder"]) == 1
     given = TrialFile(name="part", file=tmp_path / "part" / "live.trc", forces=tmp_path / "part" / "live.mot", up="z")
     read, sent = read_recording(given, config, read_setup(config)[2]), moving()
     frames = len(read.markers.time)

@@ -12,20 +12,20 @@ from torch.testing import assert_close
 from typer.testing import CliRunner
 
 from torchid.cli import app
+from torchid.dynamics.whitening import BlockSpectrum, Whitening, initial_whitening
 from torchid.errors import ConfigError
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import identify_spectra
 from torchid.inertia.options import InertiaOptions
-from torchid.live import guidance
-from torchid.live.advice import NOTHING, Adviser, make_ledger, promises
-from torchid.live.estimator import Estimator
-from torchid.live.exercises import LIBRARY, RATE_HZ, Exercise, Possibilities, allowed, perform, stand_in
-from torchid.live.guidance import GOAL, Guide, Knowledge, Rehearsal, make_guide, rehearse, rows_of
-from torchid.regressor.whitening import BlockSpectrum, Whitening, initial_whitening
+from torchid.live.estimation.estimator import Estimator
+from torchid.live.exercises import guidance
+from torchid.live.exercises.advice import NOTHING, Adviser, make_ledger, promises
+from torchid.live.exercises.exercises import LIBRARY, RATE_HZ, Exercise, Possibilities, allowed, perform, stand_in
+from torchid.live.exercises.guidance import GOAL, Guide, Knowledge, Rehearsal, make_guide, rehearse, rows_of
 from torchid.simulate.balance import needed_wrench
 from torchid.simulate.subject import simulate_subject
-from torchid.snapshot import from_bytes, to_bytes
+from torchid.storage.snapshot import from_bytes, to_bytes
 
 SHORT = 3.0
 """Duration of exercises in these tests [s]."""

@@ -22,9 +22,9 @@ from torch.testing import assert_close
 
 from torchid.config import load_config
 from torchid.errors import ConfigError, InputError
-from torchid.live.intake import Counts, Intake
 from torchid.live.run import run_live
-from torchid.live.stream import Packet
+from torchid.live.sources.intake import Counts, Intake
+from torchid.live.sources.stream import Packet
 from torchid.recording import Forces, Markers, Plate, Trial
 
 # A laboratory of its own, which no other sees, found without multicast: must be told before the library is loaded.
@@ -37,10 +37,10 @@ os.environ["LSLAPICFG"] = str(LABORATORY)
 
 pylsl = pytest.importorskip("pylsl")
 pytest.importorskip("pyxdf")
-from torchid.live import description, feed  # noqa: E402
-from torchid.live.lsl import LslSource  # noqa: E402
-from torchid.live.outlets import Outlets, describe_markers, describe_plates, play  # noqa: E402
-from torchid.live.xdf import device_series, replay_xdf  # noqa: E402
+from torchid.live.sources import description, feed  # noqa: E402
+from torchid.live.sources.lsl import LslSource  # noqa: E402
+from torchid.live.sources.outlets import Outlets, describe_markers, describe_plates, play  # noqa: E402
+from torchid.live.sources.xdf import device_series, replay_xdf  # noqa: E402
 
 RATE, FORCE_RATE, FRAMES = 100.0, 400.0, 60
 LABELS = ("A", "B", "C")

@@ -16,13 +16,13 @@ from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
 
 from torchid.errors import ConfigError
-from torchid.live.advice import Advice
-from torchid.live.beside import Found
-from torchid.live.board import Board, bars
-from torchid.live.page import Address, Page, Show, drawn
-from torchid.live.pipeline import Moment, Pipeline
-from torchid.live.pose import Follower, Postures
-from torchid.live.replay import Replay
+from torchid.live.display.board import Board, bars
+from torchid.live.display.page import Address, Page, Show, drawn
+from torchid.live.estimation.beside import Found
+from torchid.live.estimation.pipeline import Moment, Pipeline
+from torchid.live.estimation.pose import Follower, Postures
+from torchid.live.exercises.advice import Advice
+from torchid.live.sources.replay import Replay
 from torchid.scene.scene import Ground
 from torchid.scene.server import close_page, open_page
 
@@ -125,7 +125,7 @@ def test_a_page_that_dies_is_said(monkeypatch):
     """Where its process ends before it has opened."""
     trial = moving()
     assert trial.forces is not None
-    monkeypatch.setattr("torchid.live.page._serve", abort)
+    monkeypatch.setattr("torchid.live.display.page._serve", abort)
     with pytest.raises(ConfigError, match="live.page"):
         Page(subject(), trial.markers.labels, trial.forces.plates, Address(PORT, "127.0.0.1"))
 

@@ -18,14 +18,14 @@ from torch.testing import assert_close
 
 from torchid.config import load_config
 from torchid.errors import ConfigError, InputError
-from torchid.live.intake import JUMP_S, Counts, Intake
 from torchid.live.run import run_live
-from torchid.live.stream import Packet, Source
+from torchid.live.sources.intake import JUMP_S, Counts, Intake
+from torchid.live.sources.stream import Packet, Source
 from torchid.recording import Forces, Markers
 
 pytest.importorskip("qtm_rt")
-from torchid.live.qtm_link import HOST, LARGEST, PORT, address_of  # noqa: E402
-from torchid.live.qualisys import QualisysSource  # noqa: E402
+from torchid.live.sources.qtm_link import HOST, LARGEST, PORT, address_of  # noqa: E402
+from torchid.live.sources.qualisys import QualisysSource  # noqa: E402
 
 RATE, EACH, FRAMES = 100.0, 10, 40
 LABORATORY = Laboratory()

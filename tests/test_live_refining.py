@@ -9,14 +9,14 @@ import small_session
 import torch
 from test_live import RATE, moving, subject
 
-from torchid.experiment.stages import subject_prior
 from torchid.geometry.result import GeometryFit
-from torchid.live import refining
-from torchid.live.identifier import Subject
-from torchid.live.intake import Intake
-from torchid.live.pose import Follower
-from torchid.live.refining import Piece, Refining
-from torchid.live.replay import Replay
+from torchid.live.estimation import refining
+from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.pose import Follower
+from torchid.live.estimation.refining import Piece, Refining
+from torchid.live.sources.intake import Intake
+from torchid.live.sources.replay import Replay
+from torchid.session.following import subject_prior
 
 
 def standing(fit: GeometryFit, seed: int) -> Subject:

@@ -19,12 +19,12 @@ from torchid.errors import ConfigError
 from torchid.filters import differentiate
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses
-from torchid.live import clips
-from torchid.live.advice import Advice
-from torchid.live.clips import make_clip, make_standing, stand_still
-from torchid.live.exercises import LIBRARY, Exercise, Possibilities, allowed
-from torchid.live.simulated import HEAR_S, STAND_S, SimulatedSource
-from torchid.live.stream import Packet
+from torchid.live.exercises import clips
+from torchid.live.exercises.advice import Advice
+from torchid.live.exercises.clips import make_clip, make_standing, stand_still
+from torchid.live.exercises.exercises import LIBRARY, Exercise, Possibilities, allowed
+from torchid.live.exercises.simulated import HEAR_S, STAND_S, SimulatedSource
+from torchid.live.sources.stream import Packet
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.subject import SimulatedSubject, simulate_subject
 

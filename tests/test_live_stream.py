@@ -16,11 +16,11 @@ from torch.testing import assert_close
 
 from torchid.errors import InputError
 from torchid.io import ReadOptions, read_trial
-from torchid.live.intake import Counts, Intake
-from torchid.live.recorder import Recorder
-from torchid.live.replay import AT_ONCE, Replay
-from torchid.live.stream import Packet
-from torchid.live.timeline import Timeline
+from torchid.live.sources.intake import Counts, Intake
+from torchid.live.sources.recorder import Recorder
+from torchid.live.sources.replay import AT_ONCE, Replay
+from torchid.live.sources.stream import Packet
+from torchid.live.sources.timeline import Timeline
 from torchid.recording import Forces, Markers, Plate, Trial
 
 RATE, FORCE_RATE, PATIENCE_S = 100.0, 400.0, 0.5

@@ -8,10 +8,10 @@ import pytest
 import torch
 from test_live import RATE, long, moving, subject
 
-from torchid.live.identifier import Identifier
-from torchid.live.intake import Intake
-from torchid.live.pose import Follower
-from torchid.live.replay import Replay
+from torchid.live.estimation.identifier import Identifier
+from torchid.live.estimation.pose import Follower
+from torchid.live.sources.intake import Intake
+from torchid.live.sources.replay import Replay
 from torchid.recording import Trial
 
 Said = list[tuple[float, tuple[tuple[str, str], ...]]]

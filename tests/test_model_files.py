@@ -11,7 +11,7 @@ from torch.testing import assert_close
 from trees import pinocchio_state, random_inertia, random_motion, random_tree
 
 from torchid.conventions import Inertial
-from torchid.dynamics import inverse_dynamics
+from torchid.dynamics.equations_of_motion import inverse_dynamics
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.assembly import Link, assemble

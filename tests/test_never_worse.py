@@ -15,9 +15,11 @@ from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
+from torchid.dynamics.row_equations import NormalEquations
+from torchid.dynamics.rows import residual_rms
 from torchid.effects.effect import Planted
 from torchid.effects.place import Interval
-from torchid.experiment.block_errors import (
+from torchid.extension.block_errors import (
     BLOCK_S,
     FITTED,
     LEFT_OUT,
@@ -26,22 +28,20 @@ from torchid.experiment.block_errors import (
     block_frames,
     cut_blocks,
 )
-from torchid.experiment.diagnosis_stage import forceful
-from torchid.experiment.fits import identify
-from torchid.experiment.never_worse import Growth, compare, growth
-from torchid.experiment.publishing import RULE, Attempts, publishable, select
-from torchid.experiment.standing import follow_each
+from torchid.extension.diagnosing import forceful
+from torchid.extension.never_worse import Growth, compare, growth
+from torchid.extension.publishing import RULE, Attempts, publishable, select
 from torchid.filters import Smoother
 from torchid.inertia.left_out import leave_out_each
 from torchid.inertia.options import InertiaOptions
 from torchid.motion import Motion
-from torchid.outcome import Outcome
-from torchid.outcome.tables import diagnosis_table
-from torchid.regressor.equations import NormalEquations
-from torchid.regressor.rows import residual_rms
-from torchid.results import OutputFolder
+from torchid.session import Outcome
+from torchid.session.fitting import identify
+from torchid.session.standing import follow_each
+from torchid.session.tables import diagnosis_table
 from torchid.simulate.options import PlantedOptions
 from torchid.simulate.planting import misread, planted
+from torchid.storage.results import OutputFolder
 
 OPTIONS = DiagnosisOptions().never_worse
 MARGIN = OPTIONS.margin_part

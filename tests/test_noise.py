@@ -16,10 +16,12 @@ from torchid.diagnosis.evidence.noise import initial_noise
 from torchid.diagnosis.evidence.noise_estimation import estimate_noise, unseen_noise
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.spectra import TrialSpectra
-from torchid.dynamics import base_rows, body_rows, wrench_about
+from torchid.dynamics.equations_of_motion import base_rows, body_rows, wrench_about
+from torchid.dynamics.rows import WrenchTrial
+from torchid.dynamics.whitening import BlockSpectrum, frequencies, initial_whitening
 from torchid.effects.marker_scene import Sight
 from torchid.effects.scene import make_scene
-from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.extension.diagnosing import observe_outcome
 from torchid.filters import Smoother
 from torchid.geometry.trial_problem import posture_prior
 from torchid.kinematics.plan import plan_tree
@@ -29,8 +31,6 @@ from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.noise_budget import energy, passed
 from torchid.observation.noise_draws import DRAWS, draw_noise
 from torchid.observation.reliability import estimate_reliability
-from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import BlockSpectrum, frequencies, initial_whitening
 
 NOISE = 1e-3
 """Of the markers [m]."""

@@ -15,9 +15,9 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from torchid.config import load_config
+from torchid.dynamics.opensim_coordinates import file_forces, osim_inverse_dynamics
+from torchid.dynamics.rows import residual_rms
 from torchid.errors import ConfigError, InputError
-from torchid.experiment import run_experiment
-from torchid.experiment.read import read_setup
 from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.files import load_model
 from torchid.model.opensim.as_model import LEAST_MASS, read_osim_model
@@ -31,8 +31,8 @@ from torchid.model.opensim.tree_of_osim import as_free, tree_of_osim
 from torchid.model.opensim.writing_back import write_back
 from torchid.model.tree_of_links import LEAST_EXTENT
 from torchid.model.whole_body import lock_bodies
-from torchid.osim_dynamics import file_forces, osim_inverse_dynamics
-from torchid.regressor.rows import residual_rms
+from torchid.run import run_experiment
+from torchid.session.opening import read_setup
 
 FUNCTION_KNEES = "opensim_rajagopal_walk/subject_walk_scaled.osim"
 """A model whose knees turn about three axes by functions of one coordinate, with kneecaps that follow."""

@@ -11,18 +11,18 @@ from torch.testing import assert_close
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
+from torchid.dynamics.whitening import QUIET, cosine_matrix, white_scatter
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.place import Interval
 from torchid.effects.traits import Correction
-from torchid.experiment import correction, diagnosis_stage, pieces
-from torchid.experiment.correction import effect_wrenches, extend_session
-from torchid.experiment.diagnosis_stage import searched, spans
+from torchid.extension import correction, diagnosing, pieces
+from torchid.extension.correction import effect_wrenches, extend_session
+from torchid.extension.diagnosing import searched, spans
 from torchid.observation import trial
-from torchid.outcome import Outcome
 from torchid.recording import Trial
-from torchid.regressor.whitening import QUIET, cosine_matrix, white_scatter
-from torchid.results import OutputFolder
+from torchid.session import Outcome
 from torchid.simulate.planting import planted
+from torchid.storage.results import OutputFolder
 
 LOCAL = {name for name, one in CATALOGUE.items() if one.correction is not Correction.RECORD and name != "marker_swap"}
 """Effects that are taken out piece by piece; of records and names, nothing is as long as a recording."""
@@ -88,7 +88,7 @@ def recorded(name: str, trials: dict[str, Trial]) -> dict[str, torch.Tensor]:
 def test_what_a_cause_does_is_the_same_in_pieces(tmp_path, monkeypatch, name):
     """Forces and markers as if each recording were looked at as a whole, wherever the search had looked."""
     outcome = replace(small_session.outcome(), diagnosis=verdict(name, small_session.outcome()))
-    monkeypatch.setattr(diagnosis_stage, "LONGEST_S", 2.4)
+    monkeypatch.setattr(diagnosing, "LONGEST_S", 2.4)
     assert any(part.stop - part.start == 240 for part in spans(outcome).values())
     found, scenes, make = [], [], correction.make_scene
     for module in (correction, trial):
@@ -116,7 +116,7 @@ def test_what_a_cause_does_is_the_same_in_pieces(tmp_path, monkeypatch, name):
 def test_a_drift_counts_from_where_it_was_found(tmp_path, monkeypatch):
     """The part that was searched had no more of it at its first frame than a recording that begins there."""
     outcome = replace(small_session.outcome(), diagnosis=verdict("plate_drift", small_session.outcome()))
-    monkeypatch.setattr(diagnosis_stage, "LONGEST_S", 2.4)
+    monkeypatch.setattr(diagnosing, "LONGEST_S", 2.4)
     monkeypatch.setattr(pieces, "PIECE_S", 1.3)
     known, before = spans(outcome), recorded("plate_drift", outcome.session.trials)
     with OutputFolder(tmp_path) as folder:
@@ -130,7 +130,7 @@ def test_a_drift_counts_from_where_it_was_found(tmp_path, monkeypatch):
 
 def test_the_stretch_with_most_used_frames_is_searched(monkeypatch):
     """The first of those that have as many."""
-    monkeypatch.setattr(diagnosis_stage, "LONGEST_S", 1.0)
+    monkeypatch.setattr(diagnosing, "LONGEST_S", 1.0)
     (rows, *_) = small_session.true_rows()
     used = torch.rand(len(rows.used), generator=torch.Generator().manual_seed(small_session.SEED)) < 0.6
     part = searched({"a": replace(rows, used=used)})["a"]

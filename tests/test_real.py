@@ -8,10 +8,10 @@ import pytest
 
 from torchid.config import load_config
 from torchid.errors import DataError
-from torchid.experiment import run_experiment
 from torchid.io import read_trial
 from torchid.motion import choose_cutoff
-from torchid.outcome import Outcome
+from torchid.run import run_experiment
+from torchid.session import Outcome
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 SHORT = (

@@ -4,8 +4,8 @@ import pytest
 import small_session as small
 import torch
 
+from torchid.dynamics.rows import residual_rms
 from torchid.kinematics.chain import chain_poses
-from torchid.regressor.rows import residual_rms
 
 pytestmark = pytest.mark.slow
 

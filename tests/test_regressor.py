@@ -7,12 +7,10 @@ import torch
 from torch.testing import assert_close
 from trees import random_inertia, random_motion, random_tree
 
-from torchid.dynamics import inverse_dynamics, wrench_about
-from torchid.filters import Smoother
-from torchid.motion import Motion
-from torchid.regressor.equations import NormalEquations, half_product
-from torchid.regressor.rows import BLOCK, SHORTEST, WrenchTrial, measured, predict, residual_rms, runs
-from torchid.regressor.whitening import (
+from torchid.dynamics.equations_of_motion import inverse_dynamics, wrench_about
+from torchid.dynamics.row_equations import NormalEquations, half_product
+from torchid.dynamics.rows import BLOCK, SHORTEST, WrenchTrial, measured, predict, residual_rms, runs
+from torchid.dynamics.whitening import (
     BAND_EDGES_HZ,
     BlockSpectrum,
     Whitening,
@@ -24,6 +22,8 @@ from torchid.regressor.whitening import (
     initial_whitening,
     spectra,
 )
+from torchid.filters import Smoother
+from torchid.motion import Motion
 
 
 def moving(seed: int, frames: int = 40, bodies: int = 4) -> tuple[WrenchTrial, torch.Tensor]:
@@ -171,7 +171,7 @@ def test_spectra_of_a_long_trial_are_made_anew_in_every_pass(seed, monkeypatch):
     """Not kept, they are the same in every pass, and the same as kept ones."""
     trial, _ = moving(seed, frames=80)
     kept = spectra(trial)
-    monkeypatch.setattr("torchid.regressor.whitening.KEPT", 79)
+    monkeypatch.setattr("torchid.dynamics.whitening.KEPT", 79)
     long = spectra(trial)
     for _ in range(2):
         for block, same in zip(long, kept, strict=True):

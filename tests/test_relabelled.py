@@ -13,10 +13,10 @@ from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
 from torchid.effects.place import Interval, Place
-from torchid.experiment.diagnosis_stage import diagnose_outcome
-from torchid.experiment.swapped_markers import fitted_anew, merged, put_right, relabel
-from torchid.outcome import Outcome
-from torchid.results import OutputFolder
+from torchid.extension.diagnosing import diagnose_outcome
+from torchid.extension.swapped_markers import fitted_anew, merged, put_right, relabel
+from torchid.session import Outcome
+from torchid.storage.results import OutputFolder
 
 BENDING = ("marker_swap", "marker_shift", "soft_tissue", "joint_centre_shift", "missing_dof", "plate_gain", "drag")
 """Effects that could be made of what a swap bends, and two on forces."""

@@ -15,14 +15,13 @@ from torchid.config import load_config
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Alternative, Cause, Diagnosis, Near, Refuted, Twin
+from torchid.dynamics.rows import residual_rms
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.place import Angle, Interval, Place
 from torchid.effects.recommendations import tell_apart
 from torchid.effects.traits import Site
 from torchid.errors import DataError
-from torchid.experiment import run_experiment
-from torchid.outcome import Outcome
-from torchid.regressor.rows import residual_rms
+from torchid.model_free.testimony import Answer
 from torchid.report.before_after import draw_curves, sides, spectrum
 from torchid.report.blocks import Details, Figure, Items, Paragraph, Table
 from torchid.report.cause_sentences import likely, surely, told
@@ -35,12 +34,13 @@ from torchid.report.joints import joints_section
 from torchid.report.page import render_report
 from torchid.report.summary import _named, head_section
 from torchid.report.witness_table import witness_table
+from torchid.run import run_experiment
 from torchid.scene.embedded import OPENER
 from torchid.scene.finished import FinishedRun
 from torchid.scene.replay import replay
+from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session, write_session
-from torchid.witnesses.testimony import Answer
 from torchid.wording import bind, change, clean, listing, merge, number, pattern, segment, spread
 
 SUBJECT = '<script>alert("subject")</script>'

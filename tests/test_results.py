@@ -19,16 +19,24 @@ import xarray
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchid import files, results, snapshot
 from torchid.errors import DataError, InputError, Note
-from torchid.files import TEMPORARY, atomic_write, file_sha256, nameless_file, safe_name, write_json, write_text
 from torchid.io.storage import write_storage
 from torchid.io.trc import write_trc
-from torchid.netcdf import write_netcdf
-from torchid.provenance import provenance, stage_key
 from torchid.recording import Event, Markers, Trial
-from torchid.results import OutputFolder
-from torchid.snapshot import SnapshotError, from_bytes, load_snapshot, release, swap_out, to_bytes, write_snapshot
+from torchid.storage import files, results, snapshot
+from torchid.storage.files import TEMPORARY, atomic_write, file_sha256, nameless_file, safe_name, write_json, write_text
+from torchid.storage.netcdf import write_netcdf
+from torchid.storage.provenance import provenance, stage_key
+from torchid.storage.results import OutputFolder
+from torchid.storage.snapshot import (
+    SnapshotError,
+    from_bytes,
+    load_snapshot,
+    release,
+    swap_out,
+    to_bytes,
+    write_snapshot,
+)
 
 
 class Killed(BaseException):
@@ -184,7 +192,12 @@ def test_snapshots_hold_and_rebuild_nothing_foreign():
         to_bytes(Foreign())
     with pytest.raises(TypeError):
         to_bytes(lambda: None)
-    for name in ("os:system", "torchid.results:os.system", "torchid.files:write_json", "torchid.results:OutputFolder"):
+    for name in (
+        "os:system",
+        "torchid.storage.results:os.system",
+        "torchid.storage.files:write_json",
+        "torchid.storage.results:OutputFolder",
+    ):
         document = json.dumps({"class": name, "fields": {}}).encode()
         content = len(document).to_bytes(8, "little") + document
         with pytest.raises(SnapshotError, match="another version"):
@@ -282,8 +295,8 @@ def test_a_killed_run_is_continued(tmp_path):
     script = """
 import os, signal, sys
 from contextlib import ExitStack
-from torchid.results import OutputFolder
-from torchid.files import atomic_write, write_json
+from torchid.storage.results import OutputFolder
+from torchid.storage.files import atomic_write, write_json
 with OutputFolder(sys.argv[1]) as folder, ExitStack() as stack:
     folder.stage("one", "k", lambda: [1.5])
     write_json(folder.path("one.json"), folder.times)

@@ -26,8 +26,7 @@ from websockets.typing import Subprotocol
 import torchid.cli
 from torchid.cli import app
 from torchid.errors import ConfigError, InputError
-from torchid.experiment.write import write_outcome
-from torchid.results import OutputFolder
+from torchid.run.write import write_outcome
 from torchid.scene import colours
 from torchid.scene.finished import FinishedRun, Segments
 from torchid.scene.panel import card, figure
@@ -35,6 +34,7 @@ from torchid.scene.player import Player
 from torchid.scene.scene import FAR_M, METRES_PER_N, Ground, Instant, Scene, arrow
 from torchid.scene.server import COOKIE, Guard, close_page, open_page
 from torchid.scene.solids import centre_of_mass, placed, quaternion, solids
+from torchid.storage.results import OutputFolder
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 

@@ -10,17 +10,17 @@ import small_session
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 from test_live import moving, subject
 
-from torchid.experiment.write import write_outcome
-from torchid.live.page import Address
-from torchid.live.page import Page as LivePage
-from torchid.live.pipeline import Pipeline
-from torchid.live.replay import Replay
+from torchid.live.display.page import Address
+from torchid.live.display.page import Page as LivePage
+from torchid.live.estimation.pipeline import Pipeline
+from torchid.live.sources.replay import Replay
 from torchid.report import write_report
-from torchid.results import OutputFolder
+from torchid.run.write import write_outcome
 from torchid.scene.finished import FinishedRun
 from torchid.scene.player import Player
 from torchid.scene.replay import replay
 from torchid.scene.server import close_page, open_page
+from torchid.storage.results import OutputFolder
 
 pytestmark = pytest.mark.slow
 CHROMIUM = shutil.which("chromium")

@@ -12,7 +12,7 @@ import small_session as small
 import torch
 
 from torchid.io import read_trial
-from torchid.snapshot import from_bytes
+from torchid.storage.snapshot import from_bytes
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 FEW = ["geometry.max_frames=12", "geometry.static_frames=4"]

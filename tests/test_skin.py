@@ -13,7 +13,7 @@ from torchid.diagnosis.evidence.model import Identification, make_model
 from torchid.diagnosis.evidence.skin_prior import SLIDES_M, TOGETHER, with_slides
 from torchid.effects.markers import SoftTissue
 from torchid.effects.place import Place
-from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.extension.diagnosing import observe_outcome
 from torchid.observation.trial import TrialObservation
 
 

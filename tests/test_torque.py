@@ -10,11 +10,11 @@ import xarray
 from torch.testing import assert_close
 
 from torchid.config import load_config
-from torchid.experiment import run_experiment
-from torchid.experiment.stages import torques
-from torchid.experiment.torque_bands import outcome_draws, seen_trials
 from torchid.geometry.tracking import modelled, track
 from torchid.motion import smooth_motion
+from torchid.run import run_experiment
+from torchid.run.torque_bands import outcome_draws, seen_trials
+from torchid.session.following import torques
 from torchid.torque.bodies import BodyDraws
 from torchid.torque.draws import PlateErrors, torque_draws
 from torchid.torque.inverse import Load, joint_torques

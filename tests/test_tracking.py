@@ -10,9 +10,12 @@ import small_session
 import torch
 from torch import Tensor
 
+from torchid.checks.marker_tracks.clusters import Clusters, shape_of
+from torchid.checks.marker_tracks.jumps import find_jumps
+from torchid.checks.marker_tracks.moved import Verdict, align
+from torchid.checks.marker_tracks.session import look_at_trial, readings_of, renamed
+from torchid.checks.marker_tracks.statement import Kind, Statement, notes_of
 from torchid.diagnosis.candidates.exchanged_markers import exchanged_markers
-from torchid.experiment.run import _rate_notes
-from torchid.experiment.tracks import look_at_session, session_clusters, taken_out
 from torchid.filters import Smoother
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.result import GeometryFit
@@ -21,15 +24,12 @@ from torchid.io import ReadOptions, read_trial
 from torchid.model.marker_set import load_marker_set
 from torchid.motion import smooth_motion
 from torchid.motion.impossible_rates import frames_of, impossible_steps
-from torchid.outcome import Followed, Session
 from torchid.recording import Trial
+from torchid.run.sequence import _rate_notes
+from torchid.session import Followed, Session
+from torchid.session.tracks import look_at_session, session_clusters, taken_out
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
-from torchid.tracking.clusters import Clusters, shape_of
-from torchid.tracking.jumps import find_jumps
-from torchid.tracking.moved import Verdict, align
-from torchid.tracking.session import look_at_trial, readings_of, renamed
-from torchid.tracking.statement import Kind, Statement, notes_of
 
 Trials = dict[str, Trial]
 

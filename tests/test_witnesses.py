@@ -11,27 +11,27 @@ import pytest
 import torch
 from small_session import outcome
 
+from torchid.checks.marker_tracks.statement import Kind, Statement
 from torchid.diagnosis.diagnose import select_effects
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import effect
 from torchid.effects.place import SESSION, Interval, Place
 from torchid.effects.scene import reading
-from torchid.experiment import verdict_stage
-from torchid.experiment.correction import extend_outcome
-from torchid.experiment.diagnosis_stage import plate_frames
-from torchid.experiment.fits import OnStage
-from torchid.experiment.laboratory import examine, panel_of, read_right, verdict_of
-from torchid.experiment.standing import follow_each, standing_weight
-from torchid.experiment.witnessed import with_witnesses
-from torchid.outcome import Outcome
-from torchid.outcome.tables import diagnosis_table
+from torchid.extension import verdict
+from torchid.extension.correction import extend_outcome
+from torchid.extension.diagnosing import plate_frames
+from torchid.extension.laboratory import examine, panel_of, read_right, verdict_of
+from torchid.extension.witnessed import with_witnesses
+from torchid.model_free.faults import name_faults, sizes, suspects_of, without
+from torchid.model_free.panel import Panel
+from torchid.model_free.testimony import Claim, answers, hear
+from torchid.model_free.watched import share_load
 from torchid.report.decisions import sentence
-from torchid.results import OutputFolder
-from torchid.tracking.statement import Kind, Statement
-from torchid.witnesses.faults import name_faults, sizes, suspects_of, without
-from torchid.witnesses.panel import Panel
-from torchid.witnesses.testimony import Claim, answers, hear
-from torchid.witnesses.watched import share_load
+from torchid.session import Outcome
+from torchid.session.fitting import OnStage
+from torchid.session.standing import follow_each, standing_weight
+from torchid.session.tables import diagnosis_table
+from torchid.storage.results import OutputFolder
 
 SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
 
@@ -156,10 +156,10 @@ def test_what_was_found_beside_a_refuted_fault_is_looked_for_again(
         assert whole.diagnosis is not None
         return replace(whole, diagnosis=replace(whole.diagnosis, causes=(), refuted=gone))
 
-    monkeypatch.setattr(verdict_stage, "diagnosed", told)
-    monkeypatch.setattr(verdict_stage, "publishable", published)
+    monkeypatch.setattr(verdict, "diagnosed", told)
+    monkeypatch.setattr(verdict, "publishable", published)
     with OutputFolder(tmp_path / "out") as folder:
-        found = verdict_stage.with_verdict(session, folder, "key", lambda stage, part: None)
+        found = verdict.with_verdict(session, folder, "key", lambda stage, part: None)
     assert asked == [(), gone]
     assert found.diagnosis is not None and found.diagnosis.refuted == gone and not found.diagnosis.causes
 

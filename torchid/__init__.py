@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from torchid.diagnosis.diagnose import diagnose as diagnose
     from torchid.diagnosis.options import DiagnosisOptions as DiagnosisOptions
     from torchid.errors import TorchidError as TorchidError
-    from torchid.experiment import run_experiment as run_experiment
-    from torchid.experiment.diagnosis_stage import diagnose_outcome as diagnose_outcome
+    from torchid.extension.diagnosing import diagnose_outcome as diagnose_outcome
     from torchid.geometry.assign import assign_markers as assign_markers
     from torchid.geometry.fit import fit_geometry as fit_geometry
     from torchid.geometry.tracking import track as track
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from torchid.io import read_trial as read_trial
     from torchid.model.marker_set import load_marker_set as load_marker_set
     from torchid.model.whole_body import whole_body as whole_body
+    from torchid.run import run_experiment as run_experiment
     from torchid.simulate.session import simulate_session as simulate_session
 
 _HOMES = {
@@ -28,8 +28,8 @@ _HOMES = {
     "diagnose": "torchid.diagnosis.diagnose",
     "DiagnosisOptions": "torchid.diagnosis.options",
     "TorchidError": "torchid.errors",
-    "run_experiment": "torchid.experiment",
-    "diagnose_outcome": "torchid.experiment.diagnosis_stage",
+    "run_experiment": "torchid.run",
+    "diagnose_outcome": "torchid.extension.diagnosing",
     "assign_markers": "torchid.geometry.assign",
     "fit_geometry": "torchid.geometry.fit",
     "track": "torchid.geometry.tracking",

@@ -17,8 +17,8 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.segment import Segment
 from rich.text import Text
 
-from torchid.allocator import keep_memory
 from torchid.errors import ConfigError, InputError, TorchidError
+from torchid.storage.allocator import keep_memory
 from torchid.wording import visible
 
 CONFIG_SUFFIXES = (".yaml", ".yml", ".json")
@@ -70,7 +70,7 @@ def run(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -
         from torchid.config import load_config
 
         loaded = load_config(config, overrides or ())
-        from torchid.experiment import run_experiment
+        from torchid.run import run_experiment
 
         keep_memory()
         with _progress() as progress:
@@ -126,7 +126,7 @@ def live(
         from torchid.config import load_config
 
         loaded = load_config(config, overrides or ())
-        from torchid.live.exercises import Possibilities
+        from torchid.live.exercises.exercises import Possibilities
         from torchid.live.run import run_live
 
         keep_memory()
@@ -172,7 +172,7 @@ def simulate(config: ConfigFile, overrides: Overrides = None, debug: Debug = Fal
         from torchid.config import load_config
 
         loaded = load_config(config, overrides or ())
-        from torchid.experiment import run_simulation
+        from torchid.run import run_simulation
 
         with _progress() as progress:
             run_simulation(loaded, progress)
@@ -190,7 +190,7 @@ def check(
 ) -> None:
     """What is wrong with the recordings, before any fit; ends with 2 where something is."""
     with _exit_codes(debug):
-        from torchid.check_report import report, to_json
+        from torchid.checks.report import report, to_json
 
         found = report(_findings(what) if json else _shown(_findings(what)))
         if json:
@@ -202,7 +202,7 @@ def check(
 def _live_page(port: int, host: str) -> Callable:
     """Opens the page of a stream."""
     _need_viser("or give --headless")
-    from torchid.live.page import Address, Page
+    from torchid.live.display.page import Address, Page
 
     return lambda subject, source: Page(subject, source.labels, source.plates, Address(port, host))
 
@@ -223,11 +223,11 @@ def _findings(what: list[str]) -> Iterator:
     """What there is to say of a config's session, or of the recordings of a list, one after the other."""
     if Path(what[0]).suffix.lower() in CONFIG_SUFFIXES:
         from torchid.config import load_config
-        from torchid.experiment.checking import check_session
+        from torchid.session.checking import check_session
 
         yield from check_session(load_config(what[0], what[1:]))
     else:
-        from torchid.check_report import Given, check_recordings
+        from torchid.checks.report import Given, check_recordings
         from torchid.io.pairing import pair_files
 
         pairs = pair_files([Path(text) for text in what])
@@ -236,8 +236,8 @@ def _findings(what: list[str]) -> Iterator:
 
 def _shown(findings: Iterator) -> Iterator:
     """The same, each shown when it comes: errors on stderr, all else on stdout."""
-    from torchid.check import TrialCheck, format_check
-    from torchid.check_report import Refusal
+    from torchid.checks.recording import TrialCheck, format_check
+    from torchid.checks.report import Refusal
 
     console = _Terminal()
     console = console if console.is_terminal else _Terminal(width=UNBROKEN)
@@ -252,7 +252,7 @@ def _shown(findings: Iterator) -> Iterator:
 
 
 class _Bar:
-    """The bars on the terminal, one a stage, as the callback of a run (``experiment.fits.OnStage``)."""
+    """The bars on the terminal, one a stage, as the callback of a run (``session.fitting.OnStage``)."""
 
     def __init__(self, bars: Progress) -> None:
         self.bars, self.tasks = bars, {}
@@ -273,7 +273,7 @@ def _progress() -> Iterator[_Bar]:
 @contextmanager
 def _exit_codes(debug: bool) -> Iterator[None]:
     """Errors become a line each on stderr and an exit code (module docstring); ``debug`` adds the traceback."""
-    from torchid.logs import configure_logging
+    from torchid.storage.logs import configure_logging
 
     configure_logging(debug)
     try:

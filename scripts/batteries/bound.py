@@ -25,8 +25,8 @@ from torchid.diagnosis.search.estimates import estimate, internal
 from torchid.diagnosis.search.result import SearchResult
 from torchid.diagnosis.search.stepwise import search
 from torchid.effects.catalogue import CATALOGUE, effect
-from torchid.experiment import run_experiment
-from torchid.experiment.diagnosis_stage import observe_outcome
+from torchid.extension.diagnosing import observe_outcome
+from torchid.run import run_experiment
 
 
 def found(name: str, seed: int, out: Path) -> tuple[SearchResult, dict]:

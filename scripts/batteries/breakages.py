@@ -44,9 +44,9 @@ FAULTS = (
     Fault("superfluous causes stay", ELIMINATION, "if nats < least:", "if nats < -1e9:", ("test_doubtful.py",)),
     Fault("skin is never learned", "diagnosis/evidence/skin_prior.py", "part = min(1.0, TOGETHER * size",
           "part = max(1.0, TOGETHER * size", ("test_skin.py",)),
-    Fault("swapped names stay", "experiment/swapped_markers.py", "position[inside, pair[::-1]]",
+    Fault("swapped names stay", "extension/swapped_markers.py", "position[inside, pair[::-1]]",
           "position[inside, pair]", ("test_relabelled.py",)),
-    Fault("a swap bends the geometry for good", "experiment/swapped_markers.py",
+    Fault("a swap bends the geometry for good", "extension/swapped_markers.py",
           "lambda: fit_session(config, session, True, progress)", "lambda: base.fit", ("test_relabelled.py",)),
     Fault("gaps are never bridged", "geometry/tracking.py", "if bridge and not bool(", "if False and not bool(",
           ("test_geometry_fit.py",), "gap"),
@@ -56,7 +56,7 @@ FAULTS = (
           ("test_effects.py",), "flesh"),
     Fault("no field is put beside a force", "diagnosis/testing/position_dependence.py", "if not bent:", "if True:",
           ("test_field.py",)),
-    Fault("corrected markers stay as they were", "experiment/correction.py", "-= off[:, k]", "-= 0.0 * off[:, k]",
+    Fault("corrected markers stay as they were", "extension/correction.py", "-= off[:, k]", "-= 0.0 * off[:, k]",
           DIAGNOSIS, MARKERS),
 )  # fmt: skip
 

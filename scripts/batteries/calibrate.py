@@ -29,8 +29,8 @@ from torchid.diagnosis.options import DiagnosisOptions, Kind, threshold_kinds
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.diagnosis.verdict.table import verdict_table
 from torchid.effects.catalogue import CATALOGUE
-from torchid.experiment import run_experiment
-from torchid.experiment.diagnosis_stage import diagnose_outcome
+from torchid.extension.diagnosing import diagnose_outcome
+from torchid.run import run_experiment
 
 RESERVED = range(700_000, 800_000)
 """Seeds of the sessions that calibrate thresholds: no quoted figure uses them, and no other battery may."""

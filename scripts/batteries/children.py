@@ -21,10 +21,10 @@ import torch
 from torchid.config import load_config
 from torchid.config.sections import PROJECT_DATA
 from torchid.conventions import GRAVITY
+from torchid.dynamics.rows import residual_rms
 from torchid.errors import TorchidError
-from torchid.experiment import run_experiment
-from torchid.experiment.standing import standing_weight
-from torchid.regressor.rows import residual_rms
+from torchid.run import run_experiment
+from torchid.session.standing import standing_weight
 
 CHILDREN = {
     "HC030A": (45.8, "01", "05", "22"), "HC031A": (27.7, "01", "06", "23"), "HC033A": (51.5, "01", "10", "22"),

@@ -19,14 +19,14 @@ from torch import Tensor
 
 from torchid.config import load_config
 from torchid.diagnosis.verdict.records import Cause
+from torchid.dynamics.rows import WrenchTrial
+from torchid.dynamics.whitening import BlockSpectrum, Whitening, accumulate, estimate_whitening, spectra
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Angle, Interval, Place
-from torchid.experiment import run_experiment
-from torchid.experiment.correction import extend_outcome
-from torchid.outcome import Outcome
-from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import BlockSpectrum, Whitening, accumulate, estimate_whitening, spectra
-from torchid.results import OutputFolder
+from torchid.extension.correction import extend_outcome
+from torchid.run import run_experiment
+from torchid.session import Outcome
+from torchid.storage.results import OutputFolder
 
 UNTOLD = ("moving_ground", "missing_dof", "unmeasured_contact")
 """Effects with a course in time that no parameter tells: nobody can know them by their parameters."""

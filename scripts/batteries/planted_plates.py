@@ -1,6 +1,6 @@
 """Faults of force plates, written into copies of real files: bytes of a C3D, columns of a MOT.
 
-Nothing here uses ``torchid.io.mend`` or ``torchid.agreement``: what these undo is not what plants.
+Nothing here uses ``torchid.io.mend`` or ``torchid.checks.plates_against_feet``: what these undo is not what plants.
 """
 
 import struct

@@ -24,11 +24,11 @@ from rich.console import Console
 from rich.progress import track
 
 from batteries.planted_plates import C3dCopy, Fault, c3d_faults, mot_faults
-from torchid.agreement.changes import Change
-from torchid.agreement.judge import judge
-from torchid.agreement.session import Recording as Again
-from torchid.agreement.session import judge_recording
-from torchid.check import stated_mass
+from torchid.checks.plates_against_feet.changes import Change
+from torchid.checks.plates_against_feet.judge import judge
+from torchid.checks.plates_against_feet.session import Recording as Again
+from torchid.checks.plates_against_feet.session import judge_recording
+from torchid.checks.recording import stated_mass
 from torchid.config.sections import PROJECT_DATA, Config
 from torchid.errors import TorchidError
 from torchid.io import ReadOptions, read_trial

@@ -40,15 +40,15 @@ from batteries.real_kinds import KINDS, UNPLANTED, plant
 from batteries.real_sessions import SESSIONS, RealSession, sessions
 from batteries.real_truth import Inapplicable, Truth
 from batteries.remembered import remembering
-from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.config.sections import PROJECT_DATA
 from torchid.diagnosis.verdict.table import cause_table, plates_table
 from torchid.errors import TorchidError
-from torchid.experiment import run_experiment
-from torchid.experiment.diagnosis_stage import plate_frames
-from torchid.experiment.laboratory import examine, panel_of
-from torchid.files import plain
+from torchid.extension.diagnosing import plate_frames
+from torchid.extension.laboratory import examine, panel_of
+from torchid.run import run_experiment
+from torchid.storage.allocator import keep_memory
+from torchid.storage.files import plain
 
 Said = dict[str, Any]
 """What is kept of a run."""
@@ -108,7 +108,7 @@ def perform(case: Case, session: RealSession, root: Path, out: Path, run: Callab
     kept |= {"truth": truth.table(), "exit": 0, "message": ""}
     try:
         # Nobody reads the reports, which are a fifth of a run.
-        with patch("torchid.experiment.run.write_report"), remembering(out / "fits"):
+        with patch("torchid.run.sequence.write_report"), remembering(out / "fits"):
             kept |= run(path)
     except TorchidError as error:
         kept |= {"exit": error.exit_code, "message": f"{error.code}: {error.message}; {error.remedy}"[:400]}

@@ -90,7 +90,7 @@ def _hamner(trial: str) -> File:
 
 SESSIONS: tuple[RealSession, ...] = (
     # The moving trials of HC030A, HC038A and HC044A hold 0.0016 to 0.0053 mm between 12 and 20 Hz, where cameras alone
-    # leave 0.03 and more (``torchid.witnesses.smoothness``): somebody has filtered them.
+    # leave 0.03 and more (``torchid.model_free.smoothness``): somebody has filtered them.
     _child("HC030A", 45.8, 1.48, 45.85, ("01", "05", "22"), ("filter_lag", "session")),
     _child("HC031A", 27.7, None, 27.70, ("01", "06", "23"), ("marker_shift", "LCPG")),
     # In the turning walk's last 90 frames the label T10 is on the marker of T6, which is missing: 123 mm from C7, not

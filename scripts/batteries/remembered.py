@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import ParamSpec, TypeVar
 from unittest.mock import patch
 
-import torchid.experiment.fits as fits
-import torchid.experiment.run as run
-from torchid.files import atomic_write
-from torchid.provenance import stage_key
-from torchid.snapshot import load_snapshot, write_snapshot
+import torchid.run.sequence as run
+import torchid.session.fitting as fits
+from torchid.storage.files import atomic_write
+from torchid.storage.provenance import stage_key
+from torchid.storage.snapshot import load_snapshot, write_snapshot
 
 Given = ParamSpec("Given")
 Found = TypeVar("Found")

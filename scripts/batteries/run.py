@@ -29,14 +29,14 @@ from batteries.judge import document, judged
 from batteries.mujoco_session import draw_effect, simulate
 from batteries.power import draw_reliability
 from batteries.sizes import SIZES
-from torchid.allocator import keep_memory
 from torchid.config import Config, load_config
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.effects.catalogue import BODILY
-from torchid.experiment import run_experiment
-from torchid.outcome import Outcome
+from torchid.run import run_experiment
+from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
+from torchid.storage.allocator import keep_memory
 
 KNOWN = tuple(name for name in SIZES if not name.startswith("offcat_"))
 FOREIGN = tuple(name for name in SIZES if name.startswith("offcat_"))

@@ -24,10 +24,10 @@ from pathlib import Path
 import torch
 
 from batteries.run import FOREIGN, KNOWN, OWN, Job, _simulated
-from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.errors import TorchidError
-from torchid.experiment import run_experiment
+from torchid.run import run_experiment
+from torchid.storage.allocator import keep_memory
 
 FIRST = 310_000
 """Seed of the first session; no figure is quoted and nothing is tuned on the seeds from here on."""

@@ -21,16 +21,16 @@ from torch import Tensor
 
 from benchmarks.contact_measures import Errors, Split, errors, forward_axis, handovers, merged, table, truth_of
 from benchmarks.sharing_problem import moved, random_problem
-from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.contact.sharing.baselines import lever_rule, smooth_transition
 from torchid.contact.sharing.reference import share_by_clarabel
 from torchid.contact.sharing.solver import share
 from torchid.conventions import GRAVITY
-from torchid.experiment import run_experiment
-from torchid.experiment.contacts import body_needs, wrenches_under
-from torchid.experiment.stages import follow, soles
-from torchid.outcome import Outcome
+from torchid.run import run_experiment
+from torchid.session import Outcome
+from torchid.session.contact_wrenches import body_needs, wrenches_under
+from torchid.session.following import follow, soles
+from torchid.storage.allocator import keep_memory
 
 ROOT = Path(__file__).resolve().parents[2]
 TUNED = ("opencap_subject4", "schreiber_moissenet_2014001", "opensim_subject01_gait2354")

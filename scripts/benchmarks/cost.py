@@ -12,11 +12,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from torchid.allocator import keep_memory
 from torchid.config import load_config
-from torchid.experiment import run_experiment
+from torchid.run import run_experiment
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
+from torchid.storage.allocator import keep_memory
 
 SUBJECT = SimulateOptions(
     fit=("squats", "arms", "trunk", "sway_steps", "hip_rom"), heldout=("walk",), duration_s=25.0, skin_motion_mm=3.0,

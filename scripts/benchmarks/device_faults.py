@@ -17,14 +17,14 @@ import torch
 
 from benchmarks.device_cases import CASES, NOISE
 from benchmarks.device_subject import Recorded, record
-from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.devices import BodyBelief, Device, DeviceOptions, Finding, Part, Value, device_findings, placed
 from torchid.devices.device import Element
 from torchid.devices.places import neighbours
-from torchid.experiment import run_experiment
-from torchid.regressor.rows import WrenchTrial
+from torchid.dynamics.rows import WrenchTrial
+from torchid.run import run_experiment
 from torchid.simulate.options import SimulateOptions
+from torchid.storage.allocator import keep_memory
 
 Channels = dict[str, dict[str, torch.Tensor]]
 FAULTS = {"hip": ("stiffness", "strap_slides", "carried_elsewhere"),

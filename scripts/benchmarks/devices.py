@@ -16,7 +16,6 @@ import torch
 
 from benchmarks.device_cases import CASES
 from benchmarks.device_subject import Recorded, record
-from torchid.allocator import keep_memory
 from torchid.config import load_config
 from torchid.devices import (
     BodyBelief,
@@ -27,10 +26,11 @@ from torchid.devices import (
     identify_device,
     placed,
 )
-from torchid.experiment import run_experiment
-from torchid.experiment.stages import torques
-from torchid.outcome import Outcome
+from torchid.run import run_experiment
+from torchid.session import Outcome
+from torchid.session.following import torques
 from torchid.simulate.options import SimulateOptions
+from torchid.storage.allocator import keep_memory
 
 
 @dataclass(frozen=True)

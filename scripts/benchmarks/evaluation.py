@@ -28,9 +28,9 @@ from matplotlib.figure import Figure
 
 from benchmarks import evaluation_whole
 from torchid.config.conditions import EvaluateOptions
-from torchid.evaluation.comparing import Column, Comparison, Sample, compare, course_p
-from torchid.evaluation.cycles import Cycle
-from torchid.evaluation.measures import measure
+from torchid.evaluation.cycle_measures.cycles import Cycle
+from torchid.evaluation.cycle_measures.measures import measure
+from torchid.evaluation.statistics.comparing import Column, Comparison, Sample, compare, course_p
 
 WALKS = Path(__file__).with_name("evaluation_walks.json")
 KIND = 2

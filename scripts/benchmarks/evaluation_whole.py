@@ -28,15 +28,15 @@ from torchid.config import Config, load_config
 from torchid.errors import TorchidError
 from torchid.evaluation.evaluate import gather, judge
 from torchid.evaluation.evaluation import Answer, Evaluation
+from torchid.evaluation.torque_shares.wearing import worn_devices
 from torchid.evaluation.trials import condition_trials
-from torchid.evaluation.wearing import worn_devices
-from torchid.experiment.read import read_session
-from torchid.experiment.run import compute_outcome
 from torchid.io.c3d_write import write_c3d
-from torchid.outcome import Outcome
-from torchid.results import OutputFolder
+from torchid.run.sequence import compute_outcome
+from torchid.session import Outcome
+from torchid.session.opening import read_session
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, session_config, simulate_session
+from torchid.storage.results import OutputFolder
 
 CYCLES = {"squats": {"coordinate": "pelvis_z", "turn": "low"}, "sway_steps": "gait"}
 """Movements, and how their cycles are found."""

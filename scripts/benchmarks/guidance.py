@@ -17,17 +17,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchid.dynamics.whitening import BlockSpectrum, accumulate
 from torchid.filters import Smoother
 from torchid.inertia.identify import identify_spectra
 from torchid.inertia.options import InertiaOptions
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
-from torchid.live.advice import Adviser, promises
-from torchid.live.estimator import Estimator
-from torchid.live.exercises import RATE_HZ, Possibilities, perform
-from torchid.live.guidance import GOAL, Guide, Knowledge, Outlook, rehearse, rows_of
+from torchid.live.estimation.estimator import Estimator
+from torchid.live.exercises.advice import Adviser, promises
+from torchid.live.exercises.exercises import RATE_HZ, Possibilities, perform
+from torchid.live.exercises.guidance import GOAL, Guide, Knowledge, Outlook, rehearse, rows_of
 from torchid.model.anthropometry import inertial_prior
-from torchid.regressor.whitening import BlockSpectrum, accumulate
 from torchid.simulate.balance import needed_wrench
 from torchid.simulate.subject import SimulatedSubject, simulate_subject
 

@@ -11,14 +11,14 @@ from benchmarks.contact_measures import merged
 from torchid.contact.other_options import OtherContact
 from torchid.effects.place import Interval
 from torchid.effects.scene import make_scene
-from torchid.experiment.contacts import wrenches_under
-from torchid.experiment.fits import identify
-from torchid.experiment.stages import follow, limb, torques
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
 from torchid.motion import smooth_motion
-from torchid.outcome import Outcome
 from torchid.recording import Forces, Plate, Trial
+from torchid.session import Outcome
+from torchid.session.contact_wrenches import wrenches_under
+from torchid.session.fitting import identify
+from torchid.session.following import follow, limb, torques
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import Session
 from torchid.torque.inverse import Load, joint_torques

@@ -6,12 +6,12 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from torchid.dynamics import base_gram, base_rows, body_rows, dynamic_state
+from torchid.dynamics.equations_of_motion import base_gram, base_rows, body_rows, dynamic_state
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.options import InertiaOptions
 from torchid.kinematics.plan import plan_tree
 from torchid.model.whole_body import whole_body
-from torchid.regressor.equations import NormalEquations
 
 NOISE = 5.0
 """Of every row [N, N m]."""

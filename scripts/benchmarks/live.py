@@ -18,26 +18,26 @@ import torch
 from torch import Tensor
 
 from torchid.config import load_config
+from torchid.dynamics.rows import residual_rms
 from torchid.errors import DataError
-from torchid.experiment import run_experiment
-from torchid.experiment.fits import given_mass
-from torchid.experiment.standing import standing_weight
 from torchid.geometry.arrow import inverse_kinematics
 from torchid.geometry.tracking import track
-from torchid.live.estimator import Estimator
-from torchid.live.identifier import Subject
-from torchid.live.intake import Intake
-from torchid.live.pipeline import Pipeline
-from torchid.live.pose import Follower
-from torchid.live.refining import Piece, Refining
-from torchid.live.replay import Replay
+from torchid.live.estimation.estimator import Estimator
+from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.pipeline import Pipeline
+from torchid.live.estimation.pose import Follower
+from torchid.live.estimation.refining import Piece, Refining
 from torchid.live.run import prepare_subject
-from torchid.outcome import Outcome
+from torchid.live.sources.intake import Intake
+from torchid.live.sources.replay import Replay
 from torchid.recording import Forces, Markers, Trial
-from torchid.regressor.rows import residual_rms
-from torchid.results import OutputFolder
+from torchid.run import run_experiment
+from torchid.session import Outcome
+from torchid.session.fitting import given_mass
+from torchid.session.standing import standing_weight
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
+from torchid.storage.results import OutputFolder
 
 SESSION = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=(), duration_s=4.0)
 WARM, LONG = 500, 6000

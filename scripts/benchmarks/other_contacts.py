@@ -26,8 +26,8 @@ from benchmarks.hidden_contact import (
 )
 from torchid.config import load_config
 from torchid.errors import ConfigError
-from torchid.experiment import run_experiment
-from torchid.outcome import Outcome
+from torchid.run import run_experiment
+from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, simulate_session
 

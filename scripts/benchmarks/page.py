@@ -24,16 +24,16 @@ from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
 from torchid.config import load_config
-from torchid.experiment import run_experiment
-from torchid.experiment.fits import given_mass
-from torchid.experiment.standing import standing_weight
-from torchid.live.identifier import Subject
-from torchid.live.page import Address, Page
-from torchid.live.pipeline import Pipeline
-from torchid.live.recorder import Recorder
-from torchid.live.replay import Replay
-from torchid.live.stream import Packet
+from torchid.live.display.page import Address, Page
+from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.pipeline import Pipeline
+from torchid.live.sources.recorder import Recorder
+from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Packet
 from torchid.recording import Trial
+from torchid.run import run_experiment
+from torchid.session.fitting import given_mass
+from torchid.session.standing import standing_weight
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 

@@ -11,7 +11,15 @@ from torch import Tensor
 
 from benchmarks.subject import by_turns
 from torchid.conventions import GRAVITY
-from torchid.dynamics import BodyRows, base_gram, base_rows, body_rows, dynamic_state, inertial_columns, walk
+from torchid.dynamics.equations_of_motion import (
+    BodyRows,
+    base_gram,
+    base_rows,
+    body_rows,
+    dynamic_state,
+    inertial_columns,
+    walk,
+)
 from torchid.kinematics.plan import Plan, plan_tree
 from torchid.kinematics.tables import Joints, make_joints
 from torchid.model.model import Geometry, Model

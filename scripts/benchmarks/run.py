@@ -19,7 +19,7 @@ from benchmarks.kinematics import bench_ik
 from benchmarks.reading import bench_reading
 from benchmarks.regressor import bench_regressor
 from benchmarks.sharing import bench_sharing
-from torchid.allocator import keep_memory
+from torchid.storage.allocator import keep_memory
 
 PACKAGES = ("torch", "numpy", "scipy", "pin", "opensim", "ezc3d")
 Row = tuple[str, float | None, str, str]

@@ -16,9 +16,9 @@ import torch
 
 from torchid.config import load_config
 from torchid.errors import TorchidError
-from torchid.experiment import run_experiment
-from torchid.experiment.torque_bands import outcome_draws
-from torchid.outcome import Outcome
+from torchid.run import run_experiment
+from torchid.run.torque_bands import outcome_draws
+from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import Session, simulate_session
 from torchid.torque.draws import PlateErrors

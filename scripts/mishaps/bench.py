@@ -14,11 +14,11 @@ from pathlib import Path
 import torch
 import yaml
 
-import torchid.experiment.run
+import torchid.run.sequence
 from torchid.cli import app
-from torchid.files import TEMPORARY, file_sha256, write_text
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import simulate_session
+from torchid.storage.files import TEMPORARY, file_sha256, write_text
 
 EFFECT = PlantedOptions("plate_gain", ("plate_1",), parameters={"gain": 1.1})
 """Hidden in the recordings, so that the diagnosis has something to name and the recordings are corrected."""
@@ -141,7 +141,7 @@ def _sums(out: Path) -> dict[str, str]:
 
 def without_report() -> None:
     """The page, which is one write like any other but takes longest, is left almost empty in this process."""
-    torchid.experiment.run.write_report = lambda outcome, path, failure=None: write_text(path, "report")
+    torchid.run.sequence.write_report = lambda outcome, path, failure=None: write_text(path, "report")
 
 
 def run_forked(command: Callable[[], None], folder: Path, kill_after: float | None = None) -> Attempt:

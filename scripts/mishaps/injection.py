@@ -7,7 +7,7 @@ from multiprocessing import Value
 from pathlib import Path
 from typing import Any
 
-from torchid import files
+from torchid.storage import files
 
 NAMED = ("open", "replace", "mkdir", "unlink")
 """Functions of ``os`` whose first argument is the path."""

@@ -16,7 +16,7 @@ from fuzzing.workers import Verdict
 
 from reliability_table.record import Figure
 from reliability_table.source import ROOT, unnamed_codes, unsafe, without_remedy
-from torchid.dynamics import inverse_dynamics
+from torchid.dynamics.equations_of_motion import inverse_dynamics
 from torchid.io import ReadOptions, read_trial
 from torchid.model.whole_body import whole_body
 

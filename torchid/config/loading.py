@@ -11,8 +11,8 @@ from pydantic import BaseModel, ValidationError
 from torchid.config.explain import InvalidConfig, explain
 from torchid.config.sections import Config
 from torchid.config.study import Study
-from torchid.documents import Document, dump_document, parse_document, read_document
 from torchid.errors import ConfigError
+from torchid.storage.documents import Document, dump_document, parse_document, read_document
 
 Kind = TypeVar("Kind", bound=BaseModel)
 

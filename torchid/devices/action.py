@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.devices.device import WORLD, Axis, Coordinate, Device, Element, Handle, Path, Point
-from torchid.dynamics import DynamicState, generalised_forces
+from torchid.dynamics.equations_of_motion import DynamicState, generalised_forces
 from torchid.errors import ConfigError
 from torchid.model.tree import Tree
 

@@ -16,8 +16,8 @@ from torchid.devices.device import Device, Element, Handle
 from torchid.devices.forces import CHUNK, device_forces, element_force, filtered, states
 from torchid.devices.laws import Channels
 from torchid.devices.values import Value
-from torchid.dynamics import wrench_about
-from torchid.regressor.rows import WrenchTrial
+from torchid.dynamics.equations_of_motion import wrench_about
+from torchid.dynamics.rows import WrenchTrial
 
 INNER = 1e-9
 """Base rows relative to joint rows below which an element acts inside the body, derived: rounding leaves 1e-15, and a

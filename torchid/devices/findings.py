@@ -21,7 +21,7 @@ from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, Not
 from torchid.devices.sensor import fit_law
 from torchid.devices.supports import Recorded
 from torchid.devices.values import Value
-from torchid.regressor.rows import WrenchTrial
+from torchid.dynamics.rows import WrenchTrial
 
 SURE = 3.0
 """Standard deviations from which on a number of the sheet is called wrong, chosen: 1 in 370 where it is right."""

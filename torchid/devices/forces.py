@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.devices.action import Action, action, point_in_world
 from torchid.devices.device import Device, Element, Handle
 from torchid.devices.laws import Channels, channel, drive_force, law_force
-from torchid.dynamics import DynamicState, dynamic_state
+from torchid.dynamics.equations_of_motion import DynamicState, dynamic_state
 from torchid.model.model import Geometry
 from torchid.model.tree import Tree
 from torchid.motion import Motion

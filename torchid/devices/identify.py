@@ -26,10 +26,10 @@ from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, Not
 from torchid.devices.sensor import LawFit, fit_law
 from torchid.devices.supports import Known, Recorded, fit_by_base_rows, stated
 from torchid.devices.values import Value
+from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError
 from torchid.inertia.posterior import com_jacobian
 from torchid.inertia.pseudo import com
-from torchid.regressor.rows import WrenchTrial
 
 
 def identify_device(

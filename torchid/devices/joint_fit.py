@@ -19,11 +19,8 @@ from torchid.conventions import Inertial
 from torchid.devices.parts import LEAST_SD, PartsPrior
 from torchid.devices.result import BodyBelief
 from torchid.devices.values import Value
-from torchid.inertia.cone import Linear, project
-from torchid.inertia.identify import ROUNDS
-from torchid.inertia.pseudo import relative_map
-from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import (
+from torchid.dynamics.rows import WrenchTrial
+from torchid.dynamics.whitening import (
     BlockSpectrum,
     Whitening,
     accumulate,
@@ -31,6 +28,9 @@ from torchid.regressor.whitening import (
     initial_whitening,
     spectra,
 )
+from torchid.inertia.cone import Linear, project
+from torchid.inertia.identify import ROUNDS
+from torchid.inertia.pseudo import relative_map
 
 FLOOR = 1e-6
 """Smallest eigenvalue of a pseudo-inertia relative to its reference's, as of ``InertiaOptions.floor``."""

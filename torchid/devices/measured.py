@@ -12,7 +12,7 @@ from torchid.devices.device import Element
 from torchid.devices.forces import smoothed
 from torchid.devices.laws import Channels, command
 from torchid.devices.supports import Recorded
-from torchid.regressor.rows import WrenchTrial
+from torchid.dynamics.rows import WrenchTrial
 
 
 @dataclass(frozen=True)

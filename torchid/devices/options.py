@@ -35,7 +35,7 @@ class DeviceOptions:
     """The same of an angle [rad]: the zero of a joint's angle is a convention that markers tell to two degrees."""
     plate_gain_sd: NonNegative = 0.004
     """Standard deviation of the plates' gain with the device against without: 0.4 % in eight public sessions
-    (``experiment/standing.py``), 0.3 kg of a person. Nothing in the recordings tells it from a device's weight; it
+    (``session/standing.py``), 0.3 kg of a person. Nothing in the recordings tells it from a device's weight; it
     widens the band of the masses. Weighing the device does better; zero for plates that are known to repeat."""
     correlation_s: Positive = 2.0
     """Time within which residuals of a sensor may depend on one another (Bartlett window of Newey & West,

@@ -7,9 +7,9 @@ from torchid.devices.device import Device
 from torchid.devices.joint_fit import Extra, fit_jointly
 from torchid.devices.parts import parts_prior
 from torchid.devices.result import BodyBelief
+from torchid.dynamics.rows import WrenchTrial
 from torchid.inertia.pseudo import com
 from torchid.model.tree import Tree
-from torchid.regressor.rows import WrenchTrial
 
 ELSEWHERE = 5.0
 """Log evidence by which another segment must beat the sheet's, chosen: odds of 150, for a handful of segments."""

@@ -16,8 +16,8 @@ from torchid.devices.faults import fault, number, vector
 from torchid.devices.links import attached_parts
 from torchid.devices.sheet import AttachedLink, DeviceSheet, ElementSheet, MatrixWithSd, PartSheet
 from torchid.devices.values import Value
-from torchid.documents import read_document
 from torchid.errors import ConfigError
+from torchid.storage.documents import read_document
 
 SUFFIXES = (".yaml", ".yml", ".json")
 Attachments = Mapping[str, str | AttachedLink]

@@ -1,7 +1,7 @@
 """Channels of a device from files, on the frames of a motion: C3D analogs, MOT and STO columns, CSV columns.
 
 A channel that was sampled faster than the frames is averaged over each frame's time. Streams of LSL come from
-``torchid.live.xdf.device_series`` in the same form.
+``torchid.live.sources.xdf.device_series`` in the same form.
 """
 
 import csv

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.devices.device import Device
-from torchid.regressor.whitening import Whitening
+from torchid.dynamics.whitening import Whitening
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from torchid.devices.measured import Measured
 from torchid.devices.options import DeviceOptions
 from torchid.devices.sandwich import sandwich
 from torchid.devices.values import Value
-from torchid.regressor.whitening import white_scatter
+from torchid.dynamics.whitening import white_scatter
 
 ROUNDS = 4
 """Of law and error of the length, chosen: the fourth changes neither by a hundredth."""

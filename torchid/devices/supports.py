@@ -15,7 +15,7 @@ from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import PartsPrior
 from torchid.devices.result import BodyBelief
 from torchid.devices.values import Value
-from torchid.regressor.rows import WrenchTrial
+from torchid.dynamics.rows import WrenchTrial
 
 PASSES = 3
 """Linearisations of the laws of grounded supports, chosen: a law is piecewise linear, and the third changes nothing."""

@@ -21,10 +21,10 @@ from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
 from torchid.effects.traits import Proof
+from torchid.model_free.panel import Panel
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
-from torchid.snapshot import release
-from torchid.witnesses.panel import Panel
+from torchid.storage.snapshot import release
 
 
 def select_effects(include: Sequence[str], exclude: Sequence[str]) -> tuple[Effect, ...]:

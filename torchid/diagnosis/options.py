@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from torchid.bounds import Count, NonNegative, Positive, Share
+from torchid.model_free.options import WitnessOptions
 from torchid.observation.options import ObservationOptions
-from torchid.witnesses.options import WitnessOptions
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.dynamics import joint_axes
+from torchid.dynamics.equations_of_motion import joint_axes
 from torchid.effects.scene import Scene
 from torchid.kinematics.recursion import cross
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.dynamics import DynamicState, body_rows, body_wrenches, dynamic_state
+from torchid.dynamics.equations_of_motion import DynamicState, body_rows, body_wrenches, dynamic_state
 from torchid.effects.place import Place, edge, within
 from torchid.filters import Smoother
 from torchid.kinematics.recursion import cross

@@ -77,9 +77,9 @@ class Proof(Enum):
     """The kind of measurement that can bear an effect out without a body model."""
 
     FORCES = auto()
-    """Readings of plates, and the way of the centre of mass (``torchid.witnesses``)."""
+    """Readings of plates, and the way of the centre of mass (``torchid.model_free``)."""
     DISTANCES = auto()
-    """Distances between the markers of a segment (``torchid.tracking``)."""
+    """Distances between the markers of a segment (``torchid.checks.marker_tracks``)."""
     SMOOTHNESS = auto()
     """Quick motion that markers still show."""
     NOTHING = auto()

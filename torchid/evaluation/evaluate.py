@@ -14,28 +14,28 @@ from torchid.config import Config
 from torchid.config.conditions import EvaluateOptions
 from torchid.devices import Device, refuse_foreign
 from torchid.errors import ConfigError, DataError
-from torchid.evaluation.answers import answer
-from torchid.evaluation.back import lever_arms
-from torchid.evaluation.contacts import Feet, count_contacts, feet_of, refuse_twice
-from torchid.evaluation.cycles import Course, Cycle, find_cycles, outliers
-from torchid.evaluation.device_draws import device_deviations
-from torchid.evaluation.draws import torque_deviations
+from torchid.evaluation.cycle_measures.cycles import Course, Cycle, find_cycles, outliers
+from torchid.evaluation.cycle_measures.layout import Layout, make_layout
+from torchid.evaluation.cycle_measures.rows import CycleRows, Scene, cycle_rows, joined
 from torchid.evaluation.evaluation import Answer, Evaluation
 from torchid.evaluation.gaps import find_gaps
-from torchid.evaluation.layout import Layout, make_layout
-from torchid.evaluation.rows import CycleRows, Scene, cycle_rows, joined
-from torchid.evaluation.shares import shares
 from torchid.evaluation.simulation import with_conditions
+from torchid.evaluation.statistics.answers import answer
+from torchid.evaluation.torque_shares.back import lever_arms
+from torchid.evaluation.torque_shares.contacts import Feet, count_contacts, feet_of, refuse_twice
+from torchid.evaluation.torque_shares.device_draws import device_deviations
+from torchid.evaluation.torque_shares.draws import torque_deviations
+from torchid.evaluation.torque_shares.shares import shares
+from torchid.evaluation.torque_shares.wearing import Worn, channels_of, identified_devices, worn_devices
 from torchid.evaluation.trials import ConditionTrial, condition_trials, refuse_faulty, refuse_still
-from torchid.evaluation.wearing import Worn, channels_of, identified_devices, worn_devices
 from torchid.evaluation.write import file_names, write_evaluation
-from torchid.experiment.fits import OnStage
-from torchid.experiment.read import read_setup
-from torchid.experiment.run import run_experiment
-from torchid.experiment.stages import soles
 from torchid.geometry.result import GeometryFit
-from torchid.outcome import Outcome
-from torchid.results import OutputFolder
+from torchid.run.sequence import run_experiment
+from torchid.session import Outcome
+from torchid.session.fitting import OnStage
+from torchid.session.following import soles
+from torchid.session.opening import read_setup
+from torchid.storage.results import OutputFolder
 
 
 @dataclass(frozen=True)

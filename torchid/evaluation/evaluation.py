@@ -6,13 +6,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.evaluation.comparing import Comparison, Sample
-from torchid.evaluation.cycles import Cycle
-from torchid.evaluation.layout import Layout, from_file, usual_body
-from torchid.evaluation.rows import CycleRows
+from torchid.evaluation.cycle_measures.cycles import Cycle
+from torchid.evaluation.cycle_measures.layout import Layout, from_file, usual_body
+from torchid.evaluation.cycle_measures.rows import CycleRows
+from torchid.evaluation.statistics.comparing import Comparison, Sample
+from torchid.evaluation.torque_shares.wearing import Worn
 from torchid.evaluation.trials import ConditionTrial
-from torchid.evaluation.wearing import Worn
-from torchid.outcome import Outcome
+from torchid.session import Outcome
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,16 @@ import torch
 
 from torchid.conventions import GRAVITY
 from torchid.devices import Finding
-from torchid.evaluation.draws import SAID
+from torchid.dynamics.rows import predict
+from torchid.evaluation.cycle_measures.measures import MEASURES
 from torchid.evaluation.evaluation import Evaluation, Gap
-from torchid.evaluation.measures import MEASURES
-from torchid.evaluation.wearing import Worn, carried
-from torchid.regressor.rows import predict
+from torchid.evaluation.torque_shares.draws import SAID
+from torchid.evaluation.torque_shares.wearing import Worn, carried
 from torchid.wording import listing, plural
 
 WEIGHED_KG = 0.5
 """Choice. Mass that plates may bear beyond body and device: plates of one laboratory differ by 0.4 % of a person's
-weight (``experiment.standing.PLATE_GAIN``), 0.3 kg."""
+weight (``session.standing.PLATE_GAIN``), 0.3 kg."""
 
 
 def find_gaps(found: Evaluation) -> tuple[Gap, ...]:

@@ -5,16 +5,16 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from torchid.evaluation.answers import sided_courses
-from torchid.evaluation.back import NIOSH_N
-from torchid.evaluation.comparing import Column
-from torchid.evaluation.cycles import APART
-from torchid.evaluation.effects import Estimate, mean_of
+from torchid.evaluation.cycle_measures.cycles import APART
+from torchid.evaluation.cycle_measures.layout import BACK
+from torchid.evaluation.cycle_measures.measures import divides_by_mass, unit_of
 from torchid.evaluation.evaluation import Answer, Evaluation
-from torchid.evaluation.layout import BACK
 from torchid.evaluation.ledger import BODIES, Key
-from torchid.evaluation.measures import divides_by_mass, unit_of
-from torchid.evaluation.units import Units, trial_units, unit_means
+from torchid.evaluation.statistics.answers import sided_courses
+from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.effects import Estimate, mean_of
+from torchid.evaluation.statistics.units import Units, trial_units, unit_means
+from torchid.evaluation.torque_shares.back import NIOSH_N
 
 Entry = tuple[Key, float, str]
 COVERAGE = 0.95

@@ -17,14 +17,14 @@ from torch import Tensor
 
 from torchid.config import Config, load_config
 from torchid.devices import Device, device_forces
-from torchid.evaluation.wearing import Worn, carried
-from torchid.experiment.simulation import RECORDINGS
-from torchid.files import atomic_write, write_text
-from torchid.results import OutputFolder
+from torchid.evaluation.torque_shares.wearing import Worn, carried
+from torchid.run.simulation import RECORDINGS
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import TRUTH, Session, session_config, simulate_session, write_session
 from torchid.simulate.subject import SimulatedSubject
 from torchid.simulate.trial import SimulatedTrial, simulate_trial
+from torchid.storage.files import atomic_write, write_text
+from torchid.storage.results import OutputFolder
 from torchid.torque.inverse import Load, joint_torques
 
 SENSOR_SD = 0.01

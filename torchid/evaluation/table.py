@@ -3,10 +3,10 @@
 from dataclasses import asdict
 from typing import Any
 
-from torchid.evaluation.comparing import Comparison
-from torchid.evaluation.cycles import APART
+from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.evaluation import Answer, Evaluation
 from torchid.evaluation.numbers import condition_means, condition_units
+from torchid.evaluation.statistics.comparing import Comparison
 
 
 def evaluation_table(found: Evaluation) -> dict[str, Any]:

@@ -9,18 +9,18 @@ from dataclasses import dataclass, replace
 from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.errors import DataError, InputError
-from torchid.experiment.fits import OnStage
-from torchid.experiment.read import join_trials, open_trials, read_setup
-from torchid.experiment.run import run_key
-from torchid.experiment.stages import put_aside
-from torchid.experiment.standing import follow_each
-from torchid.files import file_sha256
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
-from torchid.outcome import Followed, Outcome, Session
-from torchid.provenance import stage_key
 from torchid.recording import Trial
-from torchid.results import OutputFolder
+from torchid.run.sequence import run_key
+from torchid.session import Followed, Outcome, Session
+from torchid.session.fitting import OnStage
+from torchid.session.following import put_aside
+from torchid.session.opening import join_trials, open_trials, read_setup
+from torchid.session.standing import follow_each
+from torchid.storage.files import file_sha256
+from torchid.storage.provenance import stage_key
+from torchid.storage.results import OutputFolder
 
 
 @dataclass(frozen=True)

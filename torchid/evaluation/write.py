@@ -7,9 +7,9 @@ from torchid.evaluation.ledger import Ledger
 from torchid.evaluation.numbers import all_numbers
 from torchid.evaluation.report.page import render_evaluation
 from torchid.evaluation.table import evaluation_table
-from torchid.files import safe_name, write_json, write_text
-from torchid.netcdf import write_netcdf
-from torchid.results import OutputFolder
+from torchid.storage.files import safe_name, write_json, write_text
+from torchid.storage.netcdf import write_netcdf
+from torchid.storage.results import OutputFolder
 
 FILES = ("evaluation.json", "evaluation.csv", "evaluation.html")
 

@@ -13,8 +13,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.conventions import INERTIAL_NAMES
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.inertia.spectrum import cholesky
-from torchid.regressor.equations import NormalEquations
 
 _SHOWN = 8
 _NEGLIGIBLE = 1e-3

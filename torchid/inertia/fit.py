@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import DataError, Note
 from torchid.inertia.base_parameters import BaseParameters, base_parameters, structure
 from torchid.inertia.certificate import MESSAGES, Certificate, InertiaStatus, certify, judge
@@ -18,7 +19,6 @@ from torchid.inertia.solve import solve
 from torchid.inertia.spectrum import diagonalise
 from torchid.inertia.weights import Weights, choose_weights
 from torchid.model.model import InertialPrior
-from torchid.regressor.equations import NormalEquations
 
 NO_DATA = Weights(1.0, 1.0, 0.0)
 """Of equations that determine nothing: the prior is the answer, whatever its weight."""

@@ -8,13 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.errors import DataError
-from torchid.inertia.fit import InertiaFit, fit_inertia
-from torchid.inertia.options import InertiaOptions
-from torchid.model.model import InertialPrior
-from torchid.regressor.equations import NormalEquations
-from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import (
+from torchid.dynamics.row_equations import NormalEquations
+from torchid.dynamics.rows import WrenchTrial
+from torchid.dynamics.whitening import (
     BlockSpectrum,
     Whitening,
     accumulate,
@@ -22,6 +18,10 @@ from torchid.regressor.whitening import (
     initial_whitening,
     spectra,
 )
+from torchid.errors import DataError
+from torchid.inertia.fit import InertiaFit, fit_inertia
+from torchid.inertia.options import InertiaOptions
+from torchid.model.model import InertialPrior
 
 ROUNDS = 4
 """Of noise and parameters; the third changes masses by less than a tenth of their standard deviation."""

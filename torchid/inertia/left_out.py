@@ -10,11 +10,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.problem import pose
 from torchid.inertia.spectrum import cholesky
 from torchid.model.model import InertialPrior
-from torchid.regressor.equations import NormalEquations
 
 
 def leave_out_each(

@@ -7,13 +7,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import ConfigError
 from torchid.inertia import entropic
 from torchid.inertia.linear import box_rows, ellipsoid_rows, total_mass_row
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.pseudo import params_to_pseudo, relative_map
 from torchid.model.model import InertialPrior
-from torchid.regressor.equations import NormalEquations
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import INERTIAL_NAMES
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import ConfigError, DataError
 from torchid.inertia.linear import check_boxes_meet, check_ellipsoids
 from torchid.inertia.pseudo import params_to_pseudo, relative_map
 from torchid.model.model import InertialPrior
-from torchid.regressor.equations import NormalEquations
 
 Numbers = np.ndarray | Tensor | Sequence[Any]
 """An array in any form that NumPy understands."""

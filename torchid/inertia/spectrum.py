@@ -16,8 +16,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import Inertial
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import ConfigError
-from torchid.regressor.equations import NormalEquations
 
 Vector = Float[np.ndarray, " params"]
 SIGNAL_TO_NOISE = 3e5

@@ -13,10 +13,10 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 from torch import Tensor
 
+from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import ConfigError, DataError, Note
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.spectrum import Spectrum, diagonalise
-from torchid.regressor.equations import NormalEquations
 
 _GRID = 25
 

@@ -9,10 +9,10 @@ import numpy as np
 from torch import Tensor
 
 from torchid.errors import InputError
-from torchid.files import atomic_path
 from torchid.io.c3d_header import BLOCK
 from torchid.io.plates import plate_frame
 from torchid.recording import Event, Forces, Plate, Trial
+from torchid.storage.files import atomic_path
 
 MILLI = 1000.0
 DEPTH = 0.04

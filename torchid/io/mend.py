@@ -1,7 +1,7 @@
 """What a user says is wrong with the forces of a recording, and how it is undone while the recording is read.
 
 The same keys stand in a config (``forces_as`` for a whole file, ``plates`` by number) and are tried by
-``torchid.agreement`` when forces and feet disagree, so that what it advises is what reading does.
+``torchid.checks.plates_against_feet`` when forces and feet disagree, so that what it advises is what reading does.
 """
 
 import re

@@ -35,7 +35,7 @@ def within_limits(forces: Forces, source: str) -> tuple[Forces | None, list[Note
     """Forces without plates whose forces nobody bears, and a note for each that cannot be what was measured.
 
     Single samples beyond become NaN in place. Loads that no contact gives are said and left: a change of their unit or
-    wiring may put them right, which ``torchid.agreement`` tries.
+    wiring may put them right, which ``torchid.checks.plates_against_feet`` tries.
 
     Args:
         forces: in W, as the user says that they are.

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from torchid.errors import InputError, Note
-from torchid.files import atomic_write
 from torchid.io.files import read_lines
 from torchid.io.table import parse_rows, split_row
+from torchid.storage.files import atomic_write
 
 MAX_HEADER_LINES = 500
 

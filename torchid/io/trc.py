@@ -8,12 +8,12 @@ from jaxtyping import Float, Int
 
 from torchid.conventions import y_up_to_z_up
 from torchid.errors import InputError, Note
-from torchid.files import write_text
 from torchid.io.clock import Clock, uniform_clock
 from torchid.io.files import read_lines
 from torchid.io.force_names import refuse_forces
 from torchid.io.table import Rows, parse_rows, split_row
 from torchid.recording import Markers
+from torchid.storage.files import write_text
 
 PARTLY = 0.5
 """Share of a marker's points that may lack a coordinate: cells are damaged now and then, not in every other row."""

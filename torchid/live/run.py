@@ -11,28 +11,28 @@ from typing import Any, Protocol
 
 from torchid.config import Config
 from torchid.errors import ConfigError, DataError
-from torchid.experiment.fits import fit_session, given_mass, refuse_unseen
-from torchid.experiment.others import refuse_plates
-from torchid.experiment.read import open_as_recorded, read_session
-from torchid.experiment.run import GEOMETRY, run_key
-from torchid.experiment.stages import subject_prior
-from torchid.experiment.standing import follow_each, standing_weight
-from torchid.files import file_sha256, write_json
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
 from torchid.inertia.identify import Identified
-from torchid.live.exercises import Possibilities
-from torchid.live.guidance import make_guide
-from torchid.live.identifier import Subject
-from torchid.live.pipeline import Moment, Pipeline
-from torchid.live.recorder import Recorder
-from torchid.live.replay import Replay
-from torchid.live.stream import Source
+from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.pipeline import Moment, Pipeline
+from torchid.live.exercises.exercises import Possibilities
+from torchid.live.exercises.guidance import make_guide
+from torchid.live.sources.recorder import Recorder
+from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Source
 from torchid.model.model import InertialPrior
-from torchid.outcome import Outcome, Session
-from torchid.outcome.tables import identified_table
-from torchid.provenance import stage_key
-from torchid.results import OutputFolder
+from torchid.run.sequence import GEOMETRY, run_key
+from torchid.session import Outcome, Session
+from torchid.session.fitting import fit_session, given_mass, refuse_unseen
+from torchid.session.following import subject_prior
+from torchid.session.opening import open_as_recorded, read_session
+from torchid.session.other_contacts import refuse_plates
+from torchid.session.standing import follow_each, standing_weight
+from torchid.session.tables import identified_table
+from torchid.storage.files import file_sha256, write_json
+from torchid.storage.provenance import stage_key
+from torchid.storage.results import OutputFolder
 
 CUTOFF_HZ = 6.0
 """Cited. Of the filter, where the config leaves it to recordings that have not been made yet: Winter, Biomechanics and
@@ -43,7 +43,7 @@ OnStage = Callable[[str, float], None]
 
 
 class Display(Protocol):
-    """What shows a stream, such as ``live.page.Page``."""
+    """What shows a stream, such as ``live.display.page.Page``."""
 
     address: str
 
@@ -236,10 +236,10 @@ def _replayed(source: str | Source, config: Config, speed: float) -> Source | No
 
 def _opened(source: str, speed: float) -> Source:
     if source.startswith(XDF):
-        return _extra("torchid.live.xdf").replay_xdf(Path(source.removeprefix(XDF)), speed)
+        return _extra("torchid.live.sources.xdf").replay_xdf(Path(source.removeprefix(XDF)), speed)
     if _is(QUALISYS, source):
-        return _extra("torchid.live.qualisys").QualisysSource(source.removeprefix(QUALISYS).removeprefix(":"))
-    return _extra("torchid.live.lsl").LslSource(source.removeprefix(LSL).removeprefix(":"))
+        return _extra("torchid.live.sources.qualisys").QualisysSource(source.removeprefix(QUALISYS).removeprefix(":"))
+    return _extra("torchid.live.sources.lsl").LslSource(source.removeprefix(LSL).removeprefix(":"))
 
 
 def _is(kind: str, source: str) -> bool:
@@ -263,11 +263,11 @@ def _refuse_other(source: str, config: Config) -> None:
     if source.startswith(REPLAY) and source.removeprefix(REPLAY) in names:
         return
     if source.startswith(XDF) and Path(source.removeprefix(XDF)).is_file():
-        _extra("torchid.live.xdf")
+        _extra("torchid.live.sources.xdf")
     elif _is(LSL, source):
-        _extra("torchid.live.lsl")
+        _extra("torchid.live.sources.lsl")
     elif _is(QUALISYS, source):
-        _extra("torchid.live.qualisys").address_of(source.removeprefix(QUALISYS).removeprefix(":"))
+        _extra("torchid.live.sources.qualisys").address_of(source.removeprefix(QUALISYS).removeprefix(":"))
     else:
         raise ConfigError(
             "live.source", "is no source", place="--source", found=source[:80],

@@ -16,12 +16,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import Inertial
-from torchid.documents import read_document
 from torchid.errors import ConfigError
 from torchid.io.output_names import AUGMENTED, loose
 from torchid.model.landmarks import LANDMARKS
 from torchid.model.model import Landmark, Model
 from torchid.model.skeleton import SEGMENTS
+from torchid.storage.documents import read_document
 
 FOLDER = Path(__file__).parent / "marker_sets"
 RESERVED = ("aliases", "computed", "extends")
@@ -106,7 +106,7 @@ def load_marker_set(
 
     Raises:
         ConfigError: no such set, or an entry names an unknown segment, landmark or label; the nearest is named. So is
-            a file that is absent or not plain YAML (``torchid.documents``).
+            a file that is absent or not plain YAML (``torchid.storage.documents``).
     """
     path = Path(name_or_path)
     if path.suffix.lower() not in (".yaml", ".yml", ".json"):

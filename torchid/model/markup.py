@@ -9,7 +9,7 @@ import lxml.etree as etree
 from lxml.etree import _Element as Element
 
 from torchid.errors import InputError
-from torchid.files import atomic_write
+from torchid.storage.files import atomic_write
 
 MAX_BYTES = 64 << 20
 MAX_NUMBER = 1e30

@@ -15,9 +15,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.regressor.equations import half_product
-from torchid.regressor.whitening import cosine_matrix
-from torchid.snapshot import in_memory, unload
+from torchid.dynamics.row_equations import half_product
+from torchid.dynamics.whitening import cosine_matrix
+from torchid.storage.snapshot import in_memory, unload
 
 MARKER_EDGES_HZ = (0.15, 0.5, 1.5)
 """Resolution. Upper edges of the bands [Hz] behind the mean of a block, which is a band of its own."""

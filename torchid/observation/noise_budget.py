@@ -13,9 +13,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.dynamics.rows import WrenchTrial
+from torchid.dynamics.whitening import BAND_EDGES_HZ, band_of, coefficients, cosine_matrix, frequencies
 from torchid.observation.reliability import Reliability, estimate_reliability
-from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import BAND_EDGES_HZ, band_of, coefficients, cosine_matrix, frequencies
 
 WHITE = 256
 """Resolution. Number of draws of white noise: their mean is 3 % uncertain in a band of eight coefficients."""

@@ -8,14 +8,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchid.conventions import LOADED_N
+from torchid.dynamics.rows import runs
+from torchid.dynamics.whitening import white_scatter
 from torchid.effects.columns import STEP
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
 from torchid.effects.plate_map import ZeroError, to_plate
 from torchid.effects.scene import Reading
 from torchid.observation.options import ObservationOptions
-from torchid.regressor.rows import runs
-from torchid.regressor.whitening import white_scatter
 
 LOWEST = 0.02
 """Estimator. Part of the frames that lie below the lowest value that counts."""

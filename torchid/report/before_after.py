@@ -11,12 +11,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from torch import Tensor
 
-from torchid.outcome import Outcome
-from torchid.regressor.rows import WrenchTrial, measured, predict
-from torchid.regressor.whitening import BAND_EDGES_HZ, BEYOND, band_of, cosine_matrix, frequencies
+from torchid.dynamics.rows import WrenchTrial, measured, predict
+from torchid.dynamics.whitening import BAND_EDGES_HZ, BEYOND, band_of, cosine_matrix, frequencies
 from torchid.report.facts import only
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.report.marker_distances import marker_cells
+from torchid.session import Outcome
 from torchid.wording import clean, number
 
 POINTS = 600

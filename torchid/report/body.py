@@ -9,11 +9,11 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from torch import Tensor
 
-from torchid.outcome import Outcome
-from torchid.outcome.tables import identified_table, segment_lengths
 from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Table
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
 from torchid.report.stick_figure import rest, stick_points, tips
+from torchid.session import Outcome
+from torchid.session.tables import identified_table, segment_lengths
 from torchid.wording import ABSENT, clean, listing, number, percent, plural, segment, spread
 
 DETERMINED = 0.5

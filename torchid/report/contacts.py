@@ -12,10 +12,10 @@ from torch import Tensor
 
 from torchid.contact.contact import Contact
 from torchid.contact.sharing.records import Source
-from torchid.outcome import Followed, Outcome
-from torchid.regressor.rows import runs
+from torchid.dynamics.rows import runs
 from torchid.report.blocks import Figure
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, SHADE, draw, tidy
+from torchid.session import Followed, Outcome
 from torchid.wording import clean, plural
 
 LOOKS: dict[Source, tuple[str, dict[str, Any]]] = {

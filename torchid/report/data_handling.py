@@ -7,8 +7,8 @@ from pathlib import PurePath
 
 import torch
 
-from torchid.outcome import Outcome
 from torchid.report.blocks import Paragraph, Section, Table
+from torchid.session import Outcome
 from torchid.wording import ABSENT, clean, listing, merge, number, pattern, percent, plural
 
 

@@ -9,8 +9,6 @@ from torchid.diagnosis.diagnose import select_effects
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
-from torchid.outcome import Outcome
-from torchid.outcome.tables import heldout_errors
 from torchid.report.before_after import Sides, draw_curves, draw_spectrum, sides, telling_trial, trial_rows
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
 from torchid.report.cause_sentences import name, surely, told
@@ -19,6 +17,8 @@ from torchid.report.effect_words import called, noun, of_markers, place
 from torchid.report.marker_distances import draw_markers, marker_error
 from torchid.report.rival_bars import rival_bars
 from torchid.report.witness_table import witness_table
+from torchid.session import Outcome
+from torchid.session.tables import heldout_errors
 from torchid.wording import clean, listing, number, percent, scientific
 
 SAME = 0.005

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.outcome import Outcome
-from torchid.outcome.tables import rms
-from torchid.regressor.rows import measured, predict
-from torchid.snapshot import release
+from torchid.dynamics.rows import measured, predict
+from torchid.session import Outcome
+from torchid.session.tables import rms
+from torchid.storage.snapshot import release
 
 
 @dataclass(frozen=True)

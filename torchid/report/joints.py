@@ -6,12 +6,12 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from torch import Tensor
 
-from torchid.outcome import Outcome
-from torchid.outcome.tables import rms
 from torchid.report.blocks import Figure, Section, Table
 from torchid.report.facts import judges
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
 from torchid.report.forces import POINTS, peak
+from torchid.session import Outcome
+from torchid.session.tables import rms
 from torchid.wording import ABSENT, clean, listing, number, percent
 
 SHOWN = ("hip_{}_flexion", "hip_{}_adduction", "knee_{}_flexion", "ankle_{}_flexion", "shoulder_{}_flexion")

@@ -7,9 +7,9 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from torch import Tensor
 
-from torchid.outcome import Outcome
-from torchid.outcome.tables import rms
 from torchid.report.figure import IDENTIFIED, SCALED, draw, tidy
+from torchid.session import Outcome
+from torchid.session.tables import rms
 from torchid.wording import clean, number
 
 POINTS = 600

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 from torchid.config import dump_config
-from torchid.outcome import Outcome
-from torchid.outcome.tables import identified_table
-from torchid.provenance import StageTime, versions
 from torchid.report.blocks import Block, Details, Items, Listing, Section, Table
+from torchid.session import Outcome
+from torchid.session.tables import identified_table
+from torchid.storage.provenance import StageTime, versions
 from torchid.wording import clean, listing, number, percent, plural, scientific, segment
 
 METHODS = (

@@ -8,9 +8,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from torchid.errors import DataError
-from torchid.files import write_text
-from torchid.outcome import Outcome
-from torchid.provenance import versions
 from torchid.report.blocks import Section
 from torchid.report.body import body_section
 from torchid.report.data_handling import handling_section
@@ -22,6 +19,9 @@ from torchid.report.method import method_section
 from torchid.report.skeleton import skeleton_section
 from torchid.report.summary import head_section
 from torchid.scene.embedded import OPENER, Replay
+from torchid.session import Outcome
+from torchid.storage.files import write_text
+from torchid.storage.provenance import versions
 from torchid.wording import bind, clean
 
 INERT = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"

@@ -10,13 +10,13 @@ from matplotlib.lines import Line2D
 from torch import Tensor
 
 from torchid.geometry.tracking import modelled
-from torchid.outcome import Outcome
-from torchid.outcome.tables import largest, marker_errors
 from torchid.report.blocks import Details, Embedded, Figure, Section, Table
 from torchid.report.facts import judges, marker_rms
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.report.stick_figure import facing, stick_points, tips
 from torchid.scene.embedded import Replay
+from torchid.session import Outcome
+from torchid.session.tables import largest, marker_errors
 from torchid.wording import ABSENT, change, clean, listing, number, segment
 
 PIECE = 1 << 15

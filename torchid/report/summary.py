@@ -4,13 +4,13 @@ import math
 
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.errors import DataError
-from torchid.outcome import Outcome
-from torchid.outcome.tables import largest
 from torchid.report.blocks import Block, Items, Paragraph, Section, Table
 from torchid.report.cause_sentences import likely, told
 from torchid.report.data_handling import grouped
 from torchid.report.effect_words import called
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
+from torchid.session import Outcome
+from torchid.session.tables import largest
 from torchid.wording import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
 
 READING = (

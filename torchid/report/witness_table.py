@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from torchid.diagnosis.verdict.records import Cause
+from torchid.model_free.testimony import Answer
 from torchid.report.blocks import Block, Details, Table
 from torchid.report.cause_sentences import name
-from torchid.witnesses.testimony import Answer
 from torchid.wording import clean, decimals, number
 
 LISTED = 6

@@ -11,10 +11,10 @@ import xarray
 from jaxtyping import Float
 
 from torchid.errors import InputError
-from torchid.netcdf import CHUNK
 from torchid.scene.scene import Ground, Instant
 from torchid.scene.solids import Solids, solids
 from torchid.scene.sticks import sticks
+from torchid.storage.netcdf import CHUNK
 
 WRENCHES = ("measured", "predicted", "extended")
 

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY
-from torchid.dynamics import dynamic_state
+from torchid.dynamics.equations_of_motion import dynamic_state
 from torchid.motion.motion import Motion
 from torchid.recording import Plate
 from torchid.simulate.options import ANALOG_RATIO

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-from torchid.files import atomic_write, write_json, write_text, writing
 from torchid.io.c3d_write import write_c3d
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.planting import check_places
 from torchid.simulate.subject import MARKER_SET, SimulatedSubject, simulate_subject
 from torchid.simulate.trial import SimulatedTrial, TrialTruth, simulate_trial
+from torchid.storage.files import atomic_write, write_json, write_text, writing
 
 TRUTH = "truth"
 """Folder beside the recordings that no fit reads."""

@@ -13,13 +13,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.dynamics.row_equations import NormalEquations
+from torchid.dynamics.whitening import accumulate, spectra
 from torchid.geometry.result import GeometryFit
 from torchid.inertia.fit import InertiaFit
 from torchid.inertia.identify import Identified
 from torchid.inertia.spectrum import diagonalise
 from torchid.model.model import Geometry
-from torchid.regressor.equations import NormalEquations
-from torchid.regressor.whitening import accumulate, spectra
 from torchid.torque.seen import SeenTrial, by_body, shifted
 from torchid.torque.skin import SkinDraws, draw_skin
 

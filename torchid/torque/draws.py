@@ -22,7 +22,7 @@ class PlateErrors:
 
     gain: float = 0.004
     """Of all its channels together. Measured: weight on one plate against the other differs by 0.4 % between the
-    shared recordings (``experiment/standing.py``)."""
+    shared recordings (``session/standing.py``)."""
     place_m: float = 0.0023
     """Of its centre of pressure along either edge [m]. Cited: 2.3 mm on the better of four commercial plates before
     they were calibrated anew (Cappello, Bagala, Cedraro & Chiari, Gait & Posture 33(4), 2011)."""

@@ -7,7 +7,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.dynamics import body_rows, body_wrenches, dynamic_state, generalised_forces, wrench_about
+from torchid.dynamics.equations_of_motion import (
+    body_rows,
+    body_wrenches,
+    dynamic_state,
+    generalised_forces,
+    wrench_about,
+)
 from torchid.model.model import Geometry
 from torchid.model.tree import Tree
 from torchid.motion import Motion

@@ -7,12 +7,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.dynamics.rows import WrenchTrial
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import modelled
 from torchid.motion import Motion
 from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.noise_draws import displaced
-from torchid.regressor.rows import WrenchTrial
 from torchid.torque.inverse import Load
 
 TOGETHER = 8

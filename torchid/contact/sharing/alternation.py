@@ -18,7 +18,7 @@ from torch import Tensor
 from torchid.contact.sharing.cones import drawn_to_cones
 from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.problem import SharingProblem, grasp, moved_rows, summed
-from torchid.dynamics import wrench_about
+from torchid.dynamics.equations_of_motion import wrench_about
 
 RELAXATION = 1.6
 """Over-relaxation; cited: 1.5 to 1.8 (Boyd et al. 2011, section 3.4.3)."""

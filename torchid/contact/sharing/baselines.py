@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.dynamics import wrench_about
+from torchid.dynamics.equations_of_motion import wrench_about
 
 STRIKE_PEAK = 2.0 / 3.0
 """Cited: time at which the trailing foot's fore-aft force peaks, over half the double support (Ren et al. 2008)."""

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchid.contact.sharing.alternation import frame_blocks
 from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.problem import SharingProblem, checked, grasp
-from torchid.dynamics import wrench_about
+from torchid.dynamics.equations_of_motion import wrench_about
 
 
 def share_by_clarabel(

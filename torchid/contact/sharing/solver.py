@@ -11,7 +11,7 @@ from torchid.contact.sharing.alternation import alternate, bending, frame_blocks
 from torchid.contact.sharing.cones import project_on_cones
 from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.problem import SharingProblem, checked, grasp
-from torchid.dynamics import wrench_about
+from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.errors import DataError
 
 

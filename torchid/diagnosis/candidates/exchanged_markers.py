@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.checks.marker_tracks.statement import Kind, Statement
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.marker_swap import MarkerSwap
 from torchid.effects.place import Interval, Place
-from torchid.tracking.statement import Kind, Statement
 
 EFFECT = next(one for one in CATALOGUE.values() if isinstance(one, MarkerSwap))
 """The effect as which they are named."""

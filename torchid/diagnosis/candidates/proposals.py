@@ -8,12 +8,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.candidates.free_courses import evidence_of_courses
+from torchid.dynamics.rows import measured
 from torchid.effects.effect import Effect
 from torchid.effects.marker_scene import Sway, View
 from torchid.effects.place import Place
 from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.rows import measured
 
 
 def propose(effect: Effect, observed: Sequence[TrialObservation]) -> tuple[Place, ...]:

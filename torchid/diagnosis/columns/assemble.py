@@ -23,7 +23,7 @@ from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.response_cache import ResponseCache
 from torchid.observation.trial import TrialObservation
 from torchid.observation.unloaded_plates import zero_statistics
-from torchid.snapshot import unload
+from torchid.storage.snapshot import unload
 
 TOGETHER = 64
 """Resolution. Number of columns whose momenta are turned into wrenches at once: all columns of a catalogue would fill

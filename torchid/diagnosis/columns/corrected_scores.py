@@ -18,15 +18,15 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Source
 from torchid.diagnosis.columns.marker_columns import response_of
-from torchid.dynamics import body_rows, wrenches_about
+from torchid.dynamics.equations_of_motion import body_rows, wrenches_about
+from torchid.dynamics.rows import WrenchTrial
+from torchid.dynamics.whitening import BAND_EDGES_HZ, band_of, coefficients, cosine_matrix, frequencies
 from torchid.effects.columns import columns
 from torchid.effects.kinds import ReadingEffect
 from torchid.effects.marker_scene import View
 from torchid.effects.scene import Scene
 from torchid.observation.noise_budget import NoiseBudget
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import BAND_EDGES_HZ, band_of, coefficients, cosine_matrix, frequencies
 
 Pair = Float[Tensor, "6 rows frames"]
 """A draw's noise in each channel of the total and band (rows), times the part of it that each channel of a column

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.diagnosis.candidates.candidate import Candidate, Source
 from torchid.observation.marker_bands import MarkerStatistics
 from torchid.observation.unloaded_plates import ZeroStatistics
-from torchid.snapshot import unload
+from torchid.storage.snapshot import unload
 
 
 @dataclass(frozen=True)

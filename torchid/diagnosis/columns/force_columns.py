@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Source
-from torchid.dynamics import wrenches_about
+from torchid.dynamics.equations_of_motion import wrenches_about
 from torchid.effects.columns import columns
 from torchid.effects.marker_scene import View
 from torchid.observation.trial import TrialObservation

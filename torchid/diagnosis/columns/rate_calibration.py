@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.dynamics.rows import WrenchTrial
+from torchid.dynamics.whitening import coefficients, cosine_matrix, frequencies
 from torchid.observation.reliability import estimate_reliability
-from torchid.regressor.rows import WrenchTrial
-from torchid.regressor.whitening import coefficients, cosine_matrix, frequencies
 
 
 def calibrated(

@@ -17,13 +17,13 @@ from torchid.diagnosis.candidates.candidate import Source
 from torchid.diagnosis.columns.assemble import retaken
 from torchid.diagnosis.columns.design import Columns, Design
 from torchid.diagnosis.columns.rate_calibration import calibrated
-from torchid.dynamics import wrench_about, wrenches_about
+from torchid.dynamics.equations_of_motion import wrench_about, wrenches_about
+from torchid.dynamics.rows import WrenchTrial
 from torchid.effects.columns import columns
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
 from torchid.effects.scene import Reading
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.rows import WrenchTrial
 
 MOVED = 0.1
 """Resolution. Part of its parameters by which a nonlinear effect on markers must have moved for its columns to be taken

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.options import AdequacyOptions
+from torchid.dynamics.whitening import BAND_EDGES_HZ
 from torchid.observation.noise_budget import NoiseBudget, energy
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.whitening import BAND_EDGES_HZ
 
 LEAST = 1e-150
 """Resolution. Energy that noise has at least; its square is still a number."""

@@ -24,13 +24,13 @@ from torchid.diagnosis.evidence.posterior import Posterior, fit
 from torchid.diagnosis.evidence.prior import Prior, make_prior
 from torchid.diagnosis.evidence.spectra import TrialSpectra, trial_spectra, with_columns
 from torchid.diagnosis.evidence.statistics import Statistics, TrialStatistics
+from torchid.dynamics.row_equations import NormalEquations
+from torchid.dynamics.whitening import BlockSpectrum, Whitening, accumulate
 from torchid.effects.place import Place
 from torchid.geometry.result import GeometryFit
 from torchid.model.model import InertialPrior
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.equations import NormalEquations
-from torchid.regressor.whitening import BlockSpectrum, Whitening, accumulate
-from torchid.snapshot import unload
+from torchid.storage.snapshot import unload
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.dynamics.whitening import Whitening
 from torchid.observation.marker_bands import BANDS
-from torchid.regressor.whitening import Whitening
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from torchid.diagnosis.evidence.noise import Noise
 from torchid.diagnosis.evidence.per_trial import TrialPosterior, trial_posteriors
 from torchid.diagnosis.evidence.spectra import TrialSpectra
 from torchid.diagnosis.evidence.statistics import Statistics, TrialStatistics
+from torchid.dynamics.whitening import BlockSpectrum, Whitening, estimate_whitening
 from torchid.observation.marker_bands import BANDS
-from torchid.regressor.whitening import BlockSpectrum, Whitening, estimate_whitening
 
 ROUNDS = 2
 """Resolution. Number of estimates of the noise before any effect is chosen; one less afterwards."""

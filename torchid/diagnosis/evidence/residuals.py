@@ -10,8 +10,8 @@ from torchid.diagnosis.columns.relinearise import without_beyond
 from torchid.diagnosis.evidence.model import LinearModel
 from torchid.diagnosis.evidence.posterior import Posterior
 from torchid.diagnosis.evidence.prior import Prior
+from torchid.dynamics.rows import measured
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.rows import measured
 
 
 def residuals(

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from torchid.diagnosis.columns.design import Columns, Terms
 from torchid.diagnosis.columns.relinearise import without_beyond
+from torchid.dynamics.whitening import BlockSpectrum, block_spectrum, column_spectra
 from torchid.observation.noise_budget import NoiseBudget
 from torchid.observation.reliability import Reliability
 from torchid.observation.trial import TrialObservation
-from torchid.regressor.whitening import BlockSpectrum, block_spectrum, column_spectra
-from torchid.snapshot import unload
+from torchid.storage.snapshot import unload
 
 
 @dataclass(frozen=True)

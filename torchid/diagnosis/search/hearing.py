@@ -8,9 +8,9 @@ from torch import Tensor
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.search.estimates import internal
 from torchid.diagnosis.search.result import SearchResult
+from torchid.model_free.panel import Panel
+from torchid.model_free.testimony import Claim, Testimony, hear
 from torchid.observation.trial import TrialObservation
-from torchid.witnesses.panel import Panel
-from torchid.witnesses.testimony import Claim, Testimony, hear
 
 
 def testimonies(

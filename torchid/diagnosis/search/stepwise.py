@@ -31,9 +31,9 @@ from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import Step, StepKind, Trace, step
 from torchid.effects.effect import Effect
+from torchid.model_free.panel import Panel
 from torchid.observation.trial import TrialObservation
-from torchid.snapshot import release
-from torchid.witnesses.panel import Panel
+from torchid.storage.snapshot import release
 
 log = logging.getLogger(__name__)
 NEWTON = 2

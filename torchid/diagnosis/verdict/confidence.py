@@ -13,8 +13,8 @@ from torchid.diagnosis.trace import StepKind, Trace, step
 from torchid.diagnosis.verdict.records import EVEN, Cause
 from torchid.effects.session import SESSION
 from torchid.effects.traits import Proof
+from torchid.model_free.testimony import Testimony
 from torchid.observation.trial import TrialObservation
-from torchid.witnesses.testimony import Testimony
 
 
 def trust(rest: Adequacy, options: DiagnosisOptions) -> float:

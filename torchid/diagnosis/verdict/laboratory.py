@@ -8,8 +8,8 @@ from torchid.diagnosis.verdict.causes import LISTED, parameter_table
 from torchid.diagnosis.verdict.records import Alternative, Cause, Twin
 from torchid.effects.place import SESSION, covers
 from torchid.effects.traits import Site
-from torchid.witnesses.faults import Fault, Scored, alike, instead, probability
-from torchid.witnesses.panel import Panel
+from torchid.model_free.faults import Fault, Scored, alike, instead, probability
+from torchid.model_free.panel import Panel
 
 NAMED = "witnesses_name"
 """Rule by which witnesses name a fault, as in ``docs/diagnosis.md``."""

@@ -12,8 +12,8 @@ from torchid.diagnosis.trace import Trace
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Planted
 from torchid.effects.place import Interval, Place
+from torchid.model_free.testimony import Answer
 from torchid.observation.plate_registry import SessionPlate
-from torchid.witnesses.testimony import Answer
 
 EVEN, CERTAIN = 0.5, 0.99
 """Wording. Confidences above which a cause is more than possible, and practically certain."""

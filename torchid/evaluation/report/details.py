@@ -4,8 +4,7 @@ import math
 from collections.abc import Sequence
 
 from torchid.devices import Finding
-from torchid.evaluation.comparing import Comparison
-from torchid.evaluation.cycles import APART
+from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.gaps import contradicted
 from torchid.evaluation.ledger import Key, Ledger
@@ -13,6 +12,7 @@ from torchid.evaluation.numbers import cycle_name, unit
 from torchid.evaluation.report.figures import draw_courses
 from torchid.evaluation.report.sentences import difference_key, ranked
 from torchid.evaluation.report.words import column_words, digits_of, headed, where_words
+from torchid.evaluation.statistics.comparing import Comparison
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
 from torchid.wording import ABSENT, clean, segment
 

@@ -9,13 +9,13 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from torchid.evaluation.answers import sided_courses
-from torchid.evaluation.back import NIOSH_N
-from torchid.evaluation.comparing import Comparison, spans
-from torchid.evaluation.effects import Estimate
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.numbers import course_means, unit
 from torchid.evaluation.report.words import where_words
+from torchid.evaluation.statistics.answers import sided_courses
+from torchid.evaluation.statistics.comparing import Comparison, spans
+from torchid.evaluation.statistics.effects import Estimate
+from torchid.evaluation.torque_shares.back import NIOSH_N
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.wording import clean
 

@@ -1,8 +1,8 @@
 """How the figures were made, in a paragraph each, with their sources."""
 
-from torchid.evaluation.draws import SAID
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Key, Ledger
+from torchid.evaluation.torque_shares.draws import SAID
 from torchid.report.blocks import Block, Items, Section
 from torchid.wording import clean
 

@@ -2,11 +2,11 @@
 
 import math
 
-from torchid.evaluation.comparing import Column, Comparison
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import unit
 from torchid.evaluation.report.words import column_words, digits_of
+from torchid.evaluation.statistics.comparing import Column, Comparison
 from torchid.wording import clean
 
 SIGNED = ("max_torque_Nm", "min_torque_Nm", "mean_torque_Nm", "negative_work_J")

@@ -2,13 +2,13 @@
 
 import math
 
-from torchid.evaluation.back import NIOSH_N
-from torchid.evaluation.comparing import Comparison
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.report.details import difference_rows
 from torchid.evaluation.report.figures import draw_courses
 from torchid.evaluation.report.sentences import finding, headline, ranked
+from torchid.evaluation.statistics.comparing import Comparison
+from torchid.evaluation.torque_shares.back import NIOSH_N
 from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Table
 from torchid.wording import clean
 

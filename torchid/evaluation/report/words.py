@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from torchid.evaluation.comparing import Column
-from torchid.evaluation.conventions import SIDED
+from torchid.evaluation.cycle_measures.conventions import SIDED
+from torchid.evaluation.statistics.comparing import Column
 from torchid.wording import clean
 
 MEASURES = {

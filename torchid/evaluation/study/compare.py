@@ -15,11 +15,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config.study import Study
-from torchid.evaluation.arrangements import flip
-from torchid.evaluation.comparing import Column
-from torchid.evaluation.effects import Estimate, hedges_paired, mean_of
 from torchid.evaluation.ledger import BODIES
-from torchid.evaluation.permutation import Tested, same_sized_p, sign_means, step_down
+from torchid.evaluation.statistics.arrangements import flip
+from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.effects import Estimate, hedges_paired, mean_of
+from torchid.evaluation.statistics.permutation import Tested, same_sized_p, sign_means, step_down
 from torchid.evaluation.study.subject import SHARES, Subject
 
 

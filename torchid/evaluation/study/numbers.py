@@ -7,14 +7,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.evaluation.back import NIOSH_N
-from torchid.evaluation.comparing import Column
-from torchid.evaluation.effects import Estimate, mean_of
 from torchid.evaluation.ledger import BODIES, Key
 from torchid.evaluation.numbers import COVERAGE, Entry, column_unit
+from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.effects import Estimate, mean_of
 from torchid.evaluation.study.compare import SubjectsComparison, course_of
 from torchid.evaluation.study.study import Pooled
 from torchid.evaluation.study.subject import SHARES
+from torchid.evaluation.torque_shares.back import NIOSH_N
 
 PRESSED = ("L5/S1", "peak_compression_N")
 """Where and measure of what is held against NIOSH's limit."""

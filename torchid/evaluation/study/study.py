@@ -10,7 +10,7 @@ from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.evaluation import Gap
 from torchid.evaluation.study.compare import SubjectsComparison, compare_condition
 from torchid.evaluation.study.subject import SHARES, Subject, read_subject
-from torchid.experiment.fits import OnStage
+from torchid.session.fitting import OnStage
 from torchid.wording import listing
 
 

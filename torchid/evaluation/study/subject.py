@@ -12,11 +12,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import InputError
-from torchid.evaluation.comparing import Column
-from torchid.evaluation.conventions import side_of
+from torchid.evaluation.cycle_measures.conventions import side_of
 from torchid.evaluation.ledger import BODIES
-from torchid.evaluation.units import trial_units, unit_means
-from torchid.files import safe_name
+from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.units import trial_units, unit_means
+from torchid.storage.files import safe_name
 
 FILE = "evaluation.json"
 SHARES = ("human", "demand", "device")

@@ -9,10 +9,10 @@ from torchid.evaluation.study.numbers import study_numbers
 from torchid.evaluation.study.report.page import render_study
 from torchid.evaluation.study.study import Pooled, pool, subjects_of
 from torchid.evaluation.study.table import study_dataset, study_table
-from torchid.experiment.fits import OnStage
-from torchid.files import write_json, write_text
-from torchid.netcdf import write_netcdf
-from torchid.results import OutputFolder
+from torchid.session.fitting import OnStage
+from torchid.storage.files import write_json, write_text
+from torchid.storage.netcdf import write_netcdf
+from torchid.storage.results import OutputFolder
 
 FILES = ("subjects.json", "subjects.csv", "subjects.nc", "subjects.html")
 

@@ -24,7 +24,7 @@ from torchid.model.opensim.rotations import R_OW, inverse, pose
 from torchid.model.skeleton import BASE_SD
 from torchid.model.tree import BASE_DOFS, Body, Dof, Slide, Tree, Turn
 from torchid.model.tree_of_links import leaning_turn
-from torchid.snapshot import to_bytes
+from torchid.storage.snapshot import to_bytes
 
 SQUARE = 1e-9
 """Resolution. Largest product of two of the root joint's unit axes that stand at right angles."""

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from torchid.errors import DataError
-from torchid.files import atomic_write
 from torchid.model.markup import Element, place, read_bytes, spelt
 from torchid.model.opensim.bodies import MOMENTS, SPELT, compact, stated_moments
 from torchid.model.opensim.frames import Stated
 from torchid.model.opensim.model import Frame, OsimModel
 from torchid.model.opensim.reading import Parts, model_of, open_document, parts_of
 from torchid.model.opensim.spans import Edit, edited, element_spans, new_child, new_text
+from torchid.storage.files import atomic_write
 
 
 @dataclass(frozen=True)

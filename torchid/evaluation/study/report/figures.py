@@ -10,14 +10,14 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from torchid.evaluation.back import NIOSH_N
-from torchid.evaluation.comparing import spans
 from torchid.evaluation.numbers import column_unit
 from torchid.evaluation.report.figures import DEVICE, TITLES
 from torchid.evaluation.report.words import measure_words, where_words
+from torchid.evaluation.statistics.comparing import spans
 from torchid.evaluation.study.compare import SubjectsComparison
 from torchid.evaluation.study.numbers import course_estimate
 from torchid.evaluation.study.study import Pooled
+from torchid.evaluation.torque_shares.back import NIOSH_N
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.wording import clean
 

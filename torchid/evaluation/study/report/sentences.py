@@ -2,12 +2,12 @@
 
 import math
 
-from torchid.evaluation.comparing import Column
 from torchid.evaluation.evaluation import Gap
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import column_unit
 from torchid.evaluation.report.sentences import change
 from torchid.evaluation.report.words import column_words, digits_of
+from torchid.evaluation.statistics.comparing import Column
 from torchid.evaluation.study.compare import SubjectsComparison
 from torchid.evaluation.study.study import Pooled
 from torchid.wording import ABSENT, clean

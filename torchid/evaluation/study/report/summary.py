@@ -2,7 +2,6 @@
 
 import math
 
-from torchid.evaluation.back import NIOSH_N
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.report.words import where_words
 from torchid.evaluation.study.compare import SubjectsComparison
@@ -11,6 +10,7 @@ from torchid.evaluation.study.report.details import difference_rows
 from torchid.evaluation.study.report.figures import draw_subjects
 from torchid.evaluation.study.report.sentences import finding, gap_line, headline, interval, ranked
 from torchid.evaluation.study.study import Pooled
+from torchid.evaluation.torque_shares.back import NIOSH_N
 from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Table
 from torchid.wording import clean, listing
 

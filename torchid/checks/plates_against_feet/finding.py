@@ -1,0 +1,77 @@
+"""What is wrong with the forces of a recording, and the config lines that put it right."""
+
+import math
+from dataclasses import dataclass
+from functools import reduce
+from itertools import islice, product
+from operator import and_
+
+from torchid.checks.plates_against_feet.changes import Change
+from torchid.checks.plates_against_feet.evidence import Evidence
+from torchid.io.mend import ForcesAs, PlateAs
+
+
+def without(*numbers: int) -> Change:
+    """The change that leaves plates out, or, without numbers, all forces."""
+    if not numbers:
+        return Change("they are left out", ForcesAs(use=False))
+    named = f"plate{'s' if numbers[1:] else ''} {', '.join(map(str, numbers))}"
+    return Change(f"{named} left out", plates={n: PlateAs(use=False) for n in numbers})
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Forces that do not agree with the feet."""
+
+    what: str
+    """What was seen, as a sentence without its end."""
+    changes: tuple[Change, ...] = ()
+    """Readings under which they agree, the likeliest first; empty where nothing on the list does."""
+    instead: Change = without()
+    """What leaves the forces in question out."""
+    removed: bool = False
+    """The config says something about these forces already, which the line replaces."""
+
+    def lines(self) -> list[str]:
+        """The config lines of the changes."""
+        return [change.written(self.removed) for change in self.changes]
+
+    def remedy(self, where: str = "to the trial") -> str:
+        """What to do, with the config lines; ``where`` they belong."""
+        add = f"instead of what the config says add {where}" if self.removed else f"add {where}"
+        if not self.changes:
+            return (
+                "Nothing on the list of known faults puts it right; to go on without them "
+                f"{add} `{self.instead.line}`, or, if they are right all the same, `{BELIEVED}`"
+            )
+        if len(self.changes) == 1:
+            return f"They agree if {self.changes[0].what}; then {add} `{self.lines()[0]}`"
+        several = "; or ".join(f"{c.what}: `{line}`" for c, line in zip(self.changes, self.lines(), strict=True))
+        return f"They agree in several ways ({several}): {add} the one that is true, or `{self.instead.line}`"
+
+
+BELIEVED = "forces_as: {believe: true}"
+"""The line that takes forces as they are."""
+COMBINED = 6
+"""So many combinations of what is wrong with several plates are named."""
+
+
+def together(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """Findings about several plates as one, so that there is one line to add: a config has each key once."""
+    if len(findings) < 2:
+        return findings
+    choices = [f.changes or (f.instead,) for f in findings] if any(f.changes for f in findings) else []
+    changes = tuple(reduce(and_, some) for some in islice(product(*choices), COMBINED) if some)
+    return (Finding("; ".join(f.what for f in findings), changes, reduce(and_, (f.instead for f in findings))),)
+
+
+def in_figures(evidence: Evidence, k: int) -> str:
+    """The witnesses of one reading, in words."""
+    if not bool(evidence.loaded[k] > 0):
+        return "nobody stands on it as read"
+    aim = float(evidence.aim[k])
+    aimed = "" if math.isnan(aim) else f"force aimed {1e3 * aim:.0f} mm beside the body's middle, "
+    return (
+        f"pressure {1e3 * float(evidence.pressure[k]):.0f} mm from the nearest foot, {aimed}free moment up to "
+        f"{1e3 * float(evidence.free[k]):.3g} mm times the force"
+    )

@@ -1,0 +1,210 @@
+"""What a recording holds and what is wrong with it, before any fit; nothing is repaired here."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from torchid.checks.marker_tracks.clusters import Clusters
+from torchid.checks.marker_tracks.session import look_at_trial
+from torchid.checks.marker_tracks.statement import notes_of
+from torchid.checks.plates import PlateCheck, check_plate, moved_mass, plate_weight
+from torchid.errors import Note
+from torchid.recording import Trial
+
+WEIGHT_MISMATCH = 0.05
+"""Relative difference of mean vertical force and recorded weight worth saying."""
+OUTSIDE = 0.02
+"""Share of a plate's loaded time that its centre of pressure may lie beside it."""
+MANY_GAPS = 40.0
+"""Share of missing samples [%] above which a marker is worth naming."""
+MOST_MARKERS = 200
+"""Resolution. Labels above which tracks are not looked at without a marker set: such files hold points of programs."""
+LARGE_BASELINE = 5.0
+"""Unloaded reading [N] above which an offset is worth a cure."""
+
+CURES = {
+    "markers.held": "check the marker in the recording system; torchid treats the run as a gap",
+    "markers.duplicates": "rename them in the recording system, or leave the numbered ones out of the marker map",
+    "markers.order": "export the trial again; where it was put together by hand, put those frames in order",
+    "markers.repeated": "check that no frame was lost while recording; export the trial again",
+    "markers.never_seen": "leave them out of the marker map",
+    "plates.sign": "reverse the plate's channels where they are recorded, or leave the plate out",
+    "plates.refused": "correct FORCE_PLATFORM in the file, or leave the plate out",
+    "plates.force": "correct scale or wiring of its channels, or say it: plates: {N: {gain: ...}} or {exchange: ...}",
+    "plates.used": "correct FORCE_PLATFORM:USED in the file",
+    "plates.invalid": "export the analog channels again",
+    "plates.none": "give forces: beside a TRC, or use the trial for geometry only",
+    "axes.markers": "give up: if the vertical axis is wrong; a person lying or with arms spread looks the same",
+    "trial.overlap": "frames without forces are left out of the inertia; export the whole trial if there is more",
+    "c3d.truncated": "copy or export the file again",
+    "c3d.trailing": "copy or export the file again",
+    "c3d.frames": "check that the whole trial was read",
+    "text.last_row": "export the file again",
+    "time.gaps": "export the rows that are missing; torchid treats them as gaps",
+    "trc.frame_numbers": "check that no frame was cut out or doubled",
+    "trc.partial": "correct those cells; torchid treats the points as gaps",
+    "markers.spikes": "correct those samples in the recording system; torchid treats them as gaps",
+    "markers.steps": "look whether labels are exchanged from that frame on, and correct them in the recording system",
+    "markers.leaping": "check the rate, the unit and the labels",
+    "mot.leaping": "check the rate and the units of these columns",
+    "mot.spikes": "correct those cells; torchid treats the rows as gaps",
+    "mot.gaps": "export the forces without gaps; torchid leaves those frames out of the inertia",
+    "plates.spikes": "look for loose cables and noise on the channels; torchid treats the samples as gaps",
+}
+"""What to do about the notes of reading that are problems."""
+
+
+@dataclass(frozen=True)
+class TrialCheck:
+    """Facts about a trial and the problems found."""
+
+    name: str
+    source: str
+    subject: str
+    markers: int
+    frames: int
+    rate: float
+    duration: float
+    gaps: dict[str, float]
+    """Missing samples [%] of every marker."""
+    force_rate: float | None
+    plates: tuple[PlateCheck, ...]
+    weight: float | None
+    """Mean vertical force over the frames where the plates carry somebody, as a mass [kg]."""
+    mass: float | None
+    """The same with gravity plus the markers' vertical acceleration for gravity [kg]: fit for runs and jumps too."""
+    recorded_mass: float | None
+    units: str
+    up: str
+    events: int
+    problems: tuple[Note, ...]
+    """Each with its cure."""
+    notes: tuple[Note, ...]
+    """What reading chose or repaired without it being a problem."""
+
+    @property
+    def gap_share(self) -> float:
+        """Missing samples [%] of all markers together."""
+        return float(np.mean(list(self.gaps.values()))) if self.gaps else 0.0
+
+
+def check_trial(trial: Trial, mass_kg: float | None = None, disagreements: tuple[Note, ...] = ()) -> TrialCheck:
+    """Look at a trial without changing it.
+
+    Args:
+        trial: as read.
+        mass_kg: the subject's mass on record; by default what the file states.
+        disagreements: of its forces with the feet (``torchid.checks.plates_against_feet``), each with its cure.
+    """
+    facts, markers, forces = trial.parameters, trial.markers, trial.forces
+    mass = mass_kg if mass_kg is not None else stated_mass(trial)
+    missing = 100.0 * markers.position.isnan().any(dim=-1).double().mean(dim=0)
+    gaps = {label: float(share) for label, share in zip(markers.labels, missing, strict=True)}
+    kinds = [facts.get(f"{plate.name} type", "") for plate in forces.plates] if forces else []
+    plates = tuple(check_plate(forces, k, kind) for k, kind in enumerate(kinds)) if forces else ()
+    weight = plate_weight(forces) if forces else None
+    source = facts.get("file", trial.name)
+    found = [*disagreements, *_from_notes(trial), *_gap_problems(gaps, source), *_plate_problems(plates, source)]
+    moved = moved_mass(trial)
+    found += _weight_problems(moved, mass, source)
+    frames = len(markers.time)
+    return TrialCheck(
+        name=trial.name, source=source, subject=facts.get("subject", ""), markers=len(markers.labels), frames=frames,
+        rate=markers.rate if frames > 1 else float("nan"),
+        duration=float(markers.time[-1] - markers.time[0]) if frames else 0.0, gaps=gaps,
+        force_rate=forces.rate if forces and len(forces.time) > 1 else None, plates=plates, weight=weight,
+        mass=moved,
+        recorded_mass=mass, units=facts.get("units", ""), up=facts.get("up", ""), events=len(trial.events),
+        problems=tuple(found), notes=(*(note for note in trial.notes if note.code not in CURES), *_track_notes(trial))
+    )  # fmt: skip
+
+
+def stated_mass(trial: Trial) -> float | None:
+    """The subject's mass [kg] that the file states, None where it states none."""
+    try:
+        return float(trial.parameters.get("mass_kg", "")) or None
+    except ValueError:
+        return None
+
+
+def _track_notes(trial: Trial) -> tuple[Note, ...]:
+    """What is wrong with the tracks of its markers, as far as one trial without a marker set tells."""
+    if trial.role == "static" or len(trial.markers.labels) > MOST_MARKERS:
+        return ()
+    return notes_of(look_at_trial(trial, Clusters.unknown(trial.markers.labels), []))
+
+
+def _from_notes(trial: Trial) -> list[Note]:
+    return [Note(n.code, f"{n.message}. Cure: {CURES[n.code]}", n.source) for n in trial.notes if n.code in CURES]
+
+
+def _gap_problems(gaps: dict[str, float], source: str) -> list[Note]:
+    many = [f"{label} ({share:.0f} %)" for label, share in gaps.items() if MANY_GAPS < share < 100.0]
+    if not many:
+        return []
+    text = (
+        f"markers with many gaps: {', '.join(many[:12])}. Cure: label them again, or leave them out of the marker map"
+    )
+    return [Note("markers.gaps", text, source)]
+
+
+def _plate_problems(plates: tuple[PlateCheck, ...], source: str) -> list[Note]:
+    found = []
+    for plate in plates:
+        if plate.baseline is not None and abs(plate.baseline) > LARGE_BASELINE:
+            text = f"{plate.name} reads {plate.baseline:.1f} N unloaded. Cure: zero it before recording; else the"
+            found.append(Note("plates.offset", f"{text} diagnosis may name a plate_offset", source))
+        if plate.outside > OUTSIDE:
+            text = (
+                f"{plate.name}: centre of pressure beside the plate for {100 * plate.outside:.0f} % of its loaded time"
+            )
+            found.append(Note("plates.outside", f"{text}. Cure: check CORNERS, ORIGIN and the channel order", source))
+        if plate.saturated:
+            text = f"{plate.name} stays on its largest value for {plate.saturated} samples: saturated"
+            found.append(Note("plates.saturated", f"{text}. Cure: lower its gain, leave those frames out", source))
+    return found
+
+
+def _weight_problems(weight: float | None, mass: float | None, source: str) -> list[Note]:
+    if weight is None or not mass or abs(weight / mass - 1.0) <= WEIGHT_MISMATCH:
+        return []
+    text = f"the plates move {weight:.1f} kg on average while loaded, {mass:.1f} kg are on record"
+    cure = (
+        "check the mass, whether all contact is on the plates, and their gains; the fit goes on with the mass unknown"
+    )
+    return [Note("plates.weight", f"{text}. Cure: {cure}", source)]
+
+
+def format_check(check: TrialCheck) -> Group:
+    """The check for a terminal: facts, plates, problems with their cures, notes."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for key, value in _facts(check):
+        table.add_row(Text(key, style="dim"), Text(value))
+    problems = [Text(f"! {note}", style="yellow") for note in check.problems]
+    notes = [Text(f"  {note.message} [{note.code}]", style="dim") for note in check.notes]
+    return Group(
+        Text(f"{check.name}", style="bold"), table, *(problems or [Text("no problems found", "green")]), *notes
+    )
+
+
+def _facts(check: TrialCheck) -> list[tuple[str, str]]:
+    worst = sorted(check.gaps.items(), key=lambda item: -item[1])[:3]
+    gaps = f"{check.gap_share:.1f} %" + "".join(f", {label} {share:.0f} %" for label, share in worst if share)
+    facts = [
+        ("file", check.source), ("subject", check.subject or "not stated"),
+        ("markers", f"{check.markers} at {check.rate:.6g} Hz, {check.frames} frames, {check.duration:.2f} s"),
+        ("gaps", gaps), ("axes", f"{check.up.upper()} up in the file, unit {check.units or 'not stated'}"),
+        ("events", str(check.events)), ("forces", f"{check.force_rate:.6g} Hz" if check.force_rate else "none"),
+    ]  # fmt: skip
+    for plate in check.plates:
+        kind = f"type {plate.kind}, " if plate.kind else ""
+        free = "never free" if plate.baseline is None else f"{plate.baseline:.1f} N unloaded"
+        facts.append((plate.name, f"{kind}vertical mean {plate.mean:.1f} N, peak {plate.peak:.0f} N, {free}"))
+    if check.weight is not None:
+        stated = f", {check.recorded_mass:g} kg on record" if check.recorded_mass else ""
+        moved = f", {check.mass:.2f} kg by the markers' acceleration" if check.mass else ""
+        facts.append(("weight", f"{check.weight:.2f} kg on the plates{moved}{stated}"))
+    return facts

@@ -1,0 +1,1 @@
+"""Units, effects and permutation tests of what conditions differ by."""

@@ -1,0 +1,59 @@
+"""How far torques move with what is not known of the body, of markers and of plates: one set of draws for all trials.
+
+What all trials have in common, such as a thigh that is too heavy, moves the torques of both conditions alike and leaves
+their difference. The only place that draws.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.evaluation.torque_shares.contacts import Feet
+from torchid.evaluation.trials import ConditionTrial
+from torchid.run.torque_bands import outcome_draws
+from torchid.session import Outcome
+
+SAID = "body, skin under markers, gains and places of plates, how feet share one, and numbers of the device"
+"""What is drawn, in words."""
+
+
+def torque_deviations(
+    outcome: Outcome, trials: Sequence[ConditionTrial], feet: Feet, draws: int, seed: int
+) -> dict[str, Float[Tensor, "draws frames dofs"]] | None:
+    """Torques with other bodies and readings minus those that are published, by trial.
+
+    Args:
+        outcome: of the body's run.
+        trials: of all conditions.
+        feet: wrenches under the feet by trial.
+        draws: number of draws.
+        seed: of chance.
+
+    Returns:
+        None where no inertia was identified, or no draw is wanted. The device's own numbers are drawn elsewhere
+        (``device_draws``).
+    """
+    if outcome.identified is None or not draws:
+        return None
+    every = with_trials(outcome, trials, feet)
+    found = outcome_draws(every, [trial.name for trial in trials], draws, seed)
+    return {name: drawn - found.value[name] for name, drawn in found.draws.items()}
+
+
+def with_trials(outcome: Outcome, trials: Sequence[ConditionTrial], feet: Feet) -> Outcome:
+    """The outcome of the body's run with the trials that it has left out, as held-out ones.
+
+    Args:
+        outcome: of the body's run.
+        trials: of all conditions.
+        feet: wrenches under the feet by trial.
+    """
+    new = [trial for trial in trials if trial.name not in outcome.session.trials]
+    recordings = outcome.session.trials | {trial.name: trial.recording for trial in new}
+    files = outcome.session.files | {trial.name: trial.file for trial in new}
+    session = replace(outcome.session, trials=recordings, files=files)
+    followed = outcome.followed | {trial.name: trial.followed for trial in new}
+    under = {name: one for name, one in feet.items() if one is not None}
+    return replace(outcome, session=session, followed=followed, under=under)

@@ -1,0 +1,205 @@
+"""What the diagnosis sees of an experiment."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from torch import Tensor
+
+from torchid.checks.marker_tracks.statement import Kind
+from torchid.diagnosis.candidates.exchanged_markers import EFFECT as EXCHANGE
+from torchid.diagnosis.candidates.exchanged_markers import ExchangedMarkers, exchanged_markers
+from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
+from torchid.diagnosis.diagnose import diagnose, select_effects
+from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
+from torchid.diagnosis.evidence.model import Identification
+from torchid.diagnosis.options import MissingWeightOptions
+from torchid.diagnosis.testing.vibration import with_vibration
+from torchid.diagnosis.verdict.causes import with_exchanged_markers, with_missing_weight
+from torchid.diagnosis.verdict.records import Diagnosis
+from torchid.dynamics.rows import WrenchTrial, measured
+from torchid.effects.catalogue import CATALOGUE
+from torchid.effects.place import SESSION
+from torchid.effects.scene import PlateFrame
+from torchid.effects.traits import Proof
+from torchid.model_free.panel import Panel
+from torchid.model_free.smoothness import smooth
+from torchid.model_free.watched import longest_stretch
+from torchid.motion import Motion
+from torchid.observation.plate_registry import SessionPlate, recognise
+from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
+from torchid.recording import Forces
+from torchid.session import Outcome
+from torchid.storage.allocator import keeping_large
+from torchid.storage.snapshot import in_memory
+
+LONGEST_S = 40.0
+"""Of a trial is searched at most: columns of the whole catalogue take 13 MB per second at 100 Hz."""
+MOST = 12
+"""Trials of each role that are searched: those with most used frames."""
+
+
+@keeping_large()
+def diagnose_outcome(
+    outcome: Outcome, room: Callable[[Sequence[int]], Tensor] = in_memory, panel: Panel | None = None
+) -> Diagnosis | None:
+    """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
+
+    Args:
+        outcome: up to the inertia; its config says what to try and by which thresholds.
+        room: makes zeros of a shape, where columns lie until they are looked at (``OutputFolder.room``); without it
+            they lie in memory.
+        panel: witnesses that may contradict causes; None: nobody does.
+
+    Raises:
+        ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
+    """
+    wanted = outcome.config.diagnosis
+    effects, identified = select_effects(wanted.include, wanted.exclude), outcome.identified
+    options = wanted.thresholds
+    plates, _ = plate_frames(outcome)
+    trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
+    parts = {role: searched(some) for role, some in trials.items()}
+    observed, heldout = (
+        [replace(one, room=room) for one in observe_outcome(outcome, role, parts[role]).values()]
+        for role in ("fit", "heldout")
+    )
+    if identified is None or not observed:
+        return None
+    missing = _missing_weight(outcome, observed, parts["fit"], options.missing_weight) if EFFECT in effects else []
+    gone = [i for one in missing for i in one.aside]
+    left = [w for w in (set_aside(w, gone) for w in observed) if any(True for _ in w.rows.blocks())]
+    observed = left or observed
+    known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
+    found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel, _told(outcome))
+    found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
+    exchanged = _exchanged(outcome) if EXCHANGE in effects else []
+    return with_exchanged_markers(with_missing_weight(found, missing, options), exchanged)
+
+
+def _told(outcome: Outcome) -> dict[Proof, frozenset[str]]:
+    """Names of places that other proof than forces bears out."""
+    fits = outcome.session.role("fit").keys() | outcome.session.role("static").keys()
+    elsewhere = frozenset(label for one in outcome.session.tracking if one.trial in fits for label in one.labels)
+    moving = [trial.markers for trial in outcome.session.role("fit").values()]
+    filtered = bool(moving) and all(smooth(one) for one in moving)
+    return {Proof.DISTANCES: elsewhere, Proof.SMOOTHNESS: frozenset(SESSION.where if filtered else ())}
+
+
+def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:
+    """Labels of the fit that distances show to be exchanged."""
+    known = set(outcome.fit.attachment.labels)
+    told = [one for one in outcome.session.tracking if one.kind is Kind.EXCHANGED and known.issuperset(one.labels)]
+    return [exchanged_markers(one, outcome.session.trials[one.trial].markers.time) for one in told]
+
+
+def assess_outcome(outcome: Outcome) -> Adequacy:
+    """What a model leaves of the fit trials' forces, held against noise; some of them have frames that count.
+
+    Args:
+        outcome: of any model, as it is fitted.
+    """
+    limits = outcome.config.diagnosis.thresholds.adequacy
+    fits, heldout = (searched(forceful(outcome, role)) for role in ("fit", "heldout"))
+    observed = list(observe_outcome(outcome, "fit", fits).values())
+    left = [measured(one.rows) - one.identified for one in observed]
+    return with_vibration(assess_adequacy(observed, left, limits, len(heldout)), observed, limits)
+
+
+def _missing_weight(
+    outcome: Outcome, observed: Sequence[TrialObservation], parts: Mapping[str, slice], options: MissingWeightOptions
+) -> list[MissingWeight]:
+    found = []
+    for w in observed:
+        item, part, forces = outcome.followed[w.rows.name], parts[w.rows.name], _forces(outcome)[w.rows.name]
+        assert item.contact is not None
+        observable = item.tracked.observable[part]
+        found.append(find_missing_weight(w, forces.samples(part), item.contact.frames(part), observable, options))
+    return [one for one in found if one is not None]
+
+
+def forceful(outcome: Outcome, role: str) -> dict[str, WrenchTrial]:
+    """Rows of the trials of a role that have any."""
+    rows = {name: outcome.followed[name].wrench for name in outcome.session.part(role, "inertia")}
+    return {name: one for name, one in rows.items() if one is not None and any(True for _ in one.blocks())}
+
+
+def searched(trials: Mapping[str, WrenchTrial]) -> dict[str, slice]:
+    """The frames of each trial that are worth their memory: the stretch in which most are used."""
+    kept = sorted(trials, key=lambda name: -int(trials[name].used.sum()))[:MOST]
+    return {
+        name: longest_stretch(rows.used, round(LONGEST_S * rows.rate)) for name, rows in trials.items() if name in kept
+    }
+
+
+def spans(outcome: Outcome) -> dict[str, slice]:
+    """The frames of each trial in which parameters of causes were found: what was searched, all where nothing was."""
+    parts = [searched(forceful(outcome, role)) for role in ("fit", "heldout")]
+    whole = {name: slice(0, len(item.motion.time)) for name, item in outcome.followed.items()}
+    return whole | parts[0] | parts[1]
+
+
+def _passed_over(trials: Mapping[str, WrenchTrial], parts: Mapping[str, slice]) -> dict[str, str]:
+    """What comes and goes is not found where nobody looks."""
+    said = [f"{name} was not searched" for name in trials if name not in parts]
+    for name, part in parts.items():
+        time = trials[name].motion.time
+        if part.stop - part.start < len(time):
+            said.append(f"of {name} only {float(time[part.start]):.1f} to {float(time[part.stop - 1]):.1f} s")
+    return {name: "; ".join(said) for name, one in CATALOGUE.items() if one.intermittent} if said else {}
+
+
+def observe_outcome(
+    outcome: Outcome, role: str, parts: Mapping[str, slice] | None = None
+) -> dict[str, TrialObservation]:
+    """Trials of a role with forces, as the diagnosis sees them; given parts, these alone."""
+    observer, found = Observer(outcome), {}
+    for name in forceful(outcome, role):
+        part = slice(None) if parts is None else parts.get(name)
+        if part is not None and outcome.followed[name].contact is not None:
+            found[name] = observer(name, part)
+    return found
+
+
+class Observer:
+    """What the diagnosis sees of parts of an experiment's trials."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        """Recognise the plates of the session.
+
+        Args:
+            outcome: up to the inertia.
+        """
+        self.outcome, self._forces = outcome, _forces(outcome)
+        _, self._frames = plate_frames(outcome)
+
+    def __call__(self, name: str, part: slice, ends: Motion | None = None) -> TrialObservation:
+        """One part of a trial whose forces and contacts are known.
+
+        Args:
+            name: of the trial.
+            part: frames to look at.
+            ends: as ``observe_trial``.
+        """
+        outcome, item = self.outcome, self.outcome.followed[name]
+        assert item.wrench is not None and item.contact is not None
+        known = BodyEstimate(outcome.prior.mean, outcome.phi, float(outcome.prior.mean[:, 0].sum()))
+        seen = outcome.fit, outcome.session.trials[name].markers.frames(part), item.tracked.frames(part)
+        return observe_trial(
+            item.wrench.frames(part), self._forces[name].samples(part), item.contact.measured[part],
+            self._frames[name], known, seen, outcome.config.diagnosis.thresholds.observation, ends,
+        )  # fmt: skip
+
+
+def plate_frames(outcome: Outcome) -> tuple[tuple[SessionPlate, ...], dict[str, tuple[PlateFrame, ...]]]:
+    """All plates of the session, and the frames of every trial's plates in the order of its file."""
+    return recognise(_forces(outcome))
+
+
+FIRST = ("fit", "static", "heldout")
+"""Roles in the order in which they say where a plate is: held-out trials never do where another one knows."""
+
+
+def _forces(outcome: Outcome) -> dict[str, Forces]:
+    trials = outcome.session.trials
+    order = sorted(trials, key=lambda name: FIRST.index(trials[name].role))
+    return {name: forces for name in order if (forces := trials[name].forces) is not None}

@@ -1,0 +1,1 @@
+"""From the packets of a stream to postures, rows and the estimate."""

@@ -1,0 +1,129 @@
+"""What is wrong with a stream, said within seconds: while it can be mended, before the subject has gone."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.contact.contact import Contact
+from torchid.live.estimation.instruments import Instruments
+
+SHARE = 0.5
+"""Choice. Part of a block for which something must last before it is said: a stance, and no foot that grazes."""
+OFFSET_N = 4.0
+"""Choice. Mean vertical reading of a plate that nobody is on: less is what drift and cables do."""
+CLOCK_S = 0.02
+"""Choice. How late forces may come: those of living bodies come up to 15 ms late by themselves (``body_lag``)."""
+CLOCK_SD = 3.0
+"""Choice. Standard deviations by which a clock must be off by more than that."""
+GAIN_SD = 6.0
+"""Choice. Standard deviations by which plates must disagree: motion that is modelled wrongly is no noise."""
+GAIN = 0.05
+"""Choice. By how much two plates may disagree about one weight: two groups of plates of a real laboratory do by as much
+(60.1 and 63.5 kg, `configs/opencap_subject4_all.yaml`)."""
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Something that a laboratory should look at."""
+
+    what: str
+    """Stable name: ``posture``, ``marker``, ``unread``, ``beside``, ``offset``, ``clock``, ``gain``, ``recording``."""
+    where: str
+    """Marker, foot or plate; empty where it is the whole stream."""
+    text: str
+    """For whoever stands beside the subject."""
+
+
+UNKNOWN = Notice("posture", "", "No posture fits the markers: look whether labels are exchanged, or markers hidden")
+"""Nothing else can be said then."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """What is known of the frames of a block."""
+
+    error: Float[Tensor, "frames markers"]
+    """Distance between measured and modelled marker, NaN where missing and where no posture is known [m]."""
+    contact: Contact | None
+    """Of feet and plates; None without postures or forces."""
+    vertical: Float[Tensor, "frames plates"]
+    """What each plate reads vertically [N]."""
+    instruments: Instruments | None
+    """What the newest rows say of clock and gains; None before any."""
+
+
+class Watch:
+    """Looks at every block, and remembers which markers it has seen."""
+
+    def __init__(self, labels: Sequence[str], plates: Sequence[str]) -> None:
+        """Begin with nothing.
+
+        Args:
+            labels: of the markers, in the order of ``Block.error``.
+            plates: their names.
+        """
+        self._labels, self._plates = tuple(labels), tuple(plates)
+        # Many are taken off when the subject has stood: only one that was there is missed.
+        self._seen = torch.zeros(len(self._labels), dtype=torch.bool)
+
+    def after(self, block: Block) -> tuple[Notice, ...]:
+        """Return what is wrong now.
+
+        Args:
+            block: the newest frames.
+        """
+        known = torch.isfinite(block.error).any(1)
+        if float((~known).to(block.error).mean()) > SHARE:
+            return (UNKNOWN,)
+        return (
+            *self._markers(block.error[known]), *self._feet(block, known), *self._offsets(block), *self._late(block),
+            *self._gains(block),
+        )  # fmt: skip
+
+    def _markers(self, error: Float[Tensor, "frames markers"]) -> Iterator[Notice]:
+        here = torch.isfinite(error).any(0)
+        missing, self._seen = self._seen & ~here, self._seen | here
+        for k in missing.nonzero()[:, 0].tolist():
+            yield Notice("marker", self._labels[k], f"Marker {self._labels[k]} is not seen")
+
+    def _feet(self, block: Block, known: Bool[Tensor, " frames"]) -> Iterator[Notice]:
+        contact = block.contact
+        if contact is None:
+            return
+        for k, foot in enumerate(contact.feet):
+            name = foot.replace("_", " ")
+            if _lasts(contact.unread[:, k] & known):
+                yield Notice("unread", foot, f"The {name} stands on a plate that does not read it")
+            elif _lasts(contact.touching[:, k] & ~contact.supported[:, k] & known):
+                yield Notice("beside", foot, f"The {name} stands beside the plates: these seconds do not count")
+
+    def _offsets(self, block: Block) -> Iterator[Notice]:
+        if block.contact is None:
+            return
+        for k, plate in enumerate(self._plates):
+            free = block.contact.plate[:, k] == -1
+            if _lasts(free) and abs(mean := float(block.vertical[free, k].mean())) > OFFSET_N:
+                yield Notice("offset", plate, f"{plate} reads {mean:.0f} N while nobody is on it: set it to zero")
+
+    def _late(self, block: Block) -> Iterator[Notice]:
+        if (found := block.instruments) is None:
+            return
+        late_s = found.late_s
+        if abs(late_s) - CLOCK_SD * found.late_sd_s > CLOCK_S:
+            yield Notice("clock", "", f"Forces come {1e3 * abs(late_s):.0f} ms {'late' if late_s > 0.0 else 'early'}")
+
+    def _gains(self, block: Block) -> Iterator[Notice]:
+        if block.instruments is None or len(self._plates) < 2:
+            return
+        high, low, off, sd = block.instruments.most_apart()
+        if off > max(GAIN, GAIN_SD * sd):
+            names = [self._plates[k] for k in (low, high)]
+            text = f"{names[0]} reads {100.0 * off:.0f} % less than {names[1]} for the same weight: look at their gains"
+            yield Notice("gain", ", ".join(names), text)
+
+
+def _lasts(flag: Bool[Tensor, " frames"]) -> bool:
+    return len(flag) > 0 and float(flag.to(torch.float64).mean()) > SHARE

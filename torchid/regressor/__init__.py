@@ -1,1 +1,0 @@
-"""The linear map from inertial parameters to wrenches, and its accumulated least-squares sums."""

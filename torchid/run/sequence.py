@@ -1,0 +1,288 @@
+"""The sequence: read, geometry, motion, inertia, inverse dynamics, files, report."""
+
+import logging
+import math
+from dataclasses import replace
+from importlib.util import find_spec
+from itertools import chain
+
+import torch
+
+from torchid.config import Config, dump_config
+from torchid.dynamics.rows import residual_rms
+from torchid.errors import DataError, Note
+from torchid.extension.verdict import with_verdict
+from torchid.geometry.result import GeometryFit
+from torchid.geometry.tracking import Tracked, track
+from torchid.motion.impossible_rates import frames_of, impossible_steps
+from torchid.report import write_report
+from torchid.report.facts import judges
+from torchid.run.acceptance import impossible
+from torchid.run.simulation import with_recordings
+from torchid.run.torque_bands import outcome_draws
+from torchid.run.write import result_names, write_outcome
+from torchid.scene.embedded import Replay
+from torchid.session import Followed, Outcome, Residual, Session
+from torchid.session.contact_wrenches import sharing_notes, wrenches_under
+from torchid.session.fitting import OnStage, fit_session, identify
+from torchid.session.following import cutoff, follow, put_aside, subject_prior, torques
+from torchid.session.opening import read_each, read_session
+from torchid.session.other_contacts import refuse_unknown_plates
+from torchid.session.standing import follow_each
+from torchid.storage.files import file_sha256, write_json, write_text
+from torchid.storage.provenance import provenance, stage_key
+from torchid.storage.publication import CONFIGS
+from torchid.storage.results import OutputFolder
+from torchid.storage.snapshot import release
+
+log = logging.getLogger(__name__)
+UNFILTERED_HZ = 20.0
+"""What stands for no filter in the table of contributions: above it nothing of a person's motion is left."""
+
+
+def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: None) -> Outcome:
+    """Everything the config asks for, into its ``out`` folder; a second call takes up finished stages.
+
+    Trials that were recorded with a device on are left to ``torchid evaluate``.
+
+    Raises:
+        TorchidError: bad input (what is in ``out`` stays), or data that do not support a result (what there is, is).
+    """
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
+    listed, config = config.trials, config.body
+    with OutputFolder(config.out) as folder:
+        _claim(folder, config)
+        config = with_recordings(config, progress)
+        _claim(folder, config)
+        write_text(folder.path(next(filter(folder.owns, CONFIGS))), dump_config(config))
+        progress("read", 0.0)
+        with folder.timed("read"):
+            session = read_session(config, folder.aside)
+            known = {trial.name for trial in config.trials}
+            others = read_each(config, [file for file in listed if file.name not in known])
+            refuse_unknown_plates(config, chain(session.trials.values(), others))
+        progress("read", 1.0)
+        outcome, failure = compute_outcome(config, session, folder, progress)
+        failure = failure or impossible(outcome)
+        outcome = replace(outcome, times=dict(folder.times))
+        progress("write", 0.0)
+        with folder.timed("write"):
+            write_outcome(outcome, folder, failure)
+            write_report(outcome, folder.path("report.html"), failure, _replay(outcome, folder))
+        write_json(folder.path("provenance.json"), provenance(_inputs(config), config.seed, folder.times))
+        progress("write", 1.0)
+        if failure is not None:
+            raise failure
+    return outcome
+
+
+def _replay(outcome: Outcome, folder: OutputFolder) -> Replay | None:
+    """A trial in three dimensions for the report; None without viser, an optional part, and without a body."""
+    if outcome.identified is None or find_spec("viser") is None:
+        return None
+    from torchid.scene.finished import FinishedRun  # noqa: PLC0415 - brings viser
+    from torchid.scene.replay import replay  # noqa: PLC0415 - brings viser
+
+    try:
+        return replay(FinishedRun(folder.path("inertia.json").parent), judges(outcome).names[0])
+    except Exception as error:  # what is only to be looked at costs nobody hours of work
+        log.warning("the report has no replay: %s: %s", type(error).__name__, error)
+        return None
+
+
+GEOMETRY = "geometry"
+"""Stage of the identified geometry."""
+
+
+def _claim(folder: OutputFolder, config: Config) -> None:
+    """No work for results that have no place: InputError where a file of the user's has the name of one."""
+    folder.claim(result_names(trial.name for trial in config.trials))
+    if not folder.owns(CONFIGS[0]):
+        folder.claim(CONFIGS[1:])
+
+
+def _inputs(config: Config) -> list:
+    files = [path for trial in config.trials for path in (trial.file, trial.forces) if path is not None]
+    return files + [path for path in (config.model, config.markers) if not isinstance(path, str)]
+
+
+def run_key(config: Config) -> str:
+    """Key of a run's stages: files and options."""
+    own = {k: v for k, v in config.model_dump(mode="json").items() if k not in ("out", "threads")}
+    return stage_key(inputs=[file_sha256(path) for path in _inputs(config)], config=own)
+
+
+def compute_outcome(
+    config: Config, session: Session, folder: OutputFolder, progress: OnStage
+) -> tuple[Outcome, DataError | None]:
+    """Compute what a run finds from what was read, without its files and reports.
+
+    Args:
+        config: of the run.
+        session: all trials.
+        folder: for stages.
+        progress: called with stages and fractions.
+
+    Returns:
+        What was found, and what kept the rest from being found; None where nothing did.
+    """
+    key = run_key(config)
+    fit, scaled = _geometry(config, session, folder, key, progress)
+    cutoff_hz = cutoff(config, session)
+    tracked = _track_all(session, folder, key, {"motion": fit, "scaled": scaled}, progress)
+    with folder.timed("follow"):
+        followed, followed_scaled = (
+            _followed(g, session, tracked[kind], cutoff_hz, config, folder)
+            for kind, g in (("motion", fit), ("scaled", scaled))
+        )
+    outcome = Outcome(
+        config, session, fit, scaled, cutoff_hz, followed, followed_scaled,
+        subject_prior(config, fit), subject_prior(config, scaled), notes=(*session.notes, *fit.notes),
+    )  # fmt: skip
+    outcome = replace(outcome, notes=(*outcome.notes, *_contact_notes(followed), *_rate_notes(fit, followed)))
+    if not config.inertia.enabled:
+        return _with_torques(outcome, folder), None
+    try:
+        identified = folder.stage("inertia", key, lambda: identify(config, outcome, progress))
+    except DataError as failure:
+        log.info("%s", failure)
+        return _with_torques(outcome, folder), failure
+    outcome = replace(outcome, identified=identified, notes=(*outcome.notes, *identified.fit.notes))
+    with folder.timed("residuals"):
+        outcome = replace(outcome, residuals=contributions(outcome))
+    if config.diagnosis.enabled:
+        outcome = with_verdict(outcome, folder, key, progress)
+    return _with_torques(outcome, folder), None
+
+
+def _geometry(
+    config: Config, session: Session, folder: OutputFolder, key: str, progress: OnStage
+) -> tuple[GeometryFit, GeometryFit]:
+    def fit(free: bool) -> GeometryFit:
+        return fit_session(config, session, free, progress)
+
+    found = folder.stage(GEOMETRY, key, lambda: fit(True)), folder.stage("scaled", key, lambda: fit(False))
+    progress("geometry", 1.0)
+    return found
+
+
+def _track_all(
+    session: Session, folder: OutputFolder, key: str, fits: dict[str, GeometryFit], progress: OnStage
+) -> dict[str, dict[str, Tracked]]:
+    found: dict[str, dict[str, Tracked]] = {kind: {} for kind in fits}
+    done, total = 0, len(fits) * len(session.trials)
+    for kind, fit in fits.items():
+        for name, trial in session.trials.items():
+            found[kind][name] = folder.stage(f"{kind}_{name}", key, lambda f=fit, t=trial: track(f, t.markers))
+            done += 1
+            progress("motion", done / total)
+    return found
+
+
+def _followed(
+    fit: GeometryFit, session: Session, tracked: dict[str, Tracked], cutoff_hz: float, config: Config,
+    folder: OutputFolder,
+) -> dict[str, Followed]:  # fmt: skip
+    each = follow_each(fit, session, lambda name: tracked[name], cutoff_hz, config)
+    found = {one.name: put_aside(one, folder) for one in each}
+    return {name: found[name] for name in session.trials}
+
+
+def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
+    notes = []
+    for name, item in followed.items():
+        if item.contact is not None and item.contact.excluded:
+            frames = len(item.contact.used)
+            said = f"{item.contact.excluded} of {frames} frames left out: a foot stands beside the plates"
+            notes.append(Note("contact.beside", said, name))
+        if item.contact is not None and item.contact.others is not None and bool(item.contact.unmeasured.any()):
+            named, frames = item.contact.others.beside_plates, int(item.contact.unmeasured.sum())
+            said = f"{frames} frames left out: no plate measures {', '.join(named)}"
+            notes.append(Note("contact.unmeasured", said, name))
+        if item.contact is not None and item.contact.short:
+            said = f"{item.contact.short} frames left out: the plates miss a part of the weight that standing has told"
+            notes.append(Note("contact.short", said, name))
+    return notes
+
+
+def _rate_notes(fit: GeometryFit, followed: dict[str, Followed]) -> list[Note]:
+    notes = []
+    for name, item in followed.items():
+        time, rate = item.tracked.time, item.motion.smoother.rate_hz
+        steps = impossible_steps(fit.model.tree, item.tracked.q, rate) if len(time) > 1 else []
+        if steps:
+            worst = max(steps, key=lambda one: one.rate_rad_s / one.limit_rad_s)
+            left = int(frames_of(steps, len(time), rate).sum())
+            said = (
+                f"{left} of {len(time)} frames left out: joints turn faster than any body ({worst.body} by "
+                f"{worst.rate_rad_s:.0f} rad/s at {float(time[worst.frame]):.2f} s, limit {worst.limit_rad_s:.0f}); "
+                "look at the markers there"
+            )
+            notes.append(Note("tracking.rates", said, name))
+    return notes
+
+
+def _with_torques(outcome: Outcome, folder: OutputFolder) -> Outcome:
+    trials, under = outcome.session.trials, {}
+
+    def each(followed: dict[str, Followed], fit: GeometryFit, phi: torch.Tensor) -> dict[str, torch.Tensor]:
+        found = {}
+        for name, one in followed.items():
+            feet = wrenches_under(one, fit, phi, trials[name], outcome.config.contact)
+            feet = None if feet is None else folder.aside(feet)
+            if fit is outcome.fit and feet is not None:
+                under[name] = feet
+            found[name] = folder.aside(torques(one, fit.model.tree, fit.geometry, phi, trials[name], feet))
+        return found
+
+    with folder.timed("torques"):
+        torque = each(outcome.followed, outcome.fit, outcome.phi)
+        scaled = each(outcome.followed_scaled, outcome.scaled, outcome.prior_scaled.mean)
+    notes = (*outcome.notes, *sharing_notes(under))
+    return _with_bands(replace(outcome, torque=torque, torque_scaled=scaled, under=under, notes=notes), folder)
+
+
+def _with_bands(outcome: Outcome, folder: OutputFolder) -> Outcome:
+    """The same with standard deviations of the torques, where the config asks for draws and there is a body."""
+    count = outcome.config.torques.draws
+    moving = [name for name, one in outcome.followed.items() if not math.isinf(one.motion.smoother.rate_hz)]
+    if not count or outcome.identified is None:
+        return outcome
+    with folder.timed("torque bands"):
+        drawn = outcome_draws(outcome, moving, count, outcome.config.seed)
+        known = {name: torch.isfinite(outcome.torque[name]) for name in moving}
+        sd = {name: folder.aside(torch.where(known[name], drawn.sd(name), torch.nan)) for name in moving}
+    return replace(outcome, torque_sd=sd)
+
+
+def contributions(outcome: Outcome) -> tuple[Residual, ...]:
+    """Residuals of fit and held-out trials, step by step from the unfiltered template to the identified model."""
+    config, session, rows = outcome.config, outcome.session, []
+    steps = (
+        ("scaled template, hardly filtered", UNFILTERED_HZ, "scaled", "prior"),
+        ("+ filter", outcome.cutoff_hz, "scaled", "prior"),
+        ("+ identified geometry", outcome.cutoff_hz, "identified", "prior"),
+        ("+ identified inertia", outcome.cutoff_hz, "identified", "identified"),
+    )
+    for label, cutoff_hz, geometry, inertia in steps:
+        fit, source, prior = (
+            (outcome.scaled, outcome.followed_scaled, outcome.prior_scaled)
+            if geometry == "scaled"
+            else (outcome.fit, outcome.followed, outcome.prior)
+        )
+        phi = outcome.phi if inertia == "identified" else prior.mean
+        for role in ("fit", "heldout"):
+            names = session.part(role, "inertia")
+            trials = []
+            for name in names:
+                item = source[name]
+                if cutoff_hz != outcome.cutoff_hz:
+                    item = follow(fit, session.trials[name], item.tracked, cutoff_hz, config)
+                if item.wrench is not None:
+                    trials.append(item.wrench)
+            if trials:
+                rows.append(Residual(label, role, cutoff_hz, geometry, inertia, *residual_rms(trials, phi)))
+            release()
+    return tuple(rows)

@@ -1,0 +1,207 @@
+"""Result files of section 3 of the contracts: JSON tables, netCDF series, OpenSim storages, model files."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+import xarray
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.contact.sharing.records import Source
+from torchid.dynamics.equations_of_motion import wrench_about
+from torchid.dynamics.opensim_coordinates import file_forces
+from torchid.dynamics.rows import predict
+from torchid.errors import DataError
+from torchid.geometry.tracking import modelled
+from torchid.io.storage import write_storage
+from torchid.kinematics.chain import chain_poses
+from torchid.model.model import Model
+from torchid.model.opensim.identified import identified_model
+from torchid.model.opensim.model import Motion
+from torchid.model.opensim.writing_back import write_back
+from torchid.model.osim import osim_coordinates, osim_names, write_osim
+from torchid.model.urdf import write_urdf
+from torchid.recording import Plate
+from torchid.session import Followed, Outcome
+from torchid.session.tables import diagnosis_table, geometry_table, inertia_table
+from torchid.storage.files import safe_name, write_json
+from torchid.storage.netcdf import write_netcdf
+from torchid.storage.results import OutputFolder
+from torchid.storage.snapshot import release
+
+PIECE = 8192
+"""Frames of a motion file that are put together at a time."""
+TABLES = (
+    "geometry.json", "inertia.json", "diagnosis.json", "model.urdf", "model.osim", "report.html", "provenance.json"
+)  # fmt: skip
+COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
+"""Names of a wrench's components in files."""
+_SOURCES = ", ".join(f"{one.value} {one.name.lower()}" for one in Source)
+SERIES = ("motion_{}.nc", "forces_{}.nc", "{}_ik.mot", "{}_id.sto")
+"""Names of a trial's files."""
+
+
+def result_names(trials: Iterable[str]) -> list[str]:
+    """Every file that a run may write, but for its config."""
+    return [*TABLES, *(name.format(safe_name(trial)) for trial in trials for name in SERIES)]
+
+
+def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | None) -> None:
+    """Write everything that is known; ``failure`` is why the rest is not."""
+    write_json(folder.path("geometry.json"), geometry_table(outcome))
+    if outcome.identified is not None:
+        write_json(folder.path("inertia.json"), inertia_table(outcome))
+    if outcome.diagnosis is not None:
+        write_json(folder.path("diagnosis.json"), diagnosis_table(outcome))
+    for name in outcome.session.trials:
+        _write_trial(outcome, name, folder)
+        release()
+    tree, geometry = outcome.fit.model.tree, outcome.fit.geometry
+    write_urdf(tree.uncoupled, geometry, outcome.phi, folder.path("model.urdf"), outcome.fit.places)
+    if outcome.fit.model.osim is None:
+        write_osim(tree, geometry, outcome.phi, folder.path("model.osim"), outcome.fit.places)
+    else:
+        named = zip(outcome.fit.attachment.landmark, outcome.fit.place, strict=True)
+        own = {name: place for name, place in named if name is not None}
+        write_back(identified_model(outcome.fit.model.osim, geometry, outcome.phi, own), folder.path("model.osim"))
+
+
+def _write_trial(outcome: Outcome, name: str, folder: OutputFolder) -> None:
+    item = outcome.followed[name]
+    motion, forces, kinematics, dynamics = (folder.path(file.format(safe_name(name))) for file in SERIES)
+    pieces = [slice(k, k + PIECE) for k in range(0, len(item.motion.time), PIECE)]
+    write_netcdf(motion, (_piece(outcome, name, piece) for piece in pieces))
+    if item.wrench is not None:
+        write_netcdf(forces, [forces_dataset(outcome, item)])
+    time = item.motion.time.numpy()
+    coordinates, forces_by_name = opensim_tables(outcome.fit.model, item.motion.q, outcome.torque[name])
+    for path, table, title in ((kinematics, coordinates, "kinematics"), (dynamics, forces_by_name, "dynamics")):
+        values = torch.stack(list(table.values()), dim=1).numpy()
+        write_storage(path, tuple(table), time, values, title=f"{name} {title}")
+
+
+def opensim_tables(
+    model: Model, q: Float[Tensor, "frames dofs"], torque: Float[Tensor, "frames dofs"]
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Columns of ``_ik.mot`` and ``_id.sto``, for the model that is written beside them.
+
+    Where the model came from an OpenSim file, they are that file's coordinates, all of them, and the generalised forces
+    of those that are free.
+
+    Args:
+        model: the model.
+        q: coordinates [m, rad].
+        torque: generalised forces [N, N m].
+    """
+    tree, binding = model.tree, model.osim
+    if binding is None:
+        names = osim_names(tree)
+        columns = [f"{n}_{'force' if tree.dofs[k].unit == 'm' else 'moment'}" for k, n in enumerate(names)]
+        table = dict(zip(names, osim_coordinates(q).unbind(1), strict=True))
+        return table, dict(zip(columns, torque.unbind(1), strict=True))
+    values = binding.from_tree(tree.dof_names, q)
+    kind = {one.name: "moment" if one.motion is Motion.ROTATIONAL else "force" for one in binding.model.coordinates}
+    found = file_forces(binding, tree, q, torque)
+    table = dict(zip(binding.model.coordinate_names, values.unbind(1), strict=True))
+    return table, {f"{name}_{kind[name]}": value for name, value in found.items()}
+
+
+def _piece(outcome: Outcome, name: str, part: slice) -> xarray.Dataset:
+    release()
+    return motion_dataset(outcome, name, part)
+
+
+def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xarray.Dataset:
+    """Content of ``motion_<trial>.nc``: every marker in the file's time, every frame (or ``part`` of them)."""
+    fit, motion = outcome.fit, outcome.followed[name].motion
+    tracked, trial = outcome.followed[name].tracked, outcome.session.trials[name]
+    tree, labels = fit.model.tree, fit.attachment.labels
+    scaled, by_body = outcome.followed_scaled[name], ("time", "body", "row", "column")
+    by_dof, by_marker = ("time", "dof"), ("time", "marker", "axis")
+    return xarray.Dataset(
+        {
+            "q": (by_dof, motion.q[part].numpy()),
+            "v": (by_dof, motion.v[part].numpy()),
+            "a": (by_dof, motion.a[part].numpy()),
+            "torque": (by_dof, outcome.torque[name][part].numpy()),
+            "torque_scaled": (by_dof, outcome.torque_scaled[name][part].numpy()),
+            "X_WB": (by_body, chain_poses(tree, motion.q[part], fit.geometry).numpy()),
+            "X_WB_scaled": (by_body, chain_poses(tree, scaled.motion.q[part], outcome.scaled.geometry).numpy()),
+            "markers_measured": (by_marker, trial.markers.frames(part).select(labels).position.numpy()),
+            "markers_modelled": (by_marker, modelled(fit, tracked.q[part]).numpy()),
+            "observable": (("time",), tracked.observable[part].numpy()),
+            **_under(outcome, name, part),
+            **({"torque_sd": (by_dof, outcome.torque_sd[name][part].numpy())} if name in outcome.torque_sd else {}),
+        },
+        coords={
+            "time": motion.time[part].numpy(), "dof": list(tree.dof_names), "body": list(tree.names),
+            "marker": list(labels), "axis": list("xyz"), **_contacts(outcome, name),
+        },
+        attrs={
+            "trial": name, "cutoff_hz": motion.smoother.cutoff_hz, "filter": motion.smoother.kind, "units": "SI, rad",
+            "parents": [body.parent for body in tree.bodies],
+            "base": "q 0-2: p_WB [m]; q 3-5: rotation vector of R_WB [rad]; v, a 3-5: angular velocity and "
+            "acceleration in W; torque 0-5: residual force and moment at the root's origin, in W",
+        },
+    )  # fmt: skip
+
+
+def _under(outcome: Outcome, name: str, part: slice) -> dict[str, tuple]:
+    """Wrench under every contact about the world's origin, its standard deviation, and its ``Source``."""
+    found, by_contact = outcome.under.get(name), ("time", "contact", "component")
+    if found is None:
+        return {}
+    return {
+        "contact_wrench": (by_contact, found.wrench[part].numpy()),
+        "contact_wrench_sd": (by_contact, found.sd[part].numpy()),
+        "contact_source": (("time", "contact"), found.source[part].numpy(), {"meaning": _SOURCES}),
+    }
+
+
+def _contacts(outcome: Outcome, name: str) -> dict[str, Any]:
+    found = outcome.under.get(name)
+    if found is None:
+        return {}
+    bodies = (("contact",), list(found.body))
+    return {"contact": list(found.contacts), "contact_body": bodies, "component": list(COMPONENTS)}
+
+
+def forces_dataset(outcome: Outcome, item: Followed) -> xarray.Dataset:
+    """Content of ``forces_<trial>.nc``: wrenches on the subject about the world's origin, in W, all filtered alike."""
+    trial = outcome.session.trials[item.name]
+    assert item.wrench is not None and item.contact is not None and trial.forces is not None
+    predicted = wrench_about(predict(item.wrench, outcome.phi), -item.motion.q[:, :3])
+    extended = predicted + outcome.added.get(item.name, torch.zeros_like(predicted))
+    if outcome.base is not None:
+        before = outcome.base.followed[item.name]
+        assert before.wrench is not None
+        predicted = wrench_about(predict(before.wrench, outcome.base.phi), -before.motion.q[:, :3])
+    smoother = item.motion.smoother
+    finite = torch.isfinite(trial.forces.total).all(dim=1).to(torch.float64)
+    plates = smoother(torch.nan_to_num(trial.forces.wrench), finite)
+    rows = ("time", "component")
+    return xarray.Dataset(
+        {
+            "measured": (rows, smoother(torch.nan_to_num(trial.forces.total), finite).numpy()),
+            "predicted": (rows, predicted.numpy()),
+            "extended": (rows, extended.numpy()),
+            "used": (("time",), item.contact.used.numpy()),
+            "plate_wrench": (("time", "plate", "component"), plates.numpy()),
+            "plate_foot": (("time", "plate"), item.contact.plate.numpy()),
+            "plate_corners": (("plate", "corner", "axis"), _corners(trial.forces.plates)),
+        },
+        coords={
+            "time": item.motion.time.numpy(), "component": list(COMPONENTS),
+            "plate": [plate.name for plate in trial.forces.plates],
+        },
+        attrs={"cutoff_hz": smoother.cutoff_hz, "filter": smoother.kind, "feet": ", ".join(item.contact.bodies)},
+    )  # fmt: skip
+
+
+def _corners(plates: Sequence[Plate]) -> np.ndarray:
+    """Corners of plates in W, NaN where nobody told them [m]."""
+    unknown = torch.full((4, 3), torch.nan, dtype=torch.float64)
+    corners = [unknown if plate.corners is None else plate.corners for plate in plates]
+    return torch.stack(corners).numpy() if corners else np.zeros((0, 4, 3))

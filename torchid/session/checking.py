@@ -1,0 +1,50 @@
+"""A config's session before any fit: its recordings, and whether markers and model fit them."""
+
+from collections.abc import Iterator
+
+from torchid.checks.marker_tracks.statement import Kind, notes_of
+from torchid.checks.report import Finding, Given, Refusal, check_recordings
+from torchid.config import Config
+from torchid.errors import TorchidError
+from torchid.geometry.assign import assign_markers
+from torchid.recording import Trial
+from torchid.session.opening import on_feet, read_setup
+from torchid.session.other_contacts import check_others, refuse_unknown_plates
+from torchid.session.tracks import look_at_session
+
+
+def check_session(config: Config) -> Iterator[Finding]:
+    """What is wrong with each recording, then what becomes of its markers on the model.
+
+    Raises:
+        TorchidError: the model or the marker set is at fault.
+    """
+    model, said, markers = read_setup(config)
+    mass = config.subject.mass_kg
+    given = [
+        Given(
+            file.name,
+            file.file,
+            file.forces,
+            file.role,
+            config.reading(file, markers.wanted),
+            mass,
+            lambda trial: on_feet(trial, config),
+        )
+        for file in config.trials
+    ]
+    trials: list[Trial] = []
+    yield from check_recordings(given, trials.append)
+    if len(trials) < len(given) or not trials:
+        return
+    try:
+        assignment = assign_markers(model, markers, tuple(trials), config.unlisted_choice)
+        named = {trial.name: trial for trial in trials}
+        check_others(config, assignment, named)
+        refuse_unknown_plates(config, trials)
+        wrong = look_at_session({trial.name: trial for trial in trials}, assignment)
+        # Leaps and frozen markers have been said of each recording.
+        between = [one for one in wrong if one.kind in (Kind.EXCHANGED, Kind.MOVED)]
+        yield from (*said, *assignment.notes, *notes_of(between))
+    except TorchidError as error:
+        yield Refusal.of(error)

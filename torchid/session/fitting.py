@@ -1,0 +1,82 @@
+"""Geometry and inertia of a session, fitted as its config asks."""
+
+from collections.abc import Callable
+
+import torch
+
+from torchid.config import Config
+from torchid.errors import DataError
+from torchid.geometry.fit import fit_geometry
+from torchid.geometry.result import GeometryFit
+from torchid.inertia.identify import Identified, identify_inertia
+from torchid.model.model import InertialPrior
+from torchid.session import Outcome, Session
+from torchid.session.standing import standing_weight
+
+OnStage = Callable[[str, float], None]
+"""Callback of a run, called with the name of a stage and the share of it that is done, 0 to 1."""
+UNSEEN = 0.35
+"""Share of the mass on bodies without markers above which inertia is not identified. Head, hands and abdomen together
+are 0.24; trunk and arms held rigid on the pelvis, 0.5, left 42 N and 25 N m in a walk and cost the thorax 8 kg."""
+
+
+def fit_session(config: Config, session: Session, free: bool, progress: OnStage) -> GeometryFit:
+    """Geometry on the fit trials; not free, the template is scaled."""
+    options, static = config.geometry, session.static
+    trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
+    if not trials:
+        trials = {n: t.markers for n, t in session.trials.items() if t.role == "static"}
+    assignment, markers = session.assignment, None if static is None else static.markers
+
+    return fit_geometry(
+        assignment.model, assignment.attachment, trials, markers, options, free,
+        lambda step, cost: progress("geometry", min(0.95, step / options.iterations)),
+    )  # fmt: skip
+
+
+def identify(config: Config, outcome: Outcome, progress: OnStage) -> Identified:
+    """Inertia on the fit trials, with the total mass that standing on plates has told.
+
+    Raises:
+        DataError: nobody saw how much of the body moves.
+    """
+    progress("inertia", 0.0)
+    if config.inertia.refuse:
+        refuse_unseen(outcome)
+    names = outcome.session.fit("inertia")
+    trials = [outcome.followed[n].wrench for n in names]
+    mass, box = given_mass(config, outcome), com_boxes(outcome.prior) if config.inertia.com_boxes else None
+    found = identify_inertia([t for t in trials if t is not None], outcome.prior, config.inertia, mass, box)
+    progress("inertia", 1.0)
+    return found
+
+
+def given_mass(config: Config, outcome: Outcome) -> tuple[float, float] | None:
+    """Total mass and its standard deviation [kg] that the inertial fit holds to, beside the prior; None without any."""
+    who = config.subject
+    if config.inertia.known_mass and who.mass_kg:
+        return who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg
+    weight = standing_weight(outcome.followed.values(), outcome.session, config)
+    return None if weight is None else (weight.mass, weight.sd)
+
+
+def refuse_unseen(outcome: Outcome) -> None:
+    """A wrench cannot be explained by the motion of a body that nobody saw moving."""
+    seen = {int(body) for body in outcome.fit.attachment.body}
+    names, mass = outcome.fit.model.tree.names, outcome.prior.mean[:, 0]
+    unseen = [k for k in range(len(names)) if k not in seen]
+    share = float(mass[unseen].sum() / mass.sum())
+    if share > UNSEEN:
+        raise DataError(
+            "inertia.unseen_bodies", f"no marker shows how {100.0 * share:.0f} % of the body's mass moves",
+            found=f"no markers on {', '.join(names[k] for k in unseen)}",
+            remedy="Record markers on trunk and arms, or set inertia.enabled: false (inertia.refuse: false goes on)",
+        )  # fmt: skip
+
+
+def com_boxes(prior: InertialPrior) -> torch.Tensor:
+    """Three prior standard deviations about the template's centres of mass."""
+    m, centre = prior.mean[:, :1], prior.mean[:, 1:4] / prior.mean[:, :1]
+    sd = torch.diagonal(prior.covariance).sqrt().reshape(-1, 10)
+    reach = 3.0 * sd[:, 1:4] / m
+    return torch.stack([centre - reach, centre + reach], dim=1)

@@ -1,0 +1,91 @@
+"""Everything a finished (or stopped) experiment knows: what is written to files and what the report draws."""
+
+from dataclasses import dataclass, field
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.config import Config
+from torchid.contact.contact import Contact
+from torchid.contact.sharing.records import ContactWrenches
+from torchid.diagnosis.verdict.records import Diagnosis
+from torchid.dynamics.rows import WrenchTrial
+from torchid.errors import Note
+from torchid.geometry.result import GeometryFit
+from torchid.geometry.tracking import Tracked
+from torchid.inertia.identify import Identified
+from torchid.model.model import InertialPrior
+from torchid.motion import Motion
+from torchid.session.session import Session
+from torchid.storage.provenance import StageTime
+
+
+@dataclass(frozen=True)
+class Followed:
+    """One trial followed by one model: motion, contact and wrench through the same filter."""
+
+    name: str
+    tracked: Tracked
+    motion: Motion
+    contact: Contact | None = None
+    wrench: WrenchTrial | None = None
+    """None where the trial has no forces."""
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Force and moment residual of one group of trials under one choice of filter, geometry and inertia."""
+
+    label: str
+    role: str
+    """fit or heldout."""
+    cutoff_hz: float
+    geometry: str
+    """scaled or identified."""
+    inertia: str
+    """prior or identified."""
+    force_rmse_N: float
+    moment_rmse_Nm: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Results of one subject."""
+
+    config: Config
+    session: Session
+    fit: GeometryFit
+    scaled: GeometryFit
+    cutoff_hz: float
+    followed: dict[str, Followed]
+    """By trial, with the identified geometry."""
+    followed_scaled: dict[str, Followed]
+    prior: InertialPrior
+    """At the identified segment lengths."""
+    prior_scaled: InertialPrior
+    identified: Identified | None = None
+    diagnosis: Diagnosis | None = None
+    """None where it was not asked for, or nothing was identified."""
+    base: "Outcome | None" = None
+    """Before the model was extended by what the diagnosis names; None where it was not."""
+    added: dict[str, Float[Tensor, "_ 6"]] = field(default_factory=dict)
+    """What named effects add to the plates' total about the origin of W, by trial."""
+    torque: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
+    torque_scaled: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
+    torque_sd: dict[str, Float[Tensor, "_ dofs"]] = field(default_factory=dict)
+    """Standard deviations of ``torque`` (``torques.draws``); none where nothing was drawn."""
+    under: dict[str, ContactWrenches] = field(default_factory=dict)
+    """Wrenches under the feet with the identified body, by trial; trials whose feet nobody tells are left out."""
+    residuals: tuple[Residual, ...] = ()
+    notes: tuple[Note, ...] = ()
+    times: dict[str, StageTime] = field(default_factory=dict)
+    """Cost of each stage up to here; the only part that two equal runs do not share."""
+
+    @property
+    def phi(self) -> Float[Tensor, "bodies 10"]:
+        """Identified inertia, or the prior where no forces were measured."""
+        return self.prior.mean if self.identified is None else self.identified.fit.phi
+
+    def tracked(self, name: str) -> Tracked:
+        """Trial followed by the identified geometry."""
+        return self.followed[name].tracked

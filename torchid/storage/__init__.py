@@ -1,0 +1,1 @@
+"""What is written and taken up again: results of a run, stored stages, files written whole or not at all."""
