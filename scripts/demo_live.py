@@ -17,7 +17,7 @@ from typing import Any
 from torchid.config import load_config
 from torchid.errors import TorchidError
 from torchid.live.display.page import Address, Page
-from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Moment
 from torchid.live.exercises.advice import Advice
 from torchid.live.exercises.exercises import Possibilities
@@ -115,10 +115,10 @@ def demonstrate(seed: int, seconds: float, where: Address | None, out: Path | No
     say(f"Estimate: {out / 'live.json'}; truth: {session.config.parent / 'truth' / 'subject.json'}")
 
 
-def shown(where: Address | None) -> Callable[[Subject, Source], Display]:
+def shown(where: Address | None) -> Callable[[LiveSubject, Source], Display]:
     """What opens the page, if one is wanted, behind ``Follow``."""
 
-    def opened(subject: Subject, source: Source) -> Display:
+    def opened(subject: LiveSubject, source: Source) -> Display:
         assert isinstance(source, SimulatedSource)
         page = None if where is None else Page(subject, source.labels, source.plates, where)
         return Follow(source, page)

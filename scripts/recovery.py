@@ -22,7 +22,7 @@ from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.session.following import follow
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import Session, simulate_session
+from torchid.simulate.session import SimulatedSession, simulate_session
 from torchid.storage.allocator import keep_memory
 
 
@@ -56,7 +56,7 @@ def _mean(rows: list[dict], key: str) -> float:
     return sum(row[key] for row in rows) / len(rows)
 
 
-def score(outcome: Outcome, session: Session) -> dict[str, float]:
+def score(outcome: Outcome, session: SimulatedSession) -> dict[str, float]:
     """Everything that is compared with the truth of one subject."""
     assert outcome.identified is not None
     subject, fit = session.subject, outcome.identified.fit
@@ -104,7 +104,7 @@ def group_progress(outcome: Outcome, row: torch.Tensor) -> float:
     return 1.0 - float((row @ fit.covariance @ row) / (row @ outcome.prior.covariance @ row / fit.omega_2))
 
 
-def joint_error(outcome: Outcome, session: Session, scaled: bool) -> float:
+def joint_error(outcome: Outcome, session: SimulatedSession, scaled: bool) -> float:
     """RMS distance of joint centres from the true ones over held-out frames [mm]."""
     source, fit = (outcome.followed_scaled, outcome.scaled) if scaled else (outcome.followed, outcome.fit)
     parts = []
@@ -118,7 +118,7 @@ def joint_error(outcome: Outcome, session: Session, scaled: bool) -> float:
     return 1e3 * float(torch.cat(parts).mean().sqrt())
 
 
-def true_phi(outcome: Outcome, session: Session) -> torch.Tensor:
+def true_phi(outcome: Outcome, session: SimulatedSession) -> torch.Tensor:
     """The true inertia about the identified origins, in identified axes (mean relative pose over the fit trials)."""
     relative = []
     for item in session.trials:
@@ -132,7 +132,7 @@ def true_phi(outcome: Outcome, session: Session) -> torch.Tensor:
     return move_frame(session.subject.phi, U @ Vh, X[:, :3, 3])
 
 
-def perfect(outcome: Outcome, session: Session) -> list:
+def perfect(outcome: Outcome, session: SimulatedSession) -> list:
     """Held-out wrench trials followed with the true geometry and marker places: what noise alone leaves."""
     subject = session.subject
     order = [subject.labels.index(label) for label in outcome.fit.attachment.labels]

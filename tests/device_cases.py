@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchid.conventions import INERTIA_PAIRS
-from torchid.devices import Device, Value, device_forces
+from torchid.devices import Device, SheetValue, device_forces
 from torchid.devices.reading import device_of
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import WrenchTrial, predict
@@ -83,5 +83,5 @@ def worn_trial(
 
 def filled(device: Device, **numbers: dict[str, float]) -> Device:
     """A device with some numbers of its elements replaced, by element and parameter."""
-    own = {name: {k: Value(v) for k, v in some.items()} for name, some in numbers.items()}
+    own = {name: {k: SheetValue(v) for k, v in some.items()} for name, some in numbers.items()}
     return replace(device, elements=tuple(e.with_numbers(own.get(e.name, {})) for e in device.elements))

@@ -34,7 +34,7 @@ from torchid.recording import Markers
 from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import Session, simulate_session, write_session
+from torchid.simulate.session import SimulatedSession, simulate_session, write_session
 
 SHARED = Path(os.environ["TORCHID_TEST_SHARED"]) if "TORCHID_TEST_SHARED" in os.environ else None
 """Folder that all processes of a run share, or None if they share nothing."""
@@ -70,7 +70,7 @@ GEOMETRY = GeometryOptions(max_frames=80)
 
 
 @shared
-def session() -> Session:
+def session() -> SimulatedSession:
     """A static trial, four fit trials and a held-out one, with 1 mm and 2 N of noise."""
     return simulate_session(OPTIONS, SEED)
 

@@ -23,7 +23,7 @@ from batteries.sizes import SIZES
 from models import model_of
 
 from torchid.config import load_config
-from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.columns.design import Design
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
@@ -149,7 +149,7 @@ def test_what_can_be_known_at_best_is_known_of_the_effect_alone():
     prior = Prior(torch.zeros(12).double(), torch.zeros(0, 0).double(), scale.repeat(2))
     raw = prior.standard(columns.T @ columns, columns.T @ columns[:, 0], torch.arange(12))
     sources = [
-        Source(one, Place((f"plate_{k + 1}",)), slice(6 * k, 6 * k + 6), (0.0,) * 6, tuple(scale.tolist()))
+        ColumnSource(one, Place((f"plate_{k + 1}",)), slice(6 * k, 6 * k + 6), (0.0,) * 6, tuple(scale.tolist()))
         for k in range(2)
     ]
     chosen = tuple(Candidate(one, source.place, source, frozenset({0})) for source in sources)

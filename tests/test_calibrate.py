@@ -17,7 +17,7 @@ from batteries.calibrate import RESERVED, bounded, counted, decided, document, f
 
 from torchid.bounds import Count, NonNegative, Positive, Share
 from torchid.config.sections import DiagnosisSection
-from torchid.diagnosis.options import DiagnosisOptions, Kind, threshold_kinds
+from torchid.diagnosis.options import DiagnosisOptions, ThresholdKind, threshold_kinds
 from torchid.effects.catalogue import CATALOGUE
 
 OPTIONS = DiagnosisOptions()
@@ -37,7 +37,7 @@ def flat(options: DiagnosisOptions) -> dict[str, float]:
 
 def test_each_calibrated_threshold_is_halved_and_doubled_alone():
     """No other value is touched, and no calibrated one is forgotten."""
-    wanted = {name for name, (kind, _) in threshold_kinds().items() if kind is Kind.CALIBRATED}
+    wanted = {name for name, (kind, _) in threshold_kinds().items() if kind is ThresholdKind.CALIBRATED}
     found, before = variants(OPTIONS, calibrate.calibrated_names()), flat(OPTIONS)
     assert wanted and {one.threshold for one in found} == wanted
     for one in found:

@@ -20,11 +20,11 @@ from torchid.config import InvalidConfig, load_config
 from torchid.config.conditions import Condition
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import Near, OtherContact
+from torchid.contact.other_options import NearPlace, OtherContact
 from torchid.contact.others import Others, feet_alone, find_others, inside
 from torchid.contact.sharing.costs import Effort
 from torchid.contact.sharing.patches import Patch, axes_about, patch_rows, rest_of
-from torchid.contact.sharing.records import Needed, Source
+from torchid.contact.sharing.records import Needed, WrenchSource
 from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.errors import ConfigError, DataError, OptionError
 from torchid.evaluation.torque_shares.back import low_back
@@ -133,7 +133,7 @@ def test_a_contact_with_a_plate_keeps_its_frames_and_the_plate_is_no_foots(corne
     assert bool(found.used.all()) and found.plate.unique(dim=0).tolist() == [[0, 1, 2]]
     assert found.floor == (0, 1)
     under = contact_wrenches(found, SOLES, forces, COM, Smoother(10.0, RATE), patches={"rail": grip((0.1, 0.1, 0.9))})
-    assert bool((under.source == Source.MEASURED).all())
+    assert bool((under.source == WrenchSource.MEASURED).all())
     torch.testing.assert_close(under.of("rail"), Smoother(10.0, RATE)(hand), atol=1e-9, rtol=1e-9)
 
 
@@ -143,11 +143,11 @@ def test_an_unmeasured_hand_is_what_the_body_needs_beyond_the_plates():
     smoother, forces = Smoother(10.0, RATE), Forces(TIME, FEET, two_plates())
     contact, patches = seen(forces, rail()), {"rail": grip((0.4, -0.3, 1.0))}
     blind = contact_wrenches(contact, SOLES, forces, COM, smoother, patches=patches)
-    assert bool((blind.source[BEARS, 2] == Source.UNKNOWN).all()) and bool((blind.source[~BEARS] == 0).all())
+    assert bool((blind.source[BEARS, 2] == WrenchSource.UNKNOWN).all()) and bool((blind.source[~BEARS] == 0).all())
     needed = need(smoother(FEET.sum(1) + hand))
     found = contact_wrenches(contact, SOLES, forces, COM, smoother, needed, patches=patches)
     assert found.contacts == ("foot_l", "foot_r", "rail") and found.body[2] == "hand_r"
-    assert bool((found.source[BEARS, 2] == Source.PREDICTED).all())
+    assert bool((found.source[BEARS, 2] == WrenchSource.PREDICTED).all())
     inner = (TIME > 0.4) & (TIME < 0.6)
     torch.testing.assert_close(found.of("rail")[inner], smoother(hand)[inner], atol=0.2, rtol=2e-3)
     torch.testing.assert_close(found.wrench[:, :2], smoother(FEET), atol=1e-6, rtol=1e-9)
@@ -167,7 +167,7 @@ def test_without_plates_a_hand_and_feet_are_predicted_together():
     found = contact_wrenches(
         contact, SOLES, none, COM, smoother, needed, patches={"rail": grip((0.4, -0.3, 1.0))}
     )  # fmt: skip
-    assert bool((found.source[BEARS] == Source.PREDICTED).all())
+    assert bool((found.source[BEARS] == WrenchSource.PREDICTED).all())
     gap = (found.wrench.sum(1) - needed.wrench)[:, :3]
     assert float(gap.abs().max()) < 5.0
 
@@ -215,7 +215,9 @@ def test_seat_and_feet_on_one_plate_are_shared():
     found = contact_wrenches(
         contact, SOLES, forces, COM, smoother, patches={"seat": seat((-0.35, 0.0, 0.45))},
     )  # fmt: skip
-    assert bool((found.source[BEARS] == Source.SHARED).all()) and bool((found.source[:5, 2] == Source.MEASURED).all())
+    assert bool((found.source[BEARS] == WrenchSource.SHARED).all()) and bool(
+        (found.source[:5, 2] == WrenchSource.MEASURED).all()
+    )
     torch.testing.assert_close(found.wrench.sum(1), smoother(forces.total), atol=1e-5, rtol=1e-9)
     inner = (TIME > 0.4) & (TIME < 0.6)
     assert float((found.of("seat") - smoother(load))[inner, 2].abs().max()) < 40.0
@@ -223,7 +225,7 @@ def test_seat_and_feet_on_one_plate_are_shared():
         contact, SOLES, forces, COM, smoother, options=ContactOptions(torques="measured"),
         patches={"seat": seat((-0.35, 0.0, 0.45))},
     )  # fmt: skip
-    assert bool((left.source[BEARS] == Source.UNKNOWN).all())
+    assert bool((left.source[BEARS] == WrenchSource.UNKNOWN).all())
 
 
 def test_hands_on_one_rail_share_it_beside_feet_that_share_a_plate():
@@ -236,7 +238,7 @@ def test_hands_on_one_rail_share_it_beside_feet_that_share_a_plate():
     smoother = Smoother(10.0, RATE)
     patches = {"left": grip((0.5, 0.3, 0.9)), "right": grip((0.5, -0.3, 0.9))}
     found = contact_wrenches(contact, SOLES, forces, COM, smoother, patches=patches)
-    assert bool((found.source == Source.SHARED).all())
+    assert bool((found.source == WrenchSource.SHARED).all())
     torch.testing.assert_close(found.wrench[:, :2].sum(1), smoother(wrench[:, 0]), atol=1e-5, rtol=1e-9)
     for k, hand in enumerate(hands):
         torch.testing.assert_close(found.wrench[:, 2 + k, :3], smoother(hand)[:, :3], atol=1.0, rtol=0.02)
@@ -248,7 +250,7 @@ def test_hands_on_one_rail_share_it_beside_feet_that_share_a_plate():
         ("always", torch.ones(FRAMES, dtype=torch.bool)),
         ({"walk": ((0.1, 0.2), (0.5, 0.6))}, ((TIME >= 0.1) & (TIME <= 0.2)) | ((TIME >= 0.5) & (TIME <= 0.6))),
         ({"other": ((0.1, 0.2),)}, torch.zeros(FRAMES, dtype=torch.bool)),
-        (Near((0.0, 0.0, 1.0)), (TIME < 0.305)),
+        (NearPlace((0.0, 0.0, 1.0)), (TIME < 0.305)),
         ("loaded", TIME > 0.8),
     ],
 )
@@ -444,7 +446,7 @@ def test_what_is_said_of_a_contact_reaches_files_and_figures(seed: int):
     assert data["contact_body"].values.tolist()[-1] == "hand_r"
     assert item.contact is not None
     bears = item.contact.unmeasured.numpy()
-    assert (data["contact_source"].values[bears, 2] == Source.PREDICTED).all()
+    assert (data["contact_source"].values[bears, 2] == WrenchSource.PREDICTED).all()
     assert (data["contact_wrench_sd"].values[bears, 2, :3] > 0.0).all()
     figure = contacts_figure(told)
     assert figure is not None and "rail beside plates" in figure.svg
@@ -577,7 +579,7 @@ def test_two_rails_of_a_model_without_soles_are_not_pooled():
     patches = {name: grip((0.5, y, 0.9)) for name, y in zip(names, (0.3, 0.1, -0.1, -0.3), strict=True)}
     smoother = Smoother(10.0, RATE)
     found = contact_wrenches(contact, {}, forces, COM, smoother, patches=patches)
-    assert bool((found.source == Source.SHARED).all())
+    assert bool((found.source == WrenchSource.SHARED).all())
     for first, plate in ((0, 1), (2, 2)):
         own = found.wrench[:, first : first + 2].sum(1)
         torch.testing.assert_close(own, smoother(wrench[:, plate]), atol=1e-5, rtol=1e-9)

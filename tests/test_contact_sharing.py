@@ -20,7 +20,7 @@ from torchid.contact.sharing.cones import drawn_to_cones, project_on_cones
 from torchid.contact.sharing.expected import spread_of_shares
 from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.problem import summed
-from torchid.contact.sharing.records import Needed, Source
+from torchid.contact.sharing.records import Needed, WrenchSource
 from torchid.contact.sharing.reference import share_by_clarabel
 from torchid.contact.sharing.solver import SharingStatus, share
 from torchid.contact.sharing.wrenches import contact_wrenches
@@ -225,7 +225,7 @@ def test_two_feet_on_one_plate_are_shared() -> None:
     soles, truth, com = standing()
     forces, smoother = one_plate(truth.sum(1, keepdim=True)), Smoother(10.0, RATE)
     found = contact_wrenches(judged(soles, forces), soles, forces, com, smoother)
-    assert bool((found.source == Source.SHARED).all())
+    assert bool((found.source == WrenchSource.SHARED).all())
     torch.testing.assert_close(found.wrench.sum(1), smoother(truth.sum(1)), atol=1e-6, rtol=1e-9)
     gap = (found.wrench - smoother(truth))[..., 2]
     assert float(gap.square().mean().sqrt()) < 0.04 * 700.0
@@ -244,7 +244,7 @@ def test_feet_over_one_plate_share_it_wherever_it_presses() -> None:
     contact = judged(soles, forces)
     assert bool((contact.plate == 0).all())
     found = contact_wrenches(contact, soles, forces, com, Smoother(10.0, RATE))
-    assert bool((found.source == Source.SHARED).all())
+    assert bool((found.source == WrenchSource.SHARED).all())
     assert 0.0 < float(found.wrench[:, 1, 2].mean()) < 0.25 * 700.0
 
 
@@ -254,11 +254,11 @@ def test_a_foot_beside_the_plate_is_unknown_or_predicted() -> None:
     forces, smoother = one_plate(truth[:, :1], None), Smoother(10.0, RATE)
     contact = judged(soles, forces)
     found = contact_wrenches(contact, soles, forces, com, smoother)
-    assert bool((found.source[:, 1] == Source.UNKNOWN).all()) and bool(torch.isnan(found.sd[:, 1]).all())
-    assert bool((found.source[:, 0] == Source.MEASURED).all())
+    assert bool((found.source[:, 1] == WrenchSource.UNKNOWN).all()) and bool(torch.isnan(found.sd[:, 1]).all())
+    assert bool((found.source[:, 0] == WrenchSource.MEASURED).all())
     needed = Needed(smoother(truth.sum(1)), torch.ones(FRAMES, dtype=torch.bool), torch.full((6,), 5.0).double())
     found = contact_wrenches(contact, soles, forces, com, smoother, needed)
-    assert bool((found.source[:, 1] == Source.PREDICTED).all())
+    assert bool((found.source[:, 1] == WrenchSource.PREDICTED).all())
     torch.testing.assert_close(found.wrench, smoother(truth), atol=1e-5, rtol=1e-6)
     assert bool((found.sd[:, 1] >= 5.0).all())
     assert [note.code for note in sharing_notes({"a": found})] == ["contact.predicted"]
@@ -272,7 +272,7 @@ def test_without_plates_the_body_is_all_there_is() -> None:
     assert bool(contact.touching.all())
     needed = Needed(smoother(truth.sum(1)), torch.ones(FRAMES, dtype=torch.bool), torch.full((6,), 5.0).double())
     found = contact_wrenches(contact, soles, forces, com, smoother, needed)
-    assert bool((found.source == Source.PREDICTED).all())
+    assert bool((found.source == WrenchSource.PREDICTED).all())
     torch.testing.assert_close(found.wrench.sum(1), smoother(truth.sum(1)), atol=1e-5, rtol=1e-9)
 
 
@@ -283,7 +283,7 @@ def test_an_unsettled_share_is_unknown() -> None:
     few = SolverOptions(iterations=1, tolerance=1e-12)
     found = contact_wrenches(judged(soles, forces), soles, forces, com, Smoother(10.0, RATE), solver=few)
     assert found.status is SharingStatus.UNCONVERGED
-    assert bool((found.source == Source.UNKNOWN).all())
+    assert bool((found.source == WrenchSource.UNKNOWN).all())
     assert "contact.unsettled" in [note.code for note in sharing_notes({"a": found})]
 
 
@@ -293,7 +293,7 @@ def test_feet_on_plates_of_their_own_are_measured() -> None:
     plates = (Plate("left", None), Plate("right", None))
     forces, smoother = Forces(torch.arange(FRAMES, dtype=torch.float64) / RATE, truth, plates), Smoother(10.0, RATE)
     found = contact_wrenches(judged(soles, forces), soles, forces, com, smoother)
-    assert bool((found.source == Source.MEASURED).all())
+    assert bool((found.source == WrenchSource.MEASURED).all())
     torch.testing.assert_close(found.wrench, smoother(truth), atol=1e-9, rtol=1e-12)
     assert float(found.sd.abs().max()) == 0.0
 
@@ -328,7 +328,7 @@ def test_merged_plates_of_a_simulated_session_give_the_feet_their_truth() -> Non
     under = wrenches_under(followed, fit, outcome.phi, both, ContactOptions())
     assert under is not None and both.forces is not None
     smoother, total = one.motion.smoother, torch.nan_to_num(both.forces.total)
-    open_ = (under.source == Source.SHARED).all(dim=1)
+    open_ = (under.source == WrenchSource.SHARED).all(dim=1)
     assert int(open_.sum()) > 50
     torch.testing.assert_close(under.wrench.sum(1)[open_], smoother(total)[open_], atol=1e-3, rtol=1e-6)
     truth = smoother(small_session.session().trial(name).truth.feet.wrench[: len(total)])

@@ -5,8 +5,16 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from torchid.model.coupling import Coupling, Follower
-from torchid.model.opensim.functions import Constant, Function, Linear, Pieces, Polynomial, Scaled, Sine
+from torchid.model.coupling import CoupledAxis, Coupling
+from torchid.model.opensim.functions import (
+    Constant,
+    Function,
+    LinearFunction,
+    PiecewiseCubic,
+    Polynomial,
+    ScaledFunction,
+    Sine,
+)
 from torchid.model.opensim.splines import broken_line, simm_spline
 
 
@@ -15,10 +23,11 @@ def functions(rng: np.random.Generator) -> dict[str, Function]:
     x = torch.tensor(np.sort(rng.uniform(-1.0, 1.0, size=6)))
     y, few = torch.tensor(rng.normal(size=6)), torch.tensor(rng.normal(size=2))
     return {
-        "constant": Constant(float(rng.normal())), "linear": Linear(few, float(rng.normal())),
+        "constant": Constant(float(rng.normal())), "linear": LinearFunction(few, float(rng.normal())),
         "polynomial": Polynomial(torch.tensor(rng.normal(size=5))),
-        "scaled": Scaled(Polynomial(torch.tensor(rng.normal(size=3))), float(rng.normal())),
-        "sine": Sine(*map(float, rng.normal(size=4))), "pieces": Pieces(x, torch.tensor(rng.normal(size=(6, 4)))),
+        "scaled": ScaledFunction(Polynomial(torch.tensor(rng.normal(size=3))), float(rng.normal())),
+        "sine": Sine(*map(float, rng.normal(size=4))),
+        "pieces": PiecewiseCubic(x, torch.tensor(rng.normal(size=(6, 4)))),
         "linear pieces": broken_line(x, y), "spline": simm_spline(x, y),
     }  # fmt: skip
 
@@ -44,8 +53,9 @@ def test_followers_of_followers_have_the_derivatives_of_forward_mode(seed: int) 
     rng = np.random.default_rng(seed)
     own = functions(rng)
     chain = (
-        Follower("a", (1,), own["polynomial"]), Follower("b", (3, 0), own["linear"]), Follower("c", (4,), own["sine"]),
-        Follower("d", (), own["constant"]), Follower("e", (5, 5), own["linear"]),
+        CoupledAxis("a", (1,), own["polynomial"]), CoupledAxis("b", (3, 0), own["linear"]),
+        CoupledAxis("c", (4,), own["sine"]),
+        CoupledAxis("d", (), own["constant"]), CoupledAxis("e", (5, 5), own["linear"]),
     )  # fmt: skip
     coupling = Coupling("chain", 3, chain)
     q, v, x = (torch.tensor(rng.normal(size=(n, 4))) for n in (3, 3, 8))

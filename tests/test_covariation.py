@@ -11,7 +11,7 @@ import torch
 from torch.testing import assert_close
 
 import torchid.observation.trial as observed_trials
-from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.diagnosis.columns.assemble import make_design, retaken, trial_columns
 from torchid.diagnosis.columns.corrected_scores import noise_scores
 from torchid.diagnosis.columns.design import Columns, Design, only
@@ -47,7 +47,7 @@ def design(observed) -> Design:
     return make_design([observed], [effect(name) for name in TRIED], small.outcome().fit)
 
 
-def seen(observed: TrialObservation, k: int, source: Source) -> torch.Tensor:
+def seen(observed: TrialObservation, k: int, source: ColumnSource) -> torch.Tensor:
     """Columns of a source under a draw, about the root's origin."""
     scene, response = observed.under(observed.noise_draws[k].motion), observed.response
     if source.effect.moves_markers:

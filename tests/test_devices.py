@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from device_cases import made
 
-from torchid.devices import Value, library, load_device, placed
+from torchid.devices import SheetValue, library, load_device, placed
 from torchid.devices.device import Axis, Coordinate, Drive, Handle
 from torchid.devices.device import Path as Run
 from torchid.errors import ConfigError
@@ -37,15 +37,15 @@ def test_a_sheet_is_read(sheet: Path) -> None:
     """Numbers with and without sd, unknown ones, every kind of element."""
     device = load_device(sheet)
     pelvis, thigh = device.parts
-    assert pelvis.mass_kg == Value(2.5, 0.1) and pelvis.com_m and pelvis.com_m[0] == Value(-0.1, 0.02)
+    assert pelvis.mass_kg == SheetValue(2.5, 0.1) and pelvis.com_m and pelvis.com_m[0] == SheetValue(-0.1, 0.02)
     assert pelvis.inertia_kgm2 and [x.value for x in pelvis.inertia_kgm2] == [0.02, 0.0, 0.03, 0.0, 0.0, 0.02]
     assert thigh.mass_kg is None and thigh.com_m is None
     hip, cable, ankle, weight, hand = device.elements
     assert hip.line == Coordinate("hip_l_flexion") and hip.unknown == ("stiffness",)
     assert isinstance(cable.line, Run) and cable.law and cable.law.tension_only and len(cable.line.points) == 3
     assert ankle.line == Axis((0.0, 1.0, 0.0)) and isinstance(ankle.drive, Drive)
-    assert ankle.drive.profile == ((0.0, 0.0), (0.5, -20.0), (1.0, 0.0)) and ankle.drive.gain == Value(1.0, 0.1)
-    assert weight.grounded and weight.law and weight.law.preload == Value(150.0)
+    assert ankle.drive.profile == ((0.0, 0.0), (0.5, -20.0), (1.0, 0.0)) and ankle.drive.gain == SheetValue(1.0, 0.1)
+    assert weight.grounded and weight.law and weight.law.preload == SheetValue(150.0)
     assert isinstance(hand.line, Handle) and hand.grounded and not hip.grounded
     assert device.unknown == ("thigh_l.mass_kg", "thigh_l.com_m", "hip.stiffness_Nm_rad")
 
@@ -158,7 +158,7 @@ def test_links_of_a_urdf_are_parts(tmp_path: Path) -> None:
         " rpy: [0, 1.5707963267948966, 0]}, lever: thigh_l}\n"
     )
     cuff, lever = load_device(tmp_path / "exo.yaml").parts
-    assert cuff.segment == "pelvis" and lever.segment == "thigh_l" and lever.mass_kg == Value(0.5)
+    assert cuff.segment == "pelvis" and lever.segment == "thigh_l" and lever.mass_kg == SheetValue(0.5)
     assert cuff.com_m and [round(x.value, 12) for x in cuff.com_m] == [0.0, 0.0, 0.0]
     assert cuff.inertia_kgm2 and [round(x.value, 12) for x in cuff.inertia_kgm2] == [0.015, 0, 0.02, 0, 0, 0.01]
     with pytest.raises(ConfigError, match="cuff"):

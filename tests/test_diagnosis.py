@@ -44,7 +44,7 @@ from torchid.observation.plate_registry import SessionPlate, recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
 from torchid.recording import Forces, Plate
 from torchid.simulate.options import PlantedOptions, SimulateOptions
-from torchid.simulate.session import Session, simulate_session
+from torchid.simulate.session import SimulatedSession, simulate_session
 
 SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
 FIT, HELDOUT = ("squats", "arms", "trunk", "sway_steps"), ("hip_rom",)
@@ -113,7 +113,7 @@ def _said():
     print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
 
 
-def simulated(effects: tuple[PlantedOptions, ...], seed: int) -> Session:
+def simulated(effects: tuple[PlantedOptions, ...], seed: int) -> SimulatedSession:
     """Of the first subject from ``seed`` on that keeps balance in all its motions: a pull can be too much for one."""
     options = SimulateOptions(fit=FIT, heldout=HELDOUT, duration_s=6.0, effects=effects)
     for attempt in range(seed, seed + 6):
@@ -124,7 +124,7 @@ def simulated(effects: tuple[PlantedOptions, ...], seed: int) -> Session:
     pytest.fail("none of six subjects keeps balance")
 
 
-def verdict(session: Session) -> Diagnosis:
+def verdict(session: SimulatedSession) -> Diagnosis:
     """Of a session whose motion and geometry are known, forces noisy: the rest of the chain is tested elsewhere."""
     observed, plates, prior, found = seen(session)
     fits, held = [observed[n] for n in FIT], [observed[n] for n in HELDOUT]
@@ -138,7 +138,9 @@ def verdict(session: Session) -> Diagnosis:
     return said
 
 
-def seen(session: Session) -> tuple[dict[str, TrialObservation], tuple[SessionPlate, ...], InertialPrior, Identified]:
+def seen(
+    session: SimulatedSession,
+) -> tuple[dict[str, TrialObservation], tuple[SessionPlate, ...], InertialPrior, Identified]:
     """Its trials, plates, prior and inertial fit."""
     subject = session.subject
     tree, geometry, prior = subject.model.tree, subject.geometry, subject.model.inertia

@@ -7,7 +7,7 @@ import small_session as small
 import torch
 from models import model_of
 
-from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.columns.design import Design
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
 from torchid.diagnosis.evidence.gains import gains
@@ -34,9 +34,9 @@ from torchid.extension.diagnosing import observe_outcome
 def found(columns: torch.Tensor, rows: torch.Tensor) -> SearchResult:
     """Three drags, each with a column of its own, fitted to two trials of the same rows."""
     drag, n = effect("drag"), columns.shape[1]
-    sources = [Source(drag, Place((name,)), slice(k + 1, k + 2), (0.0,), (1.0,)) for k, name in enumerate("abc")]
+    sources = [ColumnSource(drag, Place((name,)), slice(k + 1, k + 2), (0.0,), (1.0,)) for k, name in enumerate("abc")]
     chosen = tuple(
-        Candidate(drag, s.place, Source(drag, s.place, s.columns, (0.0,), drag.scale(s.place)), frozenset({0, 1}))
+        Candidate(drag, s.place, ColumnSource(drag, s.place, s.columns, (0.0,), drag.scale(s.place)), frozenset({0, 1}))
         for s in sources
     )
     every = torch.cat([torch.zeros(len(columns), 1).double(), columns], 1)
@@ -151,7 +151,7 @@ def test_springs_that_cannot_be_negative_have_the_evidence_of_half_a_prior():
 def springs(softness: torch.Tensor, scale: float) -> SearchResult:
     """Of three segments, each measured once with an error of one."""
     flesh, at = effect("skin_lag"), Place(("pelvis", "thigh_l", "thigh_r"))
-    source = Source(flesh, at, slice(1, 4), (0.0,), flesh.scale(at))
+    source = ColumnSource(flesh, at, slice(1, 4), (0.0,), flesh.scale(at))
     columns = torch.cat([torch.zeros(4, 1), torch.eye(4, 3)], 1).double()
     prior = Prior(torch.zeros(4).double(), torch.eye(1).double(), scale * torch.ones(3).double())
     moment = columns.T @ torch.cat([softness, torch.zeros(1).double()])
@@ -167,7 +167,7 @@ def test_what_shares_a_column_with_a_nuisance_adds_to_it():
     column = torch.randn(400, 1, generator=generator, dtype=torch.float64)
     unit = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double())
     raw = unit.standard(column.T @ column, column.T @ (9.0 * column[:, 0]), torch.arange(1))
-    source = Source(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
+    source = ColumnSource(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
     found = fit(Statistics(1, 1, (raw,)), [Candidate(effect("drag"), source.place, source, frozenset({0}))])
     assert float(found.z(1, 0)[0]) == pytest.approx(9.0, rel=0.01)
 
@@ -212,7 +212,7 @@ def test_what_is_anew_in_every_trial_may_be_left_out_first():
         rows, right = torch.randn(50, 5, generator=generator).double(), torch.randn(50, generator=generator).double()
         trials.append(prior.standard(rows.T @ rows, rows.T @ right, torch.tensor(live)))
     statistics, place = Statistics(3, 4, tuple(trials)), Place(("a",))
-    one = Candidate(gust, place, Source(gust, place, slice(3, 4), (0.0,), gust.scale(place)), frozenset({0, 1}))
+    one = Candidate(gust, place, ColumnSource(gust, place, slice(3, 4), (0.0,), gust.scale(place)), frozenset({0, 1}))
     less, rest = marginalise_per_trial(statistics, [one])
     jointly = fit(statistics, [one])
     assert not rest

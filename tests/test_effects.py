@@ -15,7 +15,7 @@ from effect_contract import check_class, check_words
 from torch.testing import assert_close
 
 import torchid
-from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.dynamics.equations_of_motion import base_rows, body_rows
 from torchid.effects import columns as columns_module
@@ -320,7 +320,7 @@ def test_the_fitted_motion_yields_as_predicted(subject, plain, followed, name):
         sign * make_scene("squats", scene.tree, subject.geometry, m, subject.phi).needed()
         for sign, m in ((1.0, after), (-1.0, before))
     )
-    source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
+    source = ColumnSource(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
     answer = response_of(response, source)
     wrench = smoother(smoother(response.wrench([answer]).permute(2, 0, 1) @ one.theta)).T
     exact = smoother(lacks.T).T
@@ -347,7 +347,7 @@ def test_what_sways_is_answered_as_any_displacement_is(followed, name, monkeypat
         )
     else:
         effect, place = CATALOGUE[name], planted(options(name)).place
-    source = Source(effect, place, slice(0, 0), (), effect.scale(place))
+    source = ColumnSource(effect, place, slice(0, 0), (), effect.scale(place))
     quick, plain = response_of(response, source), response_of(response, source, response.sight)
     for own, other in (
         (quick.nine, plain.nine), (quick.shift, plain.shift),
@@ -406,7 +406,7 @@ def test_what_a_filter_took_is_known_from_what_it_left(subject, plain, followed)
     found = make_scene("squats", scene.tree, subject.geometry, filtered, subject.phi)
     sight = dataclasses.replace(response.sight, scene=found)
     known = MarkerResponse(sight, response.weight, response.error, posture_prior(fit).precision[:, 0])
-    source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
+    source = ColumnSource(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
     lacks = smoother((scene.needed() - found.needed()).T)[40:-40]
     guess = smoother(known.wrench([response_of(known, source)]).permute(2, 0, 1) @ one.theta)[40:-40]
     # Of ten subjects, forces were 0.3 to 4 % off, and the moments of a squat, which are small, 4 to 27 %.

@@ -23,8 +23,8 @@ from torchid.config.conditions import Condition, EvaluateOptions, GivenCycle
 from torchid.contact.options import ContactOptions
 from torchid.contact.other_options import OtherContact
 from torchid.conventions import GRAVITY
-from torchid.devices import Device, Finding, load_device
-from torchid.devices.values import Value
+from torchid.devices import Device, SheetFinding, load_device
+from torchid.devices.values import SheetValue
 from torchid.dynamics.equations_of_motion import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.evaluation.evaluate import evaluate, gather, judge
@@ -114,7 +114,7 @@ def test_what_is_unsure_of_a_device_is_unsure_of_the_human(found: Evaluation) ->
     fit, motion = found.outcome.fit, trial.followed.motion
     tree, share = fit.model.tree, acting(worn, fit.model.tree, fit.geometry, motion, {})
     (spring,) = worn.device.elements
-    stiffer = replace(worn.device, elements=(spring.with_numbers({"stiffness": Value(44.0)}),))
+    stiffer = replace(worn.device, elements=(spring.with_numbers({"stiffness": SheetValue(44.0)}),))
     heavier = worn.parts.clone()
     heavier[tree.index("thigh_l"), 0] += 1.0
     drawn = replace(worn, draws=(stiffer, worn.device), parts_draws=torch.stack([worn.parts, heavier]))
@@ -216,10 +216,10 @@ def test_a_foot_without_a_cycle_is_said(found: Evaluation) -> None:
 
 def test_a_sheet_that_recordings_contradict_is_said_first(found: Evaluation, tmp_path: Path) -> None:
     """On the first page, in the list of gaps, and in the JSON; what is right, or cannot be tested, is none."""
-    weak = Finding("stiffness", "hip_l.stiffness_Nm_rad", True, 200.0, 141.0, 3.0, -11.0)
-    place = Finding("carried_elsewhere", "box", True, "thigh_l", "pelvis", z=40.0)
-    rest = Finding("unexplained", "hip_l", True, 0.0, 0.23, why="friction")
-    right, blind = replace(weak, wrong=False), Finding("rest", "hip_l.rest_rad", False, 0.1, None, why="no sensor")
+    weak = SheetFinding("stiffness", "hip_l.stiffness_Nm_rad", True, 200.0, 141.0, 3.0, -11.0)
+    place = SheetFinding("carried_elsewhere", "box", True, "thigh_l", "pelvis", z=40.0)
+    rest = SheetFinding("unexplained", "hip_l", True, 0.0, 0.23, why="friction")
+    right, blind = replace(weak, wrong=False), SheetFinding("rest", "hip_l.rest_rad", False, 0.1, None, why="no sensor")
     worn = replace(found.worn["on"], findings=(weak, right, place, rest, blind))
     wrong = replace(found, worn=found.worn | {"on": worn})
     wrong = replace(wrong, gaps=find_gaps(wrong))
@@ -238,11 +238,11 @@ def test_a_sheet_that_recordings_contradict_is_said_first(found: Evaluation, tmp
 def test_what_a_contradicted_sheet_is_used_for_is_said(found: Evaluation) -> None:
     """A sensor's reading is the share whatever the sheet says; places and slides are no number to leave open."""
     findings = (
-        Finding("stiffness", "hip_l.stiffness_Nm_rad", True, 200.0, 141.0, 3.0, -11.0),
-        Finding("stiffness", "hip_r.stiffness_Nm_rad", True, 200.0, 141.0, 3.0, -11.0),
-        Finding("strap_slides", "hip_l.rest_rad in trunk", True, 0.1, 0.2, 0.01, 9.0),
-        Finding("carried_elsewhere", "box", True, "thigh_l", "pelvis", z=40.0),
-        Finding("unexplained", "hip_l", True, 0.0, 0.23, why="friction"),
+        SheetFinding("stiffness", "hip_l.stiffness_Nm_rad", True, 200.0, 141.0, 3.0, -11.0),
+        SheetFinding("stiffness", "hip_r.stiffness_Nm_rad", True, 200.0, 141.0, 3.0, -11.0),
+        SheetFinding("strap_slides", "hip_l.rest_rad in trunk", True, 0.1, 0.2, 0.01, 9.0),
+        SheetFinding("carried_elsewhere", "box", True, "thigh_l", "pelvis", z=40.0),
+        SheetFinding("unexplained", "hip_l", True, 0.0, 0.23, why="friction"),
     )
     worn = replace(found.worn["on"], findings=findings, read=("hip_l",))
     said = [gap.why for gap in find_gaps(replace(found, worn=found.worn | {"on": worn}))[:5]]

@@ -10,7 +10,7 @@ from scipy import stats
 
 from torchid.config.conditions import EvaluateOptions
 from torchid.evaluation.statistics.arrangements import deal, flip
-from torchid.evaluation.statistics.comparing import Column, Sample, compare, course_p, spans, with_others
+from torchid.evaluation.statistics.comparing import MeasureColumn, Sample, compare, course_p, spans, with_others
 from torchid.evaluation.statistics.effects import difference_of, hedges
 from torchid.evaluation.statistics.permutation import correlations, sign_means, step_down
 from torchid.evaluation.statistics.units import choose_units, least_units, memory, trial_units, unit_means
@@ -30,7 +30,9 @@ def sample(
         values[trials * cycles :, column] += size
     names = tuple(f"t{k // cycles}" for k in range(len(values)))
     conditions = tuple("on" if k >= trials * cycles else "off" for k in range(len(values)))
-    return Sample(names, conditions, tuple(Column(f"c{k}", "m") for k in range(columns)), torch.as_tensor(values))
+    return Sample(
+        names, conditions, tuple(MeasureColumn(f"c{k}", "m") for k in range(columns)), torch.as_tensor(values)
+    )
 
 
 def test_all_arrangements_or_as_many_as_asked(seed):

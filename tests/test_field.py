@@ -14,7 +14,7 @@ from torchid.config import load_config
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.effect import Parameter
 from torchid.effects.forces import PointForce
-from torchid.effects.scene import Point, Scene
+from torchid.effects.scene import BodyPoint, Scene
 from torchid.run import run_experiment
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import simulate_session
@@ -29,7 +29,7 @@ class Magnet(PointForce):
     name = "magnet"
     parameters = (Parameter("force_N", 20.0), Parameter("centre_m", 1.0, 3))
 
-    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+    def force(self, scene: Scene, at: BodyPoint, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         way = theta[1:, None] - at.p
         far = torch.linalg.vector_norm(way, dim=0)
         return 0.25 * theta[0] * way / (far * (far.square() + 0.04))

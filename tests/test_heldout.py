@@ -7,7 +7,7 @@ import pytest
 import torch
 from models import model_of
 
-from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.columns.design import Design
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
@@ -50,7 +50,7 @@ class Told(HeldOut):
         return sum((self.gains[one.place.where[0]] for one in chosen), 0.0)
 
 
-ONE = Source(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
+ONE = ColumnSource(effect("drag"), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
 
 
 def names_of(some) -> list[str]:
@@ -96,7 +96,7 @@ def test_what_cameras_saw_elsewhere_may_cost_a_part_of_what_it_told(name, leeway
     """Held-out motion may have liked the geometry better that a swap had bent; a force has no such excuse."""
     unit = Prior(torch.zeros(1).double(), torch.zeros(0, 0).double(), torch.ones(1).double())
     raw = unit.standard(torch.eye(1).double(), torch.full((1,), 20.0).double(), torch.arange(1))
-    source = Source(effect(name), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
+    source = ColumnSource(effect(name), Place(("a",)), slice(0, 1), (0.0,), (1.0,))
     here, everywhere = (Candidate(effect(name), source.place, source, frozenset(some)) for some in ({0}, {0, 1}))
     told = HeldOut.__new__(HeldOut)
     statistics = Statistics(0, 1, (raw, raw))
@@ -124,7 +124,7 @@ def test_what_lasts_lasts_all_of_a_recording():
 
 def test_a_wrong_record_is_named_beside_as_many_forces_as_may_be():
     """It stands in nobody's way, and nothing in its."""
-    source = Source(effect("drag"), Place(("session",)), slice(0, 1), (0.0,), (1.0,))
+    source = ColumnSource(effect("drag"), Place(("session",)), slice(0, 1), (0.0,), (1.0,))
     names = ("drag", "tether", "time_offset", "gravity_tilt", "body_mass")
     made = [Candidate(effect(name), source.place, source, frozenset({0})) for name in names]
     design = Design(1, 1, (), tuple(made), ())

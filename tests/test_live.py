@@ -33,10 +33,10 @@ from torchid.inertia.identify import Identified
 from torchid.inertia.options import InertiaOptions
 from torchid.io.trc import write_trc
 from torchid.live.estimation.estimator import Estimator
-from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Moment, Pipeline
-from torchid.live.estimation.pose import Follower
-from torchid.live.estimation.refining import Piece, Refining
+from torchid.live.estimation.pose import PostureFollower
+from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.run import prepare_subject, run_live
 from torchid.live.sources.intake import Intake
 from torchid.live.sources.replay import AT_ONCE, Replay
@@ -51,11 +51,11 @@ from torchid.storage.results import OutputFolder
 MOVING, RATE = "squats", 100.0
 
 
-def subject() -> Subject:
+def subject() -> LiveSubject:
     """Of the small session's run."""
     o = small_session.outcome()
     weight = standing_weight(o.followed.values(), o.session, o.config)
-    return Subject(o.config, o.fit, o.prior, given_mass(o.config, o), weight, o.cutoff_hz)
+    return LiveSubject(o.config, o.fit, o.prior, given_mass(o.config, o), weight, o.cutoff_hz)
 
 
 def moving() -> Trial:
@@ -83,7 +83,7 @@ def streamed(given: Trial, spoil: Callable[[Packet], list[Packet]] = lambda pack
     who, source, forces = subject(), Replay(given, float("inf")), moving().forces
     assert forces is not None
     intake = Intake(RATE, forces.rate, 0.5)
-    follower = Follower(who.fit, source.labels)
+    follower = PostureFollower(who.fit, source.labels)
     own, known = Refining(who, source.labels, RATE, source.plates, forces.rate), 0
     while (packet := source.take()) is not None:
         for one in spoil(packet):
@@ -92,7 +92,7 @@ def streamed(given: Trial, spoil: Callable[[Packet], list[Packet]] = lambda pack
                 postures = follower(placed.markers)
                 known += int(postures.known.sum())
                 assert bool(torch.isfinite(postures.q).all())
-                own.put(Piece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench))
+                own.put(MessagePiece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench))
                 own.work()
     return own.finish(), known
 
@@ -112,7 +112,7 @@ def off_sd(found: Identified, other: Identified) -> float:
 def test_a_stream_is_identified_as_a_recording_is():
     """The same postures, and masses to half of their standard deviation."""
     given, o = moving(), small_session.outcome()
-    follower, source, q = Follower(o.fit, given.markers.labels), Replay(given, float("inf")), []
+    follower, source, q = PostureFollower(o.fit, given.markers.labels), Replay(given, float("inf")), []
     while (packet := source.take()) is not None:
         q.append(follower(packet.markers).q)
     assert float((torch.cat(q) - o.followed[MOVING].tracked.q)[:, 6:].abs().median()) < 5e-3

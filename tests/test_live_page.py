@@ -18,9 +18,9 @@ from websockets.typing import Subprotocol
 from torchid.errors import ConfigError
 from torchid.live.display.board import Board, bars
 from torchid.live.display.page import Address, Page, Show, drawn
-from torchid.live.estimation.beside import Found
+from torchid.live.estimation.beside import LiveEstimate
 from torchid.live.estimation.pipeline import Moment, Pipeline
-from torchid.live.estimation.pose import Follower, Postures
+from torchid.live.estimation.pose import PostureFollower, Postures
 from torchid.live.exercises.advice import Advice
 from torchid.live.sources.replay import Replay
 from torchid.scene.scene import Ground
@@ -59,7 +59,7 @@ def watched(one: Connection, seconds: float) -> dict[str, int]:
 def moments(page: Page, seconds: float) -> int:
     """Send a trial's frames at a hundred a second; return how many."""
     trial, fit = moving(), subject().fit
-    follower = Follower(fit, trial.markers.labels)
+    follower = PostureFollower(fit, trial.markers.labels)
     postures = follower(trial.markers.frames(slice(0, 8)))
     begun, sent = time.monotonic(), 0
     while time.monotonic() - begun < seconds:
@@ -149,7 +149,7 @@ def test_forces_are_shown_when_the_identifier_has_reached_them():
         assert "✓" in bars({"pelvis": 0.95}) and "✓" not in bars({"pelvis": 0.5})
         assert "<img" not in bars({"<img src=x onerror=alert(1)>": 0.5})
         advice = Advice("bends", "Bend your knees", 10.0, 3.0, ("thigh_l", "thigh_r"))
-        show.found(Found(o.identified.fit, 300, 3.0, None, advice))
+        show.found(LiveEstimate(o.identified.fit, 300, 3.0, None, advice))
         assert "Bend your knees" in board._advice.content and "thigh l, thigh r" in board._advice.content
         board.warn(["plate_1 reads 9 N while nobody is on it", "<b>"])
         assert (

@@ -11,38 +11,38 @@ from test_live import RATE, moving, subject
 
 from torchid.geometry.result import GeometryFit
 from torchid.live.estimation import refining
-from torchid.live.estimation.identifier import Subject
-from torchid.live.estimation.pose import Follower
-from torchid.live.estimation.refining import Piece, Refining
+from torchid.live.estimation.identifier import LiveSubject
+from torchid.live.estimation.pose import PostureFollower
+from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.sources.intake import Intake
 from torchid.live.sources.replay import Replay
 from torchid.session.following import subject_prior
 
 
-def standing(fit: GeometryFit, seed: int) -> Subject:
+def standing(fit: GeometryFit, seed: int) -> LiveSubject:
     """The small session's subject, with joints and markers some millimetres beside their places."""
     who, (static,) = subject(), [t for t in small_session.outcome().session.trials.values() if t.role == "static"]
     rough = replace(fit, xi=fit.xi + 0.006 * torch.from_numpy(np.random.default_rng(seed).normal(size=len(fit.xi))))
     return replace(who, fit=rough, prior=subject_prior(who.config, rough), static=static.markers)
 
 
-def pieces(fit: GeometryFit) -> list[Piece]:
+def pieces(fit: GeometryFit) -> list[MessagePiece]:
     """A trial as a stream, followed by a geometry."""
-    source, follower, found = Replay(moving(), float("inf")), Follower(fit, moving().markers.labels), []
+    source, follower, found = Replay(moving(), float("inf")), PostureFollower(fit, moving().markers.labels), []
     intake = Intake(RATE, source.force_rate_hz, 0.5)
     while (packet := source.take()) is not None:
         placed = intake.place(packet)
         postures = follower(placed.markers)
-        found.append(Piece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench))
+        found.append(MessagePiece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench))
     return found
 
 
-def refiner(who: Subject) -> Refining:
+def refiner(who: LiveSubject) -> Refining:
     source = Replay(moving(), float("inf"))
     return Refining(who, source.labels, RATE, source.plates, source.force_rate_hz)
 
 
-def worked_off(own: Refining, some: list[Piece]) -> None:
+def worked_off(own: Refining, some: list[MessagePiece]) -> None:
     for piece in some:
         own.put(piece)
         own.work()

@@ -9,7 +9,7 @@ import torch
 from test_live import RATE, long, moving, subject
 
 from torchid.live.estimation.identifier import Identifier
-from torchid.live.estimation.pose import Follower
+from torchid.live.estimation.pose import PostureFollower
 from torchid.live.sources.intake import Intake
 from torchid.live.sources.replay import Replay
 from torchid.recording import Trial
@@ -25,7 +25,7 @@ def watched(given: Trial) -> Said:
 def told(given: Trial) -> tuple[Said, Identifier]:
     """The same, and who said it."""
     who, source = subject(), Replay(given, float("inf"))
-    intake, follower = Intake(RATE, source.force_rate_hz, 0.5), Follower(who.fit, source.labels)
+    intake, follower = Intake(RATE, source.force_rate_hz, 0.5), PostureFollower(who.fit, source.labels)
     identifier, said = Identifier(who, RATE, source.plates, source.force_rate_hz), []
     while (packet := source.take()) is not None:
         placed = intake.place(packet)

@@ -14,7 +14,7 @@ from torchid.conventions import Inertial
 from torchid.dynamics.equations_of_motion import inverse_dynamics
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.kinematics.chain import chain_points, chain_poses
-from torchid.model.assembly import Link, assemble
+from torchid.model.assembly import ModelLink, assemble
 from torchid.model.files import load_model
 from torchid.model.markup import MAX_BYTES
 from torchid.model.mechanics import axis_rotation, matrix_to_rpy, rpy_to_matrix
@@ -503,7 +503,7 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
 
 def test_a_link_whose_parent_is_not_there_is_refused() -> None:
     """A reader's links are checked where they are put together: the link is named by its place in the file."""
-    links = [Link("a", None, np.eye(4)), Link("b", "c", np.eye(4), place="line 7, <body name='b'>")]
+    links = [ModelLink("a", None, np.eye(4)), ModelLink("b", "c", np.eye(4), place="line 7, <body name='b'>")]
     with pytest.raises(InputError, match=r"a\.xml, line 7.*found: c\).*model\.parent"):
         assemble(links, "a.xml", {}, FileScatter())
 

@@ -28,7 +28,7 @@ from torchid.errors import DataError, InputError
 from torchid.kinematics.chain import chain_points
 from torchid.model.opensim.bodies import MOMENTS
 from torchid.model.opensim.functions import Function
-from torchid.model.opensim.model import Coordinate, Motion, OsimModel
+from torchid.model.opensim.model import CoordinateKind, OsimCoordinate, OsimModel
 from torchid.model.opensim.posing import body_poses, coordinate_values, coupled, marker_places
 from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.splines import broken_line, simm_spline
@@ -50,8 +50,9 @@ def _same_coordinates(model: OsimModel, twin: Twin) -> None:
     assert theirs.getSize() == len(model.coordinates)
     for one in model.coordinates:
         other = theirs.get(one.name)
-        read = Coordinate(
-            name=other.getName(), motion=Motion(MOTIONS[other.getMotionType()]), default=other.getDefaultValue(),
+        read = OsimCoordinate(
+            name=other.getName(), motion=CoordinateKind(MOTIONS[other.getMotionType()]),
+            default=other.getDefaultValue(),
             lower=other.getRangeMin(), upper=other.getRangeMax(), clamped=other.getDefaultClamped(),
             locked=other.getDefaultLocked(), prescribed=other.get_prescribed(),
         )  # fmt: skip

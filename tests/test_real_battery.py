@@ -39,7 +39,7 @@ from torchid.model.marker_set import load_marker_set
 from torchid.recording import Trial
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.planting import session_plates
-from torchid.simulate.session import Session, simulate_session
+from torchid.simulate.session import SimulatedSession, simulate_session
 
 SMALL = SimulateOptions(
     fit=("sway_steps", "squats"), heldout=("arms",), duration_s=2.5, marker_noise_mm=0.1, force_noise_n=0.0
@@ -54,7 +54,7 @@ def _told() -> None:
 
 
 @cache
-def simulated() -> Session:
+def simulated() -> SimulatedSession:
     """A static trial, steps, squats and a held-out trial, with little noise: without any, cameras seem to be stuck."""
     return simulate_session(SMALL, SEED)
 

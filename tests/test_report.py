@@ -14,14 +14,14 @@ import torch
 from torchid.config import load_config
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.testing.heldout import Errors
-from torchid.diagnosis.verdict.records import Alternative, Cause, Diagnosis, Near, Refuted, Twin
+from torchid.diagnosis.verdict.records import Alternative, Cause, Diagnosis, NearestEffect, Refuted, Twin
 from torchid.dynamics.rows import residual_rms
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.place import Angle, Interval, Place
 from torchid.effects.recommendations import tell_apart
 from torchid.effects.traits import Site
 from torchid.errors import DataError
-from torchid.model_free.testimony import Answer
+from torchid.model_free.testimony import CheckAnswer
 from torchid.report.before_after import draw_curves, sides, spectrum
 from torchid.report.blocks import Details, Figure, Items, Paragraph, Table
 from torchid.report.cause_sentences import likely, surely, told
@@ -403,10 +403,10 @@ def test_what_is_only_possible_stands_apart(run):
 
 
 def test_witnesses_of_a_cause_are_shown():
-    agreeing = Answer("clock_vertical", "walk", "", 0.021, 0.005, 0.019, 0.004, "s")
+    agreeing = CheckAnswer("clock_vertical", "walk", "", 0.021, 0.005, 0.019, 0.004, "s")
     against = replace(agreeing, name="zero_fx", where="plate_2", value=0.3, sd=1.5, expected=8.0, usual=0.0, unit="N")
     quiet, large = replace(against, value=3.9), replace(against, value=40.0)
-    tiny = Answer("marker_quickness", "walk", "", 0.0018, 0.0033, 0.0, 0.03, "mm")
+    tiny = CheckAnswer("marker_quickness", "walk", "", 0.0018, 0.0033, 0.0, 0.03, "mm")
     some = (agreeing, against, quiet, large, tiny)
     (block,) = witness_table([replace(cause("time_offset"), witnesses=some)])
     assert isinstance(block, Details) and isinstance(table := block.blocks[0], Table)
@@ -535,7 +535,7 @@ def test_what_remains_is_said(run, rest, said):
 @pytest.mark.parametrize(("nats", "said"), [(1.0, "left upper arm, 2.7 times as likely as none"), (-1.0, None)])
 def test_what_came_nearest_is_said(run, nats, said):
     """In words, where nothing is named and something is likelier than nothing; else not a word."""
-    none, near = Errors(math.nan, math.nan), Near("wobbling_mass", ("upper_arm_l",), nats)
+    none, near = Errors(math.nan, math.nan), NearestEffect("wobbling_mass", ("upper_arm_l",), nats)
     found = Diagnosis((), none, none, (), Adequacy(False, 0.4, 0.1, ""), nearest=(near,))
     section = diagnosis_section(replace(run.outcome, diagnosis=found))
     assert section is not None

@@ -9,7 +9,7 @@ from models import with_candidates
 from test_doubtful import found as searched
 from torch.testing import assert_close
 
-from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import NamingOptions
@@ -35,7 +35,7 @@ def scanned(columns: torch.Tensor, rows: torch.Tensor, widths: list[float], name
     some = []
     for k, width in enumerate(widths):
         place = Place((f"place {k}",))
-        source = Source(own, place, slice(size * k, size * (k + 1)), (0.0,) * size, own.scale(place))
+        source = ColumnSource(own, place, slice(size * k, size * (k + 1)), (0.0,) * size, own.scale(place))
         some.append(Candidate(own, place, source, frozenset(range(TRIALS)), widened=width))
     prior = Prior(torch.zeros(n).double(), torch.eye(0).double(), torch.ones(n).double())
     raw = prior.standard(columns.T @ columns, columns.T @ rows, torch.arange(n))

@@ -31,7 +31,7 @@ from torchid.scene import colours
 from torchid.scene.finished import FinishedRun, Segments
 from torchid.scene.panel import card, figure
 from torchid.scene.player import Player
-from torchid.scene.scene import FAR_M, METRES_PER_N, Ground, Instant, Scene, arrow
+from torchid.scene.scene import FAR_M, METRES_PER_N, Ground, Instant, PageScene, arrow
 from torchid.scene.server import COOKIE, Guard, close_page, open_page
 from torchid.scene.solids import centre_of_mass, placed, quaternion, solids
 from torchid.storage.results import OutputFolder
@@ -283,7 +283,7 @@ def test_cookies_of_others_do_not_hide_the_token():
 
 def test_a_plate_that_tells_nothing_is_not_drawn(page):
     """No plates, unknown readings and distances, and an instant of which nothing is known."""
-    scene = Scene(page[0].scene, Ground((), ()))
+    scene = PageScene(page[0].scene, Ground((), ()))
     markers = np.array([[0.0, 0.0, 1.0], [np.nan] * 3, [0.0, 1.0, 1.0]])
     scene.show(Instant(markers=markers, distance=np.array([np.nan, np.nan, 0.0]), plates=np.zeros((0, 6))))
     assert [tuple(one) for one in scene._markers.colors] == [colours.MARKER, colours.KNOWN]

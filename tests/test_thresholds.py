@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from documentation.thresholds import PAGE, rows, table
 
-from torchid.diagnosis.options import Kind, threshold_kinds
+from torchid.diagnosis.options import ThresholdKind, threshold_kinds
 
 PACKAGE = Path(__file__).resolve().parents[1] / "torchid"
 ROOMS = sorted(path for room in ("diagnosis", "observation", "effects") for path in (PACKAGE / room).rglob("*.py"))
@@ -25,7 +25,7 @@ def test_a_threshold_has_a_kind_and_a_reason(name):
     """Derived, cited or calibrated; a reason is a sentence, a source has a year."""
     kind, reason = threshold_kinds()[name]
     assert len(reason) > 40 and reason.endswith("."), name
-    assert kind is not Kind.CITED or any(word in reason for word in ("(19", "(20", "contract")), name
+    assert kind is not ThresholdKind.CITED or any(word in reason for word in ("(19", "(20", "contract")), name
 
 
 def documented(tree: ast.Module) -> dict[str, str]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import small_session as small
 
-from torchid.diagnosis.trace import Step, StepKind
+from torchid.diagnosis.trace import StepKind, TraceStep
 from torchid.report.decisions import RULES, odds, sentence, why
 
 DIAGNOSIS = Path(__file__).resolve().parents[1] / "torchid"
@@ -42,7 +42,7 @@ def test_a_decision_is_a_sentence(rule):
              "witness_nats", "rival_nats", "heard_sd", "least_p_value", "probability", "least_probability",
              "size_sd", "least_size_sd", "confidence")  # fmt: skip
     numbers = {name: float(rng.normal(scale=30.0 if name.endswith("nats") else 0.4)) for name in names}
-    said = sentence(Step(StepKind.ENTER, "drag", ("thorax",), rule, numbers))
+    said = sentence(TraceStep(StepKind.ENTER, "drag", ("thorax",), rule, numbers))
     assert said.startswith("A drag") and said.endswith(".") and "_" not in said and "nan" not in said
     assert re.search(r"\d|even odds|million", said)
 

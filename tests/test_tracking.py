@@ -14,7 +14,7 @@ from torchid.checks.marker_tracks.clusters import Clusters, shape_of
 from torchid.checks.marker_tracks.jumps import find_jumps
 from torchid.checks.marker_tracks.moved import Verdict, align
 from torchid.checks.marker_tracks.session import look_at_trial, readings_of, renamed
-from torchid.checks.marker_tracks.statement import Kind, Statement, notes_of
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement, notes_of
 from torchid.diagnosis.candidates.exchanged_markers import exchanged_markers
 from torchid.filters import Smoother
 from torchid.geometry.options import GeometryOptions
@@ -46,7 +46,7 @@ def clusters() -> Clusters:
     return session_clusters(small_session.assignment())
 
 
-def look(trials: Trials) -> tuple[Statement, ...]:
+def look(trials: Trials) -> tuple[TrackStatement, ...]:
     return look_at_session(trials, small_session.assignment())
 
 
@@ -111,7 +111,7 @@ def test_exchanged_labels_are_found_and_put_right(trials, clusters, rng, through
 
     planted = with_position(trials, name, change)
     (found,) = look(planted)
-    assert (found.kind, found.trial, set(found.labels)) == (Kind.EXCHANGED, name, set(labels))
+    assert (found.kind, found.trial, set(found.labels)) == (TrackFault.EXCHANGED, name, set(labels))
     assert float((found.inside(time) != inside).double().sum()) <= 4
     assert found.left_mm < found.size_mm / 2
 
@@ -136,7 +136,7 @@ def test_a_name_on_the_marker_of_one_that_a_trial_lacks_is_put_right(trials, clu
     left = tuple(label for label in whole.labels if label != lost)
     planted = {**trials, name: replace(trials[name], markers=replace(whole, position=position).select(left))}
     (found,) = look(planted)
-    assert (found.kind, found.trial, set(found.labels)) == (Kind.EXCHANGED, name, {lost, kept})
+    assert (found.kind, found.trial, set(found.labels)) == (TrackFault.EXCHANGED, name, {lost, kept})
     undone = renamed(planted[name].markers, [found])
     torch.testing.assert_close(undone.select((lost,)).position, whole.select((lost,)).position, equal_nan=True)
     assert torch.isnan(undone.select((kept,)).position).all()
@@ -159,7 +159,7 @@ def test_leaps_are_found(trials, clusters, rng, times):
     planted = with_position(trials, name, lambda position, _: _shift(position, mask, column, way))
     (found,) = look(planted)
     assert (found.trial, found.labels) == (name, (label,))
-    assert found.kind is (Kind.JUMP if times == 1 else Kind.FLIP)
+    assert found.kind is (TrackFault.JUMP if times == 1 else TrackFault.FLIP)
     assert torch.equal(found.inside(trials[name].markers.time), mask)
 
 
@@ -195,7 +195,7 @@ def test_a_frozen_marker_is_found(trials, clusters, rng):
         position[start : start + 40, column] = part[0] + 1e-6 * torch.from_numpy(rng.normal(size=(40, 3)))
 
     kinds = {(one.kind, one.labels) for one in look(with_position(trials, name, change))}
-    assert (Kind.FROZEN, (clusters.labels[marker],)) in kinds
+    assert (TrackFault.FROZEN, (clusters.labels[marker],)) in kinds
     assert {labels for _, labels in kinds} == {(clusters.labels[marker],)}
 
 
@@ -216,7 +216,7 @@ def test_a_marker_that_was_moved_is_named(trials, clusters, rng):
 
     planted = with_position(trials, name, change)
     found = [one for one in look(planted) if one.trial == name]
-    assert [(one.kind, one.labels) for one in found] == [(Kind.MOVED, (clusters.labels[marker],))]
+    assert [(one.kind, one.labels) for one in found] == [(TrackFault.MOVED, (clusters.labels[marker],))]
     assert abs(found[0].size_mm - 1e3 * size) < 3.0 * found[0].sd_mm
     told = {one.label: one for one in readings_of(planted, clusters) if (one.trial, one.against) == (name, "static")}
     assert told[clusters.labels[marker]].verdict is Verdict.MOVED
@@ -235,7 +235,7 @@ def test_two_of_three_markers_cannot_be_told(trials, clusters, rng):
         position[:, a] += 0.04 * away / away.norm(dim=1, keepdim=True)
 
     (found,) = [one for one in look(with_position(trials, name, change)) if one.trial == name]
-    assert found.kind is Kind.MOVED and {clusters.labels[marker], clusters.labels[other]} <= set(found.labels)
+    assert found.kind is TrackFault.MOVED and {clusters.labels[marker], clusters.labels[other]} <= set(found.labels)
     assert "nothing tells which" in found.sentence
 
 
@@ -265,7 +265,7 @@ def test_left_and_right_of_a_head_are_told_by_its_asymmetry(trials, clusters, rn
     assert look(skew) == ()
     found = look(with_position(skew, name, turn))
     assert {(one.kind, one.trial, frozenset(one.labels)) for one in found} == {
-        (Kind.EXCHANGED, name, frozenset(two)) for two in both
+        (TrackFault.EXCHANGED, name, frozenset(two)) for two in both
     }
 
 
@@ -331,6 +331,6 @@ def test_a_thigh_marker_by_another_name_is_found(data_dir):
     names = {"static": "static1", "walking1": "walking1", "walkingTI2": "walkingTI2", "walkingTI3": "walkingTI3"}
     trials, clusters = recorded(data_dir, "opencap", {name: f"{folder}/{file}.trc" for name, file in names.items()})
     others = [shape_of(name, trials[name].markers, clusters.labels) for name in trials if name != "walkingTI3"]
-    found = [one for one in look_at_trial(trials["walkingTI3"], clusters, others) if one.kind is Kind.EXCHANGED]
+    found = [one for one in look_at_trial(trials["walkingTI3"], clusters, others) if one.kind is TrackFault.EXCHANGED]
     assert [set(one.labels) for one in found] == [{"r_thigh3", "r_thigh5"}]
     assert found[0].share > 0.9 and found[0].left_mm < 5.0

@@ -11,7 +11,7 @@ import pytest
 import torch
 from small_session import outcome
 
-from torchid.checks.marker_tracks.statement import Kind, Statement
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.diagnosis.diagnose import select_effects
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import effect
@@ -293,9 +293,10 @@ def test_a_verdict_says_levels_witnesses_and_what_is_published() -> None:
     causes = named("marker_shift", (a,), 0.5, shift), named("marker_swap", (b, c), 0.995, {})
     found = verdict_of((*causes, named("filter_lag", ("session",), 0.6, {})))
     known = (
-        Statement(Kind.MOVED, name, (a,), (), 47.0, 5.0), Statement(Kind.MOVED, name, (a, c), (), 47.0, 5.0),
-        Statement(Kind.EXCHANGED, name, (b, c), (), 60.0, 3.5, 4.0),
-        Statement(Kind.EXCHANGED, name, (b, a), (), 60.0, 3.5, 4.0),
+        TrackStatement(TrackFault.MOVED, name, (a,), (), 47.0, 5.0),
+        TrackStatement(TrackFault.MOVED, name, (a, c), (), 47.0, 5.0),
+        TrackStatement(TrackFault.EXCHANGED, name, (b, c), (), 60.0, 3.5, 4.0),
+        TrackStatement(TrackFault.EXCHANGED, name, (b, a), (), 60.0, 3.5, 4.0),
     )  # fmt: skip
     seen = replace(base, session=replace(base.session, tracking=known))
     table = diagnosis_table(replace(base, diagnosis=with_witnesses(seen, found)))

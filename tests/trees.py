@@ -8,10 +8,10 @@ import roma
 import torch
 from scipy.spatial.transform import Rotation as R
 
-from torchid.model.coupling import Coupling, Follower
+from torchid.model.coupling import CoupledAxis, Coupling
 from torchid.model.mechanics import phi_to_centre, zero_pose
 from torchid.model.model import Geometry
-from torchid.model.opensim.functions import Constant, Function, Linear, Polynomial, Scaled, Sine
+from torchid.model.opensim.functions import Constant, Function, LinearFunction, Polynomial, ScaledFunction, Sine
 from torchid.model.opensim.splines import simm_spline
 from torchid.model.tree import Body, Dof, Slide, Tree, Turn
 
@@ -52,7 +52,7 @@ def coupled_tree(rng: np.random.Generator, tree: Tree) -> Tree:
     for k, row in enumerate(held):
         function = _function(rng, len(kept) - 6 + k)
         given = rng.permutation(np.arange(6, len(kept) + k))[: function.n_arguments]
-        followers.append(Follower(tree.dofs[row].name, tuple(given.tolist()), function))
+        followers.append(CoupledAxis(tree.dofs[row].name, tuple(given.tolist()), function))
     bodies = [
         replace(
             body,
@@ -71,9 +71,9 @@ def _function(rng: np.random.Generator, known: int) -> Function:
     options = [
         Constant(float(rng.normal())),
         Polynomial(torch.tensor(0.5 * rng.normal(size=4))),
-        Scaled(simm_spline(x, torch.tensor(0.3 * rng.normal(size=6))), float(rng.normal())),
+        ScaledFunction(simm_spline(x, torch.tensor(0.3 * rng.normal(size=6))), float(rng.normal())),
         Sine(0.3, 1.3, 0.2, -0.1),
-        Linear(torch.tensor(rng.normal(size=min(2, known))), 0.1),
+        LinearFunction(torch.tensor(rng.normal(size=min(2, known))), 0.1),
     ]
     return options[int(rng.integers(len(options)))]
 

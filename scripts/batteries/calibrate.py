@@ -25,7 +25,7 @@ from annotated_types import Ge, Gt, Le
 
 from batteries.judge import matches
 from torchid.config import Config
-from torchid.diagnosis.options import DiagnosisOptions, Kind, threshold_kinds
+from torchid.diagnosis.options import DiagnosisOptions, ThresholdKind, threshold_kinds
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.diagnosis.verdict.table import verdict_table
 from torchid.effects.catalogue import CATALOGUE
@@ -119,7 +119,7 @@ def _session(seed: int) -> Session:
 
 def calibrated_names() -> list[str]:
     """The thresholds that call themselves calibrated."""
-    return [name for name, (kind, _) in threshold_kinds().items() if kind is Kind.CALIBRATED]
+    return [name for name, (kind, _) in threshold_kinds().items() if kind is ThresholdKind.CALIBRATED]
 
 
 def present_values(options: DiagnosisOptions, names: Sequence[str]) -> dict[str, float]:

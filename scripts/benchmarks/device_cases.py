@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from torchid.devices import Device, Element, Part, Value
-from torchid.devices.device import Coordinate, Drive, Law, Path, Point, Sensor
+from torchid.devices import Device, Element, Part, SheetValue
+from torchid.devices.device import Coordinate, Drive, Law, Path, SegmentPoint, Sensor
 
 CASES = ("hip", "back", "ankle")
 OFF = ("squats", "hip_rom", "arms", "trunk")
@@ -68,11 +68,11 @@ def _parts(on: tuple[str, ...], mass: float, rng: np.random.Generator) -> tuple[
         x, y, z = centre[segment.removesuffix("_l").removesuffix("_r")]
         stated = np.array([x, -y if segment.endswith("_r") else y, z])
         at, m = stated + 0.02 * rng.normal(size=3), float(mass * part)
-        moment = Value(2.0 * m * GYRATION**2 / 2.0)
-        zero = Value(0.0)
-        a, b, c = (Value(float(v)) for v in at)
-        true.append(Part(segment, segment, Value(m), (a, b, c), (moment, zero, moment, zero, zero, moment)))
-        a, b, c = (Value(float(v), 0.02) for v in stated)
+        moment = SheetValue(2.0 * m * GYRATION**2 / 2.0)
+        zero = SheetValue(0.0)
+        a, b, c = (SheetValue(float(v)) for v in at)
+        true.append(Part(segment, segment, SheetValue(m), (a, b, c), (moment, zero, moment, zero, zero, moment)))
+        a, b, c = (SheetValue(float(v), 0.02) for v in stated)
         told.append(Part(segment, segment, None, (a, b, c)))
     return tuple(true), tuple(told)
 
@@ -81,7 +81,7 @@ def _hip(rng: np.random.Generator) -> tuple[Element, ...]:
     k, rest = rng.uniform(50.0, 300.0), rng.uniform(-0.1, 0.2)
     return tuple(
         Element(f"hip_{s}", "spring", ("pelvis", f"thigh_{s}"), Coordinate(f"hip_{s}_flexion"),
-                Law(Value(float(k * rng.uniform(0.9, 1.1))), Value(float(rest))),
+                Law(SheetValue(float(k * rng.uniform(0.9, 1.1))), SheetValue(float(rest))),
                 sensor=Sensor(f"hip_{s}_torque"))
         for s in "lr"
     )  # fmt: skip
@@ -90,10 +90,10 @@ def _hip(rng: np.random.Generator) -> tuple[Element, ...]:
 def _back(rng: np.random.Generator, places: dict, standing: dict) -> tuple[Element, ...]:
     found = []
     for name, labels in MARKED.items():
-        run = tuple(Point(places[label][0], places[label][1]) for label in labels)
+        run = tuple(SegmentPoint(places[label][0], places[label][1]) for label in labels)
         straight = sum(float(np.linalg.norm(standing[a] - standing[b])) for a, b in pairwise(labels))
         rest = straight * rng.uniform(0.99, 1.05)
-        law = Law(Value(float(rng.uniform(400.0, 1000.0))), Value(float(rest)), tension_only=True)
+        law = Law(SheetValue(float(rng.uniform(400.0, 1000.0))), SheetValue(float(rest)), tension_only=True)
         found.append(Element(name, "cable", (run[0].segment, run[-1].segment), Path(run), law,
                              sensor=Sensor(f"{name}_force")))  # fmt: skip
     return tuple(found)
@@ -103,7 +103,7 @@ def _ankle(rng: np.random.Generator) -> tuple[Element, ...]:
     gain, lag = rng.uniform(0.8, 1.2), rng.uniform(0.01, 0.06)
     return tuple(
         Element(f"ankle_{s}", "torque", (f"shank_{s}", f"foot_{s}"), Coordinate(f"ankle_{s}_flexion"),
-                drive=Drive(f"ankle_{s}_command", gain=Value(float(gain)), lag=Value(float(lag))),
+                drive=Drive(f"ankle_{s}_command", gain=SheetValue(float(gain)), lag=SheetValue(float(lag))),
                 sensor=Sensor(f"ankle_{s}_torque"))
         for s in "lr"
     )  # fmt: skip
@@ -116,7 +116,7 @@ def _unknown(element: Element, places: dict) -> Element:
     line = element.line
     if isinstance(line, Path):
         labels = MARKED[element.name]
-        line = Path(tuple(Point(p.segment, None, label) for p, label in zip(line.points, labels, strict=True)))
+        line = Path(tuple(SegmentPoint(p.segment, None, label) for p, label in zip(line.points, labels, strict=True)))
     return replace(element, law=law, drive=drive, line=line)
 
 

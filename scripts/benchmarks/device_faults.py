@@ -18,7 +18,7 @@ import torch
 from benchmarks.device_cases import CASES, NOISE
 from benchmarks.device_subject import Recorded, record
 from torchid.config import load_config
-from torchid.devices import BodyBelief, Device, DeviceOptions, Finding, Part, Value, device_findings, placed
+from torchid.devices import BodyBelief, Device, DeviceOptions, Part, SheetFinding, SheetValue, device_findings, placed
 from torchid.devices.device import Element
 from torchid.devices.places import neighbours
 from torchid.dynamics.rows import WrenchTrial
@@ -106,7 +106,7 @@ def _told(fault: str, planted: Planted, body: BodyBelief, trials: list[WrenchTri
     return Told(fault, bool(mine), others)
 
 
-def _names(finding: Finding, planted: Planted) -> bool:
+def _names(finding: SheetFinding, planted: Planted) -> bool:
     """Whether a finding says what was planted; of a part, itself or among what it says explains as much."""
     if planted.right:
         own = finding.where == planted.where and finding.found == planted.right
@@ -117,12 +117,12 @@ def _names(finding: Finding, planted: Planted) -> bool:
 def sound(recorded: Recorded) -> Device:
     """The sheet that says what is true: stiffness and gain to 2 %, masses to 20 g, centres to 2 cm."""
     true = recorded.case.true
-    parts = tuple(replace(told, mass_kg=Value(own.mass_kg.value, 0.02)) for told, own in
+    parts = tuple(replace(told, mass_kg=SheetValue(own.mass_kg.value, 0.02)) for told, own in
                   zip(recorded.case.sheet.parts, true.parts, strict=True))  # fmt: skip
     elements = []
     for told in recorded.case.sheet.elements:
         numbers = {
-            name: Value(x.value, 0.02 * x.value if name in ("stiffness", "gain") else 0.0)
+            name: SheetValue(x.value, 0.02 * x.value if name in ("stiffness", "gain") else 0.0)
             for name, x in true.element(told.name).numbers()
             if name in ("stiffness", "rest", "gain", "lag")
         }
@@ -142,7 +142,7 @@ def plant(
     element = sheet.elements[int(rng.integers(len(sheet.elements)))]
     if fault == "stiffness":
         stronger = element.law.stiffness.value / rng.uniform(0.6, 0.85)
-        weak = element.with_numbers({"stiffness": Value(stronger, 0.02 * stronger)})
+        weak = element.with_numbers({"stiffness": SheetValue(stronger, 0.02 * stronger)})
         return Planted(_with(sheet, weak), channels, element.name)
     if fault == "command_late":
         early = rng.uniform(0.02, 0.06)
@@ -188,7 +188,7 @@ def _moved(
     part: Part = sheet.parts[k]
     near = neighbours(trials[0].tree, part.segment)
     other = near[int(rng.integers(len(near)))]
-    wrong = replace(part, segment=other, com_m=(Value(0.0, 0.03), Value(0.0, 0.03), Value(-0.1, 0.03)))
+    wrong = replace(part, segment=other, com_m=(SheetValue(0.0, 0.03), SheetValue(0.0, 0.03), SheetValue(-0.1, 0.03)))
     return replace(sheet, parts=(*sheet.parts[:k], wrong, *sheet.parts[k + 1 :])), channels, part.name, part.segment
 
 

@@ -12,7 +12,7 @@ from torchid.conventions import INERTIA_PAIRS
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import Session, write_session
+from torchid.simulate.session import SimulatedSession, write_session
 from torchid.simulate.subject import SimulatedSubject, simulate_subject
 from torchid.simulate.trial import SimulatedTrial, simulate_trial
 
@@ -24,7 +24,7 @@ AGREE = 1e-8
 class Recorded:
     """One subject's recordings and what is true of them."""
 
-    session: Session
+    session: SimulatedSession
     case: Case
     channels: dict[str, dict[str, torch.Tensor]]
     """By trial with the device: what it recorded."""
@@ -43,7 +43,7 @@ def record(kind: str, seed: int, out: Path, options: SimulateOptions) -> Recorde
             for m in ("static", *OFF)]  # fmt: skip
     carrying = replace(subject, phi=with_parts(subject, case))
     loaded = [simulate_trial(carrying, m, options, seed, name=f"on_{m}", role="heldout") for m in ON[kind]]
-    session = write_session(Session(subject, tuple(bare + loaded)), options, out)
+    session = write_session(SimulatedSession(subject, tuple(bare + loaded)), options, out)
     channels, truth = {}, {}
     for item in loaded:
         channels[item.trial.name], truth[item.trial.name] = _device_side(subject, case, item, rng)

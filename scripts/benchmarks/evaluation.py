@@ -30,7 +30,7 @@ from benchmarks import evaluation_whole
 from torchid.config.conditions import EvaluateOptions
 from torchid.evaluation.cycle_measures.cycles import Cycle
 from torchid.evaluation.cycle_measures.measures import measure
-from torchid.evaluation.statistics.comparing import Column, Comparison, Sample, compare, course_p
+from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn, Sample, compare, course_p
 
 WALKS = Path(__file__).with_name("evaluation_walks.json")
 KIND = 2
@@ -108,7 +108,7 @@ def sample_of(
     rates = torch.gradient(flat[:, 1], spacing=step, dim=1)[0]
     rows = [measure(options.measures, whole, c[0], v, c[1], step) for c, v in zip(flat, rates, strict=True)]
     values = torch.stack(rows).flatten(1)
-    columns = tuple(Column(name, m) for name in walks.names for m in options.measures)
+    columns = tuple(MeasureColumn(name, m) for name in walks.names for m in options.measures)
     body = 1.0 + BODY_SD * torch.as_tensor(rng.normal(size=(DRAWS, 1, joints))).repeat_interleave(
         len(options.measures), 2
     )

@@ -27,7 +27,7 @@ from benchmarks.evaluation_recordings import perform
 from torchid.config import Config, load_config
 from torchid.errors import TorchidError
 from torchid.evaluation.evaluate import gather, judge
-from torchid.evaluation.evaluation import Answer, Evaluation
+from torchid.evaluation.evaluation import BodyAnswer, Evaluation
 from torchid.evaluation.torque_shares.wearing import worn_devices
 from torchid.evaluation.trials import condition_trials
 from torchid.io.c3d_write import write_c3d
@@ -35,7 +35,7 @@ from torchid.run.sequence import compute_outcome
 from torchid.session import Outcome
 from torchid.session.opening import read_session
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import Session, session_config, simulate_session
+from torchid.simulate.session import SimulatedSession, session_config, simulate_session
 from torchid.storage.results import OutputFolder
 
 CYCLES = {"squats": {"coordinate": "pelvis_z", "turn": "low"}, "sway_steps": "gait"}
@@ -154,7 +154,7 @@ def evaluation(plan: Plan, number: int, work: Path) -> dict:
     }  # fmt: skip
 
 
-def _said(answer: Answer, found: Evaluation) -> dict:
+def _said(answer: BodyAnswer, found: Evaluation) -> dict:
     one, level = answer.comparisons[0], found.config.evaluate.level
     low, high = (getattr(one.difference, end) for end in ("low", "high"))
     known = torch.isfinite(low)
@@ -183,7 +183,7 @@ def evaluated(plan: Plan, number: int, folder: Path, work: Path) -> Evaluation:
         perform(session.subject, plan.movement(number), plan.options, (plan.seed, number, k), name)
         for k, name in enumerate(conditions)
     ]
-    config = written(plan, number, Session(session.subject, (*session.trials, *items)), conditions, folder)
+    config = written(plan, number, SimulatedSession(session.subject, (*session.trials, *items)), conditions, folder)
     outcome = known_body(plan, person, work) if plan.body == "apart" else identified(config, folder / "body")
     with OutputFolder(folder / "out") as results:
         trials = condition_trials(config, outcome, results, quiet)
@@ -191,7 +191,7 @@ def evaluated(plan: Plan, number: int, folder: Path, work: Path) -> Evaluation:
 
 
 @lru_cache(maxsize=1)
-def calibration(plan: Plan, person: int) -> Session:
+def calibration(plan: Plan, person: int) -> SimulatedSession:
     """The trials that tell of the body alone; the last person's are kept."""
     return simulate_session(plan.options, person)
 
@@ -214,7 +214,7 @@ def identified(config: Config, out: Path) -> Outcome:
     return outcome
 
 
-def written(plan: Plan, number: int, session: Session, conditions: dict[str, str], folder: Path) -> Config:
+def written(plan: Plan, number: int, session: SimulatedSession, conditions: dict[str, str], folder: Path) -> Config:
     """Write recordings as C3D and read the config that lists them, with the condition of every trial that has one."""
     for item in session.trials:
         write_c3d(folder / f"{item.trial.name}.c3d", item.trial)

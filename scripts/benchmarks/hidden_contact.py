@@ -20,7 +20,7 @@ from torchid.session.contact_wrenches import wrenches_under
 from torchid.session.fitting import identify
 from torchid.session.following import follow, limb, torques
 from torchid.simulate.options import PlantedOptions, SimulateOptions
-from torchid.simulate.session import Session
+from torchid.simulate.session import SimulatedSession
 from torchid.torque.inverse import Load, joint_torques
 
 HAND_N, SEAT_N = (20.0, 70.0), (60.0, 150.0)
@@ -53,7 +53,7 @@ class Hidden:
         return replace(self.contact, plate=plate)
 
 
-def draw_hand(session: Session, trial: str, generator: torch.Generator, side: str = "r") -> Hidden:
+def draw_hand(session: SimulatedSession, trial: str, generator: torch.Generator, side: str = "r") -> Hidden:
     """A hand that holds on to something, with a drawn force, course and place.
 
     Args:
@@ -72,7 +72,7 @@ def draw_hand(session: Session, trial: str, generator: torch.Generator, side: st
     return _hidden(session, trial, "rail", body, place, force, generator)
 
 
-def draw_seat(session: Session, trial: str, generator: torch.Generator) -> Hidden:
+def draw_seat(session: SimulatedSession, trial: str, generator: torch.Generator) -> Hidden:
     """A seat that bears a part of the weight somewhere on the usual patch.
 
     Args:
@@ -105,7 +105,7 @@ def seated_options(options: SimulateOptions, generator: torch.Generator) -> Simu
     return replace(options, effects=(PlantedOptions("unmeasured_contact", ("pelvis",), (when,), values),))
 
 
-def seated(session: Session) -> Hidden:
+def seated(session: SimulatedSession) -> Hidden:
     """The seat of a session with ``seated_options``.
 
     Args:
@@ -131,7 +131,13 @@ def with_plate(trial: Trial, hidden: Hidden, generator: torch.Generator) -> Tria
 
 
 def _hidden(
-    session: Session, trial: str, name: str, body: str, place: Tensor, force: Tensor, generator: torch.Generator
+    session: SimulatedSession,
+    trial: str,
+    name: str,
+    body: str,
+    place: Tensor,
+    force: Tensor,
+    generator: torch.Generator,
 ) -> Hidden:
     subject, motion = session.subject, session.trial(trial).truth.motion
     time, plan = motion.time, plan_tree(subject.model.tree)
@@ -210,7 +216,7 @@ class Answers:
     frames: int
 
 
-def answers(outcome: Outcome, found: Outcome, session: Session, hidden: Hidden) -> Answers:
+def answers(outcome: Outcome, found: Outcome, session: SimulatedSession, hidden: Hidden) -> Answers:
     """Compare what is found with what was hidden.
 
     Args:
@@ -254,7 +260,7 @@ def _rows(found: Outcome, hidden: Hidden) -> list[int]:
 
 
 def true_torques(
-    session: Session, outcome: Outcome, hidden: Hidden | None, name: str | None = None
+    session: SimulatedSession, outcome: Outcome, hidden: Hidden | None, name: str | None = None
 ) -> Float[Tensor, "frames dofs"]:
     """Torques of the true body in its true motion under its true loads, through the run's filter.
 
@@ -280,7 +286,7 @@ def true_torques(
     return joint_torques(subject.model.tree, subject.geometry, subject.phi, motion, loads)
 
 
-def mass_error(found: Outcome, session: Session) -> float:
+def mass_error(found: Outcome, session: SimulatedSession) -> float:
     """RMS error of the segments' masses [kg]."""
     return _rms(found.phi[:, :1] - session.subject.phi[:, :1])
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from torchid.effects.place import Interval
 from torchid.io.c3d_header import C3dHeader, read_header
-from torchid.io.c3d_layout import Layout, resolve_layout
+from torchid.io.c3d_layout import C3dLayout, resolve_layout
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import simulate_session
 
@@ -104,7 +104,7 @@ def lengthen(short: Path, long: Path, minutes: float) -> int:
     return wanted
 
 
-def turning_points(frames: np.ndarray, layout: Layout) -> tuple[int, int]:
+def turning_points(frames: np.ndarray, layout: C3dLayout) -> tuple[int, int]:
     """First and last frame of the piece: where the markers are slowest near either end."""
     points = frames[:, : 4 * layout.points].reshape(len(frames), layout.points, 4)[..., :3]
     shifted = np.median(np.linalg.norm(points[5:] - points[:-5], axis=2), axis=1)
@@ -112,7 +112,7 @@ def turning_points(frames: np.ndarray, layout: Layout) -> tuple[int, int]:
     return int(shifted[:near].argmin()) + 2, len(frames) - near + int(shifted[-near:].argmin()) - 2
 
 
-def reverse(piece: np.ndarray, layout: Layout) -> np.ndarray:
+def reverse(piece: np.ndarray, layout: C3dLayout) -> np.ndarray:
     """The piece backwards, the analog samples within each frame too."""
     turned = piece[::-1].copy()
     analogs = turned[:, 4 * layout.points :].reshape(len(piece), layout.ratio, layout.channels)

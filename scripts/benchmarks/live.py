@@ -23,10 +23,10 @@ from torchid.errors import DataError
 from torchid.geometry.arrow import inverse_kinematics
 from torchid.geometry.tracking import track
 from torchid.live.estimation.estimator import Estimator
-from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Pipeline
-from torchid.live.estimation.pose import Follower
-from torchid.live.estimation.refining import Piece, Refining
+from torchid.live.estimation.pose import PostureFollower
+from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.run import prepare_subject
 from torchid.live.sources.intake import Intake
 from torchid.live.sources.replay import Replay
@@ -94,10 +94,10 @@ def _told(outcome: Outcome) -> list[Trial]:
     return [trial for trial in outcome.session.fit("inertia").values() if trial.forces is not None]
 
 
-def _subject(outcome: Outcome) -> Subject:
+def _subject(outcome: Outcome) -> LiveSubject:
     config = outcome.config
     weight = standing_weight(outcome.followed.values(), outcome.session, config)
-    return Subject(config, outcome.fit, outcome.prior, given_mass(config, outcome), weight, outcome.cutoff_hz)
+    return LiveSubject(config, outcome.fit, outcome.prior, given_mass(config, outcome), weight, outcome.cutoff_hz)
 
 
 def _two_processes(outcome: Outcome) -> dict[str, float]:
@@ -132,7 +132,7 @@ def _there_and_back(trial: Trial) -> Trial:
 
 
 def _posture_ms(outcome: Outcome, markers: Markers, batch: int) -> float:
-    follower, took = Follower(outcome.fit, markers.labels), []
+    follower, took = PostureFollower(outcome.fit, markers.labels), []
     for start in range(0, 400 - batch, batch):
         begun = time.thread_time()
         follower(markers.frames(slice(start, start + batch)))
@@ -162,17 +162,17 @@ def _against_run(outcome: Outcome) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _identifier(subject: Subject, trial: Trial, estimator: Estimator | None) -> tuple[Refining, int]:
+def _identifier(subject: LiveSubject, trial: Trial, estimator: Estimator | None) -> tuple[Refining, int]:
     """What a trial has told, behind what is known already; and how many postures were known at once."""
     source, known = Replay(trial, float("inf")), 0
-    intake, follower = Intake(source.rate_hz, source.force_rate_hz, 0.5), Follower(subject.fit, source.labels)
+    intake, follower = Intake(source.rate_hz, source.force_rate_hz, 0.5), PostureFollower(subject.fit, source.labels)
     own = Refining(subject, source.labels, source.rate_hz, source.plates, source.force_rate_hz)
     own.identifier.estimator = own.identifier.estimator if estimator is None else estimator
     while (packet := source.take()) is not None:
         placed = intake.place(packet)
         postures = follower(placed.markers)
         known += int(postures.known.sum())
-        own.put(Piece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench))
+        own.put(MessagePiece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench))
         own.work()
     return own, known
 

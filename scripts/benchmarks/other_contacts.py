@@ -29,20 +29,20 @@ from torchid.errors import ConfigError
 from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import Session, simulate_session
+from torchid.simulate.session import SimulatedSession, simulate_session
 
 OPTIONS = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=("sway_steps",), duration_s=4.0)
 OVERRIDES = ("geometry.max_frames=80", "diagnosis.enabled=false")
 
 
-def session_of(seed: int, folder: Path, options: SimulateOptions = OPTIONS) -> tuple[Session, Outcome]:
+def session_of(seed: int, folder: Path, options: SimulateOptions = OPTIONS) -> tuple[SimulatedSession, Outcome]:
     """A simulated session and its run, in which nothing is said of other contacts."""
     session = simulate_session(options, seed, folder / "recordings")
     assert session.config is not None
     return session, run_experiment(load_config(session.config, [f"out={folder / 'out'}", *OVERRIDES]))
 
 
-def report(label: str, outcome: Outcome, found: Outcome, session: Session, hidden: Hidden) -> None:
+def report(label: str, outcome: Outcome, found: Outcome, session: SimulatedSession, hidden: Hidden) -> None:
     """Print one line of figures."""
     used = int(sum(int(one.contact.used.sum()) for one in found.followed.values() if one.contact is not None))
     said = {k: round(v, 3) for k, v in asdict(answers(outcome, found, session, hidden)).items()}
@@ -69,7 +69,7 @@ def hands(seed: int) -> None:
         report(f"{seed} {trial} {hidden.name} own plate", outcome, found, session, hidden)
 
 
-def seated_session(seed: int, folder: Path, generator: torch.Generator) -> tuple[Session, Outcome]:
+def seated_session(seed: int, folder: Path, generator: torch.Generator) -> tuple[SimulatedSession, Outcome]:
     """A session with squats that a seat holds; seats with which the person cannot keep balance are drawn again."""
     while True:
         try:

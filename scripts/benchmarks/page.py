@@ -25,7 +25,7 @@ from websockets.typing import Subprotocol
 
 from torchid.config import load_config
 from torchid.live.display.page import Address, Page
-from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Pipeline
 from torchid.live.sources.recorder import Recorder
 from torchid.live.sources.replay import Replay
@@ -68,14 +68,14 @@ class Endless:
         return Packet(markers, replace(packet.forces, time=packet.forces.time + late), packet.arrived_s)
 
 
-def prepared(seed: int, folder: Path) -> tuple[Subject, Trial]:
+def prepared(seed: int, folder: Path) -> tuple[LiveSubject, Trial]:
     """A simulated subject, and a trial."""
     written = simulate_session(SESSION, seed, folder / "recordings").config
     assert written is not None
     outcome = run_experiment(load_config(written, [f"out={folder}/out", "diagnosis.enabled=false"]))
     weight = standing_weight(outcome.followed.values(), outcome.session, outcome.config)
     mass = given_mass(outcome.config, outcome)
-    subject = Subject(outcome.config, outcome.fit, outcome.prior, mass, weight, outcome.cutoff_hz)
+    subject = LiveSubject(outcome.config, outcome.fit, outcome.prior, mass, weight, outcome.cutoff_hz)
     return subject, outcome.session.trials["squats"]
 
 

@@ -20,7 +20,7 @@ from torchid.run import run_experiment
 from torchid.run.torque_bands import outcome_draws
 from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import Session, simulate_session
+from torchid.simulate.session import SimulatedSession, simulate_session
 from torchid.torque.draws import PlateErrors
 from torchid.torque.inverse import Load, joint_torques
 
@@ -29,14 +29,14 @@ WITHIN = 1.959964
 """Standard deviations of a 95 % band."""
 
 
-def true_torques(session: Session, name: str) -> torch.Tensor:
+def true_torques(session: SimulatedSession, name: str) -> torch.Tensor:
     """Torques of the true body in its true motion on its true contacts."""
     subject, truth = session.subject, session.trial(name).truth
     loads = [Load(f"foot_{side}", truth.feet.wrench[:, k]) for k, side in enumerate("lr")]
     return joint_torques(subject.model.tree, subject.geometry, subject.phi, truth.motion, loads)
 
 
-def compare(session: Session, outcome: Outcome, draws: int, seed: int) -> dict[str, float]:
+def compare(session: SimulatedSession, outcome: Outcome, draws: int, seed: int) -> dict[str, float]:
     """Coverage of the bands, and errors of the identified body and of the template in N m."""
     names = [n for n in outcome.session.trials if outcome.followed[n].wrench is not None and n != "static"]
     began = time.perf_counter()

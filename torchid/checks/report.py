@@ -85,7 +85,7 @@ class CheckReport:
         return not self.refused and not any(check.problems for check in self.recordings)
 
 
-Finding = TrialCheck | Refusal | Note
+CheckItem = TrialCheck | Refusal | Note
 
 
 def check_recordings(
@@ -108,7 +108,7 @@ def check_recordings(
         yield found
 
 
-def report(findings: Iterable[Finding]) -> CheckReport:
+def report(findings: Iterable[CheckItem]) -> CheckReport:
     """All findings together."""
     sorted_ = {kind: [] for kind in (TrialCheck, Refusal, Note)}
     for finding in findings:

@@ -132,14 +132,14 @@ class EvaluateOptions:
             )  # fmt: skip
 
 
-class Fault(NamedTuple):
+class ConditionFault(NamedTuple):
     """What is wrong with the conditions of a config."""
 
     kind: str
     said: str
 
 
-def faults(conditions: Mapping[str, Condition], trials: Mapping[str, str | None]) -> Fault | None:
+def faults(conditions: Mapping[str, Condition], trials: Mapping[str, str | None]) -> ConditionFault | None:
     """What is wrong with the conditions of a config, None where nothing is.
 
     Args:
@@ -148,13 +148,13 @@ def faults(conditions: Mapping[str, Condition], trials: Mapping[str, str | None]
     """
     unknown = sorted({own for own in trials.values() if own is not None and own not in conditions})
     if unknown:
-        return Fault("unknown_condition", f"no condition is named {', '.join(unknown)}")
+        return ConditionFault("unknown_condition", f"no condition is named {', '.join(unknown)}")
     if not conditions:
         return None
     references = [name for name, condition in conditions.items() if condition.reference]
     if len(references) != 1:
-        return Fault("no_reference", f"one condition must be the reference, {len(references)} are")
+        return ConditionFault("no_reference", f"one condition must be the reference, {len(references)} are")
     empty = [name for name in conditions if name not in trials.values()]
     if empty and trials:
-        return Fault("empty_condition", f"no trial was recorded under {', '.join(empty)}")
+        return ConditionFault("empty_condition", f"no trial was recorded under {', '.join(empty)}")
     return None

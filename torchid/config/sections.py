@@ -1,6 +1,7 @@
 """Sections of the config with their defaults; strict, so that a misspelt key or a quoted number is an error.
 
-The sections of stages are the stages' own options: pydantic validates a dataclass under the strictness of ``Section``.
+The sections of stages are the stages' own options: pydantic validates a dataclass under the strictness of
+``ConfigSection``.
 """
 
 from dataclasses import dataclass, replace
@@ -49,13 +50,13 @@ ModelSource = Annotated[Path | str, PlainValidator(_model)]
 MarkerSource = Annotated[Path | str, PlainValidator(_markers)]
 
 
-class Section(BaseModel):
+class ConfigSection(BaseModel):
     """Base of all sections: frozen, strict types, no unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class Subject(Section):
+class Subject(ConfigSection):
     """Whom the recordings show."""
 
     name: Name
@@ -66,7 +67,7 @@ class Subject(Section):
     sex: Literal["male", "female", "unknown"] = "unknown"
 
 
-class TrialFile(Section):
+class TrialFile(ConfigSection):
     """One recording and what it is used for."""
 
     name: Name
@@ -94,7 +95,7 @@ class TrialFile(Section):
     """Takes part in the fit of the inertia."""
 
 
-class Motion(Section):
+class MotionOptions(ConfigSection):
     """Filter of kinematics and forces alike."""
 
     filter: Literal["spline", "butterworth"] = "spline"
@@ -114,7 +115,7 @@ class Inertia(InertiaOptions):
     """Keep each centre of mass within three prior standard deviations of the template's."""
 
 
-class Torques(Section):
+class Torques(ConfigSection):
     """How far joint torques can be trusted."""
 
     draws: Annotated[int, Field(ge=0, le=4096)] = 0
@@ -122,7 +123,7 @@ class Torques(Section):
     none, which saves some seconds for every minute of motion. Thirty know a standard deviation to 13 %."""
 
 
-class DiagnosisSection(Section):
+class DiagnosisSection(ConfigSection):
     """What the identified model still gets wrong."""
 
     enabled: bool = True
@@ -135,7 +136,7 @@ class DiagnosisSection(Section):
     """Everything that decides a verdict; change it to see what hangs on it, not to get another verdict."""
 
 
-class Config(Section):
+class Config(ConfigSection):
     """Everything that a run does; relative paths have been resolved against the config's folder."""
 
     subject: Subject
@@ -152,7 +153,7 @@ class Config(Section):
     plates: dict[int, PlateAs] = Field(default_factory=dict)
     """How single force plates of every trial are to be read, by number."""
     geometry: GeometryOptions = GeometryOptions()
-    motion: Motion = Motion()
+    motion: MotionOptions = MotionOptions()
     contact: ContactOptions = ContactOptions()
     inertia: Inertia = Inertia()
     torques: Torques = Torques()

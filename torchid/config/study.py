@@ -9,7 +9,7 @@ from pydantic import Field
 
 from torchid.bounds import Name
 from torchid.config.paths import UserPath
-from torchid.config.sections import Section
+from torchid.config.sections import ConfigSection
 from torchid.errors import OptionError
 
 
@@ -33,7 +33,7 @@ class Member:
             )  # fmt: skip
 
 
-class Study(Section):
+class Study(ConfigSection):
     """A study; relative paths have been resolved against its folder."""
 
     name: Name

@@ -11,7 +11,7 @@ Intervals = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
-class Near:
+class NearPlace:
     """A place in the laboratory at which a contact bears."""
 
     at_m: Point
@@ -27,7 +27,7 @@ class OtherContact:
 
     segment: Name
     """Body that is touched."""
-    when: Literal["loaded", "always"] | Near | dict[Name, Intervals] = "loaded"
+    when: Literal["loaded", "always"] | NearPlace | dict[Name, Intervals] = "loaded"
     """When it bears: while its plate is loaded, in all frames, while it is near a place, or within intervals of some
     trials [s]; in trials that are not listed it does not bear, with none listed in none."""
     points: tuple[Name | Point, ...] = ()

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import Near, OtherContact
+from torchid.contact.other_options import NearPlace, OtherContact
 from torchid.contact.runs import runs
 from torchid.contact.support import OVER_FLOOR_M, over_plates
 from torchid.contact.touching import LOWEST, REST
@@ -87,7 +87,7 @@ def _bears(
 ) -> Bool[Tensor, " frames"]:
     if isinstance(one.when, dict):
         return inside(one.when.get(trial, ()), time)
-    if isinstance(one.when, Near):
+    if isinstance(one.when, NearPlace):
         near = (middle - middle.new_tensor(one.when.at_m)).norm(dim=1) < one.when.within_m
         shortest = REST[1] / float(time[1] - time[0]) if len(time) > 1 else 0.0
         found = torch.zeros_like(near)

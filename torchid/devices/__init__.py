@@ -5,7 +5,7 @@ from torchid.devices.device import Device as Device
 from torchid.devices.device import Element as Element
 from torchid.devices.device import Part as Part
 from torchid.devices.draws import device_draws as device_draws
-from torchid.devices.findings import Finding as Finding
+from torchid.devices.findings import SheetFinding as SheetFinding
 from torchid.devices.findings import device_findings as device_findings
 from torchid.devices.forces import DeviceForces as DeviceForces
 from torchid.devices.forces import device_forces as device_forces
@@ -22,4 +22,4 @@ from torchid.devices.result import BodyBelief as BodyBelief
 from torchid.devices.result import Determined as Determined
 from torchid.devices.result import IdentifiedDevice as IdentifiedDevice
 from torchid.devices.result import NotDeterminable as NotDeterminable
-from torchid.devices.values import Value as Value
+from torchid.devices.values import SheetValue as SheetValue

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.devices.device import WORLD, Axis, Coordinate, Device, Element, Handle, Path, Point
+from torchid.devices.device import WORLD, Axis, Coordinate, Device, Element, Handle, Path, SegmentPoint
 from torchid.dynamics.equations_of_motion import DynamicState, generalised_forces
 from torchid.errors import ConfigError
 from torchid.model.tree import Tree
@@ -23,7 +23,7 @@ SHORT = 1e-12
 
 
 @dataclass(frozen=True)
-class Action:
+class ElementAction:
     """Where an element is at some frames, and what a unit of its force or torque does."""
 
     length: Float[Tensor, " frames"]
@@ -54,7 +54,7 @@ def segment_index(tree: Tree, name: str, element: str) -> int:
     return tree.index(name)
 
 
-def action(element: Element, state: DynamicState, q: Float[Tensor, "dofs frames"]) -> Action:
+def action(element: Element, state: DynamicState, q: Float[Tensor, "dofs frames"]) -> ElementAction:
     """Return what an element does at the poses of a state.
 
     Args:
@@ -110,15 +110,15 @@ def refuse_foreign(device: Device, tree: Tree) -> None:
             coordinate_row(tree, line.name, element.name)
 
 
-def _on_coordinate(line: Coordinate, element: Element, state: DynamicState, q: Tensor) -> Action:
+def _on_coordinate(line: Coordinate, element: Element, state: DynamicState, q: Tensor) -> ElementAction:
     row = coordinate_row(state.plan.tree, line.name, element.name)
     value = q[row]
     one = torch.zeros(len(state.plan.tree.dofs), len(value), dtype=value.dtype, device=value.device)
     one[row] = 1.0
-    return Action(value, one, one, {})
+    return ElementAction(value, one, one, {})
 
 
-def _about_axis(line: Axis, element: Element, state: DynamicState) -> Action:
+def _about_axis(line: Axis, element: Element, state: DynamicState) -> ElementAction:
     first, second = (_place(state, name, element.name) for name in element.between)
     axis = state.at.R.new_tensor(line.direction)
     a_W = torch.einsum("cif,c->if", state.at.R[first], axis)
@@ -127,7 +127,7 @@ def _about_axis(line: Axis, element: Element, state: DynamicState) -> Action:
     unit[second, 3:] += a_W
     unit[first, 3:] -= a_W
     work = generalised_forces(state, unit)
-    return Action(_twist(R_AB, axis), work, work, {})
+    return ElementAction(_twist(R_AB, axis), work, work, {})
 
 
 def _twist(R: Float[Tensor, "3 3 frames"], axis: Float[Tensor, " 3"]) -> Float[Tensor, " frames"]:
@@ -147,7 +147,7 @@ def _place(state: DynamicState, segment: str, element: str) -> int:
     return state.plan.position[segment_index(state.plan.tree, segment, element)]
 
 
-def point_in_world(point: Point, state: DynamicState, element: str) -> Float[Tensor, "3 frames"]:
+def point_in_world(point: SegmentPoint, state: DynamicState, element: str) -> Float[Tensor, "3 frames"]:
     """Return where a point is in W [m].
 
     Args:
@@ -170,7 +170,7 @@ def point_in_world(point: Point, state: DynamicState, element: str) -> Float[Ten
     return state.at.p[k] + torch.einsum("cif,c->if", state.at.R[k], place)
 
 
-def _along_path(line: Path, element: Element, state: DynamicState) -> Action:
+def _along_path(line: Path, element: Element, state: DynamicState) -> ElementAction:
     p = [point_in_world(point, state, element.name) for point in line.points]
     if line.rail is not None:
         p = _on_rail(p, line, p[0].new_tensor(line.rail))
@@ -191,7 +191,7 @@ def _along_path(line: Path, element: Element, state: DynamicState) -> Action:
             wrench = torch.cat([force, torch.linalg.cross(at, force, dim=0)])
             ground[point.segment] = ground.get(point.segment, 0.0) + wrench
     work = generalised_forces(state, unit)
-    return Action(length, -work, work, ground if element.grounded else {})
+    return ElementAction(length, -work, work, ground if element.grounded else {})
 
 
 def _on_rail(p: list[Tensor], line: Path, rail: Float[Tensor, " 3"]) -> list[Tensor]:

@@ -11,11 +11,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.devices.action import Action, action
+from torchid.devices.action import ElementAction, action
 from torchid.devices.device import Device, Element, Handle
 from torchid.devices.forces import CHUNK, device_forces, element_force, filtered, states
 from torchid.devices.laws import Channels
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import WrenchTrial
 
@@ -23,7 +23,7 @@ INNER = 1e-9
 """Base rows relative to joint rows below which an element acts inside the body, derived: rounding leaves 1e-15, and a
 support from the ground about one."""
 LINES = ("length", "jacobian", "unit")
-"""Fields of an ``Action`` that run over frames."""
+"""Fields of an ``ElementAction`` that run over frames."""
 STEP = 1e-4
 """Step of a derivative with respect to a parameter relative to its scale, chosen between rounding and curvature; laws
 are piecewise linear in theirs."""
@@ -36,11 +36,11 @@ class Acting:
     """An element over all frames of a trial."""
 
     element: Element
-    act: Action
+    act: ElementAction
     trial: WrenchTrial
     recorded: Channels
 
-    def force(self, numbers: dict[str, Value]) -> Float[Tensor, " frames"]:
+    def force(self, numbers: dict[str, SheetValue]) -> Float[Tensor, " frames"]:
         """Return its force with some of its parameters replaced.
 
         Args:
@@ -49,7 +49,7 @@ class Acting:
         motion, element = self.trial.motion, self.element.with_numbers(numbers)
         return element_force(element, self.act, motion.v.T, motion.time, self.recorded)
 
-    def slopes(self, numbers: dict[str, Value], names: tuple[str, ...]) -> Float[Tensor, "params frames"]:
+    def slopes(self, numbers: dict[str, SheetValue], names: tuple[str, ...]) -> Float[Tensor, "params frames"]:
         """Return the derivative of its force with respect to some parameters, by central differences.
 
         Args:
@@ -59,7 +59,7 @@ class Acting:
         found = []
         for name in names:
             h = STEP * SCALE[name]
-            ends = [self.force({**numbers, name: Value(numbers[name].value + side * h)}) for side in (1.0, -1.0)]
+            ends = [self.force({**numbers, name: SheetValue(numbers[name].value + side * h)}) for side in (1.0, -1.0)]
             found.append((ends[0] - ends[1]) / (2.0 * h))
         return torch.stack(found)
 
@@ -81,7 +81,7 @@ def acting(element: Element, trial: WrenchTrial, recorded: Channels) -> Acting:
         parts.append(action(element, states(trial.tree, trial.geometry, motion, part), motion.q[part].T))
     length, jacobian, unit = (torch.cat([getattr(one, key) for one in parts], -1) for key in LINES)
     ground = {name: torch.cat([one.ground[name] for one in parts], 1) for name in parts[0].ground}
-    return Acting(element, Action(length, jacobian, unit, ground), trial, filtered([element], recorded, motion))
+    return Acting(element, ElementAction(length, jacobian, unit, ground), trial, filtered([element], recorded, motion))
 
 
 def seen_share(one: Acting) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from torchid.devices.values import Number, Triple, Value
+from torchid.devices.values import Number, SheetValue, Triple
 
 WORLD = "world"
 """Name of the ground among the segments of an element."""
@@ -24,9 +24,9 @@ class Part:
     name: str
     segment: str
     mass_kg: Number
-    com_m: tuple[Value, Value, Value] | None = None
+    com_m: tuple[SheetValue, SheetValue, SheetValue] | None = None
     """Centre of mass; None where the sheet does not say."""
-    inertia_kgm2: tuple[Value, Value, Value, Value, Value, Value] | None = None
+    inertia_kgm2: tuple[SheetValue, SheetValue, SheetValue, SheetValue, SheetValue, SheetValue] | None = None
     """Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the part's centre of mass; None where the sheet does not say."""
 
 
@@ -46,7 +46,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Point:
+class SegmentPoint:
     """A point of a segment, or of W where the segment is ``world`` [m]."""
 
     segment: str
@@ -59,7 +59,7 @@ class Point:
 class Path:
     """An element runs over points; those between the ends are frictionless pulleys of no size."""
 
-    points: tuple[Point, ...]
+    points: tuple[SegmentPoint, ...]
     rail: Triple | None = None
     """Unit vector in W along which an anchor in W follows the body without resistance."""
 
@@ -71,11 +71,11 @@ class Law:
     A law that carries tension alone is max(0, k e + preload + c rate), and zero where k e + preload is not positive.
     """
 
-    stiffness: Number = Value(0.0)
-    rest: Number = Value(0.0)
-    preload: Number = Value(0.0)
-    free_play: Number = Value(0.0)
-    damping: Number = Value(0.0)
+    stiffness: Number = SheetValue(0.0)
+    rest: Number = SheetValue(0.0)
+    preload: Number = SheetValue(0.0)
+    free_play: Number = SheetValue(0.0)
+    damping: Number = SheetValue(0.0)
     tension_only: bool = False
     table: tuple[tuple[float, float], ...] = ()
     """Way beyond rest and free play, and force, in rising order; replaces k e."""
@@ -90,8 +90,8 @@ class Drive:
     over: Over = "time"
     profile: tuple[tuple[float, float], ...] = ()
     """Abscissa (time [s], phase 0 to 1, or the element's own angle or length) and force, in rising order."""
-    gain: Number = Value(1.0)
-    lag: Number = Value(0.0)
+    gain: Number = SheetValue(1.0)
+    lag: Number = SheetValue(0.0)
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Sensor:
 class Handle:
     """A support whose force on a point of a segment is recorded in W, as a walker's handle."""
 
-    point: Point
+    point: SegmentPoint
     channels: tuple[str, str, str]
 
 
@@ -164,7 +164,7 @@ class Element:
         """Return the names of the parameters that the sheet does not say."""
         return tuple(name for name, number in self.numbers() if number is None)
 
-    def with_numbers(self, numbers: dict[str, Value]) -> "Element":
+    def with_numbers(self, numbers: dict[str, SheetValue]) -> "Element":
         """Return the element with some of its parameters replaced.
 
         Args:

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from torchid.devices.device import Device
 from torchid.devices.result import IdentifiedDevice
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 
 
 def device_draws(found: IdentifiedDevice, count: int, seed: int) -> tuple[Device, ...]:
@@ -34,7 +34,7 @@ def device_draws(found: IdentifiedDevice, count: int, seed: int) -> tuple[Device
             now = {name: number.value for name, number in element.numbers() if number is not None}
             moved = {key: now[key] + float(moves[element.name][k, j]) for j, key in enumerate(keys)}
             kept = {key: max(x, 0.0) if key in ("stiffness", "damping", "free_play") else x for key, x in moved.items()}
-            elements.append(element.with_numbers({key: Value(x) for key, x in kept.items()}))
+            elements.append(element.with_numbers({key: SheetValue(x) for key, x in kept.items()}))
         return Device(
             found.device.name, found.device.parts, tuple(elements), found.device.sources, found.device.mass_kg
         )

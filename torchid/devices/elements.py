@@ -14,7 +14,7 @@ from torchid.devices.device import (
     Handle,
     Law,
     Line,
-    Point,
+    SegmentPoint,
     Sensor,
 )
 from torchid.devices.device import (
@@ -22,7 +22,7 @@ from torchid.devices.device import (
 )
 from torchid.devices.faults import fault, number
 from torchid.devices.sheet import ElementSheet, ProfileSheet
-from torchid.devices.values import Triple, Value
+from torchid.devices.values import SheetValue, Triple
 
 LINEAR = {
     "stiffness": "stiffness_N_m", "rest": "rest_m", "preload": "preload_N", "free_play": "free_play_m",
@@ -70,7 +70,7 @@ def _line(sheet: ElementSheet, place: str, path: Path) -> Line:
         if sheet.type != "ground" or last != WORLD or not (sheet.from_m or sheet.from_marker):
             remedy = f"Give between: [segment, {WORLD}] and from_m, the point of the segment where it holds."
             raise fault("element", "a recorded support needs its point", path, place, remedy=remedy)
-        return Handle(Point(first, sheet.from_m, sheet.from_marker or ""), sheet.channels)
+        return Handle(SegmentPoint(first, sheet.from_m, sheet.from_marker or ""), sheet.channels)
     ends = (bool(sheet.from_m or sheet.from_marker), bool(sheet.to_m or sheet.to_marker))
     chosen = [key for key in ("coordinate", "axis") if getattr(sheet, key) is not None] + ["from, to"] * any(ends)
     if len(chosen) != 1 or any(ends) != all(ends):
@@ -80,9 +80,12 @@ def _line(sheet: ElementSheet, place: str, path: Path) -> Line:
         return Coordinate(sheet.coordinate)
     if sheet.axis is not None:
         return Axis(_unit(sheet.axis, f"{place}.axis", path))
-    inner = [Point(via.segment, via.point_m, via.marker or "") for via in sheet.via]
+    inner = [SegmentPoint(via.segment, via.point_m, via.marker or "") for via in sheet.via]
     rail = None if sheet.rail is None else _unit(sheet.rail, f"{place}.rail", path)
-    begin, end = Point(first, sheet.from_m, sheet.from_marker or ""), Point(last, sheet.to_m, sheet.to_marker or "")
+    begin, end = (
+        SegmentPoint(first, sheet.from_m, sheet.from_marker or ""),
+        SegmentPoint(last, sheet.to_m, sheet.to_marker or ""),
+    )
     run = (begin, *inner, end)
     if any((point.place is None) != bool(point.marker) for point in run):
         raise fault("element", "a point is given twice or not at all", path, place, remedy="Give point or marker.")
@@ -130,8 +133,8 @@ def _drive(sheet: ElementSheet, place: str, path: Path) -> Drive | None:
         return None
     if sheet.channel is not None and sheet.profile is not None:
         raise fault("element", "channel and profile are both given", path, place, remedy="Leave one.")
-    gain = Value(1.0) if sheet.gain is None else number(sheet.gain)
-    lag = Value(0.0) if sheet.lag_s is None else number(sheet.lag_s)
+    gain = SheetValue(1.0) if sheet.gain is None else number(sheet.gain)
+    lag = SheetValue(0.0) if sheet.lag_s is None else number(sheet.lag_s)
     if sheet.profile is None:
         return Drive(sheet.channel or "", gain=gain, lag=lag)
     return Drive("", sheet.profile.over, _profile(sheet.profile, f"{place}.profile", path), gain, lag)

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from torchid.devices.sheet import VectorWithSd, WithSd
-from torchid.devices.values import Number, Value
+from torchid.devices.values import Number, SheetValue
 from torchid.errors import ConfigError
 
 
@@ -17,14 +17,14 @@ def number(text: Any) -> Number:
     """Return a number of a sheet; None where it is unknown."""
     if text == "unknown":
         return None
-    return Value(text.value, text.sd) if isinstance(text, WithSd) else Value(float(text))
+    return SheetValue(text.value, text.sd) if isinstance(text, WithSd) else SheetValue(float(text))
 
 
-def vector(text: Any) -> tuple[Value, Value, Value] | None:
+def vector(text: Any) -> tuple[SheetValue, SheetValue, SheetValue] | None:
     """Return a vector of a sheet; None where it is unknown."""
     if text == "unknown":
         return None
     values, sd = (text.value, text.sd) if isinstance(text, VectorWithSd) else (text, 0.0)
     spread = sd if isinstance(sd, tuple) else (sd, sd, sd)
-    x, y, z = (Value(float(v), float(s)) for v, s in zip(values, spread, strict=True))
+    x, y, z = (SheetValue(float(v), float(s)) for v, s in zip(values, spread, strict=True))
     return x, y, z

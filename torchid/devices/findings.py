@@ -14,13 +14,13 @@ import torch
 from torchid.devices.base_columns import has_line
 from torchid.devices.device import Device, Element
 from torchid.devices.identify import identify_device
-from torchid.devices.measured import Measured, measured_by
+from torchid.devices.measured import MeasuredElement, measured_by
 from torchid.devices.options import DeviceOptions
 from torchid.devices.places import carried_elsewhere, moved
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import fit_law
 from torchid.devices.supports import Recorded
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 
 SURE = 3.0
@@ -46,7 +46,7 @@ _KINDS: dict[str, Kind] = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class SheetFinding:
     """One thing of the sheet that was looked at."""
 
     kind: Kind
@@ -70,7 +70,7 @@ def device_findings(
     trials: Sequence[WrenchTrial],
     recorded: Recorded | None = None,
     options: DeviceOptions | None = None,
-) -> tuple[Finding, ...]:
+) -> tuple[SheetFinding, ...]:
     """Compare the sheet with what trials with the device tell.
 
     Args:
@@ -95,7 +95,9 @@ def device_findings(
         *_numbers(device, found.parameters | apart),
         *(one for each in slid.values() for one in each),
         *(
-            Finding("carried_elsewhere", m.part, m.sure, m.sheet, m.segment, z=m.evidence, why=" or ".join(m.rivals))
+            SheetFinding(
+                "carried_elsewhere", m.part, m.sure, m.sheet, m.segment, z=m.evidence, why=" or ".join(m.rivals)
+            )
             for m in moves
         ),
         *(one for e in found.device.elements for one in _unexplained(e, trials, recorded)),
@@ -122,8 +124,8 @@ def opened(device: Device) -> Device:
     return replace(device, parts=parts, elements=tuple(map(law, device.elements)), mass_kg=None)
 
 
-def _numbers(sheet: Device, parameters: dict[str, Determined | NotDeterminable]) -> list[Finding]:
-    stated: dict[str, Value | None] = {f"{part.name}.mass_kg": part.mass_kg for part in sheet.parts}
+def _numbers(sheet: Device, parameters: dict[str, Determined | NotDeterminable]) -> list[SheetFinding]:
+    stated: dict[str, SheetValue | None] = {f"{part.name}.mass_kg": part.mass_kg for part in sheet.parts}
     stated |= {f"{e.name}.{e.key(name)}": number for e in sheet.elements for name, number in e.numbers()}
     if sheet.mass_kg is not None:
         stated["mass_kg"] = sheet.mass_kg
@@ -134,26 +136,26 @@ def _numbers(sheet: Device, parameters: dict[str, Determined | NotDeterminable])
             continue
         name = next((n for n in _KINDS if key.rpartition(".")[2].startswith(n)), "stiffness")
         if isinstance(one, NotDeterminable):
-            findings.append(Finding(_KINDS[name], key, False, number.value, None, why=one.why))
+            findings.append(SheetFinding(_KINDS[name], key, False, number.value, None, why=one.why))
             continue
         sd = (one.sd**2 + number.sd**2) ** 0.5
         z = (one.value - number.value) / sd
         least = max(RELEVANT.get(name, 0.0) * abs(number.value), LEAST.get(name, 0.0))
         wrong = abs(z) > SURE and abs(one.value - number.value) > least
-        findings.append(Finding(_KINDS[name], key, wrong, number.value, one.value, one.sd, z))
+        findings.append(SheetFinding(_KINDS[name], key, wrong, number.value, one.value, one.sd, z))
     return findings
 
 
 def _slid(
     element: Element, found: IdentifiedDevice, trials: Sequence[WrenchTrial], recorded: Recorded, options: DeviceOptions
-) -> list[Finding]:
+) -> list[SheetFinding]:
     """Rest of one element in each trial: where it differs, what the element holds to has moved."""
     stiffness = found.parameters.get(f"{element.name}.{element.key('stiffness')}")
     measured = _acting(element, found, trials, recorded)
     key = f"{element.name}.{element.key('rest')}"
     if not isinstance(stiffness, Determined) or len(measured) < 2:
         why = "needs a sensor of the element, and that it acts, in two trials or more"
-        return [Finding("strap_slides", key, False, "", None, why=why)] if element.law is not None else []
+        return [SheetFinding("strap_slides", key, False, "", None, why=why)] if element.law is not None else []
     numbers = {n: v for n, v in found.device.element(element.name).numbers() if v is not None}
     narrow = replace(options, length_scale_sd=0.0, angle_course_sd=0.0, length_sd=0.0, angle_sd=0.0)
     fits = [fit_law([one], ("rest",), numbers, narrow) for one in measured]
@@ -166,13 +168,14 @@ def _slid(
     z = float((rest[k] - mean) / sd[k])
     moved = float(rest[k] - mean)
     text = "markers knocked in that trial look the same"
-    return [Finding("strap_slides", f"{key} in {measured[k].acting.trial.name}", abs(z) > SURE and abs(moved) > least,
+    return [SheetFinding("strap_slides", f"{key} in {measured[k].acting.trial.name}",
+            abs(z) > SURE and abs(moved) > least,
                     mean, float(rest[k]), float(sd[k]), z, text)]  # fmt: skip
 
 
 def _acting(
     element: Element, found: IdentifiedDevice, trials: Sequence[WrenchTrial], recorded: Recorded
-) -> list[Measured]:
+) -> list[MeasuredElement]:
     """What the sensor of an element read in the trials in which it acts, where its law is told at all."""
     if element.law is None or not has_line(element) or found.device.element(element.name).unknown:
         return []
@@ -184,7 +187,7 @@ def _acting(
 
 
 def _law_by_trial(
-    element: Element, found: IdentifiedDevice, measured: Sequence[Measured], options: DeviceOptions
+    element: Element, found: IdentifiedDevice, measured: Sequence[MeasuredElement], options: DeviceOptions
 ) -> dict[str, Determined | NotDeterminable]:
     """Stiffness of an element whose rest is not the same in all trials: one rest for all would bend it.
 
@@ -202,7 +205,7 @@ def _law_by_trial(
     }
 
 
-def _unexplained(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded) -> list[Finding]:
+def _unexplained(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded) -> list[SheetFinding]:
     """What the best law of this kind leaves of what the sensor measured."""
     measured = measured_by(element, trials, recorded) if has_line(element) and not element.unknown else []
     if not measured:
@@ -210,4 +213,4 @@ def _unexplained(element: Element, trials: Sequence[WrenchTrial], recorded: Reco
     left = torch.cat([one.left(one.acting.force({})) for one in measured]).square().mean().sqrt()
     share = float(left / torch.cat([one.read for one in measured]).square().mean().sqrt().clamp_min(1e-12))
     text = "friction, a strap that gives, a law of another shape, or a strap that slid between trials"
-    return [Finding("unexplained", element.name, share > UNEXPLAINED, 0.0, share, why=text)]
+    return [SheetFinding("unexplained", element.name, share > UNEXPLAINED, 0.0, share, why=text)]

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.devices.action import Action, action, point_in_world
+from torchid.devices.action import ElementAction, action, point_in_world
 from torchid.devices.device import Device, Element, Handle
 from torchid.devices.laws import Channels, channel, drive_force, law_force
 from torchid.dynamics.equations_of_motion import DynamicState, dynamic_state
@@ -45,7 +45,11 @@ class DeviceForces:
 
 
 def element_force(
-    element: Element, act: Action, v: Float[Tensor, "dofs frames"], time: Float[Tensor, " frames"], recorded: Channels
+    element: Element,
+    act: ElementAction,
+    v: Float[Tensor, "dofs frames"],
+    time: Float[Tensor, " frames"],
+    recorded: Channels,
 ) -> Float[Tensor, " frames"]:
     """Return the tension or the torque of an element.
 
@@ -166,7 +170,8 @@ def told_of(device: Device, trials: Iterable[Channels]) -> Device:
 
 
 def carried_force(
-    element: Element, act: Action, v: Float[Tensor, "dofs frames"], time: Float[Tensor, " frames"], recorded: Channels,
+    element: Element, act: ElementAction, v: Float[Tensor, "dofs frames"], time: Float[Tensor, " frames"],
+    recorded: Channels,
     read: Channels,
 ) -> Float[Tensor, " frames"]:  # fmt: skip
     """Return what an element carries: what its sensor reads, else what its numbers say; see ``element_force``."""

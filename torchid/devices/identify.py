@@ -24,8 +24,8 @@ from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import PartsPrior, parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import LawFit, fit_law
-from torchid.devices.supports import Known, Recorded, fit_by_base_rows, stated
-from torchid.devices.values import Value
+from torchid.devices.supports import KnownParameters, Recorded, fit_by_base_rows, stated
+from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError
 from torchid.inertia.posterior import com_jacobian
@@ -87,20 +87,22 @@ def free_parameters(element: Element) -> tuple[str, ...]:
     return tuple(name for name, number in element.numbers() if number is None or number.sd > 0.0)
 
 
-def _from_sensors(device: Device, trials: Sequence[WrenchTrial], recorded: Recorded, options: DeviceOptions) -> Known:
-    known = Known({}, {}, {}, {})
+def _from_sensors(
+    device: Device, trials: Sequence[WrenchTrial], recorded: Recorded, options: DeviceOptions
+) -> KnownParameters:
+    known = KnownParameters({}, {}, {}, {})
     for element in device.elements:
         free = free_parameters(element)
         measured = measured_by(element, trials, recorded) if free and has_line(element) else []
         if measured and not any(tells(one.raw) for one in measured):
             why = {(element.name, name): f"its sensor {element.sensor.force} read zero throughout" for name in free}
-            known = known.joined(Known({}, {}, {}, why))
+            known = known.joined(KnownParameters({}, {}, {}, why))
         elif measured:
             known = known.joined(_of_fit(element, fit_law(measured, free, stated(element), options)))
     return known
 
 
-def _of_fit(element: Element, fit: LawFit) -> Known:
+def _of_fit(element: Element, fit: LawFit) -> KnownParameters:
     """What a sensor told, joined with what the sheet says where it states a standard deviation."""
     good = [k for k, name in enumerate(fit.names) if name not in fit.alike]
     names = tuple(fit.names[k] for k in good)
@@ -114,14 +116,16 @@ def _of_fit(element: Element, fit: LawFit) -> Known:
         precision = torch.linalg.inv(covariance)
         covariance = torch.linalg.inv(precision + weight)
         value = covariance @ (precision @ value + weight @ mean)
-    numbers = {n: Value(float(v), float(c) ** 0.5) for n, v, c in zip(names, value, covariance.diagonal(), strict=True)}
+    numbers = {
+        n: SheetValue(float(v), float(c) ** 0.5) for n, v, c in zip(names, value, covariance.diagonal(), strict=True)
+    }
     others = ", ".join(element.key(name) for name in fit.alike)
     why = f"in these recordings {others} act alike, or not at all; a motion over a wider range may tell them apart"
-    return Known({element.name: numbers}, {element.name: covariance}, {element.name: names},
+    return KnownParameters({element.name: numbers}, {element.name: covariance}, {element.name: names},
                  {(element.name, name): why for name in fit.alike})  # fmt: skip
 
 
-def _filled(device: Device, numbers: Mapping[str, dict[str, Value]]) -> Device:
+def _filled(device: Device, numbers: Mapping[str, dict[str, SheetValue]]) -> Device:
     elements = tuple(one.with_numbers(numbers.get(one.name, {})) for one in device.elements)
     return replace(device, elements=elements)
 
@@ -149,7 +153,7 @@ def _part_parameters(fit: JointFit, prior: PartsPrior) -> dict[str, Determined |
 
 
 def _element_parameters(
-    device: Device, known: Known, trials: Sequence[WrenchTrial], recorded: Recorded
+    device: Device, known: KnownParameters, trials: Sequence[WrenchTrial], recorded: Recorded
 ) -> dict[str, Determined | NotDeterminable]:
     found: dict[str, Determined | NotDeterminable] = {}
     for element in device.elements:
@@ -178,10 +182,10 @@ def _inside(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded)
 def _with_parts(device: Device, parameters: Mapping[str, Determined | NotDeterminable]) -> Device:
     """The device with what was found of its parts."""
 
-    def number(key: str) -> Value:
+    def number(key: str) -> SheetValue:
         found = parameters[key]
         assert isinstance(found, Determined), "masses and centres always have a posterior"
-        return Value(found.value, found.sd)
+        return SheetValue(found.value, found.sd)
 
     def filled(part: Part) -> Part:
         x, y, z = (number(f"{part.name}.com_{axis}_m") for axis in "xyz")

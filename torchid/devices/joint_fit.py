@@ -18,7 +18,7 @@ from torch import Tensor
 from torchid.conventions import Inertial
 from torchid.devices.parts import LEAST_SD, PartsPrior
 from torchid.devices.result import BodyBelief
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 from torchid.dynamics.whitening import (
     BlockSpectrum,
@@ -28,7 +28,7 @@ from torchid.dynamics.whitening import (
     initial_whitening,
     spectra,
 )
-from torchid.inertia.cone import Linear, project
+from torchid.inertia.cone import LinearConstraints, project
 from torchid.inertia.identify import ROUNDS
 from torchid.inertia.pseudo import relative_map
 
@@ -81,7 +81,7 @@ def fit_jointly(
     extra: Extra,
     known_noise: Whitening | None = None,
     considered: Considered | None = None,
-    weighed: Value | None = None,
+    weighed: SheetValue | None = None,
 ) -> JointFit:
     """Update what is known of body, parts and supports by the base rows of trials with the device.
 
@@ -122,7 +122,7 @@ def fit_jointly(
     return JointFit(z[:bodies].reshape(-1, 10), z[bodies:n].reshape(-1, 10), z[n:], found, whitening, evidence)
 
 
-def _weighed(z: Tensor, covariance: Tensor, masses: slice, total: Value) -> tuple[Tensor, Tensor]:
+def _weighed(z: Tensor, covariance: Tensor, masses: slice, total: SheetValue) -> tuple[Tensor, Tensor]:
     """Condition on the sum of some parameters (Gaussian conditioning on one linear measurement)."""
     lever = covariance[:, masses].sum(1)
     variance = lever[masses].sum() + max(total.sd, LEAST_SD[0]) ** 2
@@ -177,7 +177,7 @@ def _physical(
     precision = _inverse(covariance[:n, :n])
     hessian = (T.mT @ precision @ T).cpu().numpy()
     start = torch.linalg.solve(T, z[:n]).cpu().numpy()
-    none = Linear(np.zeros((0, n)), np.zeros((0, n)), np.zeros(0))
+    none = LinearConstraints(np.zeros((0, n)), np.zeros((0, n)), np.zeros(0))
     moved = T @ z.new_tensor(project(start, hessian, none, lmi=True, floor=FLOOR).x)
     shift = covariance[n:, :n] @ (precision @ (moved - z[:n]))
     return torch.cat([moved, z[n:] + shift])

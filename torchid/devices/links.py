@@ -9,7 +9,7 @@ import numpy as np
 from torchid.devices.device import Part
 from torchid.devices.faults import fault
 from torchid.devices.sheet import AttachedLink
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 from torchid.model.mechanics import phi_to_centre, rpy_to_matrix
 from torchid.model.urdf import read_urdf
 
@@ -46,7 +46,7 @@ def _part(name: str, attachment: str | AttachedLink, phi: np.ndarray) -> Part:
     at = attachment if isinstance(attachment, AttachedLink) else AttachedLink(segment=attachment)
     R = rpy_to_matrix(*at.rpy)
     mass, centre, inertia = phi_to_centre(phi, name)
-    x, y, z = (Value(float(v)) for v in np.array(at.xyz) + R @ centre)
+    x, y, z = (SheetValue(float(v)) for v in np.array(at.xyz) + R @ centre)
     turned = R @ inertia @ R.T
-    a, b, c, d, e, f = (Value(float(turned[i, j])) for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))
-    return Part(name, at.segment, Value(mass), (x, y, z), (a, b, c, d, e, f))
+    a, b, c, d, e, f = (SheetValue(float(turned[i, j])) for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))
+    return Part(name, at.segment, SheetValue(mass), (x, y, z), (a, b, c, d, e, f))

@@ -16,7 +16,7 @@ from torchid.dynamics.rows import WrenchTrial
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredElement:
     """An element, where its trial shows it, and what its sensor says at the same frames."""
 
     acting: Acting
@@ -48,7 +48,7 @@ class Measured:
         return torch.nan_to_num(self.force - force)[self.known]
 
 
-def measured_by(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded) -> list[Measured]:
+def measured_by(element: Element, trials: Sequence[WrenchTrial], recorded: Recorded) -> list[MeasuredElement]:
     """Return an element in every trial in which its sensor of force was recorded.
 
     Args:
@@ -68,7 +68,7 @@ def measured_by(element: Element, trials: Sequence[WrenchTrial], recorded: Recor
     return found
 
 
-def _measured(element: Element, trial: WrenchTrial, channels: Channels) -> Measured:
+def _measured(element: Element, trial: WrenchTrial, channels: Channels) -> MeasuredElement:
     """An element in one trial with what its sensors say, in the frames in which they and its command do."""
     one, sensor = acting(element, trial, channels), element.sensor
     own, length = bool(sensor.length) and sensor.length in channels, one.act.length
@@ -82,4 +82,4 @@ def _measured(element: Element, trial: WrenchTrial, channels: Channels) -> Measu
     if element.drive is not None:
         wanted = command(element.drive, element, one.act.length, trial.motion.time, one.recorded)
         known = known & torch.isfinite(wanted)
-    return Measured(one, raw, smoothed(raw, trial.motion), own, known)
+    return MeasuredElement(one, raw, smoothed(raw, trial.motion), own, known)

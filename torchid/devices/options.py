@@ -5,12 +5,13 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from torchid.bounds import NonNegative, Positive
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 
-UNKNOWN: Mapping[str, Value] = MappingProxyType(
+UNKNOWN: Mapping[str, SheetValue] = MappingProxyType(
     {
-        "stiffness": Value(1000.0, 3000.0), "preload": Value(0.0, 300.0), "free_play": Value(0.0, 0.05),
-        "damping": Value(0.0, 100.0), "gain": Value(1.0, 1.0), "lag": Value(0.0, 0.1), "rest": Value(0.0, 0.3),
+        "stiffness": SheetValue(1000.0, 3000.0), "preload": SheetValue(0.0, 300.0), "free_play": SheetValue(0.0, 0.05),
+        "damping": SheetValue(0.0, 100.0), "gain": SheetValue(1.0, 1.0), "lag": SheetValue(0.0, 0.1),
+        "rest": SheetValue(0.0, 0.3),
     }
 )  # fmt: skip
 """Prior of an unknown parameter of a grounded support [SI]; that of ``rest`` is about the mean length. Chosen so wide
@@ -43,5 +44,5 @@ class DeviceOptions:
     told: Positive = 0.5
     """Share of the prior variance that recordings must remove for an unknown parameter of a grounded support to count
     as determined, chosen: the rest is prior."""
-    unknown: Mapping[str, Value] = field(default_factory=lambda: UNKNOWN)
+    unknown: Mapping[str, SheetValue] = field(default_factory=lambda: UNKNOWN)
     """Prior of unknown parameters of grounded supports, by name."""

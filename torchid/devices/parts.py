@@ -14,19 +14,19 @@ from torch import Tensor
 from torchid.conventions import INERTIA_PAIRS, Inertial
 from torchid.devices.action import segment_index
 from torchid.devices.device import Device, Part
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 from torchid.model.tree import Tree
 
 DRAWS = 4096
 """Draws of a part, chosen: their means miss by a 64th of the scatter."""
 SEED = 35
 """Start of the draws, chosen: a prior does not depend on chance."""
-UNKNOWN_MASS = Value(3.0, 3.0)
+UNKNOWN_MASS = SheetValue(3.0, 3.0)
 """Mass of a part of which nothing is known [kg], chosen: published exoskeletons weigh 1 to 10 kg in two to four
 parts."""
 UNKNOWN_COM_SD = 0.15
 """Scatter of the centre of mass of such a part about its segment's own [m], chosen: half the length of a thigh."""
-UNKNOWN_GYRATION = Value(0.08, 0.04)
+UNKNOWN_GYRATION = SheetValue(0.08, 0.04)
 """Radius of gyration of such a part [m], chosen: a box of 0.2 to 0.4 m."""
 PRODUCT = 0.1
 """Scatter of its products of inertia relative to its moments, chosen: axes that lean by a few degrees."""
@@ -71,7 +71,7 @@ def parts_prior(device: Device, tree: Tree, com: Float[Tensor, "bodies 3"]) -> P
     return prior if device.mass_kg is None or not names else _with_total(prior, device.mass_kg)
 
 
-def _with_total(prior: PartsPrior, total: Value) -> PartsPrior:
+def _with_total(prior: PartsPrior, total: SheetValue) -> PartsPrior:
     """Condition on the mass of all parts together (Gaussian conditioning on one linear measurement)."""
     row = torch.zeros_like(prior.mean)
     row[:, Inertial.M] = 1.0
@@ -92,7 +92,7 @@ def _draws(part: Part, about: Float[Tensor, " 3"]) -> Float[Tensor, "draws 10"]:
 
     known = part.mass_kg or UNKNOWN_MASS
     mass = _positive(known.value, max(known.sd, LEAST_SD[0]), normal)
-    centre = [Value(float(x), UNKNOWN_COM_SD) for x in about] if part.com_m is None else list(part.com_m)
+    centre = [SheetValue(float(x), UNKNOWN_COM_SD) for x in about] if part.com_m is None else list(part.com_m)
     c = torch.stack([x.value + max(x.sd, LEAST_SD[1]) * normal(DRAWS) for x in centre], 1)
     inertia = mass[:, None] * _specific_inertia(part, known.value, normal)
     steiner = torch.stack([(float(i == j) * (c * c).sum(1) - c[:, i] * c[:, j]) * mass for i, j in INERTIA_PAIRS], 1)

@@ -16,7 +16,7 @@ ELSEWHERE = 5.0
 
 
 @dataclass(frozen=True)
-class Carried:
+class CarriedPart:
     """One part, and the neighbour of its segment that fits best."""
 
     part: str
@@ -30,7 +30,7 @@ class Carried:
     """Other parts that, elsewhere instead of this one, explain the recordings nearly as well: within ``ELSEWHERE``."""
 
 
-def carried_elsewhere(device: Device, body: BodyBelief, trials: Sequence[WrenchTrial]) -> tuple[Carried, ...]:
+def carried_elsewhere(device: Device, body: BodyBelief, trials: Sequence[WrenchTrial]) -> tuple[CarriedPart, ...]:
     """Hold the place of each part against the neighbours of its segment.
 
     The part with the largest evidence is moved first, and the others are looked at anew: a part in a wrong place makes
@@ -52,13 +52,13 @@ def carried_elsewhere(device: Device, body: BodyBelief, trials: Sequence[WrenchT
         near = [k for k in left if k != first and best[k][1] > max(ELSEWHERE, best[first][1] - ELSEWHERE)]
         rivals = tuple(f"{device.parts[k].name} on {best[k][0]}" for k in near) if sure else ()
         for k in [first] if sure else left:
-            found[k] = Carried(device.parts[k].name, device.parts[k].segment, *best[k], sure, rivals)
+            found[k] = CarriedPart(device.parts[k].name, device.parts[k].segment, *best[k], sure, rivals)
         left = [k for k in left if k not in found]
         at = _carried(at, first, best[first][0]) if sure else at
     return tuple(found[k] for k in sorted(found))
 
 
-def moved(device: Device, places: Sequence[Carried]) -> Device:
+def moved(device: Device, places: Sequence[CarriedPart]) -> Device:
     """Return the device with the parts that are sure to be elsewhere on the segments that carry them.
 
     Args:

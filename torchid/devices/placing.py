@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from torchid.devices.device import Device, Element, Handle, Path, Point
+from torchid.devices.device import Device, Element, Handle, Path, SegmentPoint
 from torchid.devices.values import Triple
 from torchid.errors import ConfigError
 
@@ -22,7 +22,7 @@ def placed(device: Device, places: Places) -> Device:
         ConfigError: ``device.marker`` where one is unknown or rides on another segment than the sheet says.
     """
 
-    def settled(point: Point, element: str) -> Point:
+    def settled(point: SegmentPoint, element: str) -> SegmentPoint:
         if not point.marker:
             return point
         segment, place = places.get(point.marker, ("", None))

@@ -15,7 +15,7 @@ from torchid.devices.elements import element_of
 from torchid.devices.faults import fault, number, vector
 from torchid.devices.links import attached_parts
 from torchid.devices.sheet import AttachedLink, DeviceSheet, ElementSheet, MatrixWithSd, PartSheet
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 from torchid.errors import ConfigError
 from torchid.storage.documents import read_document
 
@@ -96,14 +96,14 @@ def _part(sheet: PartSheet, k: int, path: Path) -> Part:
     return Part(sheet.name or sheet.segment, sheet.segment, mass, com, inertia)
 
 
-def _inertia(text: Any) -> tuple[Value, Value, Value, Value, Value, Value]:
+def _inertia(text: Any) -> tuple[SheetValue, SheetValue, SheetValue, SheetValue, SheetValue, SheetValue]:
     matrix: Any = text.value if isinstance(text, MatrixWithSd) else text
     sd = text.sd if isinstance(text, MatrixWithSd) else 0.0
     if isinstance(matrix[0], tuple):
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix
     else:
         (xx, yy, zz), xy, xz, yz = matrix, 0.0, 0.0, 0.0
-    a, b, c, d, e, f = (Value(value, sd) for value in (xx, xy, yy, xz, yz, zz))
+    a, b, c, d, e, f = (SheetValue(value, sd) for value in (xx, xy, yy, xz, yz, zz))
     return a, b, c, d, e, f
 
 

@@ -16,10 +16,10 @@ from torch import Tensor
 
 from torchid.devices.base_columns import SCALE
 from torchid.devices.forces import smoothed
-from torchid.devices.measured import Measured
+from torchid.devices.measured import MeasuredElement
 from torchid.devices.options import DeviceOptions
 from torchid.devices.sandwich import sandwich
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 from torchid.dynamics.whitening import white_scatter
 
 ROUNDS = 4
@@ -59,7 +59,7 @@ class LawFit:
 
 
 def fit_law(
-    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], options: DeviceOptions
+    measured: Sequence[MeasuredElement], names: tuple[str, ...], numbers: dict[str, SheetValue], options: DeviceOptions
 ) -> LawFit:
     """Fit some parameters of an element to its sensor.
 
@@ -78,7 +78,7 @@ def fit_law(
     return _judged(measured, names, numbers, best, noise, length_sd, options)
 
 
-def _sensor_noise(measured: Sequence[Measured]) -> float:
+def _sensor_noise(measured: Sequence[MeasuredElement]) -> float:
     """Noise of the force after the filter that kinematics have gone through."""
     found = []
     for one in measured:
@@ -94,18 +94,18 @@ def _sensor_noise(measured: Sequence[Measured]) -> float:
     return max(float(np.mean(found)) ** 0.5, LEAST_NOISE * scatter, 1e-12)
 
 
-def _values(names: tuple[str, ...], x: np.ndarray, numbers: dict[str, Value]) -> dict[str, Value]:
-    return {**numbers, **{name: Value(float(v)) for name, v in zip(names, x, strict=True)}}
+def _values(names: tuple[str, ...], x: np.ndarray, numbers: dict[str, SheetValue]) -> dict[str, SheetValue]:
+    return {**numbers, **{name: SheetValue(float(v)) for name, v in zip(names, x, strict=True)}}
 
 
-def _start(measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value]) -> np.ndarray:
+def _start(measured: Sequence[MeasuredElement], names: tuple[str, ...], numbers: dict[str, SheetValue]) -> np.ndarray:
     force, length = (torch.cat(x) for x in ([m.read for m in measured], [m.length for m in measured]))
     slope = float((force.max() - force.min()) / (length.max() - length.min()).clamp_min(1e-9))
     first = {"stiffness": slope, "rest": float(length.median()), "gain": 1.0, "damping": 0.0}
     return np.array([numbers[n].value if n in numbers else first.get(n, 0.0) for n in names])
 
 
-def _starts(measured: Sequence[Measured], names: tuple[str, ...], start: np.ndarray) -> list[np.ndarray]:
+def _starts(measured: Sequence[MeasuredElement], names: tuple[str, ...], start: np.ndarray) -> list[np.ndarray]:
     if "rest" not in names:
         return [start]
     length = torch.cat([m.length for m in measured])
@@ -117,14 +117,14 @@ def _starts(measured: Sequence[Measured], names: tuple[str, ...], start: np.ndar
     return found
 
 
-def _residual(one: Measured, numbers: dict[str, Value]) -> Tensor:
+def _residual(one: MeasuredElement, numbers: dict[str, SheetValue]) -> Tensor:
     """Measured less fitted force, both through the filter: a kink has frequencies that no filtered motion has."""
     law, force = one.acting.element.law, one.acting.force(numbers)
     bent = law is not None and (law.tension_only or bool(law.table) or numbers["free_play"].value > 0.0)
     return one.left(smoothed(force, one.acting.trial.motion) if bent else force)
 
 
-def _steepness(one: Measured, numbers: dict[str, Value]) -> Tensor:
+def _steepness(one: MeasuredElement, numbers: dict[str, SheetValue]) -> Tensor:
     """Derivative of the law's force with respect to the length, by the stiffness that acts at each frame."""
     law = one.acting.element.law
     if law is None or "rest" not in numbers:
@@ -132,13 +132,14 @@ def _steepness(one: Measured, numbers: dict[str, Value]) -> Tensor:
     return _slopes(one, numbers, ("rest",))[0]
 
 
-def _slopes(one: Measured, numbers: dict[str, Value], names: tuple[str, ...]) -> Tensor:
+def _slopes(one: MeasuredElement, numbers: dict[str, SheetValue], names: tuple[str, ...]) -> Tensor:
     """Derivatives of the force in the known frames, 0 where a late command is not known."""
     return torch.nan_to_num(one.acting.slopes(numbers, names))[:, one.known]
 
 
 def _white(
-    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], noise: float, length_sd: float,
+    measured: Sequence[MeasuredElement], names: tuple[str, ...], numbers: dict[str, SheetValue], noise: float,
+    length_sd: float,
     x: np.ndarray,
 ) -> list[np.ndarray]:  # fmt: skip
     """Residuals by trial over their standard deviation, which the errors of force and length give at these numbers."""
@@ -150,7 +151,8 @@ def _white(
 
 
 def _minimise(
-    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], noise: float, length_sd: float,
+    measured: Sequence[MeasuredElement], names: tuple[str, ...], numbers: dict[str, SheetValue], noise: float,
+    length_sd: float,
     start: np.ndarray,
 ) -> tuple[np.ndarray, float]:  # fmt: skip
     scale = np.array([SCALE[name] for name in names])
@@ -163,7 +165,11 @@ def _minimise(
 
 
 def _length_error(
-    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], x: np.ndarray, noise: float
+    measured: Sequence[MeasuredElement],
+    names: tuple[str, ...],
+    numbers: dict[str, SheetValue],
+    x: np.ndarray,
+    noise: float,
 ) -> float:
     """Error of the length that explains what of the residuals the sensor's noise does not."""
     values = _values(names, x, numbers)
@@ -175,7 +181,8 @@ def _length_error(
 
 
 def _judged(
-    measured: Sequence[Measured], names: tuple[str, ...], numbers: dict[str, Value], x: np.ndarray, noise: float,
+    measured: Sequence[MeasuredElement], names: tuple[str, ...], numbers: dict[str, SheetValue], x: np.ndarray,
+    noise: float,
     length_sd: float, options: DeviceOptions,
 ) -> LawFit:  # fmt: skip
     values = _values(names, x, numbers)
@@ -212,7 +219,7 @@ def _alike(bread: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _in_proportion(
-    measured: Sequence[Measured], names: tuple[str, ...], x: np.ndarray, options: DeviceOptions, markers: bool
+    measured: Sequence[MeasuredElement], names: tuple[str, ...], x: np.ndarray, options: DeviceOptions, markers: bool
 ) -> np.ndarray:
     """Covariance from an error of the length that goes with its changes, and from one common to all frames."""
     move = np.zeros((2, len(names)))

@@ -7,13 +7,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from torchid.bounds import Name, NonNegative
 
 
-class Section(BaseModel):
+class SheetSection(BaseModel):
     """Base of all sections: frozen, strict types, no unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class WithSd(Section):
+class WithSd(SheetSection):
     """A number with its standard deviation."""
 
     value: float
@@ -25,14 +25,14 @@ NumberText = float | WithSd | Unknown
 Vector = tuple[float, float, float]
 
 
-class VectorWithSd(Section):
+class VectorWithSd(SheetSection):
     """A vector with one standard deviation, or one for each of its entries."""
 
     value: Vector
     sd: NonNegative | tuple[NonNegative, NonNegative, NonNegative]
 
 
-class MatrixWithSd(Section):
+class MatrixWithSd(SheetSection):
     """Moments of inertia with one standard deviation for all."""
 
     value: Vector | tuple[Vector, Vector, Vector]
@@ -45,7 +45,7 @@ MatrixText = Vector | tuple[Vector, Vector, Vector] | MatrixWithSd | Unknown
 Table = tuple[tuple[float, float], ...]
 
 
-class PartSheet(Section):
+class PartSheet(SheetSection):
     """A rigid part on a segment."""
 
     segment: Name
@@ -55,7 +55,7 @@ class PartSheet(Section):
     inertia_kgm2: MatrixText = "unknown"
 
 
-class ViaSheet(Section):
+class ViaSheet(SheetSection):
     """A pulley on a segment."""
 
     segment: Name
@@ -63,7 +63,7 @@ class ViaSheet(Section):
     marker: Name | None = None
 
 
-class ProfileSheet(Section):
+class ProfileSheet(SheetSection):
     """A force or torque over time, phase or angle: two columns of a CSV file, or pairs of numbers."""
 
     over: Literal["time", "phase", "angle"]
@@ -73,7 +73,7 @@ class ProfileSheet(Section):
     table: Table | None = None
 
 
-class SensorSheet(Section):
+class SensorSheet(SheetSection):
     """Channels that the device records about an element."""
 
     force: Name | None = None
@@ -84,7 +84,7 @@ class SensorSheet(Section):
     """Standard deviation of a sample of force or torque."""
 
 
-class ElementSheet(Section):
+class ElementSheet(SheetSection):
     """An element; which keys belong together is checked by ``reading``."""
 
     type: Literal["spring", "damper", "cable", "torque", "force", "ground"]
@@ -120,7 +120,7 @@ class ElementSheet(Section):
     sensor: SensorSheet | None = None
 
 
-class AttachedLink(Section):
+class AttachedLink(SheetSection):
     """Where a link of a URDF file lies on a segment."""
 
     segment: Name
@@ -128,7 +128,7 @@ class AttachedLink(Section):
     rpy: Vector = (0.0, 0.0, 0.0)
 
 
-class DeviceSheet(Section):
+class DeviceSheet(SheetSection):
     """A whole device."""
 
     name: Name

@@ -14,7 +14,7 @@ from torchid.devices.laws import Channels
 from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import PartsPrior
 from torchid.devices.result import BodyBelief
-from torchid.devices.values import Value
+from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 
 PASSES = 3
@@ -24,24 +24,24 @@ Recorded = Mapping[str, Channels]
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownParameters:
     """Parameters of elements that were determined, and why others were not."""
 
-    numbers: dict[str, dict[str, Value]]
+    numbers: dict[str, dict[str, SheetValue]]
     """By element and parameter."""
     covariance: dict[str, Tensor]
     keys: dict[str, tuple[str, ...]]
     why: dict[tuple[str, str], str]
 
-    def joined(self, other: "Known") -> "Known":
+    def joined(self, other: "KnownParameters") -> "KnownParameters":
         """Return both together, ``other`` where both tell something."""
-        return Known(
+        return KnownParameters(
             {**self.numbers, **other.numbers}, {**self.covariance, **other.covariance}, {**self.keys, **other.keys},
             {**self.why, **other.why},
         )  # fmt: skip
 
 
-def stated(element: Element) -> dict[str, Value]:
+def stated(element: Element) -> dict[str, SheetValue]:
     """Return the numbers of an element that its sheet says, by name."""
     return {name: number for name, number in element.numbers() if number is not None}
 
@@ -49,7 +49,7 @@ def stated(element: Element) -> dict[str, Value]:
 def fit_by_base_rows(
     device: Device, supports: list[Element], trials: Sequence[WrenchTrial], body: BodyBelief, prior: PartsPrior,
     recorded: Recorded, options: DeviceOptions,
-) -> tuple[JointFit, Known]:  # fmt: skip
+) -> tuple[JointFit, KnownParameters]:  # fmt: skip
     """Fit body, parts and unknown supports together; laws are linearised anew a few times.
 
     Args:
@@ -90,11 +90,11 @@ def plate_gain(trials: Sequence[WrenchTrial], options: DeviceOptions) -> Conside
     return Considered(sd, tuple(about_root(trial, trial.wrench)[:, None] for trial in trials))
 
 
-def _prior_of(own: list[Acting], name: str, options: DeviceOptions) -> Value:
+def _prior_of(own: list[Acting], name: str, options: DeviceOptions) -> SheetValue:
     value = options.unknown[name]
     if name != "rest":
         return value
-    return Value(float(torch.cat([one.act.length for one in own]).mean()), value.sd)
+    return SheetValue(float(torch.cat([one.act.length for one in own]).mean()), value.sd)
 
 
 def _linearised(
@@ -106,7 +106,7 @@ def _linearised(
     for k, trial in enumerate(trials):
         total, some, first = known[k], [], 0
         for element, acts in zip(supports, own, strict=True):
-            values = dict(zip(element.unknown, (Value(x) for x in at[first:]), strict=False))
+            values = dict(zip(element.unknown, (SheetValue(x) for x in at[first:]), strict=False))
             first += len(element.unknown)
             full = {**stated(element), **values}
             force = acts[k].force(full)
@@ -121,18 +121,20 @@ def _linearised(
 
 def _told(
     supports: list[Element], names: list[tuple[Element, str]], at: list[float], covariance: Tensor, variance: Tensor,
-    start: list[Value], options: DeviceOptions,
-) -> Known:  # fmt: skip
-    known = Known({}, {}, {}, {})
+    start: list[SheetValue], options: DeviceOptions,
+) -> KnownParameters:  # fmt: skip
+    known = KnownParameters({}, {}, {}, {})
     share = [1.0 - float(v) / s.sd**2 for v, s in zip(variance, start, strict=True)]
     for element in supports:
         rows = [k for k, (e, _) in enumerate(names) if e is element]
         good = [k for k in rows if share[k] >= options.told]
         why = {(element.name, names[k][1]): f"these motions remove {100.0 * max(share[k], 0.0):.0f} % of the variance "
                "that it had before: what is left is the prior" for k in rows if k not in good}  # fmt: skip
-        numbers = {names[k][1]: Value(at[k], float(variance[k]) ** 0.5) for k in good}
+        numbers = {names[k][1]: SheetValue(at[k], float(variance[k]) ** 0.5) for k in good}
         keys = tuple(names[k][1] for k in good)
         known = known.joined(
-            Known({element.name: numbers}, {element.name: covariance[good][:, good]}, {element.name: keys}, why)
+            KnownParameters(
+                {element.name: numbers}, {element.name: covariance[good][:, good]}, {element.name: keys}, why
+            )
         )
     return known

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Value:
+class SheetValue:
     """A number of a sheet and how well it is known."""
 
     value: float
@@ -16,7 +16,7 @@ class Value:
         return f"{self.value:{spec}}" + (f" +- {self.sd:{spec}}" if self.sd else "")
 
 
-Number = Value | None
+Number = SheetValue | None
 """A number, or None for one that is to be identified."""
 Triple = tuple[float, float, float]
 """Coordinates of a point or a direction in the axes that its field names."""

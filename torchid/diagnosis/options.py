@@ -174,7 +174,7 @@ SECTIONS = (
 """Sections of the options, in the order of the table in ``docs/diagnosis.md``."""
 
 
-class Kind(StrEnum):
+class ThresholdKind(StrEnum):
     """Kinds of thresholds by where they come from."""
 
     DERIVED = "Derived"
@@ -182,7 +182,7 @@ class Kind(StrEnum):
     CALIBRATED = "Calibrated"
 
 
-def threshold_kinds() -> dict[str, tuple[Kind, str]]:
+def threshold_kinds() -> dict[str, tuple[ThresholdKind, str]]:
     """Return kind and reason of every threshold, by ``Section.field``, as its docstring has them.
 
     Raises:
@@ -206,7 +206,7 @@ def _field_docs(section: type) -> dict[str, str]:
     return {name: docs.get(name, "") for name in fields}
 
 
-def _kind(doc: str) -> tuple[Kind, str]:
+def _kind(doc: str) -> tuple[ThresholdKind, str]:
     """Return the kind with which a docstring begins, and the rest of it."""
     kind, _, reason = doc.partition(". ")
-    return Kind(kind), reason
+    return ThresholdKind(kind), reason

@@ -21,7 +21,7 @@ class StepKind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Step:
+class TraceStep:
     """One decision about one cause."""
 
     kind: StepKind
@@ -36,11 +36,11 @@ class Step:
     """Numbers that the rule compared, limits included, by names that end in their unit."""
 
 
-Trace = tuple[Step, ...]
+Trace = tuple[TraceStep, ...]
 """All decisions, in order."""
 
 
-def step(kind: StepKind, one: Candidate, rule: str, **numbers: float) -> Step:
+def step(kind: StepKind, one: Candidate, rule: str, **numbers: float) -> TraceStep:
     """Return the record of a decision about a candidate.
 
     Args:
@@ -49,4 +49,4 @@ def step(kind: StepKind, one: Candidate, rule: str, **numbers: float) -> Step:
         rule: name of the rule that decided.
         numbers: what the rule compared, by names that end in their unit.
     """
-    return Step(kind, one.effect.name, one.place.where, rule, numbers)
+    return TraceStep(kind, one.effect.name, one.place.where, rule, numbers)

@@ -10,7 +10,7 @@ from torchid.effects.kinds import RecordEffect
 from torchid.effects.marker_scene import View
 from torchid.effects.parameter import Parameter, value_of
 from torchid.effects.place import Place
-from torchid.effects.quantities import Finding, of, size
+from torchid.effects.quantities import NamedEffect, of, size
 from torchid.effects.scene import Scene
 from torchid.effects.traits import ColumnNoise
 from torchid.wording import number
@@ -51,11 +51,11 @@ class BodyMass(RecordEffect):
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return value_of(values, self.name, "mass_kg", 1) - value_of(values, self.name, "recorded_kg", 1)
 
-    def entries(self, finding: Finding) -> Mapping[str, float]:
+    def entries(self, finding: NamedEffect) -> Mapping[str, float]:
         mass, sd = (float(x) for x in of(finding, "mass_kg"))
         return {"mass_kg": mass, "mass_sd_kg": sd}
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         said = f"the person weighs {size(finding, 'mass_kg', 'kg')}"
         if "recorded_kg" not in finding.parameters:
             return f"{said}, not what is on record"

@@ -14,7 +14,7 @@ from torchid.effects.kinds import LoadEffect
 from torchid.effects.marker_scene import View
 from torchid.effects.parameter import Parameter, propagated, stacked
 from torchid.effects.place import Interval, Place, mean_within
-from torchid.effects.quantities import ROOM, Finding, length, of, vector
+from torchid.effects.quantities import ROOM, NamedEffect, length, of, vector
 from torchid.effects.scene import Scene, anchor, at_origin, passing
 from torchid.effects.traits import Occurrence, Site
 
@@ -103,7 +103,7 @@ class UnmeasuredContact(CoursedForce):
     link = "of"
     advice = "the same motion with rails, seats and boxes out of reach and both feet on plates"
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         impulse = length(*of(finding, "impulse_Ns"), "N s") if "impulse_Ns" in finding.parameters else ""
         force = vector(finding, "force_N", "N", 1.0, ROOM)
         said = f"{self.located(finding.where)} touches something that no plate measures, with {force}"

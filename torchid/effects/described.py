@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import ClassVar, final
 
 from torchid.effects.place_words import place_words
-from torchid.effects.quantities import Finding
+from torchid.effects.quantities import NamedEffect
 from torchid.effects.traits import Site
 from torchid.wording import listing
 
@@ -37,6 +37,6 @@ class Described:
             return f"{self.noun} {listing(list(where))}"
         return self.noun if where == ("session",) else f"{self.noun} {self.link} {self.located(where)}"
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         """Return a sentence on what was found, where and how large, without a capital and without a full stop."""
         return self.called(finding.where)

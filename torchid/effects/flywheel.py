@@ -14,7 +14,7 @@ from torchid.effects.kinds import AttachedLoad
 from torchid.effects.marker_scene import View
 from torchid.effects.parameter import Parameter
 from torchid.effects.place import Place
-from torchid.effects.quantities import Finding, length, main_axis, of
+from torchid.effects.quantities import NamedEffect, length, main_axis, of
 from torchid.effects.scene import Scene
 from torchid.effects.traits import Site
 from torchid.kinematics.recursion import cross
@@ -43,7 +43,7 @@ class Flywheel(AttachedLoad):
         moment = cross(scene.state.motion.w[scene.at(segment)], scene.turned(segment, theta))
         return torch.cat([torch.zeros_like(moment), moment])
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         value, sd = of(finding, "momentum_seg_Nms")
         momentum, axis = length(value, sd, "N m s"), main_axis(value)
         inside = self.located(finding.where)

@@ -16,8 +16,8 @@ from torchid.effects.kinds import LoadEffect
 from torchid.effects.marker_scene import View
 from torchid.effects.parameter import Parameter, stacked
 from torchid.effects.place import Place
-from torchid.effects.quantities import ROOM, Finding, of, size, vector
-from torchid.effects.scene import Point, Scene, anchor, at_origin, passing
+from torchid.effects.quantities import ROOM, NamedEffect, of, size, vector
+from torchid.effects.scene import BodyPoint, Scene, anchor, at_origin, passing
 from torchid.effects.traits import Response, Site
 from torchid.wording import number
 
@@ -42,7 +42,7 @@ class PointForce(LoadEffect):
         return -at_origin(at.p, force)
 
     @abstractmethod
-    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+    def force(self, scene: Scene, at: BodyPoint, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         """The force on the body, in W [N]."""
 
 
@@ -66,10 +66,10 @@ class ExternalForce(PointForce):
         "plate_offset": "every plate unloaded for two seconds",
     }
 
-    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+    def force(self, scene: Scene, at: BodyPoint, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return theta[:, None].expand(3, len(scene.time))
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         force = vector(finding, "force_N", "N", 1.0, ROOM)
         return f"a constant force that no plate measures acts on {self.located(finding.where)}: {force}"
 
@@ -94,11 +94,11 @@ class BodyWeightSupport(PointForce):
         "payload": "quick squats and hops: a load resists acceleration, a harness does not",
     }
 
-    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+    def force(self, scene: Scene, at: BodyPoint, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         up = theta.new_tensor([0.0, 0.0, 1.0])[:, None]
         return (theta * up).expand(3, len(scene.time))
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         weight = number(of(finding, "force_N")[0][0] / GRAVITY)
         carried = size(finding, "force_N", "N")
         return f"a harness at {self.located(finding.where)} carries {carried}, the weight of {weight} kg"
@@ -114,10 +114,10 @@ class Drag(PointForce):
     advice = "the same motion twice, slowly and as fast as possible"
     apart = {"drag": "quick motion of one segment after the other"}
 
-    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+    def force(self, scene: Scene, at: BodyPoint, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         return -theta * at.v
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         drag = size(finding, "coefficient_Ns_m", "N s/m")
         return f"{self.located(finding.where)} moves against a drag of {drag}"
 
@@ -146,7 +146,7 @@ class Tether(PointForce):
     advice = "slow leaning to all sides, far from and near to where the spring is fixed"
     apart = {"tether": "bending and leaning, so that the places where the spring may pull move apart"}
 
-    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+    def force(self, scene: Scene, at: BodyPoint, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         stiffness, pull, slack = self.split(theta)
         stretched = pull[:, None] - stiffness * at.p
         taut = (1.0 - slack / stretched.norm(dim=0).clamp(min=1e-9)).clamp(min=0.0)
@@ -165,7 +165,7 @@ class Tether(PointForce):
         products = {"stiffness_N_m": stiffness, "pull_N": stiffness * fixed, "slack_N": stiffness * rest}
         return stacked(self.parameters, products, self.name)
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         fixed = ", ".join(number(x, 2) for x in of(finding, "anchor_m")[0].tolist())
         stiffness = size(finding, "stiffness_N_m", "N/m")
         rest, sd = (float(x) for x in of(finding, "rest_m"))

@@ -19,7 +19,7 @@ from torchid.effects.marker_scene import Sight, Sway, View
 from torchid.effects.parameter import Parameter, propagated, stacked
 from torchid.effects.place import Place
 from torchid.effects.place_words import motion_words
-from torchid.effects.quantities import BODY, Finding, vector
+from torchid.effects.quantities import BODY, NamedEffect, vector
 from torchid.effects.scene import Scene
 from torchid.effects.traits import Origin, Site
 
@@ -99,7 +99,7 @@ class JointCentreShift(DisplacedBodies):
         sine, none = values.get("shift_90_seg_m", torch.zeros(0)), torch.zeros(3, dtype=torch.float64)
         return stacked(self.parameters, {"sine_m": sine, "cosine_m": none}, self.name)
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         shift, motion = vector(finding, "shift_90_seg_m", "mm", 1e3, BODY), motion_words(finding.place.follows)
         return f"the centre of {self.located(finding.where)} glides as {motion} changes: at 90° by {shift}"
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.displacement import below
-from torchid.effects.marker_scene import Carried
+from torchid.effects.marker_scene import CarriedMarkers
 from torchid.effects.scene import Scene
 from torchid.errors import ConfigError
 from torchid.kinematics.recursion import cross
@@ -43,14 +43,14 @@ def before(scene: Scene, body: str) -> int:
     return scene.at(tree.names[tree.bodies[tree.names.index(body)].parent])
 
 
-def unit_ways(scene: Scene, joint: str, along: Sequence[int], turning: bool) -> Carried:
+def unit_ways(scene: Scene, joint: str, along: Sequence[int], turning: bool) -> CarriedMarkers:
     """Everything beyond a joint moved by a metre, or turned by a radian, along some of its axes, see ``directed``."""
 
     def bodies() -> Float[Tensor, "ways bodies 6 frames"]:
         ones = torch.eye(3).to(scene.q)[list(along), :, None].expand(-1, 3, len(scene.time))
         return torch.stack([directed(scene, joint, one, turning) for one in ones])
 
-    return Carried((joint, tuple(along), turning), bodies)
+    return CarriedMarkers((joint, tuple(along), turning), bodies)
 
 
 def directed(

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchid.effects.effect import Effect, MarkerEffect
 from torchid.effects.marker_scene import Sight, Slid
 from torchid.effects.place import Place
-from torchid.effects.quantities import Finding
+from torchid.effects.quantities import NamedEffect
 from torchid.effects.scene import Reading, Scene
 from torchid.effects.traits import Correction, Origin
 
@@ -34,7 +34,7 @@ class RecordEffect(LoadEffect):
     witnessed = True
 
     @abstractmethod
-    def entries(self, finding: Finding) -> Mapping[str, float]:
+    def entries(self, finding: NamedEffect) -> Mapping[str, float]:
         """Return the values that the record should have instead, by the keys of ``subject`` in a config."""
 
 

@@ -92,7 +92,7 @@ class Along:
 
 
 @dataclass(frozen=True)
-class Carried:
+class CarriedMarkers:
     """Bodies displaced with their markers by units, in some ways."""
 
     key: Hashable
@@ -104,7 +104,7 @@ class Carried:
 class Sway:
     """A displacement in fixed ways that comes and goes."""
 
-    ways: Along | Carried
+    ways: Along | CarriedMarkers
     courses: Float[Tensor, "courses frames"]
     pairs: tuple[tuple[int, int], ...]
     """Way and course of which each parameter is the coefficient."""

@@ -14,7 +14,7 @@ from torchid.effects.kinds import SlidingMarkers
 from torchid.effects.marker_scene import Sight, Slid, View
 from torchid.effects.parameter import Parameter
 from torchid.effects.place import Interval, Place, within
-from torchid.effects.quantities import Finding
+from torchid.effects.quantities import NamedEffect
 from torchid.effects.traits import Correction, Occurrence, Proof, Site
 
 SWAPPED = 5
@@ -58,7 +58,7 @@ class MarkerSwap(SlidingMarkers):
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return torch.ones(1, dtype=torch.float64)
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         return f"{self.located(finding.where)} carry each other's name"
 
 

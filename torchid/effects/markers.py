@@ -19,7 +19,7 @@ from torchid.effects.marker_scene import Along, Sight, Slid, Sway, View
 from torchid.effects.parameter import Parameter, value_of
 from torchid.effects.place import Angle, Interval, Place, within
 from torchid.effects.place_words import motion_words
-from torchid.effects.quantities import BODY, Finding, length, of, vector
+from torchid.effects.quantities import BODY, NamedEffect, length, of, vector
 from torchid.effects.scene import Scene
 from torchid.effects.traits import Occurrence, Origin, Proof, Site
 from torchid.geometry.result import GeometryFit
@@ -79,7 +79,7 @@ class MarkerShift(SlidingMarkers):
         there = within(place, sight.scene.trial, sight.scene.time, 0.0)
         return Sway(Along((sight.labels.index(label),)), there[None], ((0, 0), (1, 0), (2, 0)))
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         shift = vector(finding, "shift_seg_m", "mm", 1e3, BODY)
         return f"{self.located(finding.where)} sat off its usual place by {shift}"
 
@@ -148,7 +148,7 @@ class SoftTissue(SlidingMarkers):
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return value_of(values, self.name, "shift_90_m", 3 * len(place.markers))
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         value, sd = (x.view(-1, 3) for x in of(finding, "shift_90_m"))
         most, markers = int(value.norm(dim=1).argmax()), finding.place.markers
         label = f" (marker {clean(markers[most])})" if len(markers) == len(value) else ""

@@ -14,7 +14,7 @@ from torchid.effects.kinds import AttachedLoad
 from torchid.effects.marker_scene import View
 from torchid.effects.parameter import Parameter, value_of
 from torchid.effects.place import Place
-from torchid.effects.quantities import BODY, Finding, of, parts, size
+from torchid.effects.quantities import BODY, NamedEffect, of, parts, size
 from torchid.effects.scene import Scene, anchor, lift, passing
 from torchid.effects.traits import ColumnNoise, Occurrence, Response, Site
 from torchid.kinematics.recursion import cross
@@ -93,7 +93,7 @@ class Payload(PointMass):
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return _centres(views[0].scene, views[0].scene.tree.names)
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         value, sd = of(finding, "point_seg_m")
         said = f"{self.located(finding.where)} carries {size(finding, 'mass_kg', 'kg')} more than its own mass"
         where = parts(value, sd, "mm", 1e3, BODY)
@@ -119,7 +119,7 @@ class GraspedObject(PointMass):
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return _centres(views[0].scene, [n for n in views[0].scene.tree.names if n.startswith("hand")])
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         return f"{self.located(finding.where)} holds {size(finding, 'mass_kg', 'kg')}"
 
 

@@ -19,7 +19,7 @@ from torchid.effects.kinds import DisplacedBodies
 from torchid.effects.marker_scene import Sight, Sway, View
 from torchid.effects.parameter import Parameter, value_of
 from torchid.effects.place import Place
-from torchid.effects.quantities import DEGREES, Finding, main_axis, of, size
+from torchid.effects.quantities import DEGREES, NamedEffect, main_axis, of, size
 from torchid.effects.scene import Scene
 from torchid.effects.traits import Occurrence, Origin, Site
 from torchid.model.tree import Body
@@ -135,7 +135,7 @@ class MissingDof(DisplacedBodies):
         own = shape @ courses(torch.linspace(0.0, 1.0, 200, dtype=torch.float64), len(shape))
         return (axis[_axes(place), None] / axis.norm() * reach * shape / (own.max() - own.min())).reshape(-1)
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         turning = "range_rad" in finding.parameters
         reach = size(finding, "range_rad", "°", DEGREES) if turning else size(finding, "range_m", "mm", 1e3)
         main = main_axis(of(finding, "axis_seg" if turning else "direction_seg")[0])

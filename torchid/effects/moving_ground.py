@@ -14,7 +14,7 @@ from torchid.effects.kinds import LoadEffect
 from torchid.effects.marker_scene import View
 from torchid.effects.parameter import Parameter, stacked
 from torchid.effects.place import Place
-from torchid.effects.quantities import Finding, of, size
+from torchid.effects.quantities import NamedEffect, of, size
 from torchid.effects.scene import Scene, at_origin
 from torchid.effects.traits import Occurrence
 from torchid.wording import number
@@ -83,7 +83,7 @@ class MovingGround(LoadEffect):
         theta[2] = math.sqrt(2.0) * torch.as_tensor(values["rms_m_s2"])
         return theta
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         frequency = number(of(finding, "frequency_hz")[0][0], 2)
         return f"the laboratory shakes at {frequency} Hz with {size(finding, 'rms_m_s2', 'm/s²')} RMS"
 

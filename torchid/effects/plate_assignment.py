@@ -13,7 +13,7 @@ from torchid.effects.marker_scene import View
 from torchid.effects.parameter import Parameter
 from torchid.effects.place import Place
 from torchid.effects.plate_map import plate_names, to_plate, to_world
-from torchid.effects.quantities import Finding
+from torchid.effects.quantities import NamedEffect
 from torchid.effects.scene import Reading
 from torchid.effects.traits import Response, Site
 
@@ -62,6 +62,6 @@ class PlateAssignment(ReadingEffect):
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return torch.ones(1, dtype=torch.float64)
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         swapped = self.located(finding.where)
         return f"the cables of {swapped} are swapped: each is read with the other's geometry"

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchid.effects.parameter import Parameter
 from torchid.effects.place import Place
 from torchid.effects.plate_map import ZeroError
-from torchid.effects.quantities import Finding, length, of
+from torchid.effects.quantities import NamedEffect, length, of
 
 
 @final
@@ -29,7 +29,7 @@ class PlateOffset(ZeroError):
     def zero(self, time: Float[Tensor, " samples"], theta: Float[Tensor, " params"]) -> Float[Tensor, "samples 6"]:
         return theta.expand(len(time), 6)
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         force, moment = (
             length(*of(finding, key), unit) for key, unit in (("force_plate_N", "N"), ("moment_plate_Nm", "N m"))
         )
@@ -58,7 +58,7 @@ class PlateDrift(ZeroError):
     def zero(self, time: Float[Tensor, " samples"], theta: Float[Tensor, " params"]) -> Float[Tensor, "samples 6"]:
         return time[:, None] * theta
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         value, sd = of(finding, "rate_plate")
         return (
             f"the zero of {self.located(finding.where)} drifts by {length(value[:3], sd[:3], 'N/s')} and "

@@ -18,7 +18,7 @@ from torchid.effects.marker_scene import View
 from torchid.effects.parameter import Parameter, stacked
 from torchid.effects.place import Place
 from torchid.effects.plate_map import PlateMap, mapped, plate_names, to_plate, to_world
-from torchid.effects.quantities import DEGREES, ROOM, Finding, length, much, of, vector
+from torchid.effects.quantities import DEGREES, ROOM, NamedEffect, length, much, of, vector
 from torchid.effects.scene import PlateFrame, Reading
 from torchid.effects.traits import ColumnNoise, Site
 from torchid.wording import stated
@@ -84,7 +84,7 @@ class PlateGain(ReadingEffect):
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return stacked(self.parameters, values, self.name) - 1.0
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         verb = "read" if len(finding.where) > 1 else "reads"
         return f"{self.located(finding.where)} {verb} {much(finding, 'gain')}"
 
@@ -121,7 +121,7 @@ class PlatePose(PlateMap):
         true = PlateFrame(frame.name, frame.p_WF + shift, roma.rotvec_to_rotmat(turn) @ frame.R_WF)
         return to_world(frame, to_plate(true, wrench))
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         (turn, turn_sd) = of(finding, "rotation_rad")
         return (
             f"{self.located(finding.where)} lies elsewhere than the file has it: by "
@@ -164,7 +164,7 @@ class PlateCrosstalk(PlateMap):
             return stacked(self.parameters, values, self.name)
         return torch.stack([full[i, j] for i, j in CROSSTALK])
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         value, sd = of(finding, "matrix_plate")
         k = int(value.abs().argmax())
         row, column = divmod(k, 6)

@@ -19,7 +19,7 @@ DEGREES = 180.0 / math.pi
 
 
 @runtime_checkable
-class Finding(Protocol):
+class NamedEffect(Protocol):
     """An effect as it was found: what its sentence may say."""
 
     @property
@@ -38,14 +38,14 @@ class Finding(Protocol):
         ...
 
 
-def of(finding: Finding, key: str) -> tuple[Float[Tensor, " size"], Float[Tensor, " size"]]:
+def of(finding: NamedEffect, key: str) -> tuple[Float[Tensor, " size"], Float[Tensor, " size"]]:
     """A parameter's value and standard deviation, both flat."""
     entry = finding.parameters[key]
     value, sd = (torch.as_tensor(entry[k], dtype=torch.float64).reshape(-1) for k in ("value", "sd"))
     return value, sd.expand_as(value)
 
 
-def size(finding: Finding, key: str, unit: str, factor: float = 1.0) -> str:
+def size(finding: NamedEffect, key: str, unit: str, factor: float = 1.0) -> str:
     """A scalar with its standard deviation, both times ``factor``."""
     value, sd = of(finding, key)
     return stated(value[0], sd[0], unit, factor)
@@ -58,7 +58,7 @@ def length(value: Float[Tensor, " n"], sd: Float[Tensor, " n"], unit: str, facto
     return stated(norm, spread, unit, factor)
 
 
-def vector(finding: Finding, key: str, unit: str, factor: float, words: tuple[tuple[str, str], ...]) -> str:
+def vector(finding: NamedEffect, key: str, unit: str, factor: float, words: tuple[tuple[str, str], ...]) -> str:
     """Length of a vector, then its components in words.
 
     Args:
@@ -87,7 +87,7 @@ def parts(
     return listing(said) if said else ""
 
 
-def much(finding: Finding, key: str, words: tuple[str, str] = ("much", "little")) -> str:
+def much(finding: NamedEffect, key: str, words: tuple[str, str] = ("much", "little")) -> str:
     """A factor's distance from one, in words for above and below it."""
     value, sd = of(finding, key)
     more = float(value[0]) - 1.0

@@ -19,7 +19,7 @@ from torchid.recording import Forces
 
 
 @dataclass(frozen=True)
-class Point:
+class BodyPoint:
     """A point of a body; W axes, frames last."""
 
     p: Float[Tensor, "3 frames"]
@@ -43,7 +43,7 @@ class Scene:
     """Mass of the body before any force was seen."""
     ends: "Scene | None" = None
     """First and last frame between which parameters were found, of a scene that shows other frames; None: its own."""
-    _points: dict[tuple[str, tuple[float, ...]], Point] = field(
+    _points: dict[tuple[str, tuple[float, ...]], BodyPoint] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
     """Points that were asked for: a catalogue asks for the same few thousands of times."""
@@ -70,19 +70,19 @@ class Scene:
         own = self.phi[self.tree.index(segment)]
         return own[1:4] / own[0]
 
-    def point(self, segment: str, p_BM_B: Float[Tensor, " 3"]) -> Point:
+    def point(self, segment: str, p_BM_B: Float[Tensor, " 3"]) -> BodyPoint:
         """Place, velocity and acceleration of a point that a body carries; no gradient passes to ``p_BM_B``."""
         key = segment, tuple(p_BM_B.tolist())
         if key not in self._points:
             self._points[key] = self._point(segment, p_BM_B)
         return self._points[key]
 
-    def _point(self, segment: str, p_BM_B: Float[Tensor, " 3"]) -> Point:
+    def _point(self, segment: str, p_BM_B: Float[Tensor, " 3"]) -> BodyPoint:
         k, motion = self.at(segment), self.state.motion
         arm = self.turned(segment, p_BM_B)
         w, swing = motion.w[k], cross(motion.w[k], arm)
         a = motion.a[k] + cross(motion.alpha[k], arm) + cross(w, swing)
-        return Point(self.state.at.p[k] + arm, motion.v[k] + swing, a)
+        return BodyPoint(self.state.at.p[k] + arm, motion.v[k] + swing, a)
 
     def turned(self, segment: str, b: Float[Tensor, " 3"]) -> Float[Tensor, "3 frames"]:
         """A vector b in the axes of a segment, turned to W: R_WB b."""

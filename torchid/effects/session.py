@@ -12,7 +12,7 @@ from torchid.effects.kinds import LoadEffect, SlidingMarkers
 from torchid.effects.marker_scene import Sight, Slid, View
 from torchid.effects.parameter import Parameter, value_of
 from torchid.effects.place import SESSION, Place
-from torchid.effects.quantities import DEGREES, Finding, length, much, of
+from torchid.effects.quantities import DEGREES, NamedEffect, length, much, of
 from torchid.effects.scene import Scene, at_origin
 from torchid.effects.traits import Proof
 from torchid.wording import number
@@ -47,7 +47,7 @@ class GravityTilt(LoadEffect):
         change = GRAVITY * (up - theta.new_tensor([0.0, 0.0, 1.0]))
         return at_origin(scene.centre_of_mass, (scene.mass * change)[:, None].expand(3, len(scene.time)))
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         (roll, roll_sd), (pitch, pitch_sd) = of(finding, "roll_rad"), of(finding, "pitch_rad")
         both = length(torch.cat([roll, pitch]), torch.cat([roll_sd, pitch_sd]), "°", DEGREES)
         return (
@@ -82,5 +82,5 @@ class MarkerScale(SlidingMarkers):
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return value_of(values, self.name, "scale", 1) - 1.0
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         return f"all lengths that the cameras see are {much(finding, 'scale', ('long', 'short'))}"

@@ -15,7 +15,7 @@ from torchid.effects.kinds import SlidingMarkers
 from torchid.effects.marker_scene import Sight, Slid, View
 from torchid.effects.parameter import Parameter, value_of
 from torchid.effects.place import Place
-from torchid.effects.quantities import Finding, of
+from torchid.effects.quantities import NamedEffect, of
 from torchid.effects.traits import ColumnNoise, Origin, Response, Site
 from torchid.wording import listing, segment, stated
 
@@ -75,7 +75,7 @@ class SkinLag(SlidingMarkers):
     def internal(self, place: Place, values: dict[str, Tensor]) -> Float[Tensor, " params"]:
         return value_of(values, self.name, "shift_1g_m", len(place.where))
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         value, sd = of(finding, "shift_1g_m")
         most, least = int(value.argmax()), int(value.argmin())
         # A softness is never negative: what is none within its error is no size to read.

@@ -16,7 +16,7 @@ from torchid.effects.kinds import ReadingEffect, SlidingMarkers
 from torchid.effects.marker_scene import Sight, Slid, View
 from torchid.effects.parameter import Parameter, value_of
 from torchid.effects.place import SESSION, Place, covers
-from torchid.effects.quantities import Finding, of, size
+from torchid.effects.quantities import NamedEffect, of, size
 from torchid.effects.scene import Reading
 from torchid.effects.traits import Correction, Origin, Proof, Response, Site
 from torchid.filters import Smoother
@@ -43,7 +43,7 @@ class LateReading(ReadingEffect):
         wrench = torch.as_tensor(late, dtype=reading.wrench.dtype, device=reading.wrench.device)
         return replace(reading, wrench=wrench.reshape(reading.wrench.shape), unborne=None)
 
-    def _told(self, finding: Finding) -> str:
+    def _told(self, finding: NamedEffect) -> str:
         lag, sd = of(finding, "lag_s")
         late = f"{stated(lag.abs()[0], sd[0], 'ms', 1e3)} {'late' if lag[0] > 0 else 'early'}"
         return f"forces come {late} in {self.located(finding.where)}"
@@ -77,7 +77,7 @@ class TimeOffset(LateReading):
     def source(self, place: Place) -> tuple[Place, tuple[str, ...] | None]:
         return SESSION, None if place.where == SESSION.where else place.where
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         return self._told(finding)
 
 
@@ -99,7 +99,7 @@ class BodyLag(LateReading):
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return (SESSION,)
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         return f"{self._told(finding)}, as where the soft parts of a body follow its bones"
 
 
@@ -166,7 +166,7 @@ class FilterLag(SlidingMarkers):
         """The wrench up to ``TRUSTED`` times the cut-off."""
         return Smoother(TRUSTED * float(self.named(place, theta)["cutoff_hz"]), rate_hz)(added)
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         return (
             f"the markers had been low-passed at {size(finding, 'cutoff_hz', 'Hz')} before anybody read them, "
             "so that quick accelerations come out too small"

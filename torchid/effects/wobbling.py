@@ -20,7 +20,7 @@ from torchid.effects.kinds import AttachedLoad
 from torchid.effects.marker_scene import View
 from torchid.effects.parameter import Parameter, by_key, propagated
 from torchid.effects.place import Place
-from torchid.effects.quantities import Finding, of, size
+from torchid.effects.quantities import NamedEffect, of, size
 from torchid.effects.scene import Scene, anchor, lift
 from torchid.effects.traits import ColumnNoise, Origin, Site
 from torchid.kinematics.recursion import cross
@@ -107,7 +107,7 @@ class WobblingMass(AttachedLoad):
             "damping_ratio": (damping, _grain(DAMPING) * damping),
         }
 
-    def sentence(self, finding: Finding) -> str:
+    def sentence(self, finding: NamedEffect) -> str:
         frequency, damping = of(finding, "frequency_hz")[0], of(finding, "damping_ratio")[0]
         return (
             f"{size(finding, 'mass_kg', 'kg')} of the mass of {self.located(finding.where)} lag behind the bone and "

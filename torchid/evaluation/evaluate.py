@@ -15,14 +15,14 @@ from torchid.config.conditions import EvaluateOptions
 from torchid.devices import Device, refuse_foreign
 from torchid.errors import ConfigError, DataError
 from torchid.evaluation.cycle_measures.cycles import Course, Cycle, find_cycles, outliers
-from torchid.evaluation.cycle_measures.layout import Layout, make_layout
-from torchid.evaluation.cycle_measures.rows import CycleRows, Scene, cycle_rows, joined
-from torchid.evaluation.evaluation import Answer, Evaluation
+from torchid.evaluation.cycle_measures.layout import MeasureLayout, make_layout
+from torchid.evaluation.cycle_measures.rows import CycleRows, RowScene, cycle_rows, joined
+from torchid.evaluation.evaluation import BodyAnswer, Evaluation
 from torchid.evaluation.gaps import find_gaps
 from torchid.evaluation.simulation import with_conditions
 from torchid.evaluation.statistics.answers import answer
 from torchid.evaluation.torque_shares.back import lever_arms
-from torchid.evaluation.torque_shares.contacts import Feet, count_contacts, feet_of, refuse_twice
+from torchid.evaluation.torque_shares.contacts import FeetWrenches, count_contacts, feet_of, refuse_twice
 from torchid.evaluation.torque_shares.device_draws import device_deviations
 from torchid.evaluation.torque_shares.draws import torque_deviations
 from torchid.evaluation.torque_shares.shares import shares
@@ -44,7 +44,7 @@ class Material:
 
     trials: tuple[ConditionTrial, ...]
     cycles: dict[str, tuple[Cycle, ...]]
-    layout: Layout
+    layout: MeasureLayout
     worn: dict[str, Worn]
     recorded: dict[str, dict[str, Tensor]]
     """Channels of the device by trial."""
@@ -187,7 +187,13 @@ def judge(config: Config, outcome: Outcome, material: Material) -> Evaluation:
 
 
 def _rows(
-    config: Config, fit: GeometryFit, phi: Tensor, scaled: bool, material: Material, feet: Feet, deviations: dict | None
+    config: Config,
+    fit: GeometryFit,
+    phi: Tensor,
+    scaled: bool,
+    material: Material,
+    feet: FeetWrenches,
+    deviations: dict | None,
 ) -> list[CycleRows]:
     options = config.evaluate
     levers = lever_arms(options.lever_arm_m, options.draws, phi, config.seed)
@@ -196,7 +202,7 @@ def _rows(
         followed = trial.scaled if scaled else trial.followed
         heels = {foot: points[:, 0] for foot, points in soles(fit, followed.tracked).items()}
         middle = 0.5 * sum(options.lever_arm_m)
-        scene = Scene(trial, material.cycles[trial.name], heels, levers, middle, material.mass_kg)
+        scene = RowScene(trial, material.cycles[trial.name], heels, levers, middle, material.mass_kg)
         worn, recorded = material.worn[trial.condition], material.recorded[trial.name]
         own = shares(trial, followed, fit, phi, worn, recorded, feet[trial.name])
         moved = None if deviations is None else deviations[trial.name]
@@ -207,7 +213,7 @@ def _rows(
     return found
 
 
-def _apart(identified: Answer, conditions: Sequence[str]) -> Tensor:
+def _apart(identified: BodyAnswer, conditions: Sequence[str]) -> Tensor:
     """Scores of all cycles, each against those of its condition and side."""
     rows, sides = identified.rows, identified.sample.sides
     score = torch.zeros(len(conditions), dtype=rows.angle.dtype)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.evaluation.cycle_measures.cycles import Cycle
-from torchid.evaluation.cycle_measures.layout import Layout, from_file, usual_body
+from torchid.evaluation.cycle_measures.layout import MeasureLayout, from_file, usual_body
 from torchid.evaluation.cycle_measures.rows import CycleRows
 from torchid.evaluation.statistics.comparing import Comparison, Sample
 from torchid.evaluation.torque_shares.wearing import Worn
@@ -40,7 +40,7 @@ class ContactCount:
 
 
 @dataclass(frozen=True)
-class Answer:
+class BodyAnswer:
     """What one body says: the identified one, or the scaled template with tabulated inertia."""
 
     rows: CycleRows
@@ -61,9 +61,9 @@ class Evaluation:
     cycles: tuple[Cycle, ...]
     conditions: tuple[str, ...]
     """Condition of every cycle."""
-    layout: Layout
-    identified: Answer
-    template: Answer
+    layout: MeasureLayout
+    identified: BodyAnswer
+    template: BodyAnswer
     apart: Float[Tensor, " cycles"]
     """How far each cycle stands apart from its condition's others (``cycles.outliers``)."""
     worn: dict[str, Worn]

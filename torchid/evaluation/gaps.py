@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import torch
 
 from torchid.conventions import GRAVITY
-from torchid.devices import Finding
+from torchid.devices import SheetFinding
 from torchid.dynamics.rows import predict
 from torchid.evaluation.cycle_measures.measures import MEASURES
 from torchid.evaluation.evaluation import Evaluation, Gap
@@ -35,7 +35,7 @@ def find_gaps(found: Evaluation) -> tuple[Gap, ...]:
     )
 
 
-def contradicted(finding: Finding) -> str:
+def contradicted(finding: SheetFinding) -> str:
     """What sheet and recordings say of one thing, in words.
 
     Args:
@@ -64,7 +64,7 @@ def _sheets(found: Evaluation) -> Iterator[Gap]:
                 )
 
 
-def _used(finding: Finding, worn: Worn) -> str:
+def _used(finding: SheetFinding, worn: Worn) -> str:
     """What shares are computed with in spite of a finding, and what a user can do about it."""
     if finding.kind == "carried_elsewhere":
         return (

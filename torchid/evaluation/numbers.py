@@ -8,10 +8,10 @@ from torch import Tensor
 from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.cycle_measures.layout import BACK
 from torchid.evaluation.cycle_measures.measures import divides_by_mass, unit_of
-from torchid.evaluation.evaluation import Answer, Evaluation
+from torchid.evaluation.evaluation import BodyAnswer, Evaluation
 from torchid.evaluation.ledger import BODIES, Key
 from torchid.evaluation.statistics.answers import sided_courses
-from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.statistics.effects import Estimate, mean_of
 from torchid.evaluation.statistics.units import Units, trial_units, unit_means
 from torchid.evaluation.torque_shares.back import NIOSH_N
@@ -37,7 +37,7 @@ def all_numbers(found: Evaluation) -> Iterator[Entry]:
         yield from _courses(found, answer, body)
 
 
-def unit(found: Evaluation, column: Column) -> str:
+def unit(found: Evaluation, column: MeasureColumn) -> str:
     """Unit of a column.
 
     Args:
@@ -47,7 +47,7 @@ def unit(found: Evaluation, column: Column) -> str:
     return column_unit(column, found.per_mass_kg is not None)
 
 
-def column_unit(column: Column, per_mass: bool) -> str:
+def column_unit(column: MeasureColumn, per_mass: bool) -> str:
     """Unit of a column.
 
     Args:
@@ -59,7 +59,7 @@ def column_unit(column: Column, per_mass: bool) -> str:
     return f"{own}/kg" if per_mass and divides_by_mass(column.measure) and not back else own
 
 
-def condition_units(answer: Answer, condition: str) -> tuple[list[int], Units]:
+def condition_units(answer: BodyAnswer, condition: str) -> tuple[list[int], Units]:
     """Cycles of a condition, and their trials as units.
 
     Args:
@@ -70,7 +70,7 @@ def condition_units(answer: Answer, condition: str) -> tuple[list[int], Units]:
     return own, trial_units([answer.sample.trials[k] for k in own])
 
 
-def condition_means(answer: Answer, condition: str) -> Estimate:
+def condition_means(answer: BodyAnswer, condition: str) -> Estimate:
     """Mean of every column over the trials of a condition; over its cycles where there is one trial.
 
     Args:
@@ -86,7 +86,7 @@ def condition_means(answer: Answer, condition: str) -> Estimate:
     return mean_of(values, draws, COVERAGE)
 
 
-def course_means(answer: Answer, courses: Tensor, draws: Tensor | None, condition: str) -> Estimate:
+def course_means(answer: BodyAnswer, courses: Tensor, draws: Tensor | None, condition: str) -> Estimate:
     """Mean course of a condition with its band, flattened to points times courses.
 
     Args:
@@ -182,7 +182,7 @@ def _peak(courses: Tensor) -> float:
     return float(courses.abs().amax(1).nanmean()) if len(courses) else torch.nan
 
 
-def _measures(found: Evaluation, answer: Answer, body: str) -> Iterator[Entry]:
+def _measures(found: Evaluation, answer: BodyAnswer, body: str) -> Iterator[Entry]:
     for condition in found.config.conditions:
         own, _ = condition_units(answer, condition)
         mean = condition_means(answer, condition)
@@ -194,7 +194,7 @@ def _measures(found: Evaluation, answer: Answer, body: str) -> Iterator[Entry]:
             yield key._replace(statistic="cycles"), count, ""
 
 
-def _differences(found: Evaluation, answer: Answer, body: str) -> Iterator[Entry]:
+def _differences(found: Evaluation, answer: BodyAnswer, body: str) -> Iterator[Entry]:
     for one in answer.comparisons:
         for k, column in enumerate(one.columns):
             key, own = Key("difference", "", one.condition, column.where, column.measure, body), unit(found, column)
@@ -206,7 +206,7 @@ def _differences(found: Evaluation, answer: Answer, body: str) -> Iterator[Entry
             yield key._replace(statistic="p_adjusted"), float(one.tested.adjusted[k]), ""
 
 
-def _courses(found: Evaluation, answer: Answer, body: str) -> Iterator[Entry]:
+def _courses(found: Evaluation, answer: BodyAnswer, body: str) -> Iterator[Entry]:
     rows, columns = answer.rows, found.layout.courses
     human = sided_courses(rows.human, found.layout, found.cycles)
     points = human.shape[1]

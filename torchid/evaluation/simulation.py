@@ -20,7 +20,7 @@ from torchid.devices import Device, device_forces
 from torchid.evaluation.torque_shares.wearing import Worn, carried
 from torchid.run.simulation import RECORDINGS
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import TRUTH, Session, session_config, simulate_session, write_session
+from torchid.simulate.session import TRUTH, SimulatedSession, session_config, simulate_session, write_session
 from torchid.simulate.subject import SimulatedSubject
 from torchid.simulate.trial import SimulatedTrial, simulate_trial
 from torchid.storage.files import atomic_write, write_text
@@ -33,7 +33,7 @@ SENSOR_SD = 0.01
 
 def simulate_conditions(
     options: SimulateOptions, seed: int, devices: Mapping[str, Device | None], out: Path
-) -> Session:  # fmt: skip
+) -> SimulatedSession:  # fmt: skip
     """Simulate a session and, under every condition, the motions of ``options.conditions``; write it into a folder.
 
     Args:
@@ -57,7 +57,7 @@ def simulate_conditions(
             name = f"{condition}_{motion}_{k + 1}"
             own[name] = condition
             worn_trials.append(simulate_trial(person, motion, options, seed, name=name))
-    session = Session(base.subject, (*base.trials, *worn_trials))
+    session = SimulatedSession(base.subject, (*base.trials, *worn_trials))
     written = write_session(session, options, out)
     rng = np.random.default_rng((seed, 35))
     entries: list[dict[str, Any]] = []

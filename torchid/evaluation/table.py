@@ -4,7 +4,7 @@ from dataclasses import asdict
 from typing import Any
 
 from torchid.evaluation.cycle_measures.cycles import APART
-from torchid.evaluation.evaluation import Answer, Evaluation
+from torchid.evaluation.evaluation import BodyAnswer, Evaluation
 from torchid.evaluation.numbers import condition_means, condition_units
 from torchid.evaluation.statistics.comparing import Comparison
 
@@ -51,7 +51,7 @@ def evaluation_table(found: Evaluation) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def answer_table(found: Evaluation, answer: Answer) -> dict[str, Any]:
+def answer_table(found: Evaluation, answer: BodyAnswer) -> dict[str, Any]:
     """``joints`` and ``differences`` of one body.
 
     Args:

@@ -49,7 +49,7 @@ class BlockErrors:
 
 
 @dataclass(frozen=True)
-class Blocks:
+class SessionBlocks:
     """Blocks of the fit and held-out trials of a session, by trial."""
 
     wrench: dict[str, tuple[slice, ...]]
@@ -60,7 +60,7 @@ class Blocks:
     """All frames."""
 
 
-def cut_blocks(base: Outcome) -> Blocks:
+def cut_blocks(base: Outcome) -> SessionBlocks:
     """Cut the trials into blocks of a cycle or a second, whichever is longer; a shorter run is one block.
 
     Frames that named causes set aside are judged for no model. All others that count for the base model are, whether
@@ -78,7 +78,7 @@ def cut_blocks(base: Outcome) -> Blocks:
     for name, rows in (forceful(base, "fit") | forceful(base, "heldout")).items():
         wrench[name] = _cut(rows.used, block_frames(rows.motion))
         judged[name] = rows.used & ~inside_any(aside, name, rows.motion.time)
-    return Blocks(wrench, judged, markers)
+    return SessionBlocks(wrench, judged, markers)
 
 
 def block_frames(motion: Motion) -> int:
@@ -113,7 +113,7 @@ def _cut(flag: Bool[Tensor, " frames"], length: int) -> tuple[slice, ...]:
     return tuple(found)
 
 
-def block_errors(outcome: Outcome, base: Outcome, config: Config, blocks: Blocks) -> dict[Group, BlockErrors]:
+def block_errors(outcome: Outcome, base: Outcome, config: Config, blocks: SessionBlocks) -> dict[Group, BlockErrors]:
     """Errors of a model in all blocks, by group.
 
     For a block of a fit trial the inertia is also that which all others determine (``leave_out_each``), under the noise
@@ -161,7 +161,12 @@ def _rows(outcome: Outcome, name: str) -> WrenchTrial:
 
 
 def _wrench_errors(
-    outcome: Outcome, base: Outcome, where: str, every: list[tuple[str, slice]], phi: list[Tensor], blocks: Blocks
+    outcome: Outcome,
+    base: Outcome,
+    where: str,
+    every: list[tuple[str, slice]],
+    phi: list[Tensor],
+    blocks: SessionBlocks,
 ) -> dict[Group, BlockErrors]:
     squares, frames = [], []
     for (name, part), params in zip(every, phi, strict=True):
@@ -183,7 +188,7 @@ def _residual(rows: WrenchTrial, base: WrenchTrial, part: slice, phi: Tensor) ->
     return wrench_about(left, base.motion.q[part, :3] - rows.motion.q[part, :3])
 
 
-def _marker_errors(outcome: Outcome, blocks: Blocks) -> Iterator[tuple[Group, BlockErrors]]:
+def _marker_errors(outcome: Outcome, blocks: SessionBlocks) -> Iterator[tuple[Group, BlockErrors]]:
     roles = {name: outcome.session.trials[name].role for name in blocks.markers}
     for where in (FITTED, *(name for name, role in roles.items() if role == "heldout")):
         names = [where] if where in roles else [name for name, role in roles.items() if role == "fit"]

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.diagnosis.verdict.records import Cause
 from torchid.dynamics.rows import residual_rms
@@ -251,7 +251,7 @@ def effect_wrenches(base: Outcome) -> dict[str, Float[Tensor, "frames 6"]]:
 def _added(observed: TrialObservation, one: Planted) -> Float[Tensor, "frames 6"]:
     if one.effect.moves_markers:
         assert observed.response is not None
-        source = Source(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
+        source = ColumnSource(one.effect, one.place, slice(0, 0), (), one.effect.scale(one.place))
         added = (one.theta @ observed.response.wrench([response_of(observed.response, source)])).T
         return one.effect.trusted(added, observed.rows.rate, one.place, one.theta)
     view = observed.view

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from torch import Tensor
 
-from torchid.checks.marker_tracks.statement import Kind
+from torchid.checks.marker_tracks.statement import TrackFault
 from torchid.diagnosis.candidates.exchanged_markers import EFFECT as EXCHANGE
 from torchid.diagnosis.candidates.exchanged_markers import ExchangedMarkers, exchanged_markers
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
@@ -88,7 +88,9 @@ def _told(outcome: Outcome) -> dict[Proof, frozenset[str]]:
 def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:
     """Labels of the fit that distances show to be exchanged."""
     known = set(outcome.fit.attachment.labels)
-    told = [one for one in outcome.session.tracking if one.kind is Kind.EXCHANGED and known.issuperset(one.labels)]
+    told = [
+        one for one in outcome.session.tracking if one.kind is TrackFault.EXCHANGED and known.issuperset(one.labels)
+    ]
     return [exchanged_markers(one, outcome.session.trials[one.trial].markers.time) for one in told]
 
 

@@ -17,7 +17,7 @@ spring of the catalogue, with the least damping, rings down to exp(-31), and fil
 
 
 @dataclass(frozen=True)
-class Piece:
+class TrialPiece:
     """Some frames of a recording, and those beside them that are looked at as well."""
 
     own: slice
@@ -31,7 +31,7 @@ class Piece:
         return slice(self.own.start - self.around.start, self.own.stop - self.around.start)
 
 
-def pieces(time: Float[Tensor, " frames"]) -> Iterator[Piece]:
+def pieces(time: Float[Tensor, " frames"]) -> Iterator[TrialPiece]:
     """Cut a recording; one that is no longer than a piece stays whole.
 
     Behind each piece, what it touched of mapped files leaves the memory.
@@ -43,7 +43,7 @@ def pieces(time: Float[Tensor, " frames"]) -> Iterator[Piece]:
     length, beside = (max(1, round(part / lasts * (frames - 1))) if lasts else frames for part in (PIECE_S, BESIDE_S))
     for start in range(0, frames, length):
         stop = min(frames, start + length)
-        yield Piece(slice(start, stop), slice(max(0, start - beside), min(frames, stop + beside)))
+        yield TrialPiece(slice(start, stop), slice(max(0, start - beside), min(frames, stop + beside)))
         release()
 
 

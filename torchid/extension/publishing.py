@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.options import NeverWorseOptions
-from torchid.diagnosis.trace import Step, StepKind
+from torchid.diagnosis.trace import StepKind, TraceStep
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.errors import DataError
 from torchid.extension.block_errors import BlockErrors, Group, block_errors, cut_blocks
@@ -64,7 +64,7 @@ Refusal = tuple[Cause, Mapping[str, float]]
 
 
 @dataclass(frozen=True)
-class Selection:
+class CauseSelection:
     """What becomes of the causes of a verdict."""
 
     kept: Chosen
@@ -163,7 +163,7 @@ class Attempts:
         return block_errors(outcome, self._base, corrected_config(self._base.config, causes), self._blocks)
 
 
-def select(attempts: Attempts) -> Selection:
+def select(attempts: Attempts) -> CauseSelection:
     """Leave out causes until the model is no worse than the base model, nor than without any single one on forces.
 
     Where no more geometries are worth their time, causes on markers leave together. What is only possible leaves too
@@ -172,7 +172,7 @@ def select(attempts: Attempts) -> Selection:
     Args:
         attempts: models to compare.
     """
-    found = Selection(frozenset(range(len(attempts.causes))), [], [])
+    found = CauseSelection(frozenset(range(len(attempts.causes))), [], [])
     while kept := found.kept:
         whole = attempts.growth(kept)
         worse = any(one.worse for one in whole)
@@ -261,8 +261,8 @@ def without(found: Diagnosis, refused: Sequence[Refusal], unproven: Sequence[Ref
         Refuted(gone.effect, gone.where, gone.gain["heldout_log_likelihood"], RULE, dict(numbers))
         for gone, numbers in refused
     )
-    steps = [Step(StepKind.REFUSE, gone.effect, gone.where, RULE, numbers) for gone, numbers in refused]
-    steps += [Step(StepKind.LEAVE, gone.effect, gone.where, UNPROVEN, numbers) for gone, numbers in unproven]
+    steps = [TraceStep(StepKind.REFUSE, gone.effect, gone.where, RULE, numbers) for gone, numbers in refused]
+    steps += [TraceStep(StepKind.LEAVE, gone.effect, gone.where, UNPROVEN, numbers) for gone, numbers in unproven]
     return replace(
         found, causes=causes, refuted=(*found.refuted, *refuted), trace=(*found.trace, *steps), unexplained=rest,
         extended=found.extended if extended else found.baseline, aside=found.aside if causes else (),

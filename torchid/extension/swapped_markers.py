@@ -7,9 +7,9 @@ segment and its joints' centres glided. So all is fitted again with the names pu
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from torchid.checks.marker_tracks.statement import Kind, Statement
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.diagnosis.options import DiagnosisOptions
-from torchid.diagnosis.trace import Step, StepKind
+from torchid.diagnosis.trace import StepKind, TraceStep
 from torchid.diagnosis.verdict.causes import after_forces
 from torchid.diagnosis.verdict.confidence import trust
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
@@ -100,9 +100,9 @@ def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, ke
     return replace(found, identified=folder.stage("inertia_relabelled", key, lambda: identify(config, found, progress)))
 
 
-def _by_distances(session: Session, causes: Sequence[Cause]) -> tuple[list[Statement], list[Cause]]:
+def _by_distances(session: Session, causes: Sequence[Cause]) -> tuple[list[TrackStatement], list[Cause]]:
     """The exchanges among the causes that distances told, whose samples are gaps, and the others."""
-    known = {(one.trial, one.labels): one for one in session.tracking if one.kind is Kind.EXCHANGED}
+    known = {(one.trial, one.labels): one for one in session.tracking if one.kind is TrackFault.EXCHANGED}
     keys = {id(cause): (cause.trials[0] if cause.trials else "", cause.where) for cause in causes}
     told = [known[keys[id(cause)]] for cause in causes if keys[id(cause)] in known]
     return told, [cause for cause in causes if keys[id(cause)] not in known]
@@ -122,7 +122,7 @@ def merged(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause], options
     own = [_doubted(cause, trust(before.unexplained, options), factor, doubted) for cause in causes]
     if doubted:
         rule = "nothing_can_check" if after.unexplained.alone else "residual_structure"
-        steps = [Step(StepKind.DISCOUNT, c.effect, c.where, rule, {"factor": factor}) for c in causes]
+        steps = [TraceStep(StepKind.DISCOUNT, c.effect, c.where, rule, {"factor": factor}) for c in causes]
     found = tuple(sorted((*own, *after.causes), key=after_forces))
     return replace(after, baseline=before.baseline, causes=found, trace=(*before.trace, *after.trace, *steps))
 

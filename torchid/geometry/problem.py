@@ -68,7 +68,7 @@ class PosturePrior:
 
 
 @dataclass(frozen=True)
-class Shape:
+class SubjectShape:
     """The shape of a subject that xi stands for: joints, and the markers' places p_BM_B [m]."""
 
     joints: Joints
@@ -76,7 +76,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class ProblemPoint:
     """Poses, residuals, weights and cost of a problem at one point (q, xi)."""
 
     at: Poses
@@ -133,10 +133,10 @@ class MarkerProblem:
         """Return the prior precision of every entry of xi."""
         return torch.cat([self.geometry.sd, self.place_sd[self.free].reshape(-1)]).square().reciprocal()
 
-    def shape(self, xi: Float[Tensor, " xi"]) -> Shape:
+    def shape(self, xi: Float[Tensor, " xi"]) -> SubjectShape:
         """Return joints and marker places at xi, in the form that the recursion takes."""
         geometry, place = self.split(xi)
-        return Shape(make_joints(self.plan, geometry), place)
+        return SubjectShape(make_joints(self.plan, geometry), place)
 
     def split(self, xi: Float[Tensor, " xi"]) -> tuple[Geometry, Float[Tensor, "markers 3"]]:
         """Return the geometry and the places p_BM_B of all markers at xi [m]."""
@@ -165,14 +165,14 @@ class MarkerProblem:
         p = points(at, self.body, shape.place)
         return at, p, p - self.target
 
-    def evaluate(self, q: Float[Tensor, "dofs frames"], shape: Shape) -> Evaluation:
+    def evaluate(self, q: Float[Tensor, "dofs frames"], shape: SubjectShape) -> ProblemPoint:
         """Evaluate poses, residuals, cost and weights of every frame at q, for a shape from ``shape``."""
         at = poses(self.plan, q, shape.joints)
         p = points(at, self.body, shape.place)
         residual = p - self.target
         cost, weight = self.robust_cost(residual)
         prior, pull, curvature = self.posture.pull(q)
-        return Evaluation(at, p, residual, weight, cost + prior, pull, curvature)
+        return ProblemPoint(at, p, residual, weight, cost + prior, pull, curvature)
 
     def robust_cost(
         self, residual: Float[Tensor, "markers 3 frames"]

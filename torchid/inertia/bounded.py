@@ -23,7 +23,7 @@ import torch
 
 from torchid.errors import DataError
 from torchid.inertia import cone, entropic
-from torchid.inertia.bounded_scaling import BoundedTask, Scaled, pose_bounded, scale
+from torchid.inertia.bounded_scaling import BoundedTask, ScaledProgram, pose_bounded, scale
 from torchid.inertia.newton import Surface
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.problem import Problem
@@ -65,7 +65,7 @@ def solve_within(problem: Problem, spectrum: Spectrum, budget: float, options: I
     return _quadratic(task, scaled) if problem.divergence is None else _entropic(task, scaled)
 
 
-def _quadratic(task: BoundedTask, scaled: Scaled) -> BoundedSolution:
+def _quadratic(task: BoundedTask, scaled: ScaledProgram) -> BoundedSolution:
     """Euclidean and pull-back priors: one second-order cone program with LMIs."""
     options, precision = task.options, task.precision
     rows = cone.cone_rows(len(scaled.centre), relative_rows(task.problem), lmi=options.lmi, floor=options.floor)
@@ -119,7 +119,7 @@ def _log_excess(task: BoundedTask, found: BoundedSolution) -> float:
     return float(np.log(max(square, np.finfo(float).tiny) / task.budget))
 
 
-def _entropic(task: BoundedTask, scaled: Scaled) -> BoundedSolution:
+def _entropic(task: BoundedTask, scaled: ScaledProgram) -> BoundedSolution:
     """Log-det prior: exponential cones besides, then Newton steps on the bound's surface."""
     problem = task.problem
     assert problem.divergence is not None

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from torchid.inertia.cone import unit_axes
-from torchid.inertia.newton import Matrix, Misfit, Vector
+from torchid.inertia.newton import Matrix, QuadraticMisfit, Vector
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.problem import Problem
 from torchid.inertia.solve import relative_precision
@@ -35,7 +35,7 @@ class BoundedTask:
     spectrum: Spectrum
     budget: float
     options: InertiaOptions
-    misfit: Misfit
+    misfit: QuadraticMisfit
     precision: Matrix
     """Inverse covariance of the prior's Gaussian."""
     mass_hessian: Matrix
@@ -52,7 +52,7 @@ class BoundedTask:
 
 
 @dataclass(frozen=True)
-class Scaled:
+class ScaledProgram:
     """The program in w, x = centre + rotate @ w, of which the residual is ||root @ w - target||^2 + rest."""
 
     centre: Vector
@@ -73,7 +73,7 @@ def pose_bounded(problem: Problem, spectrum: Spectrum, budget: float, options: I
         return (block.mT @ gram @ block).cpu().numpy(), (block.mT @ moment).cpu().numpy()
 
     equations = problem.equations
-    misfit = Misfit(*relative(equations.gram, equations.moment), equations.square)
+    misfit = QuadraticMisfit(*relative(equations.gram, equations.moment), equations.square)
     mass_hessian, mass_pull = relative(*problem.data_terms(0.0))
     precision = relative_precision(problem).cpu().numpy()
     return BoundedTask(problem, spectrum, budget, options, misfit, precision, mass_hessian, mass_pull)
@@ -95,7 +95,7 @@ def secular_multiplier(spectrum: Spectrum, budget: float) -> float:
     return float(np.exp(root))
 
 
-def scale(task: BoundedTask) -> Scaled | None:
+def scale(task: BoundedTask) -> ScaledProgram | None:
     """The program around the optimum without cones; None when even the best parameters miss the budget."""
     problem, spectrum, misfit = task.problem, task.spectrum, task.misfit
     mu = secular_multiplier(spectrum, task.budget)
@@ -106,4 +106,4 @@ def scale(task: BoundedTask) -> Scaled | None:
     gain = np.sqrt(values[solid])
     target = -(axes[:, solid].T @ (rotate.T @ misfit.slope(centre))) / (2 * gain)
     room = float(target @ target) - misfit.excess(centre, task.budget)
-    return Scaled(centre, rotate, gain[:, None] * axes[:, solid].T, target, room**0.5, mu) if room > 0 else None
+    return ScaledProgram(centre, rotate, gain[:, None] * axes[:, solid].T, target, room**0.5, mu) if room > 0 else None

@@ -35,7 +35,7 @@ SOLVED = ("Solved", "AlmostSolved")
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearConstraints:
     """Linear constraints on relative parameters: ``inequality @ x >= 0`` and ``equality @ x == value``."""
 
     inequality: Float[np.ndarray, "inequalities params"]
@@ -64,7 +64,7 @@ class ConeRows:
 
     A: sp.csc_array
     b: np.ndarray
-    linear: Linear
+    linear: LinearConstraints
     bodies: int
     """With an LMI."""
 
@@ -118,7 +118,7 @@ def _lmi_form(bodies: int, floor: float) -> tuple[sp.csc_array, np.ndarray]:
     return sp.csc_array(data["A"]), np.asarray(data["b"])
 
 
-def cone_rows(params: int, linear: Linear, *, lmi: bool, floor: float) -> ConeRows:
+def cone_rows(params: int, linear: LinearConstraints, *, lmi: bool, floor: float) -> ConeRows:
     """Linear rows above the LMIs of all bodies."""
     bodies = params // 10 if lmi else 0
     A, b = _lmi_form(bodies, floor) if lmi else (sp.csc_array((0, params)), np.zeros(0))
@@ -152,7 +152,7 @@ def clarabel_solve(
     return best, len(_SETTINGS)
 
 
-def project(free: Vector, hessian: Matrix, linear: Linear, *, lmi: bool, floor: float) -> ConeSolution:
+def project(free: Vector, hessian: Matrix, linear: LinearConstraints, *, lmi: bool, floor: float) -> ConeSolution:
     """Minimise (x - free)' hessian (x - free) over the cone.
 
     Args:

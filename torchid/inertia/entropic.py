@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.inertia.cone import ConeSolution, Linear, Matrix, Vector, no_solution, squares, unit_axes
+from torchid.inertia.cone import ConeSolution, LinearConstraints, Matrix, Vector, no_solution, squares, unit_axes
 from torchid.inertia.newton import Objective, Surface, polish
 from torchid.inertia.pseudo import triangle, untriangle
 
@@ -88,7 +88,7 @@ def smooth(hessian: Matrix, pull: Vector, weights: np.ndarray) -> Objective:
 
 
 def solve_program(
-    objective: cp.Expression, x: cp.Expression, linear: Linear, extra: list[cp.Constraint]
+    objective: cp.Expression, x: cp.Expression, linear: LinearConstraints, extra: list[cp.Constraint]
 ) -> tuple[cp.Problem, np.ndarray]:
     """Solve a convex program with the linear rows and ``extra``; and the multipliers of the inequalities.
 
@@ -111,7 +111,9 @@ def ending(problem: cp.Problem) -> str:
     return f"Clarabel: {problem.status or cp.SOLVER_ERROR}"
 
 
-def minimise(start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, linear: Linear) -> ConeSolution:
+def minimise(
+    start: Vector, hessian: Matrix, pull: Vector, weights: np.ndarray, linear: LinearConstraints
+) -> ConeSolution:
     """Minimise x' hessian x - 2 pull' x + sum of weights * divergence.
 
     Args:
@@ -155,7 +157,7 @@ def _definite(x: Vector) -> bool:
 def finish(
     x: Vector,
     objective: Objective,
-    linear: Linear,
+    linear: LinearConstraints,
     dual: np.ndarray,
     problem: cp.Problem,
     convexity: float,

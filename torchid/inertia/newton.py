@@ -23,7 +23,7 @@ _DONE = 1e-10
 
 
 @dataclass(frozen=True)
-class Misfit:
+class QuadraticMisfit:
     """Squared residual x' hessian x - 2 pull' x + square of the data, in relative parameters."""
 
     hessian: Matrix
@@ -43,7 +43,7 @@ class Misfit:
 class Surface:
     """Parameters whose squared residual equals ``budget``, and the multiplier of it where the solver left it."""
 
-    misfit: Misfit
+    misfit: QuadraticMisfit
     budget: float
     multiplier: float
 

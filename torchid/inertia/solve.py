@@ -44,9 +44,9 @@ def relative_precision(problem: Problem) -> Tensor:
     return factor.mT @ factor
 
 
-def relative_rows(problem: Problem) -> cone.Linear:
+def relative_rows(problem: Problem) -> cone.LinearConstraints:
     """Linear constraints over relative parameters, each inequality of unit length."""
     block = torch.block_diag(*problem.T)
     inequality, (equality, value) = problem.inequality @ block, problem.equality
     inequality = inequality / inequality.norm(dim=-1, keepdim=True)
-    return cone.Linear(inequality.cpu().numpy(), (equality @ block).cpu().numpy(), value.cpu().numpy())
+    return cone.LinearConstraints(inequality.cpu().numpy(), (equality @ block).cpu().numpy(), value.cpu().numpy())

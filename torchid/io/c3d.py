@@ -9,7 +9,7 @@ import torch
 from torchid.errors import InputError, Note
 from torchid.io.c3d_data import analog_pieces, read_analogs, read_points
 from torchid.io.c3d_header import C3dHeader, read_header
-from torchid.io.c3d_layout import Layout, resolve_layout
+from torchid.io.c3d_layout import C3dLayout, resolve_layout
 from torchid.io.files import FileBytes
 from torchid.io.frame import length_unit
 from torchid.io.labels import OUTPUT_LISTS, select_markers
@@ -76,7 +76,7 @@ def _refuse_rotations(header: C3dHeader) -> None:
         )
 
 
-def _raw(data: FileBytes, header: C3dHeader, layout: Layout, options: ReadOptions) -> RawTrial:
+def _raw(data: FileBytes, header: C3dHeader, layout: C3dLayout, options: ReadOptions) -> RawTrial:
     labels = (header.strings("POINT", "LABELS") + [""] * layout.points)[: layout.points]
     chosen = select_markers(labels, header.source, _outputs(header), options.subject, options.wanted)
     position = read_points(data, layout, header, chosen.columns)
@@ -113,7 +113,7 @@ def _screen_axis(header: C3dHeader) -> str:
 
 
 def _forces(
-    data: FileBytes, header: C3dHeader, layout: Layout, metres: float, begin: float, options: ReadOptions
+    data: FileBytes, header: C3dHeader, layout: C3dLayout, metres: float, begin: float, options: ReadOptions
 ) -> tuple[Forces | None, list[Note], dict[str, str]]:
     if not layout.channels or not layout.frames:
         return None, [Note("plates.none", "the file has no analog data", header.source)], {}
@@ -144,7 +144,7 @@ def _miscounted(header: C3dHeader, held: dict[str, int]) -> list[Note]:
     return [Note("events.count", f"{text}; {min(counts['labels'], counts['times'])} read", header.source)]
 
 
-def _facts(header: C3dHeader, layout: Layout, unit: str) -> dict[str, str]:
+def _facts(header: C3dHeader, layout: C3dLayout, unit: str) -> dict[str, str]:
     facts = {
         "format": "C3D",
         "storage": f"{header.processor.name} {'real' if layout.is_float else 'integer'}",
@@ -167,7 +167,7 @@ def _text(value: float | None, factor: float) -> str:
     return f"{value * factor:.6g}" if value else ""
 
 
-def _events(header: C3dHeader, layout: Layout, begin: float) -> tuple[tuple[Event, ...], list[Note]]:
+def _events(header: C3dHeader, layout: C3dLayout, begin: float) -> tuple[tuple[Event, ...], list[Note]]:
     """Events of the group EVENT; their times [min, s] count from frame 1, as the trial's clock does.
 
     Some programs count from the first frame stored; where only that puts them inside the trial, they are shifted.

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from torchid.errors import Note
 from torchid.io.c3d_header import C3dHeader
-from torchid.io.c3d_layout import Layout
+from torchid.io.c3d_layout import C3dLayout
 from torchid.io.files import FileBytes
 
 PIECE = 1 << 22
@@ -15,7 +15,7 @@ PIECE = 1 << 22
 
 
 def read_points(
-    data: bytes | FileBytes, layout: Layout, header: C3dHeader, columns: Sequence[int] | None = None
+    data: bytes | FileBytes, layout: C3dLayout, header: C3dHeader, columns: Sequence[int] | None = None
 ) -> Float[np.ndarray, "frames points 3"]:
     """Points (or those at ``columns``) in file units as float64; NaN where the residual is negative or not finite."""
     chosen = list(range(layout.points) if columns is None else columns)
@@ -31,7 +31,7 @@ def read_points(
 
 
 def read_analogs(
-    data: bytes | FileBytes, layout: Layout, header: C3dHeader, columns: Sequence[int] | None = None
+    data: bytes | FileBytes, layout: C3dLayout, header: C3dHeader, columns: Sequence[int] | None = None
 ) -> tuple[Float[np.ndarray, "samples channels"], tuple[Note, ...]]:
     """Analog channels (or those at ``columns``) in their units: (stored - OFFSET) SCALE GEN_SCALE.
 
@@ -49,7 +49,7 @@ def read_analogs(
 
 
 def analog_pieces(
-    data: bytes | FileBytes, layout: Layout, header: C3dHeader, columns: Sequence[int]
+    data: bytes | FileBytes, layout: C3dLayout, header: C3dHeader, columns: Sequence[int]
 ) -> Iterator[tuple[slice, Float[np.ndarray, "samples channels"]]]:
     """``read_analogs`` a few samples at a time, each time with where they lie among all."""
     if not len(columns):
@@ -70,7 +70,7 @@ def analog_pieces(
         yield slice(part.start * layout.ratio, part.stop * layout.ratio), scaled
 
 
-def _pieces(data: bytes | FileBytes, layout: Layout, header: C3dHeader) -> Iterator[tuple[slice, np.ndarray]]:
+def _pieces(data: bytes | FileBytes, layout: C3dLayout, header: C3dHeader) -> Iterator[tuple[slice, np.ndarray]]:
     """Stored values (frames, values) of some frames after the other."""
     size = layout.bytes_per_frame
     several = max(1, PIECE // max(1, size))

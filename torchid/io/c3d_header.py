@@ -44,7 +44,7 @@ class Processor(IntEnum):
 
 
 @dataclass(frozen=True)
-class Parameter:
+class C3dParameter:
     """One parameter as stored: ``kind`` -1 characters, 1 bytes, 2 integers, 4 reals."""
 
     kind: int
@@ -89,10 +89,10 @@ class C3dHeader:
     ratio: int
     """Analog samples per video frame."""
     rate: float
-    groups: dict[str, dict[str, Parameter]]
+    groups: dict[str, dict[str, C3dParameter]]
     notes: tuple[Note, ...] = field(default=())
 
-    def find(self, group: str, name: str) -> Parameter | None:
+    def find(self, group: str, name: str) -> C3dParameter | None:
         """A parameter, or None."""
         return self.groups.get(group, {}).get(name)
 
@@ -115,7 +115,7 @@ class C3dHeader:
         values = self.numbers(group, name, unsigned=True)
         return f"{values[0]:g}" if len(values) else "absent"
 
-    def _continued(self, group: str, name: str) -> list[Parameter]:
+    def _continued(self, group: str, name: str) -> list[C3dParameter]:
         found, k = [], 1
         while (parameter := self.find(group, name if k == 1 else f"{name}{k}")) is not None:
             found.append(parameter)
@@ -198,7 +198,7 @@ def _truncated(source: str | Path, where: str, size: int) -> InputError:
 
 def _walk(
     section: bytes, processor: Processor, cut: bool, stated: int, source: str | Path, notes: list[Note]
-) -> dict[str, dict[str, Parameter]]:
+) -> dict[str, dict[str, C3dParameter]]:
     """All usable records of the parameter section by group and name, both in capitals.
 
     Records may go on beyond the ``stated`` bytes, up to where the data begin.
@@ -241,8 +241,8 @@ def _collect(
     processor: Processor,
     source: str | Path,
     notes: list[Note],
-) -> dict[str, dict[str, Parameter]]:
-    groups: dict[str, dict[str, Parameter]] = {name: {} for name in names.values()}
+) -> dict[str, dict[str, C3dParameter]]:
+    groups: dict[str, dict[str, C3dParameter]] = {name: {} for name in names.values()}
     unusable, twice = [], []
     for group, name, body in records:
         parameter = _parameter(body, processor)
@@ -263,7 +263,7 @@ def _collect(
     return groups
 
 
-def _parameter(body: bytes, processor: Processor) -> Parameter | None:
+def _parameter(body: bytes, processor: Processor) -> C3dParameter | None:
     """The record's value, None where its size or type cannot be."""
     if len(body) < 2:
         return None
@@ -272,4 +272,4 @@ def _parameter(body: bytes, processor: Processor) -> Parameter | None:
     if kind not in (-1, 1, 2, 4) or count > 7 or len(dims) < count:
         return None
     begin, size = 2 + count, math.prod(dims) * abs(kind)
-    return Parameter(kind, dims, body[begin : begin + size], processor) if begin + size <= len(body) else None
+    return C3dParameter(kind, dims, body[begin : begin + size], processor) if begin + size <= len(body) else None

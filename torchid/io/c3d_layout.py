@@ -22,7 +22,7 @@ SAME = 1e-3
 
 
 @dataclass(frozen=True)
-class Layout:
+class C3dLayout:
     """Where the numbers lie in the data section, and on which clock."""
 
     points: int
@@ -52,7 +52,7 @@ class Layout:
         return self.values * (4 if self.is_float else 2)
 
 
-def resolve_layout(header: C3dHeader, data: bytes | FileBytes, allow_truncated: bool = False) -> Layout:
+def resolve_layout(header: C3dHeader, data: bytes | FileBytes, allow_truncated: bool = False) -> C3dLayout:
     """The layout of the data section of a file with this content.
 
     Raises:
@@ -66,7 +66,7 @@ def resolve_layout(header: C3dHeader, data: bytes | FileBytes, allow_truncated: 
     _refuse_analog_rate(header, rate, shape.ratio)
     scale = _scale(header, shape.real) * (-1.0 if shape.real else 1.0)
     offset = header.start + (shape.block - 1) * BLOCK
-    layout = Layout(shape.points, shape.channels, shape.ratio, 0, 1, rate, scale, offset, ())
+    layout = C3dLayout(shape.points, shape.channels, shape.ratio, 0, 1, rate, scale, offset, ())
     frames = _frames(header, layout, len(data) - offset, allow_truncated, notes)
     first = _first_frame(header, frames, notes)
     return replace(layout, frames=frames, first_frame=first, notes=(*said, *notes))
@@ -171,7 +171,7 @@ def _first_frame(header: C3dHeader, frames: int, notes: list[Note]) -> int:
     return max(chosen, 1)
 
 
-def _frames(header: C3dHeader, layout: Layout, available: int, allow_truncated: bool, notes: list[Note]) -> int:
+def _frames(header: C3dHeader, layout: C3dLayout, available: int, allow_truncated: bool, notes: list[Note]) -> int:
     """Frames to read: of the declared numbers that fill the file the most frequent, else one that it holds."""
     size = layout.bytes_per_frame
     if size == 0:

@@ -38,7 +38,7 @@ PHRASES = {
 
 
 @dataclass(frozen=True)
-class Shape:
+class C3dShape:
     """One way the data section may be laid out."""
 
     points: int
@@ -77,7 +77,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Statement:
+class C3dStatement:
     """What one witness says about one field of a `Shape`."""
 
     name: str
@@ -86,11 +86,11 @@ class Statement:
     weak: bool = False
     """Often otherwise in sound files, so that it may support but not accuse."""
 
-    def backs(self, shape: Shape) -> bool:
+    def backs(self, shape: C3dShape) -> bool:
         """It says what ``shape`` is; without channels nothing is said about their rate."""
         return getattr(shape, self.field) == self.value and not (self.field == "ratio" and not shape.channels)
 
-    def accuses(self, shape: Shape) -> bool:
+    def accuses(self, shape: C3dShape) -> bool:
         """It says otherwise; frames are counted elsewhere, where the file may also be too short or too long."""
         silent = self.weak or self.field == "frames" or (self.field == "ratio" and not shape.channels)
         return not silent and getattr(shape, self.field) != self.value
@@ -103,7 +103,7 @@ def _spelled(field: str, value: int) -> str:
     return ("reals" if value else "integers") if field == "real" else str(value)
 
 
-def choose_shape(header: C3dHeader, data: bytes | FileBytes, rate: float) -> tuple[Shape, list[Note]]:
+def choose_shape(header: C3dHeader, data: bytes | FileBytes, rate: float) -> tuple[C3dShape, list[Note]]:
     """The shape that fits the file's size and that most witnesses back; where none fits, the one that all back.
 
     Raises:
@@ -132,7 +132,7 @@ def choose_shape(header: C3dHeader, data: bytes | FileBytes, rate: float) -> tup
     return best[0], _disagreements(header, said, best[0], bool(fitting))
 
 
-def _statements(header: C3dHeader, data: bytes | FileBytes, rate: float) -> list[Statement]:
+def _statements(header: C3dHeader, data: bytes | FileBytes, rate: float) -> list[C3dStatement]:
     """Everything that is said; absent, saturated and impossible values say nothing."""
     analog_rate = header.number("ANALOG", "RATE") or 0.0
     multiple = round(analog_rate / rate)
@@ -151,11 +151,11 @@ def _statements(header: C3dHeader, data: bytes | FileBytes, rate: float) -> list
         ("POINT:DATA_START", "block", header.number("POINT", "DATA_START") or None),
         *((name, "frames", count) for name, count in declared_frames(header)),
     ]
-    strong = [Statement(name, field, int(value)) for name, field, value in found if value is not None and value >= 0]
+    strong = [C3dStatement(name, field, int(value)) for name, field, value in found if value is not None and value >= 0]
     labels = len(header.strings("POINT", "LABELS"))
     numbers = _stored_as_reals(header, data, [one.value for one in strong if one.field == "block"])
     weak = [("the number of POINT:LABELS", "points", labels or None), ("the numbers themselves", "real", numbers)]
-    return strong + [Statement(name, field, int(v), weak=True) for name, field, v in weak if v is not None]
+    return strong + [C3dStatement(name, field, int(v), weak=True) for name, field, v in weak if v is not None]
 
 
 def declared_frames(header: C3dHeader) -> list[tuple[str, int]]:
@@ -191,7 +191,7 @@ def _stored_as_reals(header: C3dHeader, data: bytes | FileBytes, blocks: list[in
     return True if odd < ODD_SHARE[0] else False if odd > ODD_SHARE[1] else None
 
 
-def _candidates(header: C3dHeader, said: list[Statement], size: int) -> Iterator[Shape]:
+def _candidates(header: C3dHeader, said: list[C3dStatement], size: int) -> Iterator[C3dShape]:
     """Every combination of stated values. Word 3 may hold channels where it should hold values per frame.
 
     Labels count where there are more of them than points are stated: with fewer, a file that was cut might seem whole.
@@ -210,13 +210,13 @@ def _candidates(header: C3dHeader, said: list[Statement], size: int) -> Iterator
     analog = dict.fromkeys((n, ratio) if n * ratio else (0, 0) for n, ratio in pairs)
     starts = [block for block in values("block") if block >= 2]
     for points, (channels, ratio), real, block in product(values("points"), analog, values("real") or [1], starts):
-        empty = Shape(points, channels, ratio, bool(real), block, 0)
+        empty = C3dShape(points, channels, ratio, bool(real), block, 0)
         present = max(empty.left(header, size), 0) // empty.frame_bytes if empty.frame_bytes else 0
         for frames in values("frames") or [present]:
-            yield Shape(points, channels, ratio, bool(real), block, frames)
+            yield C3dShape(points, channels, ratio, bool(real), block, frames)
 
 
-def _disagreements(header: C3dHeader, said: list[Statement], shape: Shape, fits: bool) -> list[Note]:
+def _disagreements(header: C3dHeader, said: list[C3dStatement], shape: C3dShape, fits: bool) -> list[Note]:
     """One note for every witness that says otherwise than ``shape``, with those that outvote it."""
     notes = []
     for one in (one for one in said if one.accuses(shape)):
@@ -228,7 +228,9 @@ def _disagreements(header: C3dHeader, said: list[Statement], shape: Shape, fits:
     return notes
 
 
-def _contradiction(header: C3dHeader, said: list[Statement], best: list[Shape], fits: bool, size: int) -> InputError:
+def _contradiction(
+    header: C3dHeader, said: list[C3dStatement], best: list[C3dShape], fits: bool, size: int
+) -> InputError:
     disputed = {one.field for one in said if any(one.accuses(shape) for shape in best)}
     stated = ", ".join(str(one) for one in said if one.field in disputed)
     shapes = "; or ".join(str(shape) for shape in best[:4])

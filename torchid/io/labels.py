@@ -12,7 +12,7 @@ OUTPUT_LISTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 
 
 @dataclass(frozen=True)
-class Selection:
+class LabelSelection:
     """Markers of a file and where they stand in it."""
 
     labels: tuple[str, ...]
@@ -28,7 +28,7 @@ def select_markers(
     outputs: frozenset[str] = frozenset(),
     subject: str | tuple[str, ...] | None = None,
     wanted: frozenset[str] = frozenset(),
-) -> Selection:
+) -> LabelSelection:
     """The markers among ``labels``; what is left out is counted and named in the notes.
 
     Args:
@@ -56,7 +56,7 @@ def select_markers(
     if duplicates:
         text = f"labels occur more than once, later ones are numbered: {_listed(duplicates)}"
         notes.append(Note("markers.duplicates", text, source))
-    return Selection(final, tuple(columns), tuple(notes), tuple(duplicates), tuple(subjects))
+    return LabelSelection(final, tuple(columns), tuple(notes), tuple(duplicates), tuple(subjects))
 
 
 def _outputs(labels: list[str], plain: list[str], listed: frozenset[str], wanted: frozenset[str]) -> dict[int, str]:

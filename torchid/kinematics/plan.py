@@ -30,7 +30,7 @@ class Tilt:
 
 
 @dataclass(frozen=True)
-class Column:
+class MotionColumn:
     """What one coordinate moves: the subtree of ``body`` (tree index), by a turn or a slide."""
 
     row: int
@@ -65,11 +65,11 @@ class Plan:
     """Tree index of each plan position."""
     levels: tuple[Level, ...]
     """The root's first."""
-    turns: tuple[Column, ...]
+    turns: tuple[MotionColumn, ...]
     """Moving turns: first ones of all bodies, then second ones and so on; bodies in plan order."""
-    hinges: tuple[Column, ...]
+    hinges: tuple[MotionColumn, ...]
     """Turns by hinge angles."""
-    slides: tuple[Column, ...]
+    slides: tuple[MotionColumn, ...]
     remainders: tuple[tuple[Tilt, ...], ...]
     """Of each plan position the constant rotations that nothing undoes."""
 
@@ -108,7 +108,7 @@ class Plan:
         return tuple(sorted(range(len(both)), key=key))
 
     @property
-    def motion(self) -> tuple[Column, ...]:
+    def motion(self) -> tuple[MotionColumn, ...]:
         """Columns of motion behind the six of the base, in ``motion_order``."""
         both = self.turns + self.slides
         return tuple(both[k] for k in self.motion_order)
@@ -148,7 +148,7 @@ def _level(tree: Tree, order: tuple[int, ...], d: int, depth: list[int]) -> Leve
     return Level(members[0], members[-1] + 1, parents)
 
 
-def _linked(column: Column, place: dict[tuple[int, int], int]) -> Column:
+def _linked(column: MotionColumn, place: dict[tuple[int, int], int]) -> MotionColumn:
     return replace(column, before=place.get((column.body, column.slot - 1), -1))
 
 
@@ -157,12 +157,12 @@ class _Joint:
 
     def __init__(self, body: Body, index: int) -> None:
         self.body = index
-        self.turns: list[Column] = []
-        self.hinges: list[Column] = []
+        self.turns: list[MotionColumn] = []
+        self.hinges: list[MotionColumn] = []
         open_: list[Tilt] = [Tilt(fixed=body.R_PJ)] if body.R_PJ else []
-        self.slides = [Column(s.row, index, s.axis, 1.0, tuple(open_), slide=True) for s in body.slides]
+        self.slides = [MotionColumn(s.row, index, s.axis, 1.0, tuple(open_), slide=True) for s in body.slides]
         for turn in body.turns:
-            column = Column(turn.row, index, turn.axis, turn.sign, tuple(open_), len(self.turns))
+            column = MotionColumn(turn.row, index, turn.axis, turn.sign, tuple(open_), len(self.turns))
             if turn.moving:
                 self.turns.append(column)
                 continue

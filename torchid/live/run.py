@@ -14,7 +14,7 @@ from torchid.errors import ConfigError, DataError
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
 from torchid.inertia.identify import Identified
-from torchid.live.estimation.identifier import Subject
+from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Moment, Pipeline
 from torchid.live.exercises.exercises import Possibilities
 from torchid.live.exercises.guidance import make_guide
@@ -62,7 +62,7 @@ def run_live(
     seconds: float = math.inf,
     record: Path | None = None,
     progress: OnStage = lambda stage, share: None,
-    page: Callable[[Subject, Source], Display] | None = None,
+    page: Callable[[LiveSubject, Source], Display] | None = None,
     opened: Callable[[str], None] = lambda address: None,
     possibilities: Possibilities | None = None,
     half_life_s: float = math.inf,
@@ -116,7 +116,7 @@ def run_live(
     }
 
 
-def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> tuple[Subject, Outcome]:
+def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> tuple[LiveSubject, Outcome]:
     """Geometry and prior of a config's subject, from a run of it that is finished, else from its static trials alone.
 
     Args:
@@ -158,7 +158,7 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     weight = standing_weight(followed.values(), session, config)
     assert session.static is not None
     refining = session.static.markers if finished is None else None
-    return Subject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz, refining), outcome
+    return LiveSubject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz, refining), outcome
 
 
 def _refuse_intervals(config: Config) -> None:
@@ -179,7 +179,7 @@ def _from_standing(config: Config, session: Session, folder: OutputFolder, progr
     return folder.stage("live_geometry", key, lambda: fit_session(config, session, True, progress))
 
 
-def guided(subject: Subject, possibilities: Possibilities) -> Subject:
+def guided(subject: LiveSubject, possibilities: Possibilities) -> LiveSubject:
     """Return the subject with exercises from which it is advised; takes seconds.
 
     Args:
@@ -198,8 +198,8 @@ def guided(subject: Subject, possibilities: Possibilities) -> Subject:
 
 
 def _streamed(
-    subject: Subject, source: Source, record: Path | None, seconds: float,
-    page: Callable[[Subject, Source], Display] | None, opened: Callable[[str], None],
+    subject: LiveSubject, source: Source, record: Path | None, seconds: float,
+    page: Callable[[LiveSubject, Source], Display] | None, opened: Callable[[str], None],
 ) -> tuple[dict[str, Any], Identified, dict[str, Any] | None, tuple[GeometryFit, InertialPrior]]:  # fmt: skip
     stream = (source.labels, source.rate_hz, source.plates, source.force_rate_hz)
     with ExitStack() as stack:

@@ -16,7 +16,7 @@ from torchid.errors import InputError, Note
 from torchid.model.markup import Element, fault
 from torchid.model.mechanics import Array, pose
 from torchid.model.model import Landmark, Model
-from torchid.model.tree_of_links import Axis, FileScatter, Placed, model_of
+from torchid.model.tree_of_links import FileScatter, LinkAxis, PlacedBody, model_of
 
 SAME_POINT = 1e-9
 """Points closer than this are one [m]."""
@@ -26,14 +26,14 @@ NOT_A_BODY = 1e-4
 
 
 @dataclass(frozen=True)
-class Link:
+class ModelLink:
     """A link as the file states it."""
 
     name: str
     parent: str | None
     X_PL: Array
     """Pose in the parent at zero coordinates; of the root: where the base rests in W."""
-    axes: tuple[Axis, ...] = ()
+    axes: tuple[LinkAxis, ...] = ()
     anchor: Array = field(default_factory=lambda: np.zeros(3))
     """Point of the link that its axes pass through [m]."""
     pseudo: Array = field(default_factory=lambda: np.zeros((4, 4)))
@@ -43,7 +43,7 @@ class Link:
 
 
 def assemble(
-    links: Sequence[Link], source: str | Path, landmarks: dict[str, tuple[str, Array]], scatter: FileScatter
+    links: Sequence[ModelLink], source: str | Path, landmarks: dict[str, tuple[str, Array]], scatter: FileScatter
 ) -> tuple[Model, tuple[Note, ...]]:
     """Model of the links of one file.
 
@@ -82,7 +82,7 @@ def check_body(mass: float, I_C: Array, element: Element, path: str | Path) -> N
         raise fault(element, path, "model.inertia", "no body has these principal moments", moments, remedy=remedy)
 
 
-def _ordered(links: Sequence[Link], source: str | Path) -> list[Link]:
+def _ordered(links: Sequence[ModelLink], source: str | Path) -> list[ModelLink]:
     """Parents before children, otherwise in the file's order (depth first)."""
     twice = [name for name, count in Counter(link.name for link in links).items() if count > 1]
     if twice:
@@ -96,7 +96,7 @@ def _ordered(links: Sequence[Link], source: str | Path) -> list[Link]:
         raise InputError(
             "model.root", "needs exactly one link without parent", source=source, found=found, remedy=remedy
         )
-    children: dict[str, list[Link]] = {link.name: [] for link in links}
+    children: dict[str, list[ModelLink]] = {link.name: [] for link in links}
     for link in links:
         if link.parent is not None:
             if link.parent not in children:
@@ -124,12 +124,12 @@ class _Assembly:
 
     def __init__(self, source: str | Path) -> None:
         self.source, self.said = source, dict[tuple[str, str], list[str]]()
-        self.moving: dict[str, Link] = {}
+        self.moving: dict[str, ModelLink] = {}
         self.on: dict[str, tuple[str, Array]] = {}
         """Link of the file: moving link that carries it, and its pose there."""
         self.points: dict[str, tuple[str, Array]] = {}
 
-    def add(self, link: Link) -> None:
+    def add(self, link: ModelLink) -> None:
         """A link whose parent was added before."""
         base, X_BP = self.on[link.parent] if link.parent is not None else (None, np.eye(4))
         if base is None or link.axes:
@@ -169,7 +169,7 @@ class _Assembly:
                 )  # fmt: skip
             self._carry(link, carried[0])
 
-    def _carry(self, link: Link, child: Link) -> None:
+    def _carry(self, link: ModelLink, child: ModelLink) -> None:
         R = child.X_PL[:3, :3]
         before = tuple(replace(axis, unit=R.T @ axis.unit) for axis in link.axes)
         X_PL = link.X_PL @ pose(R)
@@ -180,7 +180,7 @@ class _Assembly:
             self._say("landmark_lost", f"{point} (on {link.name})", "on a link without mass, left out")
             del self.points[point]
 
-    def placed(self) -> list[Placed]:
+    def placed(self) -> list[PlacedBody]:
         """The moving links as bodies-to-be, parents first."""
         names = list(self.moving)
         found = []
@@ -192,7 +192,7 @@ class _Assembly:
                     place=link.place, remedy="Slides come first in a joint; give the link between them a mass.",
                 )  # fmt: skip
             parent = -1 if link.parent is None else names.index(link.parent)
-            found.append(Placed(link.name, parent, link.X_PL, link.axes, link.pseudo, link.place))
+            found.append(PlacedBody(link.name, parent, link.X_PL, link.axes, link.pseudo, link.place))
         return found
 
     def landmarks(self, scatter: FileScatter) -> dict[str, Landmark]:

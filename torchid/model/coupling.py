@@ -33,7 +33,7 @@ def pushed(function: Callable[..., Tensor], at: tuple[Tensor, ...], along: tuple
 
 
 @dataclass(frozen=True)
-class Follower:
+class CoupledAxis:
     """One axis value that is a function of others."""
 
     name: str
@@ -50,7 +50,7 @@ class Coupling:
     """Two couplings of one key are the same (a hash of what they were made from)."""
     n_dofs: int
     """Number of coordinates; the followers' rows come behind them."""
-    followers: tuple[Follower, ...] = field(compare=False)
+    followers: tuple[CoupledAxis, ...] = field(compare=False)
 
     @cached_property
     def leads(self) -> tuple[frozenset[int], ...]:
@@ -77,7 +77,7 @@ class Coupling:
         return torch.stack(rows[self.n_dofs :]) if self.followers else q[:0]
 
     @staticmethod
-    def _given(rows: list[Tensor], one: Follower) -> Tensor:
+    def _given(rows: list[Tensor], one: CoupledAxis) -> Tensor:
         """Return what a follower is given (frames, arguments)."""
         return torch.stack([rows[row] for row in one.rows], -1) if one.rows else rows[0].new_zeros(len(rows[0]), 0)
 
@@ -142,7 +142,7 @@ class Coupling:
             values: value [rad, m] by row of q.
         """
         place = self.renumber(list(values))
-        held = [Follower(f"held_{row}", (), Constant(value)) for row, value in values.items()]
+        held = [CoupledAxis(f"held_{row}", (), Constant(value)) for row, value in values.items()]
         moved = [replace(one, rows=tuple(place[row] for row in one.rows)) for one in self.followers]
         key = f"{self.key} held {sorted(values.items())}"
         return Coupling(key, self.n_dofs - len(values), (*held, *moved))

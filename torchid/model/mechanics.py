@@ -17,7 +17,7 @@ from torchid.errors import DataError
 from torchid.model.tree import Body, Rotation
 
 Array = NDArray[np.float64]
-Markers = Mapping[str, tuple[str, Sequence[float]]]
+MarkerTable = Mapping[str, tuple[str, Sequence[float]]]
 """label: (segment, p_BM_B [m])."""
 
 

@@ -13,13 +13,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from torchid.errors import Note
-from torchid.model.assembly import Link, assemble, check_body
+from torchid.model.assembly import ModelLink, assemble, check_body
 from torchid.model.markup import Element, fault, numbers, place, read_xml
 from torchid.model.mechanics import Array, axis_rotation, pose, pseudo_inertia
 from torchid.model.mjcf_shapes import shape_inertia, z_to
 from torchid.model.mjcf_words import WORDS
 from torchid.model.model import Model
-from torchid.model.tree_of_links import Axis, FileScatter
+from torchid.model.tree_of_links import FileScatter, LinkAxis
 from torchid.model.vocabulary import unread
 
 REFUSED = ("include", "frame", "replicate", "attach", "composite", "flexcomp", "plugin")
@@ -38,7 +38,7 @@ class _Reading:
     from_shapes: str = "auto"
     classes: dict[str, dict[str, dict[str, str]]] = field(default_factory=lambda: {"main": {}})
     """Class: tag: attributes, inherited ones included."""
-    links: list[Link] = field(default_factory=list)
+    links: list[ModelLink] = field(default_factory=list)
     sites: dict[str, tuple[str, Array]] = field(default_factory=dict)
     armature: list[str] = field(default_factory=list)
     """Joints that have one."""
@@ -150,7 +150,9 @@ def _read_body(body: Element, parent: str | None, inherited: str, reading: _Read
         raise fault(body, reading.path, "mjcf.free", "only a body of the world may be free", remedy=remedy)
     axes, anchor = _joints(body, name, inherited, reading) if parent is not None else ((), np.zeros(3))
     pseudo = _inertia(body, inherited, reading)
-    reading.links.append(Link(name, parent, _pose(body, dict(body.attrib), reading), axes, anchor, pseudo, place(body)))
+    reading.links.append(
+        ModelLink(name, parent, _pose(body, dict(body.attrib), reading), axes, anchor, pseudo, place(body))
+    )
     for site in body.findall("site"):
         values = _attributes(site, inherited, reading)
         label = site.get("name") or f"site_{len(reading.sites)}"
@@ -162,9 +164,9 @@ def _read_body(body: Element, parent: str | None, inherited: str, reading: _Read
         _read_body(child, name, inherited, reading)
 
 
-def _joints(body: Element, name: str, inherited: str, reading: _Reading) -> tuple[tuple[Axis, ...], Array]:
+def _joints(body: Element, name: str, inherited: str, reading: _Reading) -> tuple[tuple[LinkAxis, ...], Array]:
     """Axes of a body's joints and the point they share."""
-    axes: list[Axis] = []
+    axes: list[LinkAxis] = []
     anchor: Array | None = None
     for joint in body.findall("joint"):
         values = _attributes(joint, inherited, reading)
@@ -182,14 +184,14 @@ def _joints(body: Element, name: str, inherited: str, reading: _Reading) -> tupl
     return tuple(axes), np.zeros(3) if anchor is None else anchor
 
 
-def _axes(joint: Element, label: str, values: dict[str, str], reading: _Reading) -> list[Axis]:
+def _axes(joint: Element, label: str, values: dict[str, str], reading: _Reading) -> list[LinkAxis]:
     kind = values.get("type", "hinge")
     if numbers(values.get("ref", "0"), joint, reading.path, (1,))[0] != 0.0:
         message = "a reference other than zero is not read"
         raise fault(joint, reading.path, "mjcf.ref", message, values["ref"], remedy=COMPILED)
     if kind == "ball":
         reading.say("ball", f"{label}: a ball joint, read as turns about X, Y, Z")
-        return [Axis(f"{label}_{axis}", False, np.eye(3)[k]) for k, axis in enumerate("xyz")]
+        return [LinkAxis(f"{label}_{axis}", False, np.eye(3)[k]) for k, axis in enumerate("xyz")]
     if kind not in ("hinge", "slide"):
         raise fault(
             joint, reading.path, "mjcf.joint", "unknown type of joint", kind, remedy="Use free, ball, slide or hinge."
@@ -205,7 +207,7 @@ def _axes(joint: Element, label: str, values: dict[str, str], reading: _Reading)
         if lower > upper:
             message, remedy = "the lower limit is above the upper", "Exchange them."
             raise fault(joint, reading.path, "mjcf.range", message, values["range"], remedy=remedy)
-    return [Axis(label, kind == "slide", unit / np.linalg.norm(unit), lower, upper)]
+    return [LinkAxis(label, kind == "slide", unit / np.linalg.norm(unit), lower, upper)]
 
 
 def _pose(element: Element, values: dict[str, str], reading: _Reading) -> Array:

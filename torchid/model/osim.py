@@ -17,7 +17,7 @@ from torch import Tensor
 from torchid.conventions import GRAVITY
 from torchid.errors import DataError
 from torchid.model.markup import Element, document, node, plain_name, spelt, write_xml
-from torchid.model.mechanics import Array, Markers, matrix_to_rpy, phi_to_centre, zero_pose
+from torchid.model.mechanics import Array, MarkerTable, matrix_to_rpy, phi_to_centre, zero_pose
 from torchid.model.model import Geometry
 from torchid.model.opensim import rotations
 from torchid.model.tree import BASE_DOFS, Body, Dof, Tree
@@ -57,7 +57,7 @@ def write_osim(
     geometry: Geometry,
     phi: Float[Tensor, "bodies 10"],
     path: str | Path,
-    markers: Markers | None = None,
+    markers: MarkerTable | None = None,
     name: str = "torchid",
 ) -> None:
     """Write a model for OpenSim 4.

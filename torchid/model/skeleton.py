@@ -29,7 +29,7 @@ BASE_SD = 100.0
 
 
 @dataclass(frozen=True)
-class Axis:
+class JointAxis:
     """One coordinate of a joint: name, axis, sign on the right side, whether it mirrors, limits and scatter [deg]."""
 
     name: str
@@ -52,13 +52,13 @@ class Lean:
 
 
 @dataclass(frozen=True)
-class Joint:
+class TemplateJoint:
     """A joint of the template: ``child`` on ``parent``, its axes in order, leans of its first or last axis."""
 
     name: str
     child: str
     parent: str
-    axes: tuple[Axis, ...]
+    axes: tuple[JointAxis, ...]
     leans: tuple[tuple[Lean, ...], ...] = ()
     """One tuple per axis; empty tuples for axes that do not lean."""
 
@@ -69,69 +69,70 @@ def _hinge(name: str) -> tuple[Lean, ...]:
 
 
 AXIAL = (
-    Joint(
+    TemplateJoint(
         "lower_spine", "abdomen", "pelvis",
         (
-            Axis("lower_spine_flexion", Y, 1.0, False, -40.0, 75.0, 25.0),
-            Axis("lower_spine_bending", X, 1.0, False, -40.0, 40.0, 20.0),
-            Axis("lower_spine_rotation", Z, 1.0, False, -35.0, 35.0, 15.0),
+            JointAxis("lower_spine_flexion", Y, 1.0, False, -40.0, 75.0, 25.0),
+            JointAxis("lower_spine_bending", X, 1.0, False, -40.0, 40.0, 20.0),
+            JointAxis("lower_spine_rotation", Z, 1.0, False, -35.0, 35.0, 15.0),
         ),
     ),
-    Joint(
+    TemplateJoint(
         "upper_spine", "thorax", "abdomen",
         (
-            Axis("upper_spine_flexion", Y, 1.0, False, -40.0, 65.0, 25.0),
-            Axis("upper_spine_bending", X, 1.0, False, -45.0, 45.0, 20.0),
-            Axis("upper_spine_rotation", Z, 1.0, False, -55.0, 55.0, 20.0),
+            JointAxis("upper_spine_flexion", Y, 1.0, False, -40.0, 65.0, 25.0),
+            JointAxis("upper_spine_bending", X, 1.0, False, -45.0, 45.0, 20.0),
+            JointAxis("upper_spine_rotation", Z, 1.0, False, -55.0, 55.0, 20.0),
         ),
     ),
-    Joint(
+    TemplateJoint(
         "neck", "head", "thorax",
         (
-            Axis("neck_flexion", Y, 1.0, False, -80.0, 80.0, 30.0),
-            Axis("neck_bending", X, 1.0, False, -60.0, 60.0, 20.0),
-            Axis("neck_rotation", Z, 1.0, False, -95.0, 95.0, 35.0),
+            JointAxis("neck_flexion", Y, 1.0, False, -80.0, 80.0, 30.0),
+            JointAxis("neck_bending", X, 1.0, False, -60.0, 60.0, 20.0),
+            JointAxis("neck_rotation", Z, 1.0, False, -95.0, 95.0, 35.0),
         ),
     ),
 )  # fmt: skip
 LIMBS = (
-    Joint(
+    TemplateJoint(
         "shoulder", "upper_arm", "thorax",
         (
-            Axis("shoulder_flexion", Y, -1.0, False, -90.0, 190.0, 60.0),
-            Axis("shoulder_rotation", Z, 1.0, True, -85.0, 85.0, 45.0),
-            Axis("shoulder_adduction", X, 1.0, True, -190.0, 75.0, 60.0),
+            JointAxis("shoulder_flexion", Y, -1.0, False, -90.0, 190.0, 60.0),
+            JointAxis("shoulder_rotation", Z, 1.0, True, -85.0, 85.0, 45.0),
+            JointAxis("shoulder_adduction", X, 1.0, True, -190.0, 75.0, 60.0),
         ),
     ),
-    Joint(
+    TemplateJoint(
         "elbow", "forearm", "upper_arm",
         (
-            Axis("elbow_flexion", Y, -1.0, False, -15.0, 160.0, 60.0),
-            Axis("elbow_pronation", Z, 1.0, True, -105.0, 105.0, 50.0),
+            JointAxis("elbow_flexion", Y, -1.0, False, -15.0, 160.0, 60.0),
+            JointAxis("elbow_pronation", Z, 1.0, True, -105.0, 105.0, 50.0),
         ),
         (_hinge("elbow"), ()),
     ),
-    Joint(
+    TemplateJoint(
         "wrist", "hand", "forearm",
         (
-            Axis("wrist_flexion", X, 1.0, True, -90.0, 95.0, 30.0),
-            Axis("wrist_deviation", Y, 1.0, False, -35.0, 50.0, 15.0),
+            JointAxis("wrist_flexion", X, 1.0, True, -90.0, 95.0, 30.0),
+            JointAxis("wrist_deviation", Y, 1.0, False, -35.0, 50.0, 15.0),
         ),
     ),
-    Joint(
+    TemplateJoint(
         "hip", "thigh", "pelvis",
         (
-            Axis("hip_flexion", Y, -1.0, False, -45.0, 145.0, 45.0),
-            Axis("hip_adduction", X, 1.0, True, -70.0, 50.0, 20.0),
-            Axis("hip_rotation", Z, 1.0, True, -65.0, 65.0, 20.0),
+            JointAxis("hip_flexion", Y, -1.0, False, -45.0, 145.0, 45.0),
+            JointAxis("hip_adduction", X, 1.0, True, -70.0, 50.0, 20.0),
+            JointAxis("hip_rotation", Z, 1.0, True, -65.0, 65.0, 20.0),
         ),
     ),
-    Joint("knee", "shank", "thigh", (Axis("knee_flexion", Y, 1.0, False, -15.0, 165.0, 50.0),), (_hinge("knee"),)),
-    Joint(
+    TemplateJoint("knee", "shank", "thigh", (JointAxis("knee_flexion", Y, 1.0, False, -15.0, 165.0, 50.0),),
+    (_hinge("knee"),)),
+    TemplateJoint(
         "ankle", "foot", "shank",
         (
-            Axis("ankle_flexion", Y, -1.0, False, -70.0, 50.0, 25.0),
-            Axis("ankle_inversion", X, 1.0, True, -45.0, 55.0, 15.0),
+            JointAxis("ankle_flexion", Y, -1.0, False, -70.0, 50.0, 25.0),
+            JointAxis("ankle_inversion", X, 1.0, True, -45.0, 55.0, 15.0),
         ),
         (
             _hinge("ankle"),
@@ -142,7 +143,7 @@ LIMBS = (
 )  # fmt: skip
 
 
-def _sided(joint: Joint, side: str) -> Joint:
+def _sided(joint: TemplateJoint, side: str) -> TemplateJoint:
     """The joint of one side: names take ``_l`` or ``_r``, mirrored signs turn on the left."""
     flip = -1.0 if side == "l" else 1.0
 
@@ -150,12 +151,12 @@ def _sided(joint: Joint, side: str) -> Joint:
         stem, _, tail = text.partition("_")
         return f"{stem}_{side}_{tail}"
 
-    return Joint(
+    return TemplateJoint(
         f"{joint.name}_{side}",
         f"{joint.child}_{side}",
         joint.parent if joint.parent in SEGMENTS else f"{joint.parent}_{side}",
         tuple(
-            Axis(name(a.name), a.axis, a.sign * (flip if a.mirrored else 1.0), a.mirrored, a.lower, a.upper, a.sd)
+            JointAxis(name(a.name), a.axis, a.sign * (flip if a.mirrored else 1.0), a.mirrored, a.lower, a.upper, a.sd)
             for a in joint.axes
         ),
         tuple(
@@ -198,7 +199,7 @@ def _base_dofs(hip_height: float) -> list[Dof]:
     ]
 
 
-def _dof(axis: Axis) -> Dof:
+def _dof(axis: JointAxis) -> Dof:
     return Dof(axis.name, "rad", math.radians(axis.lower), math.radians(axis.upper), 0.0, math.radians(axis.sd))
 
 

@@ -52,7 +52,7 @@ class FileScatter:
 
 
 @dataclass(frozen=True)
-class Axis:
+class LinkAxis:
     """One coordinate of a link's joint."""
 
     name: str
@@ -64,14 +64,14 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedBody:
     """A body-to-be."""
 
     name: str
     parent: int
     X_PB: Array
     """Pose in the parent at zero coordinates; of the root: where it rests in W."""
-    axes: tuple[Axis, ...]
+    axes: tuple[LinkAxis, ...]
     """Slides before turns, all through the origin."""
     pseudo: Array
     """Pseudo-inertia about the origin."""
@@ -79,7 +79,7 @@ class Placed:
 
 
 def model_of(
-    bodies: Sequence[Placed], landmarks: dict[str, Landmark], source: str, scatter: FileScatter
+    bodies: Sequence[PlacedBody], landmarks: dict[str, Landmark], source: str, scatter: FileScatter
 ) -> tuple[Model, tuple[Note, ...]]:
     """Model of bodies, parents first (float64, CPU).
 
@@ -115,7 +115,7 @@ def model_of(
 class _Builder:
     """Bodies, coordinates and hinge angles so far."""
 
-    def __init__(self, root: Placed) -> None:
+    def __init__(self, root: PlacedBody) -> None:
         self.bodies = [Body(root.name, -1)]
         rest = [*root.X_PB[:3, 3], *ScipyRotation.from_matrix(root.X_PB[:3, :3]).as_rotvec()]
         units = [(axis, "m") for axis in "xyz"] + [(f"r{axis}", "rad") for axis in "xyz"]
@@ -126,7 +126,7 @@ class _Builder:
         self.hinges: list[str] = []
         self.angles: list[float] = []
 
-    def add(self, body: Placed, source: str) -> None:
+    def add(self, body: PlacedBody, source: str) -> None:
         """The body and its joint."""
         R_slide, axes = _slide_frame(body, source)
         slides: list[Slide] = []
@@ -168,7 +168,7 @@ def leaning_turn(name: str, unit: Array, row: int, hinges: list[str], angles: li
     return [*tilt, moving, *(Turn(t.axis, t.row, moving=False, sign=-1.0) for t in reversed(tilt))]
 
 
-def _slide_frame(body: Placed, source: str) -> tuple[Array, list[int]]:
+def _slide_frame(body: PlacedBody, source: str) -> tuple[Array, list[int]]:
     """Rotation R with R e_k along each slide, and the k of each: slides of a tree have no sign."""
     units = np.array([axis.unit for axis in body.axes if axis.slide]).reshape(-1, 3)
     axes: list[int] = []
@@ -197,7 +197,7 @@ def _rotation_onto(units: Array, axes: list[int]) -> Array:
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
 
 
-def _thicken(bodies: Sequence[Placed], source: str) -> tuple[Array, tuple[Note, ...]]:
+def _thicken(bodies: Sequence[PlacedBody], source: str) -> tuple[Array, tuple[Note, ...]]:
     """Ten parameters of each body; a point, a rod or a plate gets LEAST_EXTENT where it has none.
 
     A pseudo-inertia on the boundary has no inverse, and identification needs one.
@@ -277,7 +277,7 @@ def _varied(phi: Tensor, x: Tensor) -> Tensor:
     return torch.stack([mass, *(mass * centre), *(moved[i, j] for i, j in INERTIA_PAIRS)])
 
 
-def _size(bodies: Sequence[Placed], landmarks: dict[str, Landmark]) -> float:
+def _size(bodies: Sequence[PlacedBody], landmarks: dict[str, Landmark]) -> float:
     """Largest distance between joint centres, centres of mass and landmarks at zero coordinates [m].
 
     Files state no stature; this stands for it where a length of the subject's size is needed.

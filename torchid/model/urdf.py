@@ -13,11 +13,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import InputError, Note
-from torchid.model.assembly import Link, assemble, check_body
+from torchid.model.assembly import ModelLink, assemble, check_body
 from torchid.model.markup import Element, document, fault, node, numbers, place, plain_name, read_xml, spelt, write_xml
 from torchid.model.mechanics import (
     Array,
-    Markers,
+    MarkerTable,
     matrix_to_rpy,
     phi_to_centre,
     pose,
@@ -27,7 +27,7 @@ from torchid.model.mechanics import (
 )
 from torchid.model.model import Geometry, Model
 from torchid.model.tree import Body, Dof, Tree
-from torchid.model.tree_of_links import Axis, FileScatter
+from torchid.model.tree_of_links import FileScatter, LinkAxis
 from torchid.model.vocabulary import unread
 
 UNLIMITED = 1e9
@@ -116,16 +116,16 @@ def _drop_world(links: dict[str, Element], joints: dict[str, Element], path: str
             del joints[child], links[parent]
 
 
-def _link(name: str, element: Element, joint: Element | None, links: dict[str, Element], path: str | Path) -> Link:
+def _link(name: str, element: Element, joint: Element | None, links: dict[str, Element], path: str | Path) -> ModelLink:
     pseudo = _inertial(element, path)
     if joint is None:
-        return Link(name, None, np.eye(4), pseudo=pseudo, place=place(element))
+        return ModelLink(name, None, np.eye(4), pseudo=pseudo, place=place(element))
     axes = _axes(joint, path)
     X_PL = _origin(joint, path)
-    return Link(name, _end(joint, "parent", links, path), X_PL, axes, pseudo=pseudo, place=place(element))
+    return ModelLink(name, _end(joint, "parent", links, path), X_PL, axes, pseudo=pseudo, place=place(element))
 
 
-def _axes(joint: Element, path: str | Path) -> tuple[Axis, ...]:
+def _axes(joint: Element, path: str | Path) -> tuple[LinkAxis, ...]:
     kind = joint.get("type", "")
     if kind == "fixed":
         return ()
@@ -145,7 +145,7 @@ def _axes(joint: Element, path: str | Path) -> tuple[Axis, ...]:
     if element is not None and not np.linalg.norm(unit) > 0.0:
         raise fault(element, path, "urdf.axis", "an axis of length zero", remedy="Give it a direction.")
     lower, upper = _limits(joint, path) if kind != "continuous" else (-math.inf, math.inf)
-    return (Axis(_name(joint, path), kind == "prismatic", unit / np.linalg.norm(unit), lower, upper),)
+    return (LinkAxis(_name(joint, path), kind == "prismatic", unit / np.linalg.norm(unit), lower, upper),)
 
 
 def _limits(joint: Element, path: str | Path) -> tuple[float, float]:
@@ -193,7 +193,7 @@ def write_urdf(
     geometry: Geometry,
     phi: Float[Tensor, "bodies 10"],
     path: str | Path,
-    markers: Markers | None = None,
+    markers: MarkerTable | None = None,
     name: str = "torchid",
 ) -> None:
     """Write a model as URDF: a joint of several axes as massless links at one point, markers as massless fixed links.

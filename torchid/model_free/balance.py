@@ -20,7 +20,7 @@ from torch import Tensor
 from torchid.conventions import GRAVITY, LOADED_N
 from torchid.dynamics.rows import runs
 from torchid.model_free.options import WitnessOptions
-from torchid.model_free.statements import Subject
+from torchid.model_free.statements import CheckSubject
 from torchid.model_free.watched import Watched
 
 UNSEEN = 1e-12
@@ -42,7 +42,7 @@ class _Window:
 class Balance:
     """Mass, gains, clocks and leaning forces of one trial; a ``Witness``."""
 
-    about: tuple[Subject, ...]
+    about: tuple[CheckSubject, ...]
     covariance: Float[Tensor, "some some"]
     bearing: tuple[tuple[int, ...], ...]
     """Plates that speak together."""
@@ -84,12 +84,12 @@ def balance(watched: Watched, options: WitnessOptions) -> Balance | None:
     return Balance(_about(watched.name, plates), UNDERSTATED**2 * J @ _scatter(windows, x) @ J.T, bearing, parts)
 
 
-def _about(trial: str, plates: Sequence[str]) -> tuple[Subject, ...]:
+def _about(trial: str, plates: Sequence[str]) -> tuple[CheckSubject, ...]:
     """Return what the numbers are about, in the order of the columns."""
-    gains = [Subject("gain", trial, f"{plate}/{plates[0]}") for plate in plates[1:]]
-    lean = [Subject(f"lean_{axis}", trial, plate) for axis in "xy" for plate in plates]
-    clocks = [Subject("clock_vertical", trial), Subject("clock_horizontal", trial)]
-    return (Subject("mass", trial), *gains, *clocks, *lean)
+    gains = [CheckSubject("gain", trial, f"{plate}/{plates[0]}") for plate in plates[1:]]
+    lean = [CheckSubject(f"lean_{axis}", trial, plate) for axis in "xy" for plate in plates]
+    clocks = [CheckSubject("clock_vertical", trial), CheckSubject("clock_horizontal", trial)]
+    return (CheckSubject("mass", trial), *gains, *clocks, *lean)
 
 
 def _bearing(watched: Watched, options: WitnessOptions) -> tuple[tuple[int, ...], ...]:

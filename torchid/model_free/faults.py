@@ -57,7 +57,7 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Fault:
+class SuspectedFault:
     """A fault that witnesses name."""
 
     suspect: Suspect
@@ -111,7 +111,7 @@ def suspects_of(panel: Panel, effects: Sequence[Effect]) -> tuple[Suspect, ...]:
     return tuple(found)
 
 
-def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[Fault, ...]:
+def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[SuspectedFault, ...]:
     """Return the faults that the statements need, in the order in which they are found.
 
     Args:
@@ -130,8 +130,8 @@ def name_faults(panel: Panel, suspects: Sequence[Suspect]) -> tuple[Fault, ...]:
 
 
 def without(
-    panel: Panel, faults: Sequence[Fault], places: Collection[tuple[str, tuple[str, ...]]]
-) -> tuple[Fault, ...]:
+    panel: Panel, faults: Sequence[SuspectedFault], places: Collection[tuple[str, tuple[str, ...]]]
+) -> tuple[SuspectedFault, ...]:
     """Return the faults but for some, with what sizes the others have without them.
 
     Args:
@@ -143,12 +143,12 @@ def without(
     return _sized(panel, [one.suspect for one in kept], [one.scan for one in kept])
 
 
-def _sized(panel: Panel, chosen: Sequence[Suspect], scans: Sequence[tuple[Scored, ...]]) -> tuple[Fault, ...]:
+def _sized(panel: Panel, chosen: Sequence[Suspect], scans: Sequence[tuple[Scored, ...]]) -> tuple[SuspectedFault, ...]:
     both = zip(chosen, sizes(panel, chosen), scans, strict=True)
-    return tuple(Fault(one, size, found) for one, size, found in both)
+    return tuple(SuspectedFault(one, size, found) for one, size, found in both)
 
 
-def left_by(panel: Panel, faults: Sequence[Fault]) -> float:
+def left_by(panel: Panel, faults: Sequence[SuspectedFault]) -> float:
     """Return the chance of what the statements say beyond faults of any size, by their chi-square.
 
     Errors that no fault describes, such as exchanged cables, are explained by several large ones that nearly cancel,
@@ -163,7 +163,7 @@ def left_by(panel: Panel, faults: Sequence[Fault]) -> float:
     return float(scipy.stats.chi2.sf(float(panel.value @ off), len(panel.value)))
 
 
-def outdone(panel: Panel, faults: Sequence[Fault], effects: Sequence[Effect]) -> float:
+def outdone(panel: Panel, faults: Sequence[SuspectedFault], effects: Sequence[Effect]) -> float:
     """Return by how much the likeliest effect that is there or not, and has no size, describes the statements better
     than faults of any size [nat]; minus infinity where there is none to try.
 
@@ -225,7 +225,7 @@ def sizes(panel: Panel, chosen: Sequence[Suspect]) -> list[Size]:
     return found
 
 
-def instead(panel: Panel, faults: Sequence[Fault], k: int, other: Suspect) -> Size:
+def instead(panel: Panel, faults: Sequence[SuspectedFault], k: int, other: Suspect) -> Size:
     """Return the size of a suspect in the place of the k-th fault.
 
     Args:

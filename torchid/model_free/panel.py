@@ -22,7 +22,7 @@ from torchid.model_free.balance import balance
 from torchid.model_free.options import WitnessOptions
 from torchid.model_free.pressure import pressures
 from torchid.model_free.scatter import RECORD_PART, SCATTER
-from torchid.model_free.statements import Subject, Witness
+from torchid.model_free.statements import CheckSubject, Witness
 from torchid.model_free.unloaded import zeros
 from torchid.model_free.watched import Watched
 from torchid.observation.options import ObservationOptions
@@ -55,7 +55,7 @@ class Panel:
     options: WitnessOptions
 
     @property
-    def about(self) -> list[Subject]:
+    def about(self) -> list[CheckSubject]:
         """What each statement is about."""
         return [subject for some in self.witnesses for one in some for subject in one.about]
 
@@ -173,7 +173,7 @@ def witnesses_of(trial: Watched, options: WitnessOptions, observation: Observati
 
 
 def _scatter(
-    about: Sequence[Subject], within: Float[Tensor, "some some"], record_part: float
+    about: Sequence[CheckSubject], within: Float[Tensor, "some some"], record_part: float
 ) -> tuple[Float[Tensor, "some some"], Float[Tensor, "some some"]]:
     """Return the covariance of statements by themselves, and of what all of a kind share, by their kinds."""
     scatter = SCATTER | {"mass": SCATTER["mass"]._replace(alike=max(record_part, RECORD_PART))}

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.conventions import LOADED_N
 from torchid.model_free.options import WitnessOptions
-from torchid.model_free.statements import Subject
+from torchid.model_free.statements import CheckSubject
 from torchid.model_free.watched import Watched
 
 KINDS = ("pressure_lateral", "pressure_along")
@@ -31,7 +31,7 @@ class _Stand:
 class Pressures:
     """How far the mean pressure of each foot on each plate is from the middle of its sole [m]; a ``Witness``."""
 
-    about: tuple[Subject, ...]
+    about: tuple[CheckSubject, ...]
     stands: tuple[_Stand, ...]
 
     @property
@@ -64,7 +64,7 @@ def pressures(watched: Watched, options: WitnessOptions) -> Pressures | None:
             on = (watched.foot_on[:, k] == j) & (watched.reading.wrench[:, k, 2] > LOADED_N)
             if int(on.sum()) >= options.shortest_contact_s * watched.rate:
                 stands.append(_Stand(k, on, watched.soles[j][on], foot.endswith("_l")))
-                about += [Subject(kind, watched.name, f"{frame.name} {foot}") for kind in KINDS]
+                about += [CheckSubject(kind, watched.name, f"{frame.name} {foot}") for kind in KINDS]
     return Pressures(tuple(about), tuple(stands)) if stands else None
 
 

@@ -10,7 +10,7 @@ from torchid.model_free.watched import Watched
 
 
 @dataclass(frozen=True)
-class Subject:
+class CheckSubject:
     """What a number is about."""
 
     kind: str
@@ -26,7 +26,7 @@ class Witness(Protocol):
     """Numbers about one trial, zero where nothing is wrong, that can be taken again of other readings of its plates."""
 
     @property
-    def about(self) -> tuple[Subject, ...]:
+    def about(self) -> tuple[CheckSubject, ...]:
         """What each number is about."""
         ...
 

@@ -11,7 +11,7 @@ from torchid.effects.effect import Effect
 from torchid.effects.place import Place
 from torchid.model_free.panel import Panel
 from torchid.model_free.scatter import SCATTER
-from torchid.model_free.statements import Subject
+from torchid.model_free.statements import CheckSubject
 
 CONTRADICTS_SD = 3.0
 """Choice. Standard deviations from what a claim would have a witness say at which that witness contradicts it."""
@@ -40,7 +40,7 @@ class Testimony:
 
 
 @dataclass(frozen=True)
-class Answer:
+class CheckAnswer:
     """What one witness says of one claim, beside all others."""
 
     name: str
@@ -75,7 +75,7 @@ class Answer:
         return abs(self.value - self.expected)
 
 
-def answers(panel: Panel, claims: Sequence[Claim]) -> list[tuple[Answer, ...]]:
+def answers(panel: Panel, claims: Sequence[Claim]) -> list[tuple[CheckAnswer, ...]]:
     """Return what each witness that hears a claim says of it, those that hear most of it first.
 
     Args:
@@ -94,10 +94,10 @@ def answers(panel: Panel, claims: Sequence[Claim]) -> list[tuple[Answer, ...]]:
     return found
 
 
-def _answer(about: Subject, value: Tensor, sd: Tensor, expected: Tensor) -> Answer:
+def _answer(about: CheckSubject, value: Tensor, sd: Tensor, expected: Tensor) -> CheckAnswer:
     """Return what a witness says of one subject."""
     of = SCATTER[about.kind]
-    return Answer(
+    return CheckAnswer(
         about.kind, about.trial, about.plate, float(value), float(sd), float(expected), of.usual, of.unit
     )  # fmt: skip
 

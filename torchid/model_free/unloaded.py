@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.plate_map import to_plate
-from torchid.model_free.statements import Subject
+from torchid.model_free.statements import CheckSubject
 from torchid.model_free.watched import Watched
 from torchid.observation.options import ObservationOptions
 from torchid.observation.unloaded_plates import find_unloaded
@@ -19,7 +19,7 @@ CHANNELS = ("fx", "fy", "fz", "mx", "my", "mz")
 class Zeros:
     """The zeros of a trial's plates [N, N m], in their own axes; a ``Witness``."""
 
-    about: tuple[Subject, ...]
+    about: tuple[CheckSubject, ...]
     covariance: Float[Tensor, "some some"]
     runs: tuple[tuple[int, slice], ...]
     """Plates, and the frames in which each bears nothing."""
@@ -45,6 +45,6 @@ def zeros(watched: Watched, observation: ObservationOptions) -> Zeros | None:
     if not found:
         return None
     names = [watched.reading.frames[k].name for k, *_ in found]
-    about = tuple(Subject(f"zero_{channel}", watched.name, name) for name in names for channel in CHANNELS)
+    about = tuple(CheckSubject(f"zero_{channel}", watched.name, name) for name in names for channel in CHANNELS)
     error = torch.cat([sd for *_, sd in found])
     return Zeros(about, error.square().diag(), tuple((k, part) for k, part, *_ in found))

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.effects.marker_scene import Along, Carried, Sway
+from torchid.effects.marker_scene import Along, CarriedMarkers, Sway
 from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.row_response import RowResponse
 
@@ -44,7 +44,7 @@ class ResponseCache:
             lambda: self._spectrum(sway),
         )
 
-    def momenta(self, ways: Along | Carried) -> Float[Tensor, "ways 9 frames"]:
+    def momenta(self, ways: Along | CarriedMarkers) -> Float[Tensor, "ways 9 frames"]:
         """Return the vectors A, B and C (``RowResponse.nine``) of every way.
 
         Args:
@@ -58,14 +58,14 @@ class ResponseCache:
         """Return the vectors A, B and C of bodies displaced with their markers."""
         return self.response.moved(bodies.unbind()).nine.contiguous()
 
-    def shown(self, ways: Along | Carried) -> Float[Tensor, "ways bins rows"]:
+    def shown(self, ways: Along | CarriedMarkers) -> Float[Tensor, "ways bins rows"]:
         """Return the displacement of the markers (``RowResponse.shift``) in every way [m].
 
         Args:
             ways: displacements of markers or of bodies.
         """
         middle = self.response.bands.middle
-        if isinstance(ways, Carried):
+        if isinstance(ways, CarriedMarkers):
             return self._once("shown", ways, lambda: self.response.shown(ways.bodies()[..., middle]))
         n, own = len(ways.which), self._axes(ways.which)[..., middle]
         rows = own.new_zeros(n, 3, len(middle), len(self.response.sight.labels), 3)
@@ -81,13 +81,13 @@ class ResponseCache:
             return _each(found[0], [way for way, _ in sway.pairs])
         return torch.stack([found[course][way] for way, course in sway.pairs])
 
-    def _left_of(self, ways: Along | Carried) -> Float[Tensor, "ways bins rows"]:
+    def _left_of(self, ways: Along | CarriedMarkers) -> Float[Tensor, "ways bins rows"]:
         """Return what postures leave of every way, as ``MarkerBands.left`` does."""
         if isinstance(ways, Along):
             return _along(self._left, ways)
         return self._once("left", ways, lambda: self.response.bands.left(self.shown(ways)).contiguous())
 
-    def _once(self, what: str, ways: Carried, found: Callable[[], Tensor]) -> Tensor:
+    def _once(self, what: str, ways: CarriedMarkers, found: Callable[[], Tensor]) -> Tensor:
         """Return what is kept under a name for these ways, made if it is not there: ways are shared whatever they
         follow."""
         if (what, ways.key) not in self._made:

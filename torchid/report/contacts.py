@@ -11,18 +11,18 @@ from matplotlib.patches import Patch
 from torch import Tensor
 
 from torchid.contact.contact import Contact
-from torchid.contact.sharing.records import Source
+from torchid.contact.sharing.records import WrenchSource
 from torchid.dynamics.rows import runs
 from torchid.report.blocks import Figure
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, SHADE, draw, tidy
 from torchid.session import Followed, Outcome
 from torchid.wording import clean, plural
 
-LOOKS: dict[Source, tuple[str, dict[str, Any]]] = {
-    Source.MEASURED: ("alone on a plate", {"facecolor": IDENTIFIED, "edgecolor": IDENTIFIED}),
-    Source.SHARED: ("shares a plate", {"facecolor": "#ffffff", "edgecolor": IDENTIFIED, "hatch": "////"}),
-    Source.PREDICTED: ("predicted by the body", {"facecolor": SCALED, "edgecolor": SCALED}),
-    Source.UNKNOWN: ("touches, not known", {"facecolor": SHADE, "edgecolor": MUTED}),
+LOOKS: dict[WrenchSource, tuple[str, dict[str, Any]]] = {
+    WrenchSource.MEASURED: ("alone on a plate", {"facecolor": IDENTIFIED, "edgecolor": IDENTIFIED}),
+    WrenchSource.SHARED: ("shares a plate", {"facecolor": "#ffffff", "edgecolor": IDENTIFIED, "hatch": "////"}),
+    WrenchSource.PREDICTED: ("predicted by the body", {"facecolor": SCALED, "edgecolor": SCALED}),
+    WrenchSource.UNKNOWN: ("touches, not known", {"facecolor": SHADE, "edgecolor": MUTED}),
 }
 HEIGHT = 0.7
 """Of a bar, in lines."""
@@ -33,9 +33,11 @@ def contacts_figure(outcome: Outcome) -> Figure | None:
     told = {name: found for name, found in outcome.under.items() if outcome.followed[name].contact is not None}
     if not told:
         return None
-    name = max(told, key=lambda n: int((told[n].source != Source.MEASURED).sum()))
+    name = max(told, key=lambda n: int((told[n].source != WrenchSource.MEASURED).sum()))
     found = told[name]
-    shared, predicted = (int((found.source == s).any(dim=1).sum()) for s in (Source.SHARED, Source.PREDICTED))
+    shared, predicted = (
+        int((found.source == s).any(dim=1).sum()) for s in (WrenchSource.SHARED, WrenchSource.PREDICTED)
+    )
     said = (
         f"Trial {clean(name)}: what each plate bears. {plural(shared, 'frame')} with a plate that contacts share, "
         f"{plural(predicted, 'frame')} with a contact whose force is predicted; torques of their limbs rest on "
@@ -44,7 +46,7 @@ def contacts_figure(outcome: Outcome) -> Figure | None:
     return Figure(_draw(outcome, name), said)
 
 
-def _lines(outcome: Outcome, name: str) -> Iterator[tuple[str, list[tuple[Source, Tensor]]]]:
+def _lines(outcome: Outcome, name: str) -> Iterator[tuple[str, list[tuple[WrenchSource, Tensor]]]]:
     """Label and frames of each line, from the top: every contact on every plate that bears it, then beside them."""
     one: Followed = outcome.followed[name]
     trial, found = outcome.session.trials[name], outcome.under[name]
@@ -55,11 +57,11 @@ def _lines(outcome: Outcome, name: str) -> Iterator[tuple[str, list[tuple[Source
         source = found.source[:, k]
         for p, plate in enumerate(trial.forces.plates):
             mine = one.contact.plate[:, p]
-            own = (mine == k) & (source == Source.MEASURED) & bears
-            shared = (source == Source.SHARED) & (mine != -1) & may_be_on(one.contact, k, p)
+            own = (mine == k) & (source == WrenchSource.MEASURED) & bears
+            shared = (source == WrenchSource.SHARED) & (mine != -1) & may_be_on(one.contact, k, p)
             if bool((own | shared).any()):
-                yield f"{foot} on {clean(plate.name)}", [(Source.MEASURED, own), (Source.SHARED, shared)]
-        beside = [(s, source == s) for s in (Source.PREDICTED, Source.UNKNOWN)]
+                yield f"{foot} on {clean(plate.name)}", [(WrenchSource.MEASURED, own), (WrenchSource.SHARED, shared)]
+        beside = [(s, source == s) for s in (WrenchSource.PREDICTED, WrenchSource.UNKNOWN)]
         if any(bool(frames.any()) for _, frames in beside):
             yield f"{foot} beside plates", beside
 
@@ -99,7 +101,7 @@ def _draw(outcome: Outcome, name: str) -> Markup:
     return draw("contacts", (7.5, 1.3 + 0.3 * len(lines)), f"Contacts in trial {clean(name)}", paint)
 
 
-def _bars(axes: Axes, row: int, source: Source, frames: Tensor, time: Tensor, step: float) -> None:
+def _bars(axes: Axes, row: int, source: WrenchSource, frames: Tensor, time: Tensor, step: float) -> None:
     spans = [(float(time[a]), float(time[b - 1] - time[a]) + step) for a, b in runs(frames)]
     if spans:
         axes.broken_barh(spans, (row - HEIGHT / 2, HEIGHT), linewidth=0.6, **LOOKS[source][1])

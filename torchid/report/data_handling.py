@@ -13,7 +13,7 @@ from torchid.wording import ABSENT, clean, listing, merge, number, pattern, perc
 
 
 @dataclass(frozen=True)
-class Line:
+class NoteLine:
     """Notes of one kind that say the same, but for numbers."""
 
     code: str
@@ -23,7 +23,7 @@ class Line:
     count: int
 
 
-def grouped(outcome: Outcome) -> list[Line]:
+def grouped(outcome: Outcome) -> list[NoteLine]:
     """All notes, those of one code and wording in one line, in the order of their first occurrence."""
     groups: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
     trial_of = _trial_of(outcome)
@@ -37,7 +37,7 @@ def grouped(outcome: Outcome) -> list[Line]:
     for (code, _), entries in groups.items():
         sources = list(dict.fromkeys(source for _, source in entries if source))
         message = clean(merge([message for message, _ in entries]), 600)
-        lines.append(Line(code, message, _where(outcome, sources), len(entries)))
+        lines.append(NoteLine(code, message, _where(outcome, sources), len(entries)))
     return lines
 
 
@@ -76,7 +76,7 @@ def _sentence(text: str) -> str:
     return re.sub(r"^\w", lambda match: match[0].upper(), text)
 
 
-def _finding(outcome: Outcome, lines: list[Line]) -> str:
+def _finding(outcome: Outcome, lines: list[NoteLine]) -> str:
     missing, samples = 0, 0
     for item in outcome.followed.values():
         missing += int((~torch.isfinite(item.tracked.error)).sum())

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 
-from torchid.diagnosis.trace import Step
+from torchid.diagnosis.trace import TraceStep
 from torchid.effects.catalogue import effect
 from torchid.report.blocks import Block, Details, Items, Paragraph
 from torchid.wording import number, percent
@@ -17,7 +17,7 @@ HEAD = (
 )
 
 
-def why(trace: tuple[Step, ...]) -> list[Block]:
+def why(trace: tuple[TraceStep, ...]) -> list[Block]:
     """The fold-out of all decisions; nothing where none was made.
 
     Args:
@@ -29,7 +29,7 @@ def why(trace: tuple[Step, ...]) -> list[Block]:
     return [Details("Why this, and what else was considered", (Paragraph(HEAD), Items(lines)))]
 
 
-def sentence(one: Step) -> str:
+def sentence(one: TraceStep) -> str:
     """A decision as a sentence."""
     called = effect(one.effect).called(one.where)
     said = RULES[one.rule](one.numbers)

@@ -1,16 +1,16 @@
 """What effects are called in a sentence."""
 
-from torchid.diagnosis.verdict.records import Alternative, Cause, Near, Refuted
+from torchid.diagnosis.verdict.records import Alternative, Cause, NearestEffect, Refuted
 from torchid.effects.catalogue import effect
 from torchid.effects.traits import Site
 
 
-def called(one: Cause | Alternative | Near | Refuted) -> str:
+def called(one: Cause | Alternative | NearestEffect | Refuted) -> str:
     """An effect and where it sits, as part of a sentence."""
     return effect(one.effect).called(one.where)
 
 
-def place(one: Cause | Alternative | Near | Refuted) -> str:
+def place(one: Cause | Alternative | NearestEffect | Refuted) -> str:
     """Where an effect sits: segments and joints with their article, plates, trials and markers by name."""
     return effect(one.effect).located(one.where)
 

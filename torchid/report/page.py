@@ -18,7 +18,7 @@ from torchid.report.joints import joints_section
 from torchid.report.method import method_section
 from torchid.report.skeleton import skeleton_section
 from torchid.report.summary import head_section
-from torchid.scene.embedded import OPENER, Replay
+from torchid.scene.embedded import OPENER, EmbeddedPage
 from torchid.session import Outcome
 from torchid.storage.files import write_text
 from torchid.storage.provenance import versions
@@ -29,7 +29,7 @@ INERT = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-ac
 
 
 def sections(
-    outcome: Outcome, failure: DataError | None = None, replay: Replay | None = None
+    outcome: Outcome, failure: DataError | None = None, replay: EmbeddedPage | None = None
 ) -> list[Section]:  # fmt: skip
     """All sections that the outcome has data for, in the order in which they are read."""
     forces = wrenches(outcome)
@@ -51,7 +51,7 @@ def _maker() -> str:
     return f"torchid {version}" if version[0].isdigit() else "torchid, run from its source tree"
 
 
-def render_report(outcome: Outcome, failure: DataError | None = None, replay: Replay | None = None) -> str:
+def render_report(outcome: Outcome, failure: DataError | None = None, replay: EmbeddedPage | None = None) -> str:
     """The page as text; every name from the data is escaped by the template."""
     title = f"{clean(outcome.config.subject.name)}: identified body model"
     return render_page(title, sections(outcome, failure, replay), failure, replay)
@@ -61,7 +61,7 @@ def render_page(
     title: str,
     chapters: Sequence[Section],
     failure: DataError | None = None,
-    replay: Replay | None = None,
+    replay: EmbeddedPage | None = None,
     styles: str = "",
 ) -> str:
     """Sections as one page of text; every name from the data is escaped by the template.
@@ -94,7 +94,7 @@ def render_page(
 
 
 def write_report(
-    outcome: Outcome, path: Path, failure: DataError | None = None, replay: Replay | None = None
+    outcome: Outcome, path: Path, failure: DataError | None = None, replay: EmbeddedPage | None = None
 ) -> None:  # fmt: skip
     """Write ``report.html``: one self-contained page about a run.
 

@@ -14,7 +14,7 @@ from torchid.report.blocks import Details, Embedded, Figure, Section, Table
 from torchid.report.facts import judges, marker_rms
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, draw, tidy
 from torchid.report.stick_figure import facing, stick_points, tips
-from torchid.scene.embedded import Replay
+from torchid.scene.embedded import EmbeddedPage
 from torchid.session import Outcome
 from torchid.session.tables import largest, marker_errors
 from torchid.wording import ABSENT, change, clean, listing, number, segment
@@ -25,7 +25,7 @@ NAMED = 3
 """Worst markers that are named in the drawing and in the text."""
 
 
-def skeleton_section(outcome: Outcome, replay: Replay | None = None) -> Section:
+def skeleton_section(outcome: Outcome, replay: EmbeddedPage | None = None) -> Section:
     """The section on geometry and markers, with a trial in three dimensions where there is one."""
     judge = judges(outcome)
     trial, frame = chosen_frame(outcome)
@@ -48,7 +48,7 @@ def skeleton_section(outcome: Outcome, replay: Replay | None = None) -> Section:
     return Section("skeleton", "Skeleton and markers", _finding(outcome), blocks)
 
 
-def _moving(replay: Replay | None) -> tuple[Details, ...]:
+def _moving(replay: EmbeddedPage | None) -> tuple[Details, ...]:
     if replay is None:
         return ()
     caption = (

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from torchid.diagnosis.verdict.records import Cause
-from torchid.model_free.testimony import Answer
+from torchid.model_free.testimony import CheckAnswer
 from torchid.report.blocks import Block, Details, Table
 from torchid.report.cause_sentences import name
 from torchid.wording import clean, decimals, number
@@ -36,7 +36,7 @@ def witness_table(causes: Sequence[Cause]) -> list[Block]:
     return [Details("What witnesses say of each cause", (Table(caption, head, rows, text=3, wrap=True),))]
 
 
-def _row(cause: Cause, one: Answer) -> tuple[str, ...]:
+def _row(cause: Cause, one: CheckAnswer) -> tuple[str, ...]:
     factor, unit = UNITS.get(one.unit, (1.0, one.unit))
     digits = decimals(factor * one.sd)
     value, sd, expected, usual = (number(factor * x, digits) for x in (one.value, one.sd, one.expected, one.usual))
@@ -45,7 +45,7 @@ def _row(cause: Cause, one: Answer) -> tuple[str, ...]:
             f"{usual} {unit}", _verdict(one))  # fmt: skip
 
 
-def _verdict(one: Answer) -> str:
+def _verdict(one: CheckAnswer) -> str:
     """In a word or two; another size than that of the cause is no denial of it."""
     if one.agrees:
         return "agrees"

@@ -21,7 +21,7 @@ from torchid.run.acceptance import impossible
 from torchid.run.simulation import with_recordings
 from torchid.run.torque_bands import outcome_draws
 from torchid.run.write import result_names, write_outcome
-from torchid.scene.embedded import Replay
+from torchid.scene.embedded import EmbeddedPage
 from torchid.session import Followed, Outcome, Residual, Session
 from torchid.session.contact_wrenches import sharing_notes, wrenches_under
 from torchid.session.fitting import OnStage, fit_session, identify
@@ -78,7 +78,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
     return outcome
 
 
-def _replay(outcome: Outcome, folder: OutputFolder) -> Replay | None:
+def _replay(outcome: Outcome, folder: OutputFolder) -> EmbeddedPage | None:
     """A trial in three dimensions for the report; None without viser, an optional part, and without a body."""
     if outcome.identified is None or find_spec("viser") is None:
         return None

@@ -9,7 +9,7 @@ import xarray
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.contact.sharing.records import Source
+from torchid.contact.sharing.records import WrenchSource
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.opensim_coordinates import file_forces
 from torchid.dynamics.rows import predict
@@ -19,7 +19,7 @@ from torchid.io.storage import write_storage
 from torchid.kinematics.chain import chain_poses
 from torchid.model.model import Model
 from torchid.model.opensim.identified import identified_model
-from torchid.model.opensim.model import Motion
+from torchid.model.opensim.model import CoordinateKind
 from torchid.model.opensim.writing_back import write_back
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.urdf import write_urdf
@@ -38,7 +38,7 @@ TABLES = (
 )  # fmt: skip
 COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
 """Names of a wrench's components in files."""
-_SOURCES = ", ".join(f"{one.value} {one.name.lower()}" for one in Source)
+_SOURCES = ", ".join(f"{one.value} {one.name.lower()}" for one in WrenchSource)
 SERIES = ("motion_{}.nc", "forces_{}.nc", "{}_ik.mot", "{}_id.sto")
 """Names of a trial's files."""
 
@@ -102,7 +102,9 @@ def opensim_tables(
         table = dict(zip(names, osim_coordinates(q).unbind(1), strict=True))
         return table, dict(zip(columns, torque.unbind(1), strict=True))
     values = binding.from_tree(tree.dof_names, q)
-    kind = {one.name: "moment" if one.motion is Motion.ROTATIONAL else "force" for one in binding.model.coordinates}
+    kind = {
+        one.name: "moment" if one.motion is CoordinateKind.ROTATIONAL else "force" for one in binding.model.coordinates
+    }
     found = file_forces(binding, tree, q, torque)
     table = dict(zip(binding.model.coordinate_names, values.unbind(1), strict=True))
     return table, {f"{name}_{kind[name]}": value for name, value in found.items()}
@@ -149,7 +151,7 @@ def motion_dataset(outcome: Outcome, name: str, part: slice = slice(None)) -> xa
 
 
 def _under(outcome: Outcome, name: str, part: slice) -> dict[str, tuple]:
-    """Wrench under every contact about the world's origin, its standard deviation, and its ``Source``."""
+    """Wrench under every contact about the world's origin, its standard deviation, and its ``WrenchSource``."""
     found, by_contact = outcome.under.get(name), ("time", "contact", "component")
     if found is None:
         return {}

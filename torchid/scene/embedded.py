@@ -18,7 +18,7 @@ wait for that where its page comes with it."""
 
 
 @dataclass(frozen=True)
-class Replay:
+class EmbeddedPage:
     """A page to be put into an ``iframe``."""
 
     html: str

@@ -10,7 +10,7 @@ import viser
 from torchid.scene import colours
 from torchid.scene.finished import WRENCHES, FinishedRun, FinishedTrial
 from torchid.scene.panel import Cameras, Chart, SegmentCard
-from torchid.scene.scene import Scene
+from torchid.scene.scene import PageScene
 
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 PERIOD_S = 1.0 / 60.0
@@ -86,8 +86,8 @@ class Player:
         self._slider.value = (self.frame + int(whole)) % len(self._trial)
         return rest
 
-    def _staged(self) -> Scene:
-        scene = Scene(self._server.scene, self._trial.ground)
+    def _staged(self) -> PageScene:
+        scene = PageScene(self._server.scene, self._trial.ground)
         scene.set_body(self._run.segments.solids, self._run.segments.progress)
         assert scene.body is not None
         scene.body.on_click(self._clicked)

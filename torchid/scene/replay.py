@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from torchid.scene.embedded import Replay, policy
+from torchid.scene.embedded import EmbeddedPage, policy
 from torchid.scene.finished import FinishedRun
 from torchid.scene.panel import AWAY_M, FIELD, HEIGHT_M
-from torchid.scene.scene import Scene
+from torchid.scene.scene import PageScene
 from torchid.scene.server import LOOPBACK, close_page, open_page
 
 LONGEST_S, RATE_HZ = 8.0, 20.0
 """Choice. What a report holds of a trial: some cycles of any movement, in pictures enough, in a third of a megabyte."""
 
 
-def replay(run: FinishedRun, name: str) -> Replay:
+def replay(run: FinishedRun, name: str) -> EmbeddedPage:
     """Record a trial of a run.
 
     Args:
@@ -25,7 +25,7 @@ def replay(run: FinishedRun, name: str) -> Replay:
     frames = np.unique(np.searchsorted(trial.time, times).clip(max=len(trial) - 1))
     server, _ = open_page(port=0, host=LOOPBACK)
     try:
-        scene = Scene(server.scene, trial.ground)
+        scene = PageScene(server.scene, trial.ground)
         scene.set_body(run.segments.solids, run.segments.progress)
         first = trial.instant(int(frames[0]))
         assert first.X_WB is not None
@@ -41,7 +41,7 @@ def replay(run: FinishedRun, name: str) -> Replay:
     finally:
         trial.close()
         close_page(server)
-    return Replay(html, policy(html), name, seconds)
+    return EmbeddedPage(html, policy(html), name, seconds)
 
 
 SEEN_FROM = np.array([0.92, 0.36, 0.12])

@@ -59,7 +59,7 @@ class Instant:
     """Of the scaled skeleton [m]."""
 
 
-class Scene:
+class PageScene:
     """The nodes of the page's scene."""
 
     def __init__(self, api: viser.SceneApi, ground: Ground) -> None:

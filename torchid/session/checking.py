@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from torchid.checks.marker_tracks.statement import Kind, notes_of
-from torchid.checks.report import Finding, Given, Refusal, check_recordings
+from torchid.checks.marker_tracks.statement import TrackFault, notes_of
+from torchid.checks.report import CheckItem, Given, Refusal, check_recordings
 from torchid.config import Config
 from torchid.errors import TorchidError
 from torchid.geometry.assign import assign_markers
@@ -13,7 +13,7 @@ from torchid.session.other_contacts import check_others, refuse_unknown_plates
 from torchid.session.tracks import look_at_session
 
 
-def check_session(config: Config) -> Iterator[Finding]:
+def check_session(config: Config) -> Iterator[CheckItem]:
     """What is wrong with each recording, then what becomes of its markers on the model.
 
     Raises:
@@ -44,7 +44,7 @@ def check_session(config: Config) -> Iterator[Finding]:
         refuse_unknown_plates(config, trials)
         wrong = look_at_session({trial.name: trial for trial in trials}, assignment)
         # Leaps and frozen markers have been said of each recording.
-        between = [one for one in wrong if one.kind in (Kind.EXCHANGED, Kind.MOVED)]
+        between = [one for one in wrong if one.kind in (TrackFault.EXCHANGED, TrackFault.MOVED)]
         yield from (*said, *assignment.notes, *notes_of(between))
     except TorchidError as error:
         yield Refusal.of(error)

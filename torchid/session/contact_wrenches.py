@@ -11,7 +11,7 @@ from torch import Tensor
 from torchid.contact.contact import Contact, find_contact
 from torchid.contact.options import ContactOptions
 from torchid.contact.sharing.costs import Effort
-from torchid.contact.sharing.records import ContactWrenches, Needed, Source
+from torchid.contact.sharing.records import ContactWrenches, Needed, WrenchSource
 from torchid.contact.sharing.solver import SharingStatus
 from torchid.contact.sharing.wrenches import contact_wrenches
 from torchid.conventions import GRAVITY
@@ -170,8 +170,8 @@ def sharing_notes(under: dict[str, ContactWrenches]) -> list[Note]:
     for name, feet in under.items():
         frames = len(feet.source)
         words = {
-            Source.SHARED: ("contact.shared", "contacts share a plate, and the wrench of each is estimated"),
-            Source.PREDICTED: ("contact.predicted", "contacts beside plates bear what the body needs"),
+            WrenchSource.SHARED: ("contact.shared", "contacts share a plate, and the wrench of each is estimated"),
+            WrenchSource.PREDICTED: ("contact.predicted", "contacts beside plates bear what the body needs"),
         }
         for source, (code, said) in words.items():
             own = feet.source == source

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.contact import Contact, find_contact
-from torchid.contact.sharing.records import ContactWrenches, Source
+from torchid.contact.sharing.records import ContactWrenches, WrenchSource
 from torchid.dynamics.rows import WrenchTrial
 from torchid.filters import Smoother
 from torchid.geometry.result import GeometryFit
@@ -200,7 +200,7 @@ def _unknown(
 ) -> Iterator[tuple[str, Bool[Tensor, "..."]]]:
     """Body of every contact, and the frames in which nobody tells its wrench."""
     if under is not None:
-        yield from zip(under.body, (under.source == Source.UNKNOWN).unbind(1), strict=True)
+        yield from zip(under.body, (under.source == WrenchSource.UNKNOWN).unbind(1), strict=True)
     elif contact is not None:
         yield from zip(contact.bodies, (contact.beside | contact.untold).unbind(1), strict=True)
     if contact is None:

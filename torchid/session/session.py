@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from torchid.checks.marker_tracks.session import renamed, without
-from torchid.checks.marker_tracks.statement import Kind, Statement
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.config.sections import TrialFile
 from torchid.errors import Note
 from torchid.geometry.assign import Assignment
@@ -19,12 +19,12 @@ class Session:
     files: dict[str, TrialFile]
     assignment: Assignment
     notes: tuple[Note, ...]
-    tracking: tuple[Statement, ...] = ()
+    tracking: tuple[TrackStatement, ...] = ()
     """What is wrong with the markers; ``trials`` have gaps there."""
     as_read: dict[str, Markers] = field(default_factory=dict)
     """Markers before that, of trials in which labels are exchanged."""
 
-    def with_names(self, exchanged: Sequence[Statement]) -> "Session":
+    def with_names(self, exchanged: Sequence[TrackStatement]) -> "Session":
         """Return the session in which exchanged labels, which were gaps, are there under their own names.
 
         Args:
@@ -34,7 +34,7 @@ class Session:
         for name in dict.fromkeys(one.trial for one in exchanged):
             own = [one for one in self.tracking if one.trial == name]
             undone = [one for one in own if one in exchanged]
-            markers = renamed(self.as_read[name], [one for one in own if one.kind is Kind.EXCHANGED])
+            markers = renamed(self.as_read[name], [one for one in own if one.kind is TrackFault.EXCHANGED])
             left = [one for one in own if one not in undone]
             trials[name] = replace(trials[name], markers=without(markers, left))
         return replace(self, trials=trials, tracking=tuple(one for one in self.tracking if one not in exchanged))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from torchid.checks.marker_tracks.clusters import Clusters
 from torchid.checks.marker_tracks.session import look_at_trials, without
-from torchid.checks.marker_tracks.statement import TAKEN_OUT, Kind, Statement
+from torchid.checks.marker_tracks.statement import TAKEN_OUT, TrackFault, TrackStatement
 from torchid.geometry.assign import Assignment
 from torchid.recording import Markers, Trial
 
@@ -30,7 +30,7 @@ def session_clusters(assignment: Assignment) -> Clusters:
     return Clusters.of(segments, BENDING)
 
 
-def look_at_session(trials: Mapping[str, Trial], assignment: Assignment) -> tuple[Statement, ...]:
+def look_at_session(trials: Mapping[str, Trial], assignment: Assignment) -> tuple[TrackStatement, ...]:
     """What is wrong with the markers of a session.
 
     Args:
@@ -41,7 +41,7 @@ def look_at_session(trials: Mapping[str, Trial], assignment: Assignment) -> tupl
 
 
 def taken_out(
-    trials: Mapping[str, Trial], statements: tuple[Statement, ...], keep: Callable[[Trial], Trial]
+    trials: Mapping[str, Trial], statements: tuple[TrackStatement, ...], keep: Callable[[Trial], Trial]
 ) -> tuple[dict[str, Trial], dict[str, Markers]]:
     """The trials with gaps where samples say nothing of segments; and the markers before, where labels are exchanged.
 
@@ -55,6 +55,6 @@ def taken_out(
         own = [one for one in statements if one.trial == name and one.kind in TAKEN_OUT]
         if own:
             found[name] = keep(replace(trial, markers=without(trial.markers, own)))
-        if any(one.kind is Kind.EXCHANGED for one in own):
+        if any(one.kind is TrackFault.EXCHANGED for one in own):
             before[name] = trial.markers
     return found, before

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchid.errors import ConfigError
 from torchid.model.skeleton import SIDES
 from torchid.simulate.flight import COUNTERMOVEMENT, leap_height
-from torchid.simulate.script import TRANSFER, Script, Step, foot_path, random_stance, weight_share
+from torchid.simulate.script import TRANSFER, FootStep, Script, foot_path, random_stance, weight_share
 from torchid.simulate.signals import passages, wander
 from torchid.simulate.subject import LEFT, RIGHT, SimulatedSubject, Stance
 
@@ -122,7 +122,7 @@ def hip_rom(
     stance = random_stance(rng, subject)
     first = int(rng.integers(2))
     steps = [
-        Step(side, (0.06 + 0.48 * k) * duration, 0.40 * duration, stance.place(side), lift=0.10, free=True)
+        FootStep(side, (0.06 + 0.48 * k) * duration, 0.40 * duration, stance.place(side), lift=0.10, free=True)
         for k, side in enumerate((first, 1 - first))
     ]
     ranges = _join(QUIET, {"shoulder_adduction": (-65, -20), "lower_spine_bending": (-8, 8)}, FREE_LEG)
@@ -143,7 +143,7 @@ def sway_steps(
         x, y = stance.place(side)
         beside = (x + float(rng.uniform(-0.03, 0.03)), y + float(rng.uniform(-0.01, 0.01)))
         to = (x, y) if subject.stance is not None else beside
-        steps.append(Step(side, t, T, to, lift=float(rng.uniform(0.08, 0.20)), leave=0.45, land=0.15))
+        steps.append(FootStep(side, t, T, to, lift=float(rng.uniform(0.08, 0.20)), leave=0.45, land=0.15))
         t += T + float(rng.choice([rng.uniform(0.3, 0.45), rng.uniform(0.9, 1.6)], p=[0.7, 0.3]))
         side = 1 - side
     drop = wander(rng, time, 0.01, 0.05)
@@ -158,7 +158,7 @@ def walk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, dura
     half = float(rng.uniform(0.085, 0.115))
     stance = Stance((places[LEFT][0], half), (places[RIGHT][0], -half), float(rng.uniform(0.03, 0.15)))
     cycle = [(RIGHT, 1), (LEFT, 1), (RIGHT, 2), (LEFT, 2), (LEFT, 1), (RIGHT, 1), (LEFT, 0), (RIGHT, 0)]
-    steps: list[Step] = []
+    steps: list[FootStep] = []
     t, k = 0.5, 0
     while t < duration - 0.8:
         side, place = cycle[k % len(cycle)]
@@ -168,9 +168,9 @@ def walk(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, dura
         lift = float(rng.uniform(0.06, 0.09))
         if forward:
             leave, land = (0.60, -0.25) if long else (0.4, -0.05)
-            steps.append(Step(side, t, T, to, lift, leave=leave, land=land, leave_s=0.38, land_s=0.15))
+            steps.append(FootStep(side, t, T, to, lift, leave=leave, land=land, leave_s=0.38, land_s=0.15))
         else:
-            steps.append(Step(side, t, T, to, lift, leave=0.35, land=0.45, leave_s=0.25, land_s=0.40))
+            steps.append(FootStep(side, t, T, to, lift, leave=0.35, land=0.45, leave_s=0.25, land_s=0.40))
         # One foot that moves twice in turn stands still in between for as long as the weight needs to come back.
         again = cycle[(k + 1) % len(cycle)][0] == side
         t += T + (2.0 * TRANSFER + 0.45 if again else float(rng.uniform(0.24, 0.34)))
@@ -189,7 +189,7 @@ def jump(rng: np.random.Generator, subject: SimulatedSubject, time: Tensor, dura
         t0, T = t + long, float(rng.uniform(0.23, 0.28)) * (0.4 + 0.6 * effort)
         t1 = t0 + T
         steps += [
-            Step(k, t0, T, stance.place(k), lift=0.3 * T, leave=0.45, land=0.4, leave_s=0.16, land_s=0.16, roll=0.0)
+            FootStep(k, t0, T, stance.place(k), lift=0.3 * T, leave=0.45, land=0.4, leave_s=0.16, land_s=0.16, roll=0.0)
             for k in (LEFT, RIGHT)
         ]
         height = height + leap_height(time, t0, t1, moments)
@@ -226,7 +226,7 @@ def _script(
     tilt: float,
     band: tuple[float, float] = (0.15, 0.9),
     lean: Tensor | None = None,
-    steps: Sequence[Step] = (),
+    steps: Sequence[FootStep] = (),
     stance: Stance | None = None,
     shift: float = 0.1,
 ) -> Script:

@@ -22,7 +22,7 @@ PASS = 0.20
 
 
 @dataclass(frozen=True)
-class Step:
+class FootStep:
     """One foot leaves the floor at ``start`` and is back ``duration`` later."""
 
     side: int
@@ -101,7 +101,7 @@ def _hips(subject: SimulatedSubject) -> tuple[int, int]:
 
 
 def foot_path(
-    rng: np.random.Generator, time: Tensor, sole: Sole, stance: Stance, side: int, steps: Sequence[Step]
+    rng: np.random.Generator, time: Tensor, sole: Sole, stance: Stance, side: int, steps: Sequence[FootStep]
 ) -> FootPath:
     """The foot's own steps, at rest on the floor in between."""
     x, y = stance.place(side)
@@ -130,7 +130,7 @@ def _middle(sole: Sole) -> float:
     return 0.42 * sole.ball
 
 
-def _add_step(keys: dict[str, list[tuple[float, float]]], step: Step, sole: Sole) -> None:
+def _add_step(keys: dict[str, list[tuple[float, float]]], step: FootStep, sole: Sole) -> None:
     t0, t1, T = step.start, step.start + step.duration, step.duration
     rise = 0.5 * T if not step.free else min(0.5, 0.2 * T)
     for axis, value in zip("xy", step.to, strict=True):
@@ -146,7 +146,7 @@ def _add_step(keys: dict[str, list[tuple[float, float]]], step: Step, sole: Sole
         _add_pitch(keys, step, sole)
 
 
-def _add_pitch(keys: dict[str, list[tuple[float, float]]], step: Step, sole: Sole) -> None:
+def _add_pitch(keys: dict[str, list[tuple[float, float]]], step: FootStep, sole: Sole) -> None:
     T, off, flat = step.duration, step.start - step.leave_s, step.start + step.duration + step.land_s
     t0, t1 = step.start, step.start + T
     keys["pitch"] += [(off, 0.0), (t0 + 0.3 * T, step.leave), (t1 - 0.3 * T, step.land), (flat, 0.0)]
@@ -160,7 +160,7 @@ def _add_pitch(keys: dict[str, list[tuple[float, float]]], step: Step, sole: Sol
     keys["bearing"] += [(off, start), (t0 + 0.2 * T, start), (t1 - 0.2 * T, end), (flat, end), (flat + PASS, middle)]
 
 
-def _calm_keys(steps: Sequence[Step]) -> list[tuple[float, float]]:
+def _calm_keys(steps: Sequence[FootStep]) -> list[tuple[float, float]]:
     keys = [(-1e3, 1.0)]
     for s in steps:
         t0, t1 = s.start - s.leave_s, s.start + s.duration + s.land_s
@@ -173,7 +173,7 @@ def _calm_keys(steps: Sequence[Step]) -> list[tuple[float, float]]:
 
 
 def weight_share(
-    rng: np.random.Generator, time: Tensor, steps: Sequence[Step], shift: float = 0.1
+    rng: np.random.Generator, time: Tensor, steps: Sequence[FootStep], shift: float = 0.1
 ) -> Float[Tensor, " frames"]:
     """Part of the force on the left foot: none while it steps, all while the other one does, shared at rest."""
     if not steps:

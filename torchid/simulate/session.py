@@ -20,7 +20,7 @@ TRUTH = "truth"
 
 
 @dataclass(frozen=True)
-class Session:
+class SimulatedSession:
     """A subject and all trials."""
 
     subject: SimulatedSubject
@@ -34,7 +34,9 @@ class Session:
         return next(t for t in self.trials if t.trial.name == name)
 
 
-def simulate_session(options: SimulateOptions | None = None, seed: int = 0, out: str | Path | None = None) -> Session:
+def simulate_session(
+    options: SimulateOptions | None = None, seed: int = 0, out: str | Path | None = None
+) -> SimulatedSession:
     """Simulate a subject and its trials; with ``out``, write C3D files, ``config.yaml`` and ``truth/`` there.
 
     Args:
@@ -58,7 +60,7 @@ def simulate_session(options: SimulateOptions | None = None, seed: int = 0, out:
         simulate_trial(subject, motion, options, seed, name=name, role=role)
         for name, (motion, role) in zip(names, listed, strict=True)
     )
-    session = Session(subject, trials)
+    session = SimulatedSession(subject, trials)
     return session if out is None else write_session(session, options, Path(out))
 
 
@@ -69,7 +71,7 @@ def _places(subject: SimulatedSubject, options: SimulateOptions, trials: Sequenc
     return {"session", *trials, *tree.names, *joints, *(f"plate_{k + 1}" for k in range(options.plates))}
 
 
-def write_session(session: Session, options: SimulateOptions, out: Path) -> Session:
+def write_session(session: SimulatedSession, options: SimulateOptions, out: Path) -> SimulatedSession:
     """Write the recordings, ``config.yaml`` and, under ``truth/``, ``subject.json`` and one ``.npz`` per trial."""
     with writing(out):
         (out / TRUTH).mkdir(parents=True, exist_ok=True)
@@ -79,10 +81,10 @@ def write_session(session: Session, options: SimulateOptions, out: Path) -> Sess
     write_json(out / TRUTH / "subject.json", subject_truth(session.subject, options))
     config = out / "config.yaml"
     write_text(config, yaml.safe_dump(session_config(session), sort_keys=False))
-    return Session(session.subject, session.trials, config)
+    return SimulatedSession(session.subject, session.trials, config)
 
 
-def session_config(session: Session) -> dict[str, object]:
+def session_config(session: SimulatedSession) -> dict[str, object]:
     """The config that identifies the session."""
     s = session.subject
     return {

@@ -25,7 +25,7 @@ TURN_PER_SHIFT = SkinSlide.parameters[1].scale / SkinSlide.parameters[0].scale
 
 
 @dataclass(frozen=True)
-class Slide:
+class FollowedSkin:
     """Markers of one segment that follow one coordinate."""
 
     segment: str
@@ -47,7 +47,7 @@ class Slide:
 class SkinDraws:
     """Slides drawn for every marker."""
 
-    slides: tuple[Slide, ...]
+    slides: tuple[FollowedSkin, ...]
     along: Float[Tensor, "draws slides markers 3"]
     """Of each marker in the axes of its segment, where the sine is one [m]; zero for markers of other segments."""
 
@@ -63,7 +63,7 @@ class SkinDraws:
         return torch.stack([sight.turned(one) for one in local])
 
 
-def find_slides(trials: Sequence[SeenTrial]) -> tuple[Slide, ...]:
+def find_slides(trials: Sequence[SeenTrial]) -> tuple[FollowedSkin, ...]:
     """Return which markers may follow which coordinates in a session.
 
     Args:
@@ -76,11 +76,11 @@ def find_slides(trials: Sequence[SeenTrial]) -> tuple[Slide, ...]:
         for dof in cues(scenes, segment) if which else ():
             place = Place((segment,), follows=Angle(dof))
             mean = torch.cat([bend(scene, place)[0] for scene in scenes]).mean()
-            found.append(Slide(segment, place, which, float(mean)))
+            found.append(FollowedSkin(segment, place, which, float(mean)))
     return tuple(found)
 
 
-def slide_size(slides: Sequence[Slide], trials: Sequence[SeenTrial]) -> float:
+def slide_size(slides: Sequence[FollowedSkin], trials: Sequence[SeenTrial]) -> float:
     """Return how far a marker slides by itself where the sine of its angle is one, the root mean square of all [m].
 
     Residuals, averaged over a tenth of a second, are regressed on the courses of their segment, trial by trial with a

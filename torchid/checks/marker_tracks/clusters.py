@@ -68,7 +68,7 @@ class Clusters:
 
 
 @dataclass(frozen=True)
-class Shape:
+class MarkerShape:
     """Distances between the markers of a trial."""
 
     trial: str
@@ -98,7 +98,7 @@ def evenly(frames: int, most: int) -> Int[Tensor, " picked"]:
     return torch.linspace(0, frames - 1, min(frames, most), dtype=torch.float64).round().long()
 
 
-def shape_of(trial: str, markers: Markers, labels: tuple[str, ...]) -> Shape:
+def shape_of(trial: str, markers: Markers, labels: tuple[str, ...]) -> MarkerShape:
     """Return the shape of a trial's markers.
 
     Args:
@@ -108,12 +108,12 @@ def shape_of(trial: str, markers: Markers, labels: tuple[str, ...]) -> Shape:
     """
     if not len(markers.time):
         nothing = torch.full((len(labels), len(labels)), torch.nan, dtype=torch.float64)
-        return Shape(trial, nothing, nothing)
+        return MarkerShape(trial, nothing, nothing)
     distance = pair_distances(markers.frames(evenly(len(markers.time), SAMPLED)).select(labels).position)
     median = distance.nanmedian(dim=0).values
     sd = MAD_SD * (distance - median).abs().nanmedian(dim=0).values
     known = torch.isfinite(distance).sum(dim=0) >= min(FEWEST, len(distance))
-    return Shape(trial, torch.where(known, median, torch.nan), torch.where(known, sd, torch.nan))
+    return MarkerShape(trial, torch.where(known, median, torch.nan), torch.where(known, sd, torch.nan))
 
 
 def runs_of(mask: Bool[Tensor, " frames"]) -> list[tuple[int, int]]:

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.checks.marker_tracks.clusters import SCATTER_M, Clusters, Shape, runs_of
-from torchid.checks.marker_tracks.statement import Kind, Statement
+from torchid.checks.marker_tracks.clusters import SCATTER_M, Clusters, MarkerShape, runs_of
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.recording import Markers
 
 SUSPECT_M = 0.02
@@ -33,7 +33,7 @@ or a marker that is lost for a while leave a tenth open."""
 
 
 @dataclass(frozen=True)
-class Misfit:
+class ExchangeMisfit:
     """How two markers of one trial fit a shape, as labelled and exchanged."""
 
     now: Float[Tensor, " frames"]
@@ -51,7 +51,7 @@ class Misfit:
 
 
 def suspects(
-    position: Float[Tensor, "frames markers 3"], together: Bool[Tensor, "markers markers"], shape: Shape
+    position: Float[Tensor, "frames markers 3"], together: Bool[Tensor, "markers markers"], shape: MarkerShape
 ) -> Bool[Tensor, "frames markers"]:
     """Return where some distance of a marker on its segment is plainly not that of the shape.
 
@@ -72,9 +72,9 @@ def suspects(
 def misfit(
     position: Float[Tensor, "frames markers 3"],
     together: Bool[Tensor, "markers markers"],
-    shape: Shape,
+    shape: MarkerShape,
     pair: tuple[int, int],
-) -> Misfit:
+) -> ExchangeMisfit:
     """Return how two markers fit a shape, as labelled and exchanged.
 
     Where one of them is not seen the other tells. Fewer than two distances on either side tell nothing.
@@ -94,7 +94,7 @@ def misfit(
         now.append(((position[:, own, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
         undone.append(((position[:, other, None] - to).norm(dim=2) - shape.median[own, beside]).abs())
     both = torch.isfinite(position[:, list(pair)]).all(dim=2).all(dim=1)
-    return Misfit(_mean(torch.cat(now, dim=1)), _mean(torch.cat(undone, dim=1)), both & (len(around) > 1))
+    return ExchangeMisfit(_mean(torch.cat(now, dim=1)), _mean(torch.cat(undone, dim=1)), both & (len(around) > 1))
 
 
 def _mean(misfits: Float[Tensor, "frames distances"]) -> Float[Tensor, " frames"]:
@@ -103,7 +103,9 @@ def _mean(misfits: Float[Tensor, "frames distances"]) -> Float[Tensor, " frames"
     return torch.where(enough, misfits.nanmean(dim=1), torch.nan)
 
 
-def find_exchanges(trial: str, markers: Markers, clusters: Clusters, shapes: Sequence[Shape]) -> list[Statement]:
+def find_exchanges(
+    trial: str, markers: Markers, clusters: Clusters, shapes: Sequence[MarkerShape]
+) -> list[TrackStatement]:
     """Return the exchanges of labels in a trial that more than half of the other shapes tell.
 
     Args:
@@ -152,7 +154,7 @@ class Told:
         return float(((self.now - self.undone) * self.at).nansum())
 
 
-def _candidates(position: Tensor, clusters: Clusters, shapes: Sequence[Shape]) -> list[tuple[int, int]]:
+def _candidates(position: Tensor, clusters: Clusters, shapes: Sequence[MarkerShape]) -> list[tuple[int, int]]:
     """Return the pairs of markers that most shapes find doubtful in the same frames."""
     doubtful = [suspects(position, clusters.together, shape) for shape in shapes]
     if not doubtful:
@@ -166,7 +168,9 @@ def _candidates(position: Tensor, clusters: Clusters, shapes: Sequence[Shape]) -
     return [(a, b) for a, b in pairs if known[a] and known[b]]
 
 
-def _told(position: Tensor, together: Tensor, shapes: Sequence[Shape], pairs: Sequence[tuple[int, int]]) -> list[Told]:
+def _told(
+    position: Tensor, together: Tensor, shapes: Sequence[MarkerShape], pairs: Sequence[tuple[int, int]]
+) -> list[Told]:
     """Return the pairs whose exchange most shapes tell in some frames."""
     found = []
     for pair in pairs:
@@ -204,10 +208,10 @@ def _lasting(one: Told, rate: float) -> Bool[Tensor, " frames"]:
 
 def _statement(
     trial: str, markers: Markers, clusters: Clusters, one: Told, against: tuple[str, ...]
-) -> Statement:  # fmt: skip
+) -> TrackStatement:  # fmt: skip
     at, time, told = one.at, markers.time, torch.isfinite(one.now)
     when = () if bool(at.all()) else tuple((float(time[a]), float(time[b - 1])) for a, b in runs_of(at))
     labels = tuple(clusters.labels[k] for k in one.pair)
     share = float((at & told).sum()) / max(float(told.sum()), 1.0)
     size, left = (1e3 * float(x[at].nanmedian()) for x in (one.now, one.undone))
-    return Statement(Kind.EXCHANGED, trial, labels, when, size, 1e3 * SCATTER_M, left, share, against)
+    return TrackStatement(TrackFault.EXCHANGED, trial, labels, when, size, 1e3 * SCATTER_M, left, share, against)

@@ -5,7 +5,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from torchid.checks.marker_tracks.clusters import runs_of
-from torchid.checks.marker_tracks.statement import Kind, Statement
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.recording import Markers
 
 STILL_M = 2e-5
@@ -18,7 +18,7 @@ WAY_M = 0.02
 
 def find_frozen(
     trial: str, markers: Markers, labels: tuple[str, ...], near: Int[Tensor, "markers few"]
-) -> list[Statement]:
+) -> list[TrackStatement]:
     """Return the markers that stand still while at least half of those beside them go on.
 
     Args:
@@ -40,7 +40,7 @@ def find_frozen(
             when = tuple((float(markers.time[a]), float(markers.time[b])) for a, b in bad)
             share = sum(b - a for a, b in bad) / len(markers.time)
             size = 1e3 * max(ways[part] for part in bad)
-            found.append(Statement(Kind.FROZEN, trial, (labels[k],), when, size, 1e3 * STILL_M, share=share))
+            found.append(TrackStatement(TrackFault.FROZEN, trial, (labels[k],), when, size, 1e3 * STILL_M, share=share))
     return found
 
 

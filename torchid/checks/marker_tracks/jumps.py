@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchid.checks.marker_tracks.clusters import Clusters, Shape, runs_of, shape_of
-from torchid.checks.marker_tracks.statement import Kind, Statement
+from torchid.checks.marker_tracks.clusters import Clusters, MarkerShape, runs_of, shape_of
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.recording import Markers
 
 BESIDE = 5
@@ -35,7 +35,7 @@ SCATTER_M = 0.008
 """Calibrated. Standard deviation of such a step where nothing is wrong: a third of the largest on clean recordings."""
 
 
-def beside(clusters: Clusters, shape: Shape) -> Int[Tensor, "markers few"]:
+def beside(clusters: Clusters, shape: MarkerShape) -> Int[Tensor, "markers few"]:
     """Return the markers whose distance tells most of each one, the best first.
 
     Args:
@@ -81,7 +81,9 @@ def _excess(position: Tensor, near: Tensor) -> Float[Tensor, "steps markers"]:
     return (sudden - sudden[:, near].nanmedian(dim=2).values).norm(dim=-1)
 
 
-def find_jumps(trial: str, markers: Markers, clusters: Clusters, references: Sequence[Shape]) -> list[Statement]:
+def find_jumps(
+    trial: str, markers: Markers, clusters: Clusters, references: Sequence[MarkerShape]
+) -> list[TrackStatement]:
     """Return the markers that are away from their place between two leaps, or from a leap on.
 
     Args:
@@ -106,7 +108,7 @@ def find_jumps(trial: str, markers: Markers, clusters: Clusters, references: Seq
 
 
 def _place(
-    marker: int, near: Tensor, clusters: Clusters, own: Shape, references: Sequence[Shape]
+    marker: int, near: Tensor, clusters: Clusters, own: MarkerShape, references: Sequence[MarkerShape]
 ) -> Float[Tensor, " few"]:
     """Return the distances that a marker should have to those beside it [m]: on its segment those of other trials, else
     those of its own trial."""
@@ -166,13 +168,18 @@ def _changes(off: Tensor, one: tuple[int, int], other: tuple[int, int]) -> bool:
 
 
 def _statement(
-    trial: str, markers: Markers, label: str, mask: Bool[Tensor, " frames"], size: float, references: Sequence[Shape]
-) -> Statement:
+    trial: str,
+    markers: Markers,
+    label: str,
+    mask: Bool[Tensor, " frames"],
+    size: float,
+    references: Sequence[MarkerShape],
+) -> TrackStatement:
     """Return what is said of a marker that is away in some frames."""
     time = markers.time
     when = tuple((float(time[a]), float(time[b - 1])) for a, b in runs_of(mask))
-    kind = Kind.JUMP if len(when) == 1 else Kind.FLIP
+    kind = TrackFault.JUMP if len(when) == 1 else TrackFault.FLIP
     against = tuple(shape.trial for shape in references)
-    return Statement(
+    return TrackStatement(
         kind, trial, (label,), when, 1e3 * size, 1e3 * SCATTER_M, share=float(mask.double().mean()), against=against
     )

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.checks.marker_tracks.clusters import MAD_SD, SCATTER_M, Clusters, evenly
-from torchid.checks.marker_tracks.statement import Kind, Statement
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.recording import Markers
 
 ENOUGH = 4
@@ -69,7 +69,7 @@ class MarkerReading:
 
 
 @dataclass(frozen=True)
-class Body:
+class SegmentShape:
     """The shape of a segment's markers in one trial, in axes of its own."""
 
     labels: tuple[str, ...]
@@ -79,14 +79,14 @@ class Body:
     sd: Float[Tensor, " markers"]
     """Scatter of each over the frames [m]."""
 
-    def only(self, labels: Sequence[str]) -> "Body":
+    def only(self, labels: Sequence[str]) -> "SegmentShape":
         """Return some of the markers.
 
         Args:
             labels: their names.
         """
         index = [self.labels.index(label) for label in labels]
-        return Body(tuple(labels), self.place[index], self.sd[index])
+        return SegmentShape(tuple(labels), self.place[index], self.sd[index])
 
 
 def align(
@@ -106,7 +106,7 @@ def align(
     return R, (b - a @ R.mT)[..., 0, :]
 
 
-def body_of(markers: Markers, labels: Sequence[str]) -> Body | None:
+def body_of(markers: Markers, labels: Sequence[str]) -> SegmentShape | None:
     """Return the shape of a segment in a trial; None where no two of its markers are seen together.
 
     A marker that is lost in more than half of the frames is left out, so that it does not hide the others.
@@ -128,10 +128,12 @@ def body_of(markers: Markers, labels: Sequence[str]) -> Body | None:
     laid = p @ R.mT + t[:, None]
     place = laid.median(dim=0).values
     sd = MAD_SD * (laid - place).norm(dim=2).median(dim=0).values
-    return Body(tuple(labels[k] for k in kept), place, sd)
+    return SegmentShape(tuple(labels[k] for k in kept), place, sd)
 
 
-def read_segment(trial: str, against: str, own: Body, other: Body, scatter: float = SCATTER_M) -> list[MarkerReading]:
+def read_segment(
+    trial: str, against: str, own: SegmentShape, other: SegmentShape, scatter: float = SCATTER_M
+) -> list[MarkerReading]:
     """Return what the distances of one segment say of each of its markers.
 
     Args:
@@ -213,7 +215,7 @@ def _untold(label: str, trial: str, other: str) -> MarkerReading:
     return MarkerReading(label, trial, other, nan, nan, nan, Verdict.UNTOLD, ())
 
 
-def moved_markers(readings: Sequence[MarkerReading]) -> list[Statement]:
+def moved_markers(readings: Sequence[MarkerReading]) -> list[TrackStatement]:
     """Return the markers that sit elsewhere in a trial than in more than half of those that it is compared with.
 
     Args:
@@ -235,11 +237,11 @@ def moved_markers(readings: Sequence[MarkerReading]) -> list[Statement]:
     ]
 
 
-def _statement(some: Sequence[MarkerReading]) -> Statement:
+def _statement(some: Sequence[MarkerReading]) -> TrackStatement:
     """Return the statement that readings of one marker, or of one group, amount to."""
     first = sorted(some, key=lambda one: one.displacement_mm)[len(some) // 2]
     labels = first.among or (first.label,)
     against = tuple(dict.fromkeys(one.against for one in some))
-    return Statement(
-        Kind.MOVED, first.trial, labels, (), first.displacement_mm, first.sd_mm, first.left_mm, against=against
+    return TrackStatement(
+        TrackFault.MOVED, first.trial, labels, (), first.displacement_mm, first.sd_mm, first.left_mm, against=against
     )

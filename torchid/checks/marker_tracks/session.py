@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import torch
 
-from torchid.checks.marker_tracks.clusters import Clusters, Shape, shape_of
+from torchid.checks.marker_tracks.clusters import Clusters, MarkerShape, shape_of
 from torchid.checks.marker_tracks.exchanges import find_exchanges
 from torchid.checks.marker_tracks.frozen import find_frozen
 from torchid.checks.marker_tracks.jumps import beside, find_jumps
 from torchid.checks.marker_tracks.moved import MarkerReading, marker_readings, moved_markers
-from torchid.checks.marker_tracks.statement import TAKEN_OUT, Kind, Statement
+from torchid.checks.marker_tracks.statement import TAKEN_OUT, TrackFault, TrackStatement
 from torchid.checks.marker_tracks.turned import find_turned
 from torchid.recording import Markers, Trial
 
@@ -18,7 +18,7 @@ MOST_OTHERS = 2
 """Choice. Trials beside the static one that a trial is compared with: three can outvote one."""
 
 
-def look_at_trials(trials: Mapping[str, Trial], clusters: Clusters) -> tuple[Statement, ...]:
+def look_at_trials(trials: Mapping[str, Trial], clusters: Clusters) -> tuple[TrackStatement, ...]:
     """Return what is wrong with the markers of trials, found before any fit.
 
     Args:
@@ -27,14 +27,16 @@ def look_at_trials(trials: Mapping[str, Trial], clusters: Clusters) -> tuple[Sta
     """
     shapes = {name: shape_of(name, trial.markers, clusters.labels) for name, trial in trials.items()}
     against = compared(trials)
-    found: list[Statement] = []
+    found: list[TrackStatement] = []
     for name, trial in trials.items():
         others = [shapes[other] for other in against[name]]
         found += look_at_trial(trial, clusters, others, shapes[name])
     return (*found, *moved_markers(readings_of(trials, clusters, found)))
 
 
-def look_at_trial(trial: Trial, clusters: Clusters, others: list[Shape], own: Shape | None = None) -> list[Statement]:
+def look_at_trial(
+    trial: Trial, clusters: Clusters, others: list[MarkerShape], own: MarkerShape | None = None
+) -> list[TrackStatement]:
     """Return what is wrong with the markers of one trial: exchanged, leaping and frozen ones.
 
     Args:
@@ -55,7 +57,7 @@ def look_at_trial(trial: Trial, clusters: Clusters, others: list[Shape], own: Sh
 
 
 def readings_of(
-    trials: Mapping[str, Trial], clusters: Clusters, known: Iterable[Statement] = ()
+    trials: Mapping[str, Trial], clusters: Clusters, known: Iterable[TrackStatement] = ()
 ) -> list[MarkerReading]:
     """Return where every marker sits in every trial, against the static one and others.
 
@@ -68,7 +70,9 @@ def readings_of(
     markers = {}
     for name, trial in trials.items():
         own = [one for one in known if one.trial == name]
-        markers[name] = without(renamed(trial.markers, own), [one for one in own if one.kind is not Kind.EXCHANGED])
+        markers[name] = without(
+            renamed(trial.markers, own), [one for one in own if one.kind is not TrackFault.EXCHANGED]
+        )
     return marker_readings(markers, clusters, compared(trials))
 
 
@@ -92,14 +96,14 @@ def compared(trials: Mapping[str, Trial]) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def renamed(markers: Markers, statements: Iterable[Statement]) -> Markers:
+def renamed(markers: Markers, statements: Iterable[TrackStatement]) -> Markers:
     """Return the markers with exchanged ones under their own names.
 
     Args:
         markers: of the trial that the statements are of.
         statements: those of other kinds change nothing.
     """
-    exchanged = [one for one in statements if one.kind is Kind.EXCHANGED]
+    exchanged = [one for one in statements if one.kind is TrackFault.EXCHANGED]
     if not exchanged:
         return markers
     markers = markers.having(label for one in exchanged for label in one.labels)
@@ -111,7 +115,7 @@ def renamed(markers: Markers, statements: Iterable[Statement]) -> Markers:
     return replace(markers, position=position)
 
 
-def without(markers: Markers, statements: Iterable[Statement]) -> Markers:
+def without(markers: Markers, statements: Iterable[TrackStatement]) -> Markers:
     """Return the markers with gaps where a statement says that samples tell nothing of the segment.
 
     Args:

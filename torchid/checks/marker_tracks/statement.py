@@ -15,7 +15,7 @@ LISTED = 4
 """Resolution. Intervals that a sentence lists at most."""
 
 
-class Kind(StrEnum):
+class TrackFault(StrEnum):
     """Ways in which the track of a marker can be wrong."""
 
     JUMP = "jump"
@@ -31,10 +31,10 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Statement:
+class TrackStatement:
     """One thing that is wrong with a trial's markers."""
 
-    kind: Kind
+    kind: TrackFault
     """What it is."""
     trial: str
     """Name of the trial."""
@@ -68,14 +68,14 @@ class Statement:
     def sentence(self) -> str:
         """What is said of it."""
         names, when = " and ".join(self.labels), self._when()
-        if self.kind is Kind.EXCHANGED:
+        if self.kind is TrackFault.EXCHANGED:
             return (
                 f"{names} carry each other's name {when}: distances to the markers beside them are off by "
                 f"{self.size_mm:.0f} mm on average as labelled, by {self.left_mm:.0f} mm the other way round"
             )
-        if self.kind is Kind.FROZEN:
+        if self.kind is TrackFault.FROZEN:
             return f"{names} stands still {when} while the markers beside it go {self.size_mm:.0f} mm"
-        if self.kind is Kind.MOVED:
+        if self.kind is TrackFault.MOVED:
             compared = listing(self.against)
             if len(self.labels) > 1:
                 return (
@@ -86,7 +86,7 @@ class Statement:
                 f"{names} sits {self.size_mm:.0f} mm (sd {self.sd_mm:.0f} mm) from its place in {compared}; without "
                 f"it, distances on the segment agree within {self.left_mm:.0f} mm"
             )
-        how = "leaps to another place" if self.kind is Kind.JUMP else "leaps between two places"
+        how = "leaps to another place" if self.kind is TrackFault.JUMP else "leaps between two places"
         return f"{names} {how} on its segment, {self.size_mm:.0f} mm off, {when}"
 
     def _when(self) -> str:
@@ -98,11 +98,11 @@ class Statement:
         return f"at {listed}" + (f" and {more} times more" if more > 0 else "")
 
 
-TAKEN_OUT = (Kind.JUMP, Kind.FLIP, Kind.FROZEN, Kind.EXCHANGED)
+TAKEN_OUT = (TrackFault.JUMP, TrackFault.FLIP, TrackFault.FROZEN, TrackFault.EXCHANGED)
 """Kinds whose samples say nothing of where the segment is."""
 
 
-def notes_of(statements: Iterable[Statement]) -> tuple[Note, ...]:
+def notes_of(statements: Iterable[TrackStatement]) -> tuple[Note, ...]:
     """Return the statements as notes, with what is done about each.
 
     Args:
@@ -110,8 +110,8 @@ def notes_of(statements: Iterable[Statement]) -> tuple[Note, ...]:
     """
     found = []
     for one in statements:
-        done = "left as it is" if one.kind is Kind.MOVED else "taken as missing there"
-        if one.kind is Kind.EXCHANGED:
+        done = "left as it is" if one.kind is TrackFault.MOVED else "taken as missing there"
+        if one.kind is TrackFault.EXCHANGED:
             done = "both taken as missing there; the diagnosis may give them back their names"
         found.append(Note(f"tracking.{one.kind}", f"{one.sentence}; {done}", one.trial))
     return tuple(found)

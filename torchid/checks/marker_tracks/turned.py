@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.checks.marker_tracks.clusters import Clusters, Shape
-from torchid.checks.marker_tracks.statement import Kind, Statement
+from torchid.checks.marker_tracks.clusters import Clusters, MarkerShape
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 
 OFF_M = 0.004
 """Calibrated. Mean misfit of the distances concerned, as labelled [m]. Of the eight recorded sessions only a head whose
@@ -23,7 +23,7 @@ STANDS_OUT = 3.0
 """Derived. Standard deviations of a distance over the frames that the misfit is at least."""
 
 
-def find_turned(own: Shape, clusters: Clusters, shapes: Sequence[Shape]) -> list[Statement]:
+def find_turned(own: MarkerShape, clusters: Clusters, shapes: Sequence[MarkerShape]) -> list[TrackStatement]:
     """Return the two pairs of labels of each segment that are exchanged throughout, by more than half of other shapes.
 
     Args:
@@ -41,7 +41,9 @@ def find_turned(own: Shape, clusters: Clusters, shapes: Sequence[Shape]) -> list
     return found
 
 
-def _on_segment(own: Shape, clusters: Clusters, shapes: Sequence[Shape], index: Tensor) -> list[Statement]:
+def _on_segment(
+    own: MarkerShape, clusters: Clusters, shapes: Sequence[MarkerShape], index: Tensor
+) -> list[TrackStatement]:
     pairs, perm = _ways(len(index))
     each = [_misfits(own, shape, index, perm) for shape in shapes]
     told = torch.stack([one[2] for one in each])
@@ -52,7 +54,7 @@ def _on_segment(own: Shape, clusters: Clusters, shapes: Sequence[Shape], index: 
     sd = 1e3 * float(own.sd[index][:, index].nanmedian())
     against = tuple(shape.trial for shape in shapes)
     labels = [tuple(clusters.labels[int(index[k])] for k in pair) for pair in pairs[best]]
-    return [Statement(Kind.EXCHANGED, own.trial, two, (), now, sd, undone, 1.0, against) for two in labels]
+    return [TrackStatement(TrackFault.EXCHANGED, own.trial, two, (), now, sd, undone, 1.0, against) for two in labels]
 
 
 @cache
@@ -67,7 +69,7 @@ def _ways(markers: int) -> tuple[list[tuple[tuple[int, int], tuple[int, int]]], 
 
 
 def _misfits(
-    own: Shape, other: Shape, index: Int[Tensor, " some"], perm: Int[Tensor, "ways some"]
+    own: MarkerShape, other: MarkerShape, index: Int[Tensor, " some"], perm: Int[Tensor, "ways some"]
 ) -> tuple[Float[Tensor, " ways"], Float[Tensor, " ways"], Tensor]:
     """Return the mean misfit as labelled, that the other way round, and whether it tells an exchange."""
     D, S = (x[index][:, index] for x in (own.median, other.median))

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.checks.plates_against_feet.changes import Change
 from torchid.checks.plates_against_feet.evidence import BELT_M_S, pressure_centre, slowest_point, weighted_quantile
 from torchid.checks.plates_against_feet.feet import Feet, find_feet
-from torchid.checks.plates_against_feet.finding import Finding, without
+from torchid.checks.plates_against_feet.finding import ForceFinding, without
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.io.mend import ForcesAs, PlateAs, number_of
 from torchid.recording import Forces, Plate, Trial
@@ -147,7 +147,7 @@ def _contacts(loaded: Tensor, least: int) -> list[tuple[int, int]]:
     ]
 
 
-def clock_findings(trial: Trial) -> tuple[Finding, ...]:
+def clock_findings(trial: Trial) -> tuple[ForceFinding, ...]:
     """Forces that are early or late by more than ``EARLY_S`` or ``LATE_S``, plate by plate or all alike."""
     forces, rate = trial.forces, trial.markers.rate
     assert forces is not None
@@ -166,14 +166,14 @@ def clock_findings(trial: Trial) -> tuple[Finding, ...]:
         near = all(abs(lag.seconds - shared.seconds) < SAME_S for lag in late)
         if near and all(lag.late or lag.no_worse(shared.seconds) for lag in told.values()):
             change = Change("their clock is off by that", ForcesAs(lag_ms=_rounded(shared)))
-            return (Finding(f"all forces are {_in_words(shared)}", (change,)),)
+            return (ForceFinding(f"all forces are {_in_words(shared)}", (change,)),)
     return tuple(_of_plate(forces.plates[k], k, lag) for k, lag in told.items() if lag.late)
 
 
-def _of_plate(plate: Plate, k: int, lag: Lag) -> Finding:
+def _of_plate(plate: Plate, k: int, lag: Lag) -> ForceFinding:
     n = number_of(plate, k)
     change = Change("its clock is off by that", plates={n: PlateAs(lag_ms=_rounded(lag))})
-    return Finding(f"{plate.name} is {_in_words(lag)}", (change,), without(n))
+    return ForceFinding(f"{plate.name} is {_in_words(lag)}", (change,), without(n))
 
 
 def _rounded(lag: Lag) -> float:

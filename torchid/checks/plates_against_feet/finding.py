@@ -20,7 +20,7 @@ def without(*numbers: int) -> Change:
 
 
 @dataclass(frozen=True)
-class Finding:
+class ForceFinding:
     """Forces that do not agree with the feet."""
 
     what: str
@@ -56,13 +56,13 @@ COMBINED = 6
 """So many combinations of what is wrong with several plates are named."""
 
 
-def together(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+def together(findings: tuple[ForceFinding, ...]) -> tuple[ForceFinding, ...]:
     """Findings about several plates as one, so that there is one line to add: a config has each key once."""
     if len(findings) < 2:
         return findings
     choices = [f.changes or (f.instead,) for f in findings] if any(f.changes for f in findings) else []
     changes = tuple(reduce(and_, some) for some in islice(product(*choices), COMBINED) if some)
-    return (Finding("; ".join(f.what for f in findings), changes, reduce(and_, (f.instead for f in findings))),)
+    return (ForceFinding("; ".join(f.what for f in findings), changes, reduce(and_, (f.instead for f in findings))),)
 
 
 def in_figures(evidence: Evidence, k: int) -> str:

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from torchid.checks.plates_against_feet.changes import file_changes, pair_changes, plate_changes
 from torchid.checks.plates_against_feet.clock import clock_findings
-from torchid.checks.plates_against_feet.finding import Finding, in_figures, together, without
+from torchid.checks.plates_against_feet.finding import ForceFinding, in_figures, together, without
 from torchid.checks.plates_against_feet.left_out import Reread, left_out_plates
-from torchid.checks.plates_against_feet.readings import Scene, Tried, scene_of, shared_changes, tried
+from torchid.checks.plates_against_feet.readings import FeetScene, Tried, scene_of, shared_changes, tried
 from torchid.checks.plates_against_feet.units import unit_findings
 from torchid.checks.plates_against_feet.worlds import off_the_floor, other_size, other_up, upside_down
 from torchid.io.mend import mend, number_of
@@ -23,7 +23,7 @@ ON_ITS_HEAD = (
 )
 
 
-def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = None) -> tuple[Finding, ...]:
+def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = None) -> tuple[ForceFinding, ...]:
     """What is wrong with the forces of a trial; empty where they agree with the feet or nothing can tell.
 
     Args:
@@ -33,7 +33,7 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
     """
     scene, refused = scene_of(trial), () if reread is None else left_out_plates(trial, reread)
     if upside_down(trial):
-        return (Finding(ON_ITS_HEAD),)
+        return (ForceFinding(ON_ITS_HEAD),)
     lying = _lying(trial, reread) if scene is None or off_the_floor(trial) else ()
     if scene is None or lying:
         return together((*lying, *refused))
@@ -41,10 +41,10 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
     return units or together((*_axes_or_clock(scene, trial, reread), *refused))
 
 
-def _lying(trial: Trial, reread: Reread | None) -> tuple[Finding, ...]:
+def _lying(trial: Trial, reread: Reread | None) -> tuple[ForceFinding, ...]:
     """No feet on the floor because markers and forces of two files have other verticals; else empty."""
     turned = other_up(reread) if reread is not None and trial.forces is not None and _own_axes(trial) else None
-    return () if turned is None else (Finding("no marker shows a foot on the floor under the forces", (turned,)),)
+    return () if turned is None else (ForceFinding("no marker shows a foot on the floor under the forces", (turned,)),)
 
 
 def _own_axes(trial: Trial) -> bool:
@@ -52,7 +52,7 @@ def _own_axes(trial: Trial) -> bool:
     return "forces" in trial.parameters
 
 
-def _axes_or_clock(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, ...]:
+def _axes_or_clock(scene: FeetScene, trial: Trial, reread: Reread | None) -> tuple[ForceFinding, ...]:
     """Plates and axes, or a clock where that alone explains what they do not."""
     axes, clock = _axes(scene, trial, reread), clock_findings(trial)
     if not axes or not clock or trial.forces is None:
@@ -65,7 +65,7 @@ def _axes_or_clock(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[F
     return clock if later is not None and in_time is not None and not _axes(later, in_time, None) else axes
 
 
-def _axes(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, ...]:
+def _axes(scene: FeetScene, trial: Trial, reread: Reread | None) -> tuple[ForceFinding, ...]:
     """Plates turned, mirrored, miswired, in other units of moment, or exchanged; files with other axes."""
     plates, own_axes = scene.forces.plates, _own_axes(trial)
     single = {k: tried(scene, k, plate_changes(plates, k)) for k in range(len(plates))}
@@ -79,26 +79,26 @@ def _axes(scene: Scene, trial: Trial, reread: Reread | None) -> tuple[Finding, .
         return ()
     seen = _said(scene, whole, bad) + (f", together aimed {1e3 * astray:.0f} mm beside the body" if astray else "")
     if shared and (len(bad) > 1 or not single[bad[0]].right):
-        return (Finding(seen, tuple(shared)),)
+        return (ForceFinding(seen, tuple(shared)),)
     if reread is not None and own_axes and not all(single[k].right for k in bad):
         turned = other_up(reread)
         if turned is not None:
-            return (Finding(seen, (turned,)),)
+            return (ForceFinding(seen, (turned,)),)
     size = None if any(single[k].right for k in bad) else other_size(trial)
     if size is not None:
         said = f"{seen}, and would if the markers were {size:g} times as large: check their unit and calibration"
-        return (Finding(said),)
+        return (ForceFinding(said),)
     return tuple(_of_plate(scene, k, single[k]) for k in bad)
 
 
-def _of_plate(scene: Scene, k: int, plate: Tried) -> Finding:
+def _of_plate(scene: FeetScene, k: int, plate: Tried) -> ForceFinding:
     name, n = scene.forces.plates[k].name, number_of(scene.forces.plates[k], k)
     said = f"{name} does not agree with the feet: {in_figures(plate.evidence, 0)}"
     if not plate.right:
         said += "; forces of another trial would look so"
-    return Finding(said, tuple(plate.right), without(n))
+    return ForceFinding(said, tuple(plate.right), without(n))
 
 
-def _said(scene: Scene, each: dict[int, Tried], bad: list[int]) -> str:
+def _said(scene: FeetScene, each: dict[int, Tried], bad: list[int]) -> str:
     seen = [f"{scene.forces.plates[k].name}: {in_figures(each[k].evidence, 0)}" for k in bad]
     return f"forces do not agree with the feet ({'; '.join(seen)})"

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from torchid.checks.plates_against_feet.changes import Change, corner_changes, plate_changes
 from torchid.checks.plates_against_feet.evidence import carries_foot
-from torchid.checks.plates_against_feet.finding import Finding, without
+from torchid.checks.plates_against_feet.finding import ForceFinding, without
 from torchid.checks.plates_against_feet.readings import scene_of, tried
 from torchid.io.mend import PlateAs, number_of
 from torchid.recording import Trial
@@ -16,7 +16,7 @@ SMALLER = 1e-3
 """Resolution. Gain with which an overloaded plate is read again, so that reading keeps it; it is then taken back."""
 
 
-def left_out_plates(trial: Trial, reread: Reread) -> tuple[Finding, ...]:
+def left_out_plates(trial: Trial, reread: Reread) -> tuple[ForceFinding, ...]:
     """Return the plates that reading left out, on which a foot stands once they are read in another way.
 
     Args:
@@ -32,14 +32,14 @@ def _numbers(trial: Trial, key: str) -> list[int]:
     return [int(number) for number in trial.parameters.get(key, "").split()]
 
 
-def _cornered(number: int, reread: Reread) -> Finding | None:
+def _cornered(number: int, reread: Reread) -> ForceFinding | None:
     """Return what is wrong with a plate that carries a foot once its corners are changed."""
     changes = tuple(change for change in corner_changes(number) if _carries(reread(change), number))
     said = f"plate {number} is refused for its corners, yet somebody stands on it"
-    return Finding(said, changes, without(number)) if changes else None
+    return ForceFinding(said, changes, without(number)) if changes else None
 
 
-def _rewired(number: int, reread: Reread) -> Finding | None:
+def _rewired(number: int, reread: Reread) -> ForceFinding | None:
     """Return what is wrong with an overloaded plate that carries a foot once its channels are changed, or once the
     config says nothing of it."""
     trial = reread(Change("", plates={number: PlateAs(gain=SMALLER)}))
@@ -54,7 +54,7 @@ def _rewired(number: int, reread: Reread) -> Finding | None:
     plate = tried(scene, k, plate_changes(scene.forces.plates, k))
     right = () if plate.agrees(0) else tuple(plate.right)
     said = f"plate {number} reads what nobody bears"
-    return Finding(said, right, without(number)) if right or plate.agrees(0) else None
+    return ForceFinding(said, right, without(number)) if right or plate.agrees(0) else None
 
 
 def _carries(trial: Trial | None, number: int) -> bool:

@@ -38,7 +38,7 @@ SAME_N = 1e-6
 
 
 @dataclass(frozen=True)
-class Scene:
+class FeetScene:
     """A trial as its plates are judged: feet and forces at frames that bear load."""
 
     feet: Feet
@@ -56,7 +56,7 @@ class Scene:
         return aim if aim > AIM_MOST_M else None
 
 
-def scene_of(trial: Trial) -> Scene | None:
+def scene_of(trial: Trial) -> FeetScene | None:
     """The frames of a trial that bear load, None without forces or feet."""
     if trial.forces is None:
         return None
@@ -67,7 +67,7 @@ def scene_of(trial: Trial) -> Scene | None:
     if feet is None:
         return None
     forces = trial.forces
-    return Scene(feet, Forces(forces.time[feet.frames], forces.wrench[feet.frames].nan_to_num(), forces.plates))
+    return FeetScene(feet, Forces(forces.time[feet.frames], forces.wrench[feet.frames].nan_to_num(), forces.plates))
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Tried:
         return not (self.changes[i - 1].shrinks_moments and possible)
 
 
-def tried(scene: Scene, k: int, changes: list[Change]) -> Tried:
+def tried(scene: FeetScene, k: int, changes: list[Change]) -> Tried:
     """Plate k of a scene under all changes."""
     forces = scene.forces
     wrench = torch.stack([forces.wrench[:, k], *(changed(forces, change)[:, k] for change in changes)])
@@ -131,7 +131,7 @@ def changed(forces: Forces, change: Change) -> Float[torch.Tensor, "n plates 6"]
     return other.wrench
 
 
-def shared_changes(scene: Scene, each: dict[int, Tried]) -> list[Change]:
+def shared_changes(scene: FeetScene, each: dict[int, Tried]) -> list[Change]:
     """Changes of the whole file under which every plate agrees best, and those that are not told apart from it."""
     if not each:
         return []

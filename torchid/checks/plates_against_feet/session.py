@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from torchid.checks.plates_against_feet.changes import Change
-from torchid.checks.plates_against_feet.finding import Finding
+from torchid.checks.plates_against_feet.finding import ForceFinding
 from torchid.checks.plates_against_feet.judge import judge
 from torchid.errors import InputError
 from torchid.io.options import ReadOptions
@@ -36,7 +36,7 @@ def changed_options(options: ReadOptions, change: Change) -> ReadOptions:
     return replace(options, up=up, forces_as=change.forces_as, plates=change.plates)
 
 
-def judge_recording(trial: Trial, recording: Recording) -> tuple[Finding, ...]:
+def judge_recording(trial: Trial, recording: Recording) -> tuple[ForceFinding, ...]:
     """Findings about one trial, as lines that can stand in a config in place of those that it has.
 
     Args:
@@ -54,11 +54,11 @@ def judge_recording(trial: Trial, recording: Recording) -> tuple[Finding, ...]:
     for change in (Change("nothing is said of them"), *(given & c for f in found for c in f.changes)):
         other = recording.again(change)
         if other is not None and not judge(other, mass, recording.again):
-            return (Finding(seen, (change,), removed=True),)
-    return (Finding(seen, removed=True),)
+            return (ForceFinding(seen, (change,), removed=True),)
+    return (ForceFinding(seen, removed=True),)
 
 
-def judge_session(trials: Mapping[str, tuple[Trial, Recording]]) -> dict[str, tuple[Finding, ...]]:
+def judge_session(trials: Mapping[str, tuple[Trial, Recording]]) -> dict[str, tuple[ForceFinding, ...]]:
     """Findings about every trial that has some; a line that one of them tells alone settles it where others are open.
 
     Args:
@@ -69,7 +69,7 @@ def judge_session(trials: Mapping[str, tuple[Trial, Recording]]) -> dict[str, tu
     return {name: tuple(_narrowed(f, settled) for f in each) for name, each in found.items() if each}
 
 
-def _narrowed(finding: Finding, settled: set[str]) -> Finding:
+def _narrowed(finding: ForceFinding, settled: set[str]) -> ForceFinding:
     """The finding with those of its changes alone that other trials have settled, if there are some."""
     shared = tuple(c for c, line in zip(finding.changes, finding.lines(), strict=True) if line in settled)
     return replace(finding, changes=shared) if shared else finding

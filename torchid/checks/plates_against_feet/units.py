@@ -8,7 +8,7 @@ from torch import Tensor
 from torchid.checks.plates_against_feet.changes import Change
 from torchid.checks.plates_against_feet.evidence import carries_foot
 from torchid.checks.plates_against_feet.feet import Feet
-from torchid.checks.plates_against_feet.finding import Finding, without
+from torchid.checks.plates_against_feet.finding import ForceFinding, without
 from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
 from torchid.io.mend import ForcesAs, PlateAs, number_of
 from torchid.recording import Forces, Trial
@@ -28,7 +28,7 @@ STEP_S = 0.04
 
 def unit_findings(
     trial: Trial, feet: Feet, forces: Forces, heights: list[float], mass_kg: float | None
-) -> tuple[Finding, ...]:
+) -> tuple[ForceFinding, ...]:
     """Plates that carry a foot, but less than anybody weighs.
 
     Args:
@@ -61,7 +61,7 @@ def unit_findings(
     )
     if not gains:
         said += ": volts, or counts that nobody has scaled"
-    return (Finding(said, changes, without() if whole else without(*numbers)),)
+    return (ForceFinding(said, changes, without() if whole else without(*numbers)),)
 
 
 def _touched(vertical: Tensor, k: int, loud: Tensor) -> bool:

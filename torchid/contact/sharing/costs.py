@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchid.contact.options import ContactOptions
 from torchid.contact.sharing.expected import expected_rows, spread_of_shares
-from torchid.contact.sharing.likely import Feet, likely
+from torchid.contact.sharing.likely import FeetOnGround, likely
 from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.patches import Patch, Rest, patch_rows
 from torchid.contact.sharing.problem import SharingProblem
@@ -47,7 +47,7 @@ class Task:
         return self.open[:, None] & self.bearing
 
 
-class Found(NamedTuple):
+class ShareSolution(NamedTuple):
     """Given wrenches and shares together, doubts of the shares, how they came about, and what did not settle."""
 
     wrench: Tensor
@@ -71,7 +71,7 @@ class Costs:
     patches: dict[str, Patch] = field(default_factory=dict)
     """Of the contacts behind the feet."""
 
-    def share(self, task: Task) -> Found:
+    def share(self, task: Task) -> ShareSolution:
         """Return the shares of a task's totals, found block by block.
 
         Args:
@@ -96,7 +96,7 @@ class Costs:
             own = torch.where(task.open[:, None], task.total, task.given[:, :feet].sum(1))
             alone = task.given[:, :feet, 2] > self.options.loaded_n
             bearing = torch.where(task.open[:, None], task.bearing[:, :feet], alone)
-            stand = likely(Feet(tuple(self.soles.values()), own, self.com, bearing, self.height))
+            stand = likely(FeetOnGround(tuple(self.soles.values()), own, self.com, bearing, self.height))
             own_rows = expected_rows(stand)
             some += [own_rows[:, 5 * k : 5 * k + 5, k] for k in range(feet)]
         load = task.total[:, :3].norm(dim=1) / task.bearing.sum(dim=1).clamp(min=1)
@@ -108,7 +108,7 @@ class Costs:
             owner.append(empty)
         return torch.cat(owner, dim=1)
 
-    def _block(self, task: Task, rows: Tensor, part: slice, found: Found) -> SharingStatus:
+    def _block(self, task: Task, rows: Tensor, part: slice, found: ShareSolution) -> SharingStatus:
         """Fill in the shares of a block."""
         problem, some = self._problem(task, rows, part), task.open[part]
         shares = share(problem, self.solver, throw=False)
@@ -151,7 +151,7 @@ class Costs:
         return found if rest is None else [*found, Patch(rest.points[part], level, torch.inf)]
 
 
-def untouched(task: Task, lost: bool = False) -> Found:
+def untouched(task: Task, lost: bool = False) -> ShareSolution:
     """Return what a task gives, with no share of its totals.
 
     Args:
@@ -160,4 +160,4 @@ def untouched(task: Task, lost: bool = False) -> Found:
     """
     size = task.given[0].numel()
     none = task.given.new_zeros(len(task.given), size, size)
-    return Found(task.given.clone(), none, SharingStatus.SOLVED, task.open & lost)
+    return ShareSolution(task.given.clone(), none, SharingStatus.SOLVED, task.open & lost)

@@ -22,7 +22,7 @@ stand."""
 
 
 @dataclass(frozen=True)
-class Feet:
+class FeetOnGround:
     """Feet on a ground of one height, what bears them together, and the body above."""
 
     soles: tuple[Float[Tensor, "frames points 3"], ...]
@@ -36,7 +36,7 @@ class Feet:
     """Height of the ground [m]."""
 
 
-def likely(feet: Feet) -> Expected:
+def likely(feet: FeetOnGround) -> Expected:
     """Return where every foot presses, how its force leans and what it bears, as far as motion and total tell.
 
     Args:
@@ -55,7 +55,7 @@ def likely(feet: Feet) -> Expected:
     return out
 
 
-def _standing(feet: Feet, axes: list[SoleAxes]) -> Expected:
+def _standing(feet: FeetOnGround, axes: list[SoleAxes]) -> Expected:
     frames, count = feet.bearing.shape
     middle = torch.stack(
         [a.point(torch.full_like(a.length, STANDING), torch.zeros_like(a.length)) for a in axes], dim=1
@@ -69,7 +69,12 @@ def _standing(feet: Feet, axes: list[SoleAxes]) -> Expected:
 
 
 def _hand(
-    feet: Feet, axes: list[SoleAxes], loaded: Tensor, part: tuple[int, int], pair: tuple[int, int], out: Expected
+    feet: FeetOnGround,
+    axes: list[SoleAxes],
+    loaded: Tensor,
+    part: tuple[int, int],
+    pair: tuple[int, int],
+    out: Expected,
 ) -> None:
     """Fill in one run of frames on one pair of feet, in place, if it is a step.
 

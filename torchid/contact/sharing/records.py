@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.contact.sharing.solver import SharingStatus
 
 
-class Source(IntEnum):
+class WrenchSource(IntEnum):
     """Where a contact's wrench comes from."""
 
     MEASURED = 0
@@ -53,7 +53,7 @@ class ContactWrenches:
     wrench: Float[Tensor, "frames contacts 6"]
     """About the world's origin, in W [N, N m]; of an unknown contact, what plates measured of it."""
     source: Int[Tensor, "frames contacts"]
-    """``Source`` of every one."""
+    """``WrenchSource`` of every one."""
     doubtful: Int[Tensor, " some"]
     """Frames in which some wrench is not measured."""
     doubt: Float[Tensor, "some wrenches causes"]
@@ -75,7 +75,7 @@ class ContactWrenches:
         unknown."""
         found = torch.zeros_like(self.wrench)
         found[self.doubtful] = self.doubt.square().sum(2).sqrt().unflatten(1, found.shape[1:])
-        return torch.where((self.source == Source.UNKNOWN)[..., None], torch.nan, found)
+        return torch.where((self.source == WrenchSource.UNKNOWN)[..., None], torch.nan, found)
 
     def of(self, contact: str) -> Float[Tensor, "frames 6"]:
         """The wrench under one contact."""

@@ -45,7 +45,7 @@ FEWEST = 3
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownFoot:
     """What a single support tells about a foot: place on the sole, and lean against the line to the body."""
 
     part: float
@@ -117,18 +117,18 @@ def _braked(share: Tensor) -> Tensor:
     return ((share - BRAKED[0]) / (BRAKED[1] - BRAKED[0])).clamp(0.0, 1.0)
 
 
-def _told(support: Support, foot: int, frame: int) -> Known:
+def _told(support: Support, foot: int, frame: int) -> KnownFoot:
     """From a frame in which this foot bears all."""
     centre = support.centre
     part, aside = support.axes[foot].place(centre)
     line, force = support.line(centre)[frame], support.total[frame]
     lean = float((force[:2] / force[2]) @ line / line.square().sum().clamp(min=1e-6))
     low, high = PLACES[foot]
-    return Known(min(max(float(part[frame]), low), high), float(aside[frame]), min(max(lean, LEANS[0]), LEANS[1]))
+    return KnownFoot(min(max(float(part[frame]), low), high), float(aside[frame]), min(max(lean, LEANS[0]), LEANS[1]))
 
 
-def _untold(foot: int) -> Known:
-    return Known(MIDDLE[foot], 0.0, UPRIGHT[foot])
+def _untold(foot: int) -> KnownFoot:
+    return KnownFoot(MIDDLE[foot], 0.0, UPRIGHT[foot])
 
 
 def _centres(support: Support, known: tuple, share: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,10 +9,10 @@ from torch import Tensor
 from torchid.contact.contact import Contact
 from torchid.contact.options import ContactOptions
 from torchid.contact.runs import dilate, spread
-from torchid.contact.sharing.costs import Costs, Effort, Found, Task, untouched
+from torchid.contact.sharing.costs import Costs, Effort, ShareSolution, Task, untouched
 from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.patches import Patch, rest_of
-from torchid.contact.sharing.records import ContactWrenches, Needed, Source
+from torchid.contact.sharing.records import ContactWrenches, Needed, WrenchSource
 from torchid.contact.sharing.solver import worse
 from torchid.contact.support import over_each
 from torchid.filters import Smoother
@@ -66,8 +66,8 @@ def contact_wrenches(
     feet = part[:, : len(soles)]
     opened = torch.cat([feet.any(dim=1, keepdim=True).expand_as(feet), part[:, len(soles) :]], dim=1)
     gone, stray = contact.beside & ~part, contact.untold & ~opened
-    source = torch.where(part, int(Source.SHARED), int(Source.MEASURED))
-    source = torch.where(gone | stray | (part & found.lost[:, None]), int(Source.UNKNOWN), source)
+    source = torch.where(part, int(WrenchSource.SHARED), int(WrenchSource.MEASURED))
+    source = torch.where(gone | stray | (part & found.lost[:, None]), int(WrenchSource.UNKNOWN), source)
     wrench, doubt, status = smoother(found.wrench), found.doubt, found.status
     if needed is not None and bool(gone.any()):
         beside = replace(_beside(gone, needed, smoother(raw.sum(1)), margin, len(soles)), besides=wrench)
@@ -75,7 +75,7 @@ def contact_wrenches(
         told = beside.part[:, :count] & ~more.lost[:, None] & ~part
         wrench = wrench + torch.where(told[..., None], more.wrench[:, :count], 0.0)
         doubt = _with_needed(doubt, more.doubt[:, : 6 * count], needed.factor, told, beside)
-        source = torch.where(told, int(Source.PREDICTED), source)
+        source = torch.where(told, int(WrenchSource.PREDICTED), source)
         status = worse(status, more.status)
     doubtful = doubt.flatten(1).any(dim=1).nonzero()[:, 0]
     return ContactWrenches(contact.contacts, wrench, source, doubtful, doubt[doubtful], status, contact.bodies)
@@ -120,7 +120,7 @@ def _over(
 
 def _on_plates(
     contact: Contact, wide: Tensor, raw: Tensor, own: Tensor, over: tuple[Tensor, Tensor], costs: Costs
-) -> tuple[Found, Bool[Tensor, "frames contacts"]]:
+) -> tuple[ShareSolution, Bool[Tensor, "frames contacts"]]:
     """Shares of plates that bear several contacts, and which contacts have one: of the floor, and of every other."""
     plates = range(raw.shape[1])
     floor = plates if contact.floor is None else contact.floor
@@ -131,7 +131,9 @@ def _on_plates(
         task = _shared(contact, wide, raw, found.wrench, over, group)
         more = untouched(task, lost=True) if costs.options.torques == "measured" else costs.share(task)
         part = part | task.part
-        found = Found(more.wrench, found.doubt + more.doubt, worse(found.status, more.status), found.lost | more.lost)
+        found = ShareSolution(
+            more.wrench, found.doubt + more.doubt, worse(found.status, more.status), found.lost | more.lost
+        )
     return found, part
 
 

@@ -11,7 +11,7 @@ from torchid.effects.place import Place
 
 
 @dataclass(frozen=True)
-class Source:
+class ColumnSource:
     """Columns that a nuisance or candidates share."""
 
     effect: Effect
@@ -38,7 +38,7 @@ class Candidate:
     """The effect."""
     place: Place
     """Place of the effect."""
-    source: Source
+    source: ColumnSource
     """Source that has its columns."""
     trials: frozenset[int]
     """Indices of the trials in which it could act."""

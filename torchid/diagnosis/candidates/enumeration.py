@@ -7,7 +7,7 @@ the nuisances that markers show; other effects; and last those whose columns one
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.candidates.nuisances import nuisances
 from torchid.diagnosis.candidates.proposals import propose
 from torchid.diagnosis.options import NamingOptions
@@ -23,7 +23,7 @@ class Enumeration:
 
     base: int
     """Number of columns of inertia and nuisances."""
-    sources: tuple[Source, ...]
+    sources: tuple[ColumnSource, ...]
     """Sources of columns, in the order of the columns."""
     candidates: tuple[Candidate, ...]
     """Effects at places."""
@@ -42,23 +42,25 @@ def enumerate_candidates(
     """
     known, at = {}, observed[0].phi.numel()
     for effect, place, mean, scale in nuisances(observed, fit):
-        known[source_key(effect, place)] = Source(effect, place, slice(at, at + len(scale)), mean, scale)
+        known[source_key(effect, place)] = ColumnSource(effect, place, slice(at, at + len(scale)), mean, scale)
         at += len(scale)
     offered = {effect: propose(effect, observed) for effect in effects}
     base, known = at, known | _sources(offered, known, at)
     return Enumeration(base, tuple(known.values()), tuple(_candidates(observed, offered, known, options.periods)))
 
 
-def _sources(offered: Mapping[Effect, Sequence[Place]], known: Mapping[tuple, Source], at: int) -> dict[tuple, Source]:
+def _sources(
+    offered: Mapping[Effect, Sequence[Place]], known: Mapping[tuple, ColumnSource], at: int
+) -> dict[tuple, ColumnSource]:
     """Return sources of offered places that are not known yet, from a column on."""
-    found: dict[tuple, Source] = {}
+    found: dict[tuple, ColumnSource] = {}
     wanted = [(effect, effect.source(place)[0]) for effect, places in offered.items() for place in places]
     for effect, own in sorted(wanted, key=lambda both: (not both[0].moves_markers, confined(*both) is not None)):
         key = source_key(effect, own)
         if key not in known and key not in found:
             scale = effect.scale(own)
             part = slice(at, at + len(scale))
-            found[key] = Source(effect, own, part, (0.0,) * len(scale), scale, confined(effect, own))
+            found[key] = ColumnSource(effect, own, part, (0.0,) * len(scale), scale, confined(effect, own))
             at = part.stop
     return found
 
@@ -66,7 +68,7 @@ def _sources(offered: Mapping[Effect, Sequence[Place]], known: Mapping[tuple, So
 def _candidates(
     observed: Sequence[TrialObservation],
     offered: Mapping[Effect, Sequence[Place]],
-    known: Mapping[tuple, Source],
+    known: Mapping[tuple, ColumnSource],
     periods: float,
 ) -> Iterator[Candidate]:
     """Yield offered places that some trial can show."""

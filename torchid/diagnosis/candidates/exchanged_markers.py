@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.checks.marker_tracks.statement import Kind, Statement
+from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.marker_swap import MarkerSwap
 from torchid.effects.place import Interval, Place
@@ -23,7 +23,7 @@ EFFECT = next(one for one in CATALOGUE.values() if isinstance(one, MarkerSwap))
 class ExchangedMarkers:
     """Two labels of one trial."""
 
-    statement: Statement
+    statement: TrackStatement
     """Statement of distances about them."""
     place: Place
     """The labels, and when they are exchanged."""
@@ -46,14 +46,14 @@ class ExchangedMarkers:
         return 1.0 / (1.0 + math.exp(-self.odds_nats))
 
 
-def exchanged_markers(statement: Statement, time: Float[Tensor, " frames"]) -> ExchangedMarkers:
+def exchanged_markers(statement: TrackStatement, time: Float[Tensor, " frames"]) -> ExchangedMarkers:
     """Return an exchange as a place of ``EFFECT``.
 
     Args:
-        statement: of kind ``Kind.EXCHANGED``.
+        statement: of kind ``TrackFault.EXCHANGED``.
         time: of the trial's frames [s].
     """
-    assert statement.kind is Kind.EXCHANGED
+    assert statement.kind is TrackFault.EXCHANGED
     times = statement.when or ((float(time[0]), float(time[-1])),)
     when = tuple(Interval(statement.trial, *span) for span in times)
     return ExchangedMarkers(statement, Place(statement.labels, when))

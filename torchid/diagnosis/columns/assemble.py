@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.diagnosis.candidates.enumeration import enumerate_candidates
 from torchid.diagnosis.columns.corrected_scores import noise_scores
 from torchid.diagnosis.columns.design import Columns, Design, Terms, marker_columns, positions
@@ -49,7 +49,7 @@ def make_design(
     return Design(observed[0].phi.numel(), found.base, found.sources, found.candidates, trials)
 
 
-def trial_columns(observed: TrialObservation, sources: Sequence[Source]) -> Columns:
+def trial_columns(observed: TrialObservation, sources: Sequence[ColumnSource]) -> Columns:
     """Return the columns of the sources that could act in one trial.
 
     Args:
@@ -79,14 +79,16 @@ def trial_columns(observed: TrialObservation, sources: Sequence[Source]) -> Colu
     return found
 
 
-def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source], others: Sequence[Source]) -> Columns:
+def retaken(
+    observed: TrialObservation, own: Columns, sources: Sequence[ColumnSource], others: Sequence[ColumnSource]
+) -> Columns:
     """Return the columns of a trial after some effects on markers were linearised at other parameters.
 
     Args:
         observed: the trial.
         own: its columns as they were.
         sources: sources of all columns, with those of ``others`` as they are now.
-        others: sources whose parameters (``Source.at``) have changed; no trial lacks them.
+        others: sources whose parameters (``ColumnSource.at``) have changed; no trial lacks them.
     """
     response = observed.response
     assert response is not None, "effects on markers have been found"
@@ -108,7 +110,10 @@ def retaken(observed: TrialObservation, own: Columns, sources: Sequence[Source],
 
 
 def _of_cameras(
-    observed: TrialObservation, response: MarkerResponse, sources: Sequence[Source], out: Float[Tensor, "6 own frames"]
+    observed: TrialObservation,
+    response: MarkerResponse,
+    sources: Sequence[ColumnSource],
+    out: Float[Tensor, "6 own frames"],
 ) -> MarkerStatistics:
     """Return statistics of what markers show of the columns; ``out`` takes the wrench about the root's origin that the
     motion needs by them [N, N m]."""
@@ -122,7 +127,7 @@ def _of_cameras(
 def _respond(
     observed: TrialObservation,
     response: MarkerResponse,
-    sources: Sequence[Source],
+    sources: Sequence[ColumnSource],
     spectra: Float[Tensor, "kept all rows"],
     out: Float[Tensor, "6 own frames"],
 ) -> None:
@@ -140,7 +145,7 @@ def _respond(
         unload()
 
 
-def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:
+def _together(sources: Sequence[ColumnSource]) -> Iterator[list[ColumnSource]]:
     """Yield neighbours that have as many columns as are best worked on at once."""
     some, columns = [], 0
     for source in sources:
@@ -154,7 +159,7 @@ def _together(sources: Sequence[Source]) -> Iterator[list[Source]]:
 
 
 def _covariation(
-    observed: TrialObservation, sources: Sequence[Source], live: Int[Tensor, " live"]
+    observed: TrialObservation, sources: Sequence[ColumnSource], live: Int[Tensor, " live"]
 ) -> Float[Tensor, "bands 6 6 live"] | None:
     """Return the scores of the noise (``Terms.noise_scores``), zero for columns that no acceleration enters."""
     if observed.noise_budget is None:

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.dynamics.equations_of_motion import body_rows, wrenches_about
 from torchid.dynamics.rows import WrenchTrial
@@ -34,7 +34,7 @@ keeps."""
 
 
 def noise_scores(
-    observed: TrialObservation, noise_budget: NoiseBudget, sources: Sequence[Source], inertia: bool
+    observed: TrialObservation, noise_budget: NoiseBudget, sources: Sequence[ColumnSource], inertia: bool
 ) -> Float[Tensor, "bands 6 6 all"]:
     """Return products of the noise of each channel of the total with that of each channel of columns, band by band.
 
@@ -106,7 +106,7 @@ def _mapped(
     return found
 
 
-def _unit(view: View, source: Source) -> Float[Tensor, "6 channels params"]:
+def _unit(view: View, source: ColumnSource) -> Float[Tensor, "6 channels params"]:
     """Return columns of an effect on readings, channel by channel that bears one unit."""
     plates = len(view.reading.frames)
     unit = torch.eye(6 * plates + 6).to(view.reading.wrench).unflatten(1, (-1, 6))
@@ -116,7 +116,7 @@ def _unit(view: View, source: Source) -> Float[Tensor, "6 channels params"]:
 
 
 def _of_columns(
-    observed: TrialObservation, scene: Scene, sources: Sequence[Source], pair: Pair
+    observed: TrialObservation, scene: Scene, sources: Sequence[ColumnSource], pair: Pair
 ) -> Float[Tensor, "6 rows some"]:
     """Return products with columns as they are in another scene."""
     root, parts = _root(observed), [pair[:, :, :0]]
@@ -125,7 +125,7 @@ def _of_columns(
     return torch.cat(parts, 2)
 
 
-def _seen(observed: TrialObservation, scene: Scene, alike: Sequence[Source]) -> Float[Tensor, "6 some frames"]:
+def _seen(observed: TrialObservation, scene: Scene, alike: Sequence[ColumnSource]) -> Float[Tensor, "6 some frames"]:
     """Return columns of one effect in another scene, to which postures respond as they did."""
     effect, response = alike[0].effect, observed.response
     if effect.moves_markers and response is not None:

@@ -7,14 +7,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.observation.marker_bands import MarkerStatistics
 from torchid.observation.unloaded_plates import ZeroStatistics
 from torchid.storage.snapshot import unload
 
 
 @dataclass(frozen=True)
-class Selection:
+class ColumnSelection:
     """Columns of a design that a narrower one has."""
 
     all: Int[Tensor, " kept"]
@@ -37,7 +37,7 @@ class Terms:
     """Products that noise of markers in the columns is expected to have with the noise of the total, by band, channel
     of the total and channel of the column; None where no camera shows the noise."""
 
-    def only(self, some: "Selection") -> "Terms":
+    def only(self, some: "ColumnSelection") -> "Terms":
         """Return the terms of a narrower design, in which nuisances stand where they did.
 
         Args:
@@ -105,7 +105,7 @@ class Columns:
         found[:, first] = self.fresh[:, which[first] - wide.shape[1], part]
         return found
 
-    def only(self, some: "Selection", inertia: int) -> "Columns":
+    def only(self, some: "ColumnSelection", inertia: int) -> "Columns":
         """Return the columns of a narrower design, in which nuisances stand where they did.
 
         Args:
@@ -136,7 +136,7 @@ class Design:
     """Number of inertial parameters."""
     base: int
     """Number of columns of inertia and nuisances."""
-    sources: tuple[Source, ...]
+    sources: tuple[ColumnSource, ...]
     """Sources of the columns behind the inertia's, in their order."""
     candidates: tuple[Candidate, ...]
     """Effects at places, each with its source."""
@@ -174,7 +174,7 @@ class Design:
         return torch.tensor([x for s in self.sources for x in s.scale], dtype=torch.float64)
 
 
-def marker_columns(sources: Sequence[Source]) -> slice:
+def marker_columns(sources: Sequence[ColumnSource]) -> slice:
     """Return the columns of sources that markers show, which stand together.
 
     Args:
@@ -184,7 +184,7 @@ def marker_columns(sources: Sequence[Source]) -> slice:
     return slice(own[0].start, own[-1].stop) if own else slice(0, 0)
 
 
-def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Selection]:
+def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], ColumnSelection]:
     """Return a design of the base and some candidates without columns of trials, these in it, and the columns that it
     keeps.
 
@@ -203,7 +203,7 @@ def narrower(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[C
     own = tuple(replace(c, source=sources[c.source.columns.start]) for c in some)
     k = design.marker_columns
     small = replace(design, sources=tuple(sources.values()), candidates=own, trials=())
-    return small, own, Selection(which, which[(which >= k.start) & (which < k.stop)] - k.start)
+    return small, own, ColumnSelection(which, which[(which >= k.start) & (which < k.stop)] - k.start)
 
 
 def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candidate, ...], Int[Tensor, " kept"]]:

@@ -6,14 +6,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.dynamics.equations_of_motion import wrenches_about
 from torchid.effects.columns import columns
 from torchid.effects.marker_scene import View
 from torchid.observation.trial import TrialObservation
 
 
-def plate_columns(view: View, alike: Sequence[Source]) -> Float[Tensor, "6 columns frames"]:
+def plate_columns(view: View, alike: Sequence[ColumnSource]) -> Float[Tensor, "6 columns frames"]:
     """Return the columns of sources of one effect about the origin of W [N, N m per unit parameter].
 
     Args:
@@ -26,7 +26,7 @@ def plate_columns(view: View, alike: Sequence[Source]) -> Float[Tensor, "6 colum
     return torch.cat([columns(effect, view.scene, view.read(effect.reads_measured), s.place) for s in alike], 1)
 
 
-def force_columns(observed: TrialObservation, source: Source) -> Float[Tensor, "6 columns frames"]:
+def force_columns(observed: TrialObservation, source: ColumnSource) -> Float[Tensor, "6 columns frames"]:
     """Return the columns of one source about the root's origin [N, N m per unit parameter].
 
     Args:

@@ -4,7 +4,7 @@ from itertools import groupby
 
 import torch
 
-from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.effects.columns import STEP
 from torchid.effects.marker_scene import Sight
 from torchid.observation.marker_response import MarkerResponse
@@ -13,7 +13,7 @@ from torchid.observation.row_response import RowResponse, concatenate
 
 
 def response_of(
-    response: MarkerResponse, source: Source, sight: Sight | None = None, fixed: ResponseCache | None = None
+    response: MarkerResponse, source: ColumnSource, sight: Sight | None = None, fixed: ResponseCache | None = None
 ) -> RowResponse:
     """Return the response to unit parameters of an effect, in the trial's motion or in another.
 

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchid.diagnosis.candidates.candidate import Source
+from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.diagnosis.columns.assemble import retaken
 from torchid.diagnosis.columns.design import Columns, Design
 from torchid.diagnosis.columns.rate_calibration import calibrated
@@ -56,7 +56,7 @@ def _yielded(observed: Sequence[TrialObservation], design: Design, theta: Float[
     return replace(design, sources=sources, trials=tuple(trials))
 
 
-def _taken(source: Source, theta: Float[Tensor, " own"]) -> Source:
+def _taken(source: ColumnSource, theta: Float[Tensor, " own"]) -> ColumnSource:
     """Return a source with its columns where it was found, unless they are taken about there already."""
     if not (source.effect.moves_markers and source.effect.nonlinear):
         return source
@@ -64,13 +64,13 @@ def _taken(source: Source, theta: Float[Tensor, " own"]) -> Source:
     return replace(source, at=tuple(theta.tolist())) if bool(away.norm() > MOVED * theta.norm()) else source
 
 
-def _part(source: Source, inertia: int) -> slice:
+def _part(source: ColumnSource, inertia: int) -> slice:
     """Return the columns of a source, counted behind those of the inertia."""
     return slice(source.columns.start - inertia, source.columns.stop - inertia)
 
 
 def linearised(
-    observed: TrialObservation, own: Columns, sources: Sequence[Source], theta: Float[Tensor, " more"]
+    observed: TrialObservation, own: Columns, sources: Sequence[ColumnSource], theta: Float[Tensor, " more"]
 ) -> Columns:
     """Return a trial's columns with those that plates show of nonlinear effects and of shifts in time taken at
     ``theta``.

@@ -15,9 +15,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.candidates.enumeration import confined
-from torchid.diagnosis.columns.design import Columns, Design, Selection, Terms, narrower, positions
+from torchid.diagnosis.columns.design import Columns, ColumnSelection, Design, Terms, narrower, positions
 from torchid.diagnosis.columns.force_columns import force_columns
 from torchid.diagnosis.evidence.noise import Noise, initial_noise
 from torchid.diagnosis.evidence.posterior import Posterior, fit
@@ -217,7 +217,7 @@ def spectra_of(observed: Sequence[TrialObservation], design: Design) -> tuple[Tr
     return tuple(trial_spectra(own, columns, design.noisy) for own, columns in both)
 
 
-def _cut(rows: TrialSpectra, which: Selection, terms: Terms) -> TrialSpectra:
+def _cut(rows: TrialSpectra, which: ColumnSelection, terms: Terms) -> TrialSpectra:
     """Return rows with those columns that a narrower design has."""
     at, _ = positions(rows.terms.live, which.all)
     blocks = tuple(BlockSpectrum(block.Y[:, at], block.F, block.frequency) for block in rows.forces)
@@ -230,7 +230,7 @@ def _with_places(design: Design, one: Candidate, places: Sequence[Place]) -> tup
     for place in places:
         scale = one.effect.scale(place)
         sources.append(
-            Source(
+            ColumnSource(
                 one.effect, place, slice(at, at + len(scale)), (0.0,) * len(scale), scale, confined(one.effect, place)
             )
         )

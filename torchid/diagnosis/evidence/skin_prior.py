@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from torchid.diagnosis.candidates.candidate import Candidate, Source
+from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.evidence.model import LinearModel
 from torchid.diagnosis.evidence.posterior import fit
 
@@ -42,7 +42,7 @@ def with_slides(model: LinearModel) -> LinearModel:
     return replace(model, design=design, prior=model.prior.for_design(design))
 
 
-def _part(whole: Source, one: Candidate) -> bool:
+def _part(whole: ColumnSource, one: Candidate) -> bool:
     """Return whether what a nuisance does is part of what an effect does at a place."""
     return whole.effect.part_of(whole.place, one.effect, one.place) is not None
 
@@ -58,6 +58,6 @@ def _size(model: LinearModel, each: Sequence[Candidate]) -> float:
     return float(weight @ torch.tensor(SLIDES_M, dtype=torch.float64))
 
 
-def _narrower(source: Source, part: float) -> Source:
+def _narrower(source: ColumnSource, part: float) -> ColumnSource:
     """Return a source with its prior's standard deviations times a factor."""
     return replace(source, scale=tuple(part * s for s in source.scale))

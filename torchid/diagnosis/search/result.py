@@ -12,7 +12,7 @@ from torchid.diagnosis.evidence.posterior import Posterior, fit
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search.rivals import Round, named_in, same, shares, twins
-from torchid.diagnosis.trace import Step, Trace
+from torchid.diagnosis.trace import Trace, TraceStep
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class SearchResult:
     trace: Trace = ()
     """Every decision so far."""
 
-    def having(self, chosen: Sequence[Candidate], *steps: Step) -> "SearchResult":
+    def having(self, chosen: Sequence[Candidate], *steps: TraceStep) -> "SearchResult":
         """Return the result with other effects chosen, fitted again.
 
         Args:

@@ -99,7 +99,7 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Share:
+class RivalShare:
     """Probability that an effect at a place is there, all its intervals and grid values together."""
 
     rival: Rival
@@ -110,7 +110,7 @@ class Share:
     """True if it cannot be told from the cause."""
 
 
-def shares(scan: Round, one: Candidate) -> tuple[Share, list[Share]]:
+def shares(scan: Round, one: Candidate) -> tuple[RivalShare, list[RivalShare]]:
     """Return the share of a cause, and those of everything that it competes with, the likeliest first.
 
     Args:
@@ -126,13 +126,13 @@ def shares(scan: Round, one: Candidate) -> tuple[Share, list[Share]]:
     return own, sorted(found.values(), key=lambda share: -share.weight)
 
 
-def _share(some: Sequence[tuple[float, Rival]], best: Rival, alike_nats: float) -> Share:
+def _share(some: Sequence[tuple[float, Rival]], best: Rival, alike_nats: float) -> RivalShare:
     """Return the share of rivals of one effect and place."""
     near = any(abs(rival.alike - best.alike) < alike_nats for _, rival in some)
-    return Share(max(some, key=lambda both: both[0])[1], sum(weight for weight, _ in some), near)
+    return RivalShare(max(some, key=lambda both: both[0])[1], sum(weight for weight, _ in some), near)
 
 
-def twins(others: Sequence[Share], most: int) -> list[Share]:
+def twins(others: Sequence[RivalShare], most: int) -> list[RivalShare]:
     """Return the shares that cannot be told from the cause.
 
     Args:

@@ -29,7 +29,7 @@ from torchid.diagnosis.search.interval_refinement import refine_interval
 from torchid.diagnosis.search.result import SearchResult, asked_later, reduced
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
-from torchid.diagnosis.trace import Step, StepKind, Trace, step
+from torchid.diagnosis.trace import StepKind, Trace, TraceStep, step
 from torchid.effects.effect import Effect
 from torchid.model_free.panel import Panel
 from torchid.observation.trial import TrialObservation
@@ -93,7 +93,7 @@ def search(
     return settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), observed, SUPPORTED)
 
 
-def _denied(panel: Panel | None, observed: Sequence[TrialObservation], state: _State) -> Step | None:
+def _denied(panel: Panel | None, observed: Sequence[TrialObservation], state: _State) -> TraceStep | None:
     """Return the refusal of the last effect, if witnesses contradict it beside the others; else None."""
     found = SearchResult(state.model, state.chosen, state.rounds, state.model.fit(state.chosen), state.options)
     said, least = testimonies(panel, found, observed)[-1], state.options.witnesses.contradicted_nats
@@ -103,7 +103,7 @@ def _denied(panel: Panel | None, observed: Sequence[TrialObservation], state: _S
     return step(StepKind.REFUSE, state.chosen[-1], "witnesses_contradict", **numbers)
 
 
-def _barred(state: _State, denied: Step) -> _State:
+def _barred(state: _State, denied: TraceStep) -> _State:
     """Return the state before an effect was added, without that effect at any place."""
     log.info("witnesses contradict %s at %s", denied.effect, denied.where)
     trace = (*state.trace[:-1], denied)  # in place of its entry
@@ -193,7 +193,7 @@ def _likely(rivals: Sequence[Rival], naming: NamingOptions) -> list[Rival]:
     return [one for one in order if one.explained > naming.look_closer_part * order[0].explained]
 
 
-def _decisions(scan: Round, looked: Candidate | None) -> list[Step]:
+def _decisions(scan: Round, looked: Candidate | None) -> list[TraceStep]:
     """Return the step of what a round named; if it named nothing, those of what came near, with the reason of
     refusal."""
     least = scan.options.named_nats
@@ -201,7 +201,7 @@ def _decisions(scan: Round, looked: Candidate | None) -> list[Step]:
         rule = "evidence" if looked is None else "evidence_under_its_own_noise"
         numbers = {"evidence_nats": best.evidence, "crossed_nats": best.crossed, "effect_nats": scan.family(best)}
         return [step(StepKind.ENTER, best.candidate, rule, **numbers, least_nats=least)]
-    refused: dict[str, Step] = {}
+    refused: dict[str, TraceStep] = {}
     for one in scan.rivals:
         if one.evidence + math.log(one.candidate.odds) >= least and one.candidate.effect.name not in refused:
             numbers = {"evidence_nats": one.evidence, "crossed_nats": one.crossed, "background_nats": one.ordinary,

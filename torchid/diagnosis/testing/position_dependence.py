@@ -23,7 +23,7 @@ from torchid.diagnosis.search.result import SearchResult, without
 from torchid.effects.effect import Parameter
 from torchid.effects.forces import PointForce
 from torchid.effects.place import Place
-from torchid.effects.scene import Point, Scene
+from torchid.effects.scene import BodyPoint, Scene
 from torchid.observation.trial import TrialObservation
 
 INFORMATIVE = 1.0
@@ -36,7 +36,7 @@ class Field(PointForce):
     name = "field"
     parameters = (Parameter("force_N", 20.0, 3), Parameter("gradient_N_m", 20.0, 9))
 
-    def force(self, scene: Scene, at: Point, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
+    def force(self, scene: Scene, at: BodyPoint, theta: Float[Tensor, " params"]) -> Float[Tensor, "3 frames"]:
         """Return the force at the point in W [N], from its mean [N] and its gradient [N/m] in theta.
 
         Args:
@@ -49,7 +49,7 @@ class Field(PointForce):
 
 
 @dataclass(frozen=True)
-class Misfit:
+class FieldMisfit:
     """A named force that a field beside it contradicts, or does not."""
 
     index: int
@@ -60,7 +60,7 @@ class Misfit:
     """Part of what both explain that the field does."""
 
 
-def misfits(found: SearchResult, observed: Sequence[TrialObservation]) -> list[Misfit]:
+def misfits(found: SearchResult, observed: Sequence[TrialObservation]) -> list[FieldMisfit]:
     """Return the named forces that a field beside them contradicts; those that come and go have courses of their own.
 
     Args:
@@ -73,7 +73,7 @@ def misfits(found: SearchResult, observed: Sequence[TrialObservation]) -> list[M
     return [one for one in looked if one.p_value < limits.p_value and one.share > limits.position_part]
 
 
-def with_misfits(rest: Adequacy, found: SearchResult, bent: Sequence[Misfit]) -> Adequacy:
+def with_misfits(rest: Adequacy, found: SearchResult, bent: Sequence[FieldMisfit]) -> Adequacy:
     """Return what remains, with what fields beside named forces show.
 
     Args:
@@ -90,7 +90,7 @@ def with_misfits(rest: Adequacy, found: SearchResult, bent: Sequence[Misfit]) ->
     return Adequacy(True, worst.p_value, worst.share, said, beyond=True)
 
 
-def _described(one: Candidate, bent: Misfit) -> str:
+def _described(one: Candidate, bent: FieldMisfit) -> str:
     """Return a sentence on a force that a field contradicts."""
     what, where = one.effect.name.replace("_", " "), ", ".join(one.place.where)
     return (
@@ -99,7 +99,7 @@ def _described(one: Candidate, bent: Misfit) -> str:
     )
 
 
-def _misfit(found: SearchResult, observed: Sequence[TrialObservation], k: int, looked: int) -> Misfit:
+def _misfit(found: SearchResult, observed: Sequence[TrialObservation], k: int, looked: int) -> FieldMisfit:
     """Return what a field beside the k-th chosen effect shows."""
     one = found.chosen[k]
     probe = Candidate(Field(), Place(one.place.where, point=one.place.point), one.source, found.model.statistics.all)
@@ -116,7 +116,7 @@ def _misfit(found: SearchResult, observed: Sequence[TrialObservation], k: int, l
     others = without(rest, one)
     energy = float(gains(statistics, fit(statistics, others), [one])[1])
     p = float(scipy.stats.chi2.sf(square, int(seen.sum()))) if bool(seen.any()) else 1.0
-    return Misfit(k, min(1.0, looked * p), square / (square + 2.0 * max(energy, 0.0) + 1e-12))
+    return FieldMisfit(k, min(1.0, looked * p), square / (square + 2.0 * max(energy, 0.0) + 1e-12))
 
 
 def _parts(

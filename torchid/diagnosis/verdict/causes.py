@@ -13,10 +13,10 @@ from torchid.diagnosis.candidates.missing_weight import MissingWeight
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search.estimates import estimate, instead, internal
 from torchid.diagnosis.search.result import SearchResult, without
-from torchid.diagnosis.search.rivals import Round, Share, named_in, same, shares, twins
+from torchid.diagnosis.search.rivals import RivalShare, Round, named_in, same, shares, twins
 from torchid.diagnosis.testing.heldout import HeldOut, HeldOutFit
-from torchid.diagnosis.trace import Step, StepKind
-from torchid.diagnosis.verdict.records import Alternative, Cause, Diagnosis, Near, Twin
+from torchid.diagnosis.trace import StepKind, TraceStep
+from torchid.diagnosis.verdict.records import Alternative, Cause, Diagnosis, NearestEffect, Twin
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
@@ -37,7 +37,7 @@ def with_missing_weight(found: Diagnosis, some: Sequence[MissingWeight], options
     """
     causes = tuple(_plain(one, options) for one in some)
     steps = tuple(
-        Step(StepKind.ENTER, c.effect, c.where, "missing_weight", {"missing_part": one.missing_part})
+        TraceStep(StepKind.ENTER, c.effect, c.where, "missing_weight", {"missing_part": one.missing_part})
         for c, one in zip(causes, some, strict=True)
     )
     aside = tuple(i for one in some for i in one.aside)
@@ -59,7 +59,7 @@ def with_exchanged_markers(found: Diagnosis, some: Sequence[ExchangedMarkers]) -
         for one in some
     )  # fmt: skip
     steps = tuple(
-        Step(StepKind.ENTER, EXCHANGE.name, one.place.where, "exchanged_distances", _numbers(one)) for one in some
+        TraceStep(StepKind.ENTER, EXCHANGE.name, one.place.where, "exchanged_distances", _numbers(one)) for one in some
     )
     ordered = tuple(sorted((*found.causes, *causes), key=after_forces))
     return replace(found, causes=ordered, trace=(*steps, *found.trace))
@@ -98,7 +98,7 @@ def after_forces(cause: Cause) -> bool:
     return effect(cause.effect).moves_markers or effect(cause.effect).bodily
 
 
-def nearest(scan: Round, most: int) -> tuple[Near, ...]:
+def nearest(scan: Round, most: int) -> tuple[NearestEffect, ...]:
     """Return the effects that came closest in the last scan, which named nothing, the best first.
 
     Args:
@@ -107,7 +107,7 @@ def nearest(scan: Round, most: int) -> tuple[Near, ...]:
     """
     best = sorted(scan.families.items(), key=lambda both: -both[1])[:most]
     first = {name: next(r.candidate for r in scan.rivals if r.candidate.effect.name == name) for name, _ in best}
-    return tuple(Near(name, first[name].place.where, score) for name, score in best)
+    return tuple(NearestEffect(name, first[name].place.where, score) for name, score in best)
 
 
 def causes_of(found: SearchResult, unseen: HeldOut, extended: HeldOutFit, names: Sequence[str]) -> Iterator[Cause]:
@@ -146,7 +146,7 @@ def cause_of(found: SearchResult, k: int, gain: dict[str, float], names: Sequenc
     )  # fmt: skip
 
 
-def _twin(found: SearchResult, k: int, share: Share) -> Twin:
+def _twin(found: SearchResult, k: int, share: RivalShare) -> Twin:
     """Return a rival as a twin, with its size in place of the k-th chosen effect where that can be had."""
     own = next((c for c in found.twins if same(share.rival.candidate, c) and c not in found.chosen), None)
     if own is None:
@@ -154,7 +154,7 @@ def _twin(found: SearchResult, k: int, share: Share) -> Twin:
     return Twin(*_named(share), share.weight, own.place, parameter_table(instead(found, k, own)))
 
 
-def _named(share: Share) -> tuple[str, tuple[str, ...]]:
+def _named(share: RivalShare) -> tuple[str, tuple[str, ...]]:
     """Return effect and place of a rival by their names."""
     return share.rival.candidate.effect.name, share.rival.candidate.place.where
 

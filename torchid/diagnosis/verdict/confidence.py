@@ -8,7 +8,7 @@ from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search.elimination import stands_out
 from torchid.diagnosis.search.result import SearchResult
-from torchid.diagnosis.testing.position_dependence import Misfit
+from torchid.diagnosis.testing.position_dependence import FieldMisfit
 from torchid.diagnosis.trace import StepKind, Trace, step
 from torchid.diagnosis.verdict.records import EVEN, Cause
 from torchid.effects.session import SESSION
@@ -79,7 +79,9 @@ def visible(one: Candidate) -> bool:
     return one.effect.moves_markers and not one.effect.whole_body and one.place != SESSION
 
 
-def bent_by_position(found: SearchResult, causes: Sequence[Cause], bent: Sequence[Misfit]) -> tuple[list[Cause], Trace]:
+def bent_by_position(
+    found: SearchResult, causes: Sequence[Cause], bent: Sequence[FieldMisfit]
+) -> tuple[list[Cause], Trace]:
     """Return causes, with less confidence where a field beside a named force contradicts it, and those steps.
 
     Args:

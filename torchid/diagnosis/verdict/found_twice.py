@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import torch
 
-from torchid.diagnosis.trace import Step, StepKind, Trace
+from torchid.diagnosis.trace import StepKind, Trace, TraceStep
 from torchid.diagnosis.verdict.causes import parameter_table
 from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.catalogue import effect
@@ -33,7 +33,7 @@ def joined(
     Returns:
         Those of the first and those of the later that are left, and the decisions.
     """
-    left, rest, steps = [], list(later), list[Step]()
+    left, rest, steps = [], list(later), list[TraceStep]()
     for own in first:
         again = next((one for one in rest if _same(own, one)), None)
         if again is None:
@@ -80,5 +80,5 @@ def _size_sd(cause: Cause) -> float:
     return float(torch.stack(off).max())
 
 
-def _step(cause: Cause, rule: str, numbers: dict[str, float]) -> Step:
-    return Step(StepKind.LEAVE, cause.effect, cause.where, rule, numbers)
+def _step(cause: Cause, rule: str, numbers: dict[str, float]) -> TraceStep:
+    return TraceStep(StepKind.LEAVE, cause.effect, cause.where, rule, numbers)

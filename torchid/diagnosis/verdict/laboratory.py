@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 
 from torchid.diagnosis.options import DiagnosisOptions
-from torchid.diagnosis.trace import Step, StepKind
+from torchid.diagnosis.trace import StepKind, TraceStep
 from torchid.diagnosis.verdict.causes import LISTED, parameter_table
 from torchid.diagnosis.verdict.records import Alternative, Cause, Twin
 from torchid.effects.place import SESSION, covers
 from torchid.effects.traits import Site
-from torchid.model_free.faults import Fault, Scored, alike, instead, probability
+from torchid.model_free.faults import Scored, SuspectedFault, alike, instead, probability
 from torchid.model_free.panel import Panel
 
 NAMED = "witnesses_name"
@@ -20,7 +20,7 @@ OUTDONE = "witnesses_outdone"
 
 
 def causes_of_faults(
-    panel: Panel, faults: Sequence[Fault], trials: Sequence[str], options: DiagnosisOptions
+    panel: Panel, faults: Sequence[SuspectedFault], trials: Sequence[str], options: DiagnosisOptions
 ) -> tuple[Cause, ...]:
     """Return the errors of measuring as causes, but for what they gain on held-out motion.
 
@@ -33,7 +33,7 @@ def causes_of_faults(
     return tuple(_cause(panel, faults, k, trials, options) for k, one in enumerate(faults) if one.of_measuring)
 
 
-def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, ...]:
+def steps_of(faults: Sequence[SuspectedFault], options: DiagnosisOptions) -> tuple[TraceStep, ...]:
     """Return the entry of each fault that is an error of measuring.
 
     Args:
@@ -41,7 +41,7 @@ def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, 
         options: thresholds that they passed.
     """
     return tuple(
-        Step(StepKind.ENTER, one.suspect.effect.name, one.suspect.place.where, NAMED,
+        TraceStep(StepKind.ENTER, one.suspect.effect.name, one.suspect.place.where, NAMED,
              {"witness_nats": one.scan[0].nats, "probability": probability(one.scan, options.witnesses.alike_nats),
               "least_probability": options.witnesses.named_probability})
         for one in faults
@@ -49,7 +49,7 @@ def steps_of(faults: Sequence[Fault], options: DiagnosisOptions) -> tuple[Step, 
     )  # fmt: skip
 
 
-def refusals_of(faults: Sequence[Fault], rule: str, numbers: dict[str, float]) -> tuple[Step, ...]:
+def refusals_of(faults: Sequence[SuspectedFault], rule: str, numbers: dict[str, float]) -> tuple[TraceStep, ...]:
     """Return the refusal of each fault, where together they are not what the witnesses state.
 
     Args:
@@ -58,14 +58,16 @@ def refusals_of(faults: Sequence[Fault], rule: str, numbers: dict[str, float]) -
         numbers: what the rule decided by, under the names of the trace.
     """
     return tuple(
-        Step(StepKind.REFUSE, one.suspect.effect.name, one.suspect.place.where, rule,
+        TraceStep(StepKind.REFUSE, one.suspect.effect.name, one.suspect.place.where, rule,
              {"witness_nats": one.scan[0].nats, **numbers})
         for one in faults
         if one.of_measuring
     )  # fmt: skip
 
 
-def _cause(panel: Panel, faults: Sequence[Fault], k: int, trials: Sequence[str], options: DiagnosisOptions) -> Cause:
+def _cause(
+    panel: Panel, faults: Sequence[SuspectedFault], k: int, trials: Sequence[str], options: DiagnosisOptions
+) -> Cause:
     """Return the k-th fault as a cause."""
     own, size, scan, limits = faults[k].suspect, faults[k].size, faults[k].scan, options.confidence
     told = _one_each(alike(scan, options.witnesses.alike_nats))[: limits.twins]
@@ -89,7 +91,7 @@ def _one_each(rivals: Sequence[Scored]) -> tuple[Scored, ...]:
     return tuple(first.values())
 
 
-def _twin(panel: Panel, faults: Sequence[Fault], k: int, one: Scored) -> Twin:
+def _twin(panel: Panel, faults: Sequence[SuspectedFault], k: int, one: Scored) -> Twin:
     """Return a rival that cannot be told from the k-th fault, with its size in place of it."""
     other = one.suspect
     size = instead(panel, faults, k, other)

@@ -12,7 +12,7 @@ from torchid.diagnosis.trace import Trace
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Planted
 from torchid.effects.place import Interval, Place
-from torchid.model_free.testimony import Answer
+from torchid.model_free.testimony import CheckAnswer
 from torchid.observation.plate_registry import SessionPlate
 
 EVEN, CERTAIN = 0.5, 0.99
@@ -71,7 +71,7 @@ class Cause:
     """True if it acts in all fit trials, and therefore in others too."""
     doubted: bool = False
     """True if something contradicts the model, or nothing can check it, which has been taken off the confidence."""
-    witnesses: tuple[Answer, ...] = ()
+    witnesses: tuple[CheckAnswer, ...] = ()
     """Answers of those who hear it without a body model, the loudest first."""
     applied: bool = True
     """False if the published model is not corrected for it: it is only possible, and nothing is predicted better with
@@ -113,7 +113,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Near:
+class NearestEffect:
     """An effect that was not named, at its best place."""
 
     effect: str

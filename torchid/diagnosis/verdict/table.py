@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from torchid.diagnosis.trace import Step
+from torchid.diagnosis.trace import TraceStep
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
 from torchid.effects.place import Place
 from torchid.effects.recommendations import tell_apart
@@ -39,7 +39,7 @@ def plates_table(plates: Sequence[SessionPlate]) -> dict[str, Any]:
     return {p.frame.name: {"channels": p.channels, "position_m": p.frame.p_WF} for p in plates}
 
 
-def _step(number: int, one: Step) -> dict[str, Any]:
+def _step(number: int, one: TraceStep) -> dict[str, Any]:
     """Return one step of the trace with its number."""
     return {"step": number, "kind": str(one.kind), "effect": one.effect, "where": one.where, "rule": one.rule,
             "numbers": dict(one.numbers)}  # fmt: skip

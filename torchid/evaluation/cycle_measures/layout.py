@@ -8,7 +8,7 @@ from torchid.config.sections import BUILTIN_MODELS
 from torchid.evaluation.cycle_measures.conventions import chosen, side_of, spellings
 from torchid.evaluation.cycle_measures.cycles import Cycle
 from torchid.evaluation.cycle_measures.spatiotemporal import STANCE, STRIDE, WHOLE
-from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.torque_shares.back import trunk_of
 from torchid.model.model import Model
 
@@ -22,7 +22,7 @@ CYCLE = "cycle"
 
 
 @dataclass(frozen=True)
-class Layout:
+class MeasureLayout:
     """What is computed of every cycle."""
 
     dofs: tuple[str, ...]
@@ -42,21 +42,21 @@ class Layout:
     """Coordinates that were asked for and that the model does not have."""
 
     @property
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> tuple[MeasureColumn, ...]:
         """All columns of measures, in order."""
         each = [
-            Column(name, measure, side)
+            MeasureColumn(name, measure, side)
             for name, side in zip(self.names, self.sides, strict=True)
             for measure in self.measures
         ]
-        back = [Column(BACK, measure) for measure in BACK_MEASURES] if self.back else []
-        return (*each, *back, *(Column(CYCLE, value) for value in self.whole))
+        back = [MeasureColumn(BACK, measure) for measure in BACK_MEASURES] if self.back else []
+        return (*each, *back, *(MeasureColumn(CYCLE, value) for value in self.whole))
 
     @property
-    def courses(self) -> tuple[Column, ...]:
+    def courses(self) -> tuple[MeasureColumn, ...]:
         """All courses over a cycle: torques, then the low back's."""
-        each = [Column(name, "torque_Nm", side) for name, side in zip(self.names, self.sides, strict=True)]
-        return (*each, *(Column(BACK, course) for course in (BACK_COURSES if self.back else ())))
+        each = [MeasureColumn(name, "torque_Nm", side) for name, side in zip(self.names, self.sides, strict=True)]
+        return (*each, *(MeasureColumn(BACK, course) for course in (BACK_COURSES if self.back else ())))
 
 
 def from_file(config: Config) -> bool:
@@ -77,7 +77,7 @@ def usual_body(config: Config) -> str:
     return "model as shipped" if from_file(config) else "scaled template"
 
 
-def make_layout(config: Config, model: Model, cycles: Sequence[Cycle]) -> Layout:
+def make_layout(config: Config, model: Model, cycles: Sequence[Cycle]) -> MeasureLayout:
     """The columns of an evaluation.
 
     Args:
@@ -90,7 +90,7 @@ def make_layout(config: Config, model: Model, cycles: Sequence[Cycle]) -> Layout
     dofs, missing = chosen(options.joints, tree.dof_names[6:])
     names, signs = zip(*(spelling[dof] for dof in dofs), strict=True) if dofs else ((), ())
     sided = bool(cycles) and all(cycle.side for cycle in cycles)
-    return Layout(
+    return MeasureLayout(
         dofs, tuple(names), tuple(tree.dof_names.index(dof) for dof in dofs), tuple(signs),
         tuple(side_of(dof) for dof in dofs), options.measures, trunk_of(tree) is not None,
         (STANCE if options.cycles == "stance" else STRIDE) if sided else WHOLE, missing,

@@ -17,7 +17,7 @@ from torchid.evaluation.cycle_measures.cycles import Cycle
 
 
 @dataclass(frozen=True)
-class Courses:
+class CycleCourses:
     """What a measure may use of one cycle; the torque may have draws in front."""
 
     tau: Float[Tensor, "*draws frames columns"]
@@ -30,7 +30,7 @@ class Courses:
     """Of the trapezoidal rule [s]."""
 
 
-Measure = Callable[[Courses], Float[Tensor, "*draws columns"]]
+Measure = Callable[[CycleCourses], Float[Tensor, "*draws columns"]]
 
 
 def trapezoid(frames: int, step_s: float, like: Tensor) -> Float[Tensor, " frames"]:
@@ -50,39 +50,39 @@ def _integral(values: Tensor, weight: Tensor) -> Tensor:
     return (values * weight[:, None]).sum(-2)
 
 
-def _peak(c: Courses) -> Tensor:
+def _peak(c: CycleCourses) -> Tensor:
     return c.tau.abs().amax(-2)
 
 
-def _largest(c: Courses) -> Tensor:
+def _largest(c: CycleCourses) -> Tensor:
     return c.tau.amax(-2)
 
 
-def _least(c: Courses) -> Tensor:
+def _least(c: CycleCourses) -> Tensor:
     return c.tau.amin(-2)
 
 
-def _mean(c: Courses) -> Tensor:
+def _mean(c: CycleCourses) -> Tensor:
     return _integral(c.tau, c.weight) / c.weight.sum()
 
 
-def _positive_work(c: Courses) -> Tensor:
+def _positive_work(c: CycleCourses) -> Tensor:
     return _integral((c.tau * c.v).clamp(min=0.0), c.weight)
 
 
-def _negative_work(c: Courses) -> Tensor:
+def _negative_work(c: CycleCourses) -> Tensor:
     return _integral((c.tau * c.v).clamp(max=0.0), c.weight)
 
 
-def _peak_power(c: Courses) -> Tensor:
+def _peak_power(c: CycleCourses) -> Tensor:
     return (c.tau * c.v).amax(-2)
 
 
-def _load(c: Courses) -> Tensor:
+def _load(c: CycleCourses) -> Tensor:
     return _integral(c.tau.abs(), c.weight)
 
 
-def _range(c: Courses) -> Tensor:
+def _range(c: CycleCourses) -> Tensor:
     span = math.degrees(1.0) * (c.q.amax(-2) - c.q.amin(-2))
     return span.expand(*c.tau.shape[:-2], len(span))
 
@@ -128,7 +128,7 @@ def measure(
     """
     part = cycle.frames
     weight = trapezoid(cycle.stop - cycle.start + 1, step_s, q)
-    courses = Courses(tau[..., part, :], v[part], q[part], weight)
+    courses = CycleCourses(tau[..., part, :], v[part], q[part], weight)
     return torch.stack([MEASURES[name](courses) for name in names], dim=-1)
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.evaluation.cycle_measures.cycles import Cycle, normalise
-from torchid.evaluation.cycle_measures.layout import Layout
+from torchid.evaluation.cycle_measures.layout import MeasureLayout
 from torchid.evaluation.cycle_measures.measures import measure, trapezoid
 from torchid.evaluation.cycle_measures.spatiotemporal import STANCE, WHOLE, stance_values, stride_values, whole_values
 from torchid.evaluation.torque_shares.back import LowBack
@@ -34,7 +34,7 @@ class CycleRows:
 
 
 @dataclass(frozen=True)
-class Scene:
+class RowScene:
     """What rows of one trial are made of besides torques."""
 
     trial: ConditionTrial
@@ -49,8 +49,8 @@ class Scene:
 
 
 def cycle_rows(
-    scene: Scene,
-    layout: Layout,
+    scene: RowScene,
+    layout: MeasureLayout,
     own: Shares,
     deviations: Float[Tensor, "draws frames dofs"] | None,
     points: int,
@@ -92,10 +92,10 @@ def cycle_rows(
 
 def _courses(
     tau: Float[Tensor, "*draws frames dofs"],
-    layout: Layout,
+    layout: MeasureLayout,
     back: LowBack | None,
     sign: Tensor,
-    scene: Scene,
+    scene: RowScene,
     levers: Tensor | None = None,
 ) -> Float[Tensor, "*draws frames courses"]:
     """Torques of the chosen coordinates, then the low back's extension moment and compression."""
@@ -114,8 +114,8 @@ def _rows(
     courses: Float[Tensor, "*draws frames courses"],
     q: Tensor,
     v: Tensor,
-    scene: Scene,
-    layout: Layout,
+    scene: RowScene,
+    layout: MeasureLayout,
     step: float,
     wholes: Float[Tensor, "cycles whole"],
 ) -> Float[Tensor, "*draws cycles columns"]:
@@ -143,7 +143,7 @@ def _back(courses: Float[Tensor, "*draws frames 2"], cycle: Cycle, step: float) 
     return torch.stack([moment.amax(-1), (moment * weight).sum(-1), press.amax(-1)], dim=-1)
 
 
-def _wholes(scene: Scene, layout: Layout, own: Shares, step: float) -> Float[Tensor, "cycles whole"]:
+def _wholes(scene: RowScene, layout: MeasureLayout, own: Shares, step: float) -> Float[Tensor, "cycles whole"]:
     contact, found = scene.trial.followed.contact, []
     for cycle in scene.cycles:
         if layout.whole == WHOLE:

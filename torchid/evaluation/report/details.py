@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from torchid.devices import Finding
+from torchid.devices import SheetFinding
 from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.gaps import contradicted
@@ -153,7 +153,7 @@ def _parameters(ledger: Ledger, condition: str, parameters: dict[str, dict]) -> 
     return [Table("Found of what its sheet leaves open", ("Parameter", "Value", "sd"), tuple(rows))] if rows else []
 
 
-def _sheet(ledger: Ledger, findings: Sequence[Finding]) -> list[Block]:
+def _sheet(ledger: Ledger, findings: Sequence[SheetFinding]) -> list[Block]:
     """What the recordings say against the device's sheet, and what they cannot say of it."""
     said = []
     for one in findings:

@@ -6,14 +6,14 @@ from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import unit
 from torchid.evaluation.report.words import column_words, digits_of
-from torchid.evaluation.statistics.comparing import Column, Comparison
+from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn
 from torchid.wording import clean
 
 SIGNED = ("max_torque_Nm", "min_torque_Nm", "mean_torque_Nm", "negative_work_J")
 """Measures with a sign, of which neither lower nor higher is less."""
 
 
-def difference_key(comparison: Comparison, column: Column, statistic: str, body: str = "identified") -> Key:
+def difference_key(comparison: Comparison, column: MeasureColumn, statistic: str, body: str = "identified") -> Key:
     """Key of a number of a difference.
 
     Args:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from torchid.evaluation.cycle_measures.conventions import SIDED
-from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.wording import clean
 
 MEASURES = {
@@ -47,7 +47,7 @@ def measure_words(measure: str) -> str:
     return MEASURES.get(measure, measure.replace("_", " "))
 
 
-def column_words(column: Column) -> str:
+def column_words(column: MeasureColumn) -> str:
     """``peak torque, left hip flexion``.
 
     Args:

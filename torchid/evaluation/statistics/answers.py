@@ -8,15 +8,15 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.evaluation.cycle_measures.cycles import Cycle
-from torchid.evaluation.cycle_measures.layout import Layout
+from torchid.evaluation.cycle_measures.layout import MeasureLayout
 from torchid.evaluation.cycle_measures.rows import CycleRows
-from torchid.evaluation.evaluation import Answer
+from torchid.evaluation.evaluation import BodyAnswer
 from torchid.evaluation.statistics.comparing import Comparison, Sample, compare, course_p, with_others
 
 
 def answer(
-    config: Config, layout: Layout, cycles: Sequence[Cycle], conditions: Sequence[str], rows: CycleRows
-) -> Answer:  # fmt: skip
+    config: Config, layout: MeasureLayout, cycles: Sequence[Cycle], conditions: Sequence[str], rows: CycleRows
+) -> BodyAnswer:  # fmt: skip
     """What one body says of all conditions.
 
     Args:
@@ -35,11 +35,11 @@ def answer(
     comparisons = tuple(with_others(one, len(others)) for one in each)
     courses = sided_courses(rows.human, layout, cycles)
     p = tuple(_course_p(config, one, courses, sample, layout) for one in comparisons)
-    return Answer(rows, sample, comparisons, p)
+    return BodyAnswer(rows, sample, comparisons, p)
 
 
 def sided_courses(
-    courses: Float[Tensor, "cycles points courses"], layout: Layout, cycles: Sequence[Cycle]
+    courses: Float[Tensor, "cycles points courses"], layout: MeasureLayout, cycles: Sequence[Cycle]
 ) -> Float[Tensor, "cycles points courses"]:
     """Courses with NaN where a cycle is of the other side's foot.
 
@@ -57,7 +57,7 @@ def sided_courses(
 
 
 def _course_p(
-    config: Config, comparison: Comparison, courses: Tensor, sample: Sample, layout: Layout
+    config: Config, comparison: Comparison, courses: Tensor, sample: Sample, layout: MeasureLayout
 ) -> Float[Tensor, "points courses"]:
     """Adjusted p-values of the courses of which a measure was found; NaN for the others."""
     names = {layout.columns[k].where for k in comparison.found(config.evaluate.level)}

@@ -20,7 +20,7 @@ from torchid.evaluation.statistics.units import Units, choose_units, unit_means
 
 
 @dataclass(frozen=True)
-class Column:
+class MeasureColumn:
     """What a column of measures holds."""
 
     where: str
@@ -38,7 +38,7 @@ class Sample:
     """Trial of every cycle."""
     conditions: tuple[str, ...]
     """Condition of every cycle."""
-    columns: tuple[Column, ...]
+    columns: tuple[MeasureColumn, ...]
     values: Float[Tensor, "cycles columns"]
     """NaN where a cycle does not tell."""
     draws: Float[Tensor, "draws cycles columns"] | None = None
@@ -64,7 +64,7 @@ class Comparison:
 
     reference: str
     condition: str
-    columns: tuple[Column, ...]
+    columns: tuple[MeasureColumn, ...]
     units: Units
     least_p: float
     """Smallest p-value that these units can give."""

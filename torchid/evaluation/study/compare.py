@@ -17,14 +17,14 @@ from torch import Tensor
 from torchid.config.study import Study
 from torchid.evaluation.ledger import BODIES
 from torchid.evaluation.statistics.arrangements import flip
-from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.statistics.effects import Estimate, hedges_paired, mean_of
 from torchid.evaluation.statistics.permutation import Tested, same_sized_p, sign_means, step_down
-from torchid.evaluation.study.subject import SHARES, Subject
+from torchid.evaluation.study.subject import SHARES, StudySubject
 
 
 @dataclass(frozen=True)
-class Answer:
+class StudyAnswer:
     """What one body says of a condition over subjects."""
 
     values: Float[Tensor, "subjects columns"]
@@ -53,9 +53,9 @@ class SubjectsComparison:
 
     reference: str
     condition: str
-    subjects: tuple[Subject, ...]
-    columns: tuple[Column, ...]
-    answers: dict[str, Answer]
+    subjects: tuple[StudySubject, ...]
+    columns: tuple[MeasureColumn, ...]
+    answers: dict[str, StudyAnswer]
     """By body."""
     least_p: float
     """Least p-value that so many subjects and permutations give, before the number of conditions multiplies it."""
@@ -67,7 +67,7 @@ class SubjectsComparison:
     """At most so many ways of flipping signs are tried."""
     wanted_permutations: int
     """Permutations from which on a finding is possible, with subjects enough."""
-    courses: tuple[Column, ...]
+    courses: tuple[MeasureColumn, ...]
     differing: Float[Tensor, "points courses"]
     """Adjusted p-values of the courses of which a measure was found; NaN for the others."""
 
@@ -99,7 +99,7 @@ def least_permutations(level: float, comparisons: int) -> int:
 
 
 def compare_condition(
-    subjects: Sequence[Subject], condition: str, comparisons: int, study: Study
+    subjects: Sequence[StudySubject], condition: str, comparisons: int, study: Study
 ) -> SubjectsComparison:  # fmt: skip
     """Compare a condition with the reference over subjects, with both bodies.
 
@@ -110,7 +110,7 @@ def compare_condition(
         study: level, permutations and seed.
     """
     keys = list(dict.fromkeys((w, m) for one in subjects for _, c, w, m in one.differences if c == condition))
-    columns = tuple(Column(where, measure) for where, measure in keys)
+    columns = tuple(MeasureColumn(where, measure) for where, measure in keys)
     signs = flip(len(subjects), study.permutations, study.seed)
     complete = len(signs) == 2 ** len(subjects)
     least_p = (2 if complete else 1) / len(signs)
@@ -130,23 +130,23 @@ def compare_condition(
     )  # fmt: skip
 
 
-def _difference(subject: Subject, body: str, condition: str, where: str, measure: str) -> float:
+def _difference(subject: StudySubject, body: str, condition: str, where: str, measure: str) -> float:
     own = subject.differences.get((body, condition, where, measure))
     return math.nan if own is None else own.value
 
 
-def _answer(values: Tensor, signs: Tensor, comparisons: int, level: float, testable: bool) -> Answer:
+def _answer(values: Tensor, signs: Tensor, comparisons: int, level: float, testable: bool) -> StudyAnswer:
     statistics = sign_means(values, signs)
     if not testable:
         statistics = torch.zeros_like(statistics)
     enough = torch.isfinite(values).sum(0) >= 2
     tested = step_down(torch.where(enough, statistics, 0.0), level)
     tested = replace(tested, adjusted=(tested.adjusted * comparisons).clamp(max=1.0))
-    return Answer(values, mean_of(values, None), hedges_paired(values), tested)
+    return StudyAnswer(values, mean_of(values, None), hedges_paired(values), tested)
 
 
 def course_of(
-    subject: Subject, condition: str, share: str, courses: Sequence[Column]
+    subject: StudySubject, condition: str, share: str, courses: Sequence[MeasureColumn]
 ) -> Float[Tensor, "points courses"]:  # fmt: skip
     """Courses of a subject's condition in a wanted order, NaN where it has none.
 
@@ -162,7 +162,9 @@ def course_of(
     return torch.stack([mean[:, own.columns.index(c)] if c in own.columns else blank for c in courses], dim=1)
 
 
-def _changes(subject: Subject, condition: str, courses: Sequence[Column]) -> Float[Tensor, "points courses"]:
+def _changes(
+    subject: StudySubject, condition: str, courses: Sequence[MeasureColumn]
+) -> Float[Tensor, "points courses"]:
     first, second = (course_of(subject, name, SHARES[0], courses) for name in (subject.reference, condition))
     return second - first
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.evaluation.ledger import BODIES, Key
 from torchid.evaluation.numbers import COVERAGE, Entry, column_unit
-from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.statistics.effects import Estimate, mean_of
 from torchid.evaluation.study.compare import SubjectsComparison, course_of
 from torchid.evaluation.study.study import Pooled
@@ -36,7 +36,7 @@ def study_numbers(found: Pooled) -> Iterator[Entry]:
     yield from _courses(found)
 
 
-def columns_of(found: Pooled) -> tuple[Column, ...]:
+def columns_of(found: Pooled) -> tuple[MeasureColumn, ...]:
     """Measures of all comparisons, in order.
 
     Args:
@@ -188,5 +188,5 @@ def _course(
             yield key._replace(statistic=statistic), float(getattr(mean, statistic)[at]), _unit(found, column)
 
 
-def _unit(found: Pooled, column: Column) -> str:
+def _unit(found: Pooled, column: MeasureColumn) -> str:
     return column_unit(column, found.per_mass)

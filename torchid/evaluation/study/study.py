@@ -9,7 +9,7 @@ from torchid.errors import ConfigError, DataError
 from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.evaluation import Gap
 from torchid.evaluation.study.compare import SubjectsComparison, compare_condition
-from torchid.evaluation.study.subject import SHARES, Subject, read_subject
+from torchid.evaluation.study.subject import SHARES, StudySubject, read_subject
 from torchid.session.fitting import OnStage
 from torchid.wording import listing
 
@@ -19,7 +19,7 @@ class Pooled:
     """Everything that a study knows."""
 
     study: Study
-    subjects: tuple[Subject, ...]
+    subjects: tuple[StudySubject, ...]
     comparisons: tuple[SubjectsComparison, ...]
     gaps: tuple[Gap, ...]
     """Who and what was left out, and what cannot be said."""
@@ -44,7 +44,7 @@ class Pooled:
         """What the identified bodies are held against: scaled templates, or the subjects' own models as shipped."""
         return " or ".join(dict.fromkeys(one.usual for one in self.subjects))
 
-    def having(self, condition: str) -> tuple[Subject, ...]:
+    def having(self, condition: str) -> tuple[StudySubject, ...]:
         """Subjects that were recorded under a condition.
 
         Args:
@@ -55,7 +55,7 @@ class Pooled:
 
 def subjects_of(
     study: Study, progress: OnStage, make: Callable[[Config, OnStage], object] = evaluate
-) -> tuple[tuple[Subject, ...], tuple[Gap, ...]]:
+) -> tuple[tuple[StudySubject, ...], tuple[Gap, ...]]:
     """The subjects of a study, evaluated where it lists their configs, and those whose data support no evaluation.
 
     Args:
@@ -100,7 +100,7 @@ def _refuse_twice(keys: Sequence[str], what: str) -> None:
         )  # fmt: skip
 
 
-def pool(study: Study, subjects: Sequence[Subject], refused: Sequence[Gap] = ()) -> Pooled:
+def pool(study: Study, subjects: Sequence[StudySubject], refused: Sequence[Gap] = ()) -> Pooled:
     """Test all conditions over the subjects that have them.
 
     Args:
@@ -130,8 +130,8 @@ def pool(study: Study, subjects: Sequence[Subject], refused: Sequence[Gap] = ())
     return Pooled(study, tuple(subjects), comparisons, gaps)
 
 
-def _refuse_differing(subjects: Sequence[Subject]) -> None:
-    asked: dict[str, Callable[[Subject], object]] = {
+def _refuse_differing(subjects: Sequence[StudySubject]) -> None:
+    asked: dict[str, Callable[[StudySubject], object]] = {
         "reference": lambda one: one.reference,
         "evaluate.convention or model": lambda one: one.signs,
         "evaluate.per_mass": lambda one: one.per_mass,
@@ -147,7 +147,7 @@ def _refuse_differing(subjects: Sequence[Subject]) -> None:
             )  # fmt: skip
 
 
-def _lacking(subjects: Sequence[Subject], having: dict[str, list[Subject]]) -> Iterator[Gap]:
+def _lacking(subjects: Sequence[StudySubject], having: dict[str, list[StudySubject]]) -> Iterator[Gap]:
     """Conditions that subjects lack, and devices that are not the same."""
     for condition, own in having.items():
         without = [one.name for one in subjects if one not in own]

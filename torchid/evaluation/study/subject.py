@@ -14,7 +14,7 @@ from torch import Tensor
 from torchid.errors import InputError
 from torchid.evaluation.cycle_measures.conventions import side_of
 from torchid.evaluation.ledger import BODIES
-from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.statistics.units import trial_units, unit_means
 from torchid.storage.files import safe_name
 
@@ -26,7 +26,7 @@ Number = tuple[str, str, str, str]
 
 
 @dataclass(frozen=True)
-class Interval:
+class NumberInterval:
     """A number with its interval within the subject; NaN where there is none."""
 
     value: float
@@ -35,10 +35,10 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Courses:
+class ConditionCourses:
     """Means over the trials of a condition, each of the means over its cycles."""
 
-    columns: tuple[Column, ...]
+    columns: tuple[MeasureColumn, ...]
     mean: dict[str, Float[Tensor, "points courses"]]
     """By ``SHARES``, and ``template``: the human's with the scaled template, or the model as shipped."""
     taken: dict[str, float]
@@ -46,7 +46,7 @@ class Courses:
 
 
 @dataclass(frozen=True)
-class Subject:
+class StudySubject:
     """What one finished evaluation says."""
 
     name: str
@@ -60,10 +60,10 @@ class Subject:
     usual: str
     """What the identified body is held against (``Evaluation.usual``)."""
     per_mass: bool
-    means: dict[Number, Interval]
-    differences: dict[Number, Interval]
+    means: dict[Number, NumberInterval]
+    differences: dict[Number, NumberInterval]
     """Of a condition from the reference."""
-    courses: dict[str, Courses]
+    courses: dict[str, ConditionCourses]
     gaps: tuple[tuple[str, str], ...]
     """What it cannot say, and why."""
 
@@ -73,7 +73,7 @@ class Subject:
         return tuple(self.devices)
 
 
-def read_subject(folder: Path) -> Subject:
+def read_subject(folder: Path) -> StudySubject:
     """Read a finished evaluation.
 
     Args:
@@ -93,7 +93,7 @@ def read_subject(folder: Path) -> Subject:
         ) from error  # fmt: skip
 
 
-def _subject(table: dict[str, Any], folder: Path, courses: dict[str, Courses]) -> Subject:
+def _subject(table: dict[str, Any], folder: Path, courses: dict[str, ConditionCourses]) -> StudySubject:
     means, differences = {}, {}
     for body, answer in zip(BODIES, (table, table["template"]), strict=True):
         for where, conditions in answer["joints"].items():
@@ -102,7 +102,7 @@ def _subject(table: dict[str, Any], folder: Path, courses: dict[str, Courses]) -
                     means[body, condition, where, measure] = _interval(one)
         for row in answer["differences"]:
             differences[body, row["condition"], row["where"], row["measure"]] = _interval(row)
-    return Subject(
+    return StudySubject(
         str(table["subject"]), folder, table["reference"],
         {name: one["device"] for name, one in table["conditions"].items()},
         table["convention"], table["signs"], table["template_is"],
@@ -111,12 +111,12 @@ def _subject(table: dict[str, Any], folder: Path, courses: dict[str, Courses]) -
     )  # fmt: skip
 
 
-def _interval(row: dict[str, Any]) -> Interval:
+def _interval(row: dict[str, Any]) -> NumberInterval:
     value, low, high = (math.nan if row[name] is None else float(row[name]) for name in ("value", "low", "high"))
-    return Interval(value, low, high)
+    return NumberInterval(value, low, high)
 
 
-def _courses(path: Path) -> Courses:
+def _courses(path: Path) -> ConditionCourses:
     with xarray.open_dataset(path, engine="h5netcdf") as data:
         columns = tuple(_column(str(name)) for name in data["course"].values)
         lasting = torch.tensor(data["duration"].values, dtype=torch.float64)
@@ -130,7 +130,7 @@ def _courses(path: Path) -> Courses:
     human, demand = torch.where(loads.isfinite().all(0), loads, 0.0).sum(1)
     share = torch.where(demand > 0.0, 1.0 - human / demand, torch.nan)
     taken = {c.where: float(share[k]) for k, c in enumerate(columns) if c.measure == "torque_Nm"}
-    return Courses(columns, mean, taken)
+    return ConditionCourses(columns, mean, taken)
 
 
 def _over_trials(
@@ -139,6 +139,6 @@ def _over_trials(
     return unit_means(courses.flatten(1), trial_units(trials)).nanmean(0).reshape(courses.shape[1:])
 
 
-def _column(name: str) -> Column:
+def _column(name: str) -> MeasureColumn:
     where, _, measure = name.rpartition(" ")
-    return Column(where, measure, side_of(where))
+    return MeasureColumn(where, measure, side_of(where))

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 import xarray
 
-from torchid.evaluation.study.compare import Answer, SubjectsComparison, course_of
+from torchid.evaluation.study.compare import StudyAnswer, SubjectsComparison, course_of
 from torchid.evaluation.study.numbers import columns_of, condition_values, taken
 from torchid.evaluation.study.study import Pooled
 from torchid.evaluation.study.subject import SHARES
@@ -48,7 +48,7 @@ def _rows(found: Pooled, body: str) -> list[dict[str, Any]]:
             for one in found.comparisons for k in range(len(one.columns))]  # fmt: skip
 
 
-def _row(one: SubjectsComparison, own: Answer, k: int, level: float) -> dict[str, Any]:
+def _row(one: SubjectsComparison, own: StudyAnswer, k: int, level: float) -> dict[str, Any]:
     return {
         "condition": one.condition, "where": one.columns[k].where, "measure": one.columns[k].measure,
         **{name: float(getattr(own.difference, name)[k]) for name in ("value", "sd", "low", "high")},

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.contact.sharing.records import ContactWrenches, Source
+from torchid.contact.sharing.records import ContactWrenches, WrenchSource
 from torchid.devices import Device
 from torchid.devices.device import Handle
 from torchid.errors import ConfigError
@@ -17,7 +17,7 @@ from torchid.evaluation.trials import ConditionTrial
 from torchid.geometry.result import GeometryFit
 from torchid.session.contact_wrenches import wrenches_under
 
-Feet = Mapping[str, ContactWrenches | None]
+FeetWrenches = Mapping[str, ContactWrenches | None]
 """Wrenches under the feet by trial; None where nobody tells more than the plates do."""
 
 
@@ -29,7 +29,7 @@ def feet_of(
     scaled: bool,
     worn: Mapping[str, Worn],
     recorded: Mapping[str, dict[str, Tensor]],
-) -> Feet:
+) -> FeetWrenches:
     """Wrenches of the contacts of all trials, shared and predicted ones too, as ``contact.torques`` wants them.
 
     Contacts bear what the body with the device's parts needs beyond what supports from the ground give.
@@ -79,7 +79,7 @@ def refuse_twice(config: Config, devices: Mapping[str, Device | None]) -> None:
                 )  # fmt: skip
 
 
-def count_contacts(trials: Sequence[ConditionTrial], feet: Feet) -> tuple[ContactCount, ...]:
+def count_contacts(trials: Sequence[ConditionTrial], feet: FeetWrenches) -> tuple[ContactCount, ...]:
     """Shares of every contact, feet first, in every condition.
 
     Args:
@@ -92,9 +92,13 @@ def count_contacts(trials: Sequence[ConditionTrial], feet: Feet) -> tuple[Contac
         for foot in own[0].followed.contact.contacts if own and own[0].followed.contact else ():
             down = torch.cat([_sources(trial, feet[trial.name], foot) for trial in own])
             frames = len(down)
-            shares = [float((down == source).double().mean()) if frames else 0.0 for source in Source]
-            beside = shares[Source.PREDICTED] + shares[Source.UNKNOWN]
-            found.append(ContactCount(condition, foot, frames, shares[Source.MEASURED], shares[Source.SHARED], beside))
+            shares = [float((down == source).double().mean()) if frames else 0.0 for source in WrenchSource]
+            beside = shares[WrenchSource.PREDICTED] + shares[WrenchSource.UNKNOWN]
+            found.append(
+                ContactCount(
+                    condition, foot, frames, shares[WrenchSource.MEASURED], shares[WrenchSource.SHARED], beside
+                )
+            )
     return tuple(found)
 
 
@@ -107,4 +111,4 @@ def _sources(trial: ConditionTrial, under: ContactWrenches | None, foot: str) ->
     if under is not None:
         return under.source[down, under.contacts.index(foot)]
     alone = ~(contact.beside | contact.untold)[:, k]
-    return torch.where(alone, int(Source.MEASURED), int(Source.UNKNOWN))[down]
+    return torch.where(alone, int(WrenchSource.MEASURED), int(WrenchSource.UNKNOWN))[down]

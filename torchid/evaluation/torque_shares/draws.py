@@ -10,7 +10,7 @@ from dataclasses import replace
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.evaluation.torque_shares.contacts import Feet
+from torchid.evaluation.torque_shares.contacts import FeetWrenches
 from torchid.evaluation.trials import ConditionTrial
 from torchid.run.torque_bands import outcome_draws
 from torchid.session import Outcome
@@ -20,7 +20,7 @@ SAID = "body, skin under markers, gains and places of plates, how feet share one
 
 
 def torque_deviations(
-    outcome: Outcome, trials: Sequence[ConditionTrial], feet: Feet, draws: int, seed: int
+    outcome: Outcome, trials: Sequence[ConditionTrial], feet: FeetWrenches, draws: int, seed: int
 ) -> dict[str, Float[Tensor, "draws frames dofs"]] | None:
     """Torques with other bodies and readings minus those that are published, by trial.
 
@@ -42,7 +42,7 @@ def torque_deviations(
     return {name: drawn - found.value[name] for name, drawn in found.draws.items()}
 
 
-def with_trials(outcome: Outcome, trials: Sequence[ConditionTrial], feet: Feet) -> Outcome:
+def with_trials(outcome: Outcome, trials: Sequence[ConditionTrial], feet: FeetWrenches) -> Outcome:
     """The outcome of the body's run with the trials that it has left out, as held-out ones.
 
     Args:

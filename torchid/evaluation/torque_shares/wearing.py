@@ -16,7 +16,7 @@ from torchid.devices import (
     BodyBelief,
     Determined,
     Device,
-    Finding,
+    SheetFinding,
     device_draws,
     device_findings,
     device_forces,
@@ -52,7 +52,7 @@ class Worn:
     """With every number that its forces need, or a sensor that reads them; other elements are left out of it."""
     parameters: dict[str, dict] = field(default_factory=dict)
     """What was found of its unknowns, by key: value and sd, or why it cannot be determined."""
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[SheetFinding, ...] = ()
     """Its sheet against what the recordings tell."""
     left_out: tuple[str, ...] = ()
     """Elements whose forces nobody knows."""
@@ -66,7 +66,7 @@ class Worn:
 
 
 @dataclass(frozen=True)
-class Action:
+class DeviceAction:
     """What a device does in one trial."""
 
     torque: Float[Tensor, "frames dofs"]
@@ -204,7 +204,7 @@ def channels_of(
     return found
 
 
-def acting(worn: Worn, tree: Tree, geometry: Geometry, motion: Motion, recorded: dict[str, Tensor]) -> Action:
+def acting(worn: Worn, tree: Tree, geometry: Geometry, motion: Motion, recorded: dict[str, Tensor]) -> DeviceAction:
     """What a device does in one trial.
 
     Args:
@@ -218,9 +218,9 @@ def acting(worn: Worn, tree: Tree, geometry: Geometry, motion: Motion, recorded:
         ConfigError: ``device.unknown``, ``device.channel``, ``device.segment`` or ``device.coordinate``.
     """
     if worn.device is None:
-        return Action(torch.zeros_like(motion.q), torch.zeros_like(motion.time))
+        return DeviceAction(torch.zeros_like(motion.q), torch.zeros_like(motion.time))
     found = device_forces(worn.device, tree, geometry, motion, recorded)
-    return Action(found.torque + supported(tree, geometry, motion, found.external), found.power)
+    return DeviceAction(found.torque + supported(tree, geometry, motion, found.external), found.power)
 
 
 def supported(

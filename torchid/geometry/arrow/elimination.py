@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchid.geometry.arrow.limb_partition import Group, Partition, pick
-from torchid.geometry.arrow.normal_blocks import Pieces, fold_rows
+from torchid.geometry.arrow.limb_partition import LimbGroup, Partition, pick
+from torchid.geometry.arrow.normal_blocks import BlockPieces, fold_rows
 
 ROUNDING = (1e-3, 0.1, 10.0)
 """Damping, relative to the diagonal, that a block made indefinite by rounding gets, one after the other; chosen."""
@@ -33,7 +33,7 @@ class Eliminated:
     """Gradient (frames, xi in the order of the elimination)."""
 
 
-def eliminate(partition: Partition, pieces: Pieces, damping: Tensor) -> Eliminated:
+def eliminate(partition: Partition, pieces: BlockPieces, damping: Tensor) -> Eliminated:
     """Factorise every frame's damped block; a coordinate that nothing determines stays where it is.
 
     Args:
@@ -65,7 +65,7 @@ def eliminate(partition: Partition, pieces: Pieces, damping: Tensor) -> Eliminat
     )
 
 
-def _group_rows(group: Group, pieces: Pieces, floor: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
+def _group_rows(group: LimbGroup, pieces: BlockPieces, floor: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
     """Return the rows [H_qq damped, H_q,core, H_qx, g_q] of a group, and the diagonal that the damping multiplies."""
     columns = pieces.columns
     S = pick(columns.S, group.columns)
@@ -104,7 +104,7 @@ def _factorise(rows: Tensor, n: int, scale: Tensor) -> tuple[Tensor, Tensor]:
     return L, torch.linalg.solve_triangular(L.mT, rows[:, :, n:].mT, upper=True, left=False).mT
 
 
-def _subtract(system: Tensor, update: Tensor, group: Group, common: slice, n: int) -> None:
+def _subtract(system: Tensor, update: Tensor, group: LimbGroup, common: slice, n: int) -> None:
     """Take a branch's update from the core's rows [H, H_qx, g]."""
     own = group.own.stop - group.own.start
     system[:, :, :n] -= update[:, :, :n]

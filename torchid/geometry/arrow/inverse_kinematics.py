@@ -9,8 +9,8 @@ from torch import Tensor
 from torchid.geometry.arrow.elimination import back_substitute, eliminate
 from torchid.geometry.arrow.index_tables import ArrowLayout, make_layout
 from torchid.geometry.arrow.limb_partition import Partition, make_partition
-from torchid.geometry.arrow.normal_blocks import Pieces, make_pieces
-from torchid.geometry.problem import MarkerProblem, Shape, retract
+from torchid.geometry.arrow.normal_blocks import BlockPieces, make_pieces
+from torchid.geometry.problem import MarkerProblem, SubjectShape, retract
 
 CHUNK = 2048
 """Frames solved in one batch; chosen for memory."""
@@ -32,7 +32,7 @@ class Prepared:
 
     layout: ArrowLayout
     partition: Partition
-    shape: Shape
+    shape: SubjectShape
     inside: Float[Tensor, "columns columns"]
     """1 where the bodies that the row's column of motion moves are among those that the column's moves."""
 
@@ -115,14 +115,14 @@ def _solve_chunk(
     return out_q, out_cost
 
 
-def _step(ready: Prepared, pieces: Pieces, damping: Tensor) -> Tensor:
+def _step(ready: Prepared, pieces: BlockPieces, damping: Tensor) -> Tensor:
     """Return the damped Gauss-Newton step (dofs, frames) of the coordinates alone, limb by limb."""
     given, partition = damping.to(pieces.pull.dtype), ready.partition
     d, _, _ = back_substitute(partition, eliminate(partition, pieces, given), given[:0])
     return _in_rows(d, partition.dof_rows, damping)
 
 
-def _dense_step(ready: Prepared, pieces: Pieces, damping: Tensor) -> Tensor:
+def _dense_step(ready: Prepared, pieces: BlockPieces, damping: Tensor) -> Tensor:
     """Return the same step from each frame's whole block."""
     motion, given = ready.layout.motion_alone, damping.to(pieces.pull.dtype)
     S, F = (x.index_select(1, motion) for x in (pieces.columns.S, pieces.columns.F))

@@ -19,7 +19,7 @@ Pick = slice | Tensor
 
 
 @dataclass(frozen=True)
-class Group:
+class LimbGroup:
     """The coordinates of motion that are eliminated together, with the columns of xi that meet them."""
 
     size: int
@@ -48,8 +48,8 @@ class Group:
 class Partition:
     """The branches and the core of all coordinates, with the order in which they are eliminated."""
 
-    branches: tuple[Group, ...]
-    core: Group
+    branches: tuple[LimbGroup, ...]
+    core: LimbGroup
     dof_rows: Tensor
     """Rows of q in the order of the elimination: branches one by one, then the core."""
     motion: Tensor
@@ -121,7 +121,7 @@ def _owners(layout: ArrowLayout, owner: dict[int, int], core: int, n_xi: int) ->
 
 def _group(
     layout: ArrowLayout, motion: list[int], core: list[int], order: list[int], where: list[int], own: slice
-) -> Group:
+) -> LimbGroup:
     """Build the group of some coordinates of motion.
 
     Args:
@@ -140,7 +140,7 @@ def _group(
     chosen = torch.tensor(first + [entry for _, entry in extra], device=like.device, dtype=torch.long)
     column = layout.motion if order else layout.motion_alone
     lower = torch.tril(layout.within(body, body))
-    return Group(
+    return LimbGroup(
         size=len(rows),
         motion=_as_slice(rows),
         columns=_as_slice(column[rows]),

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from torchid.geometry.arrow.index_tables import ArrowLayout
 from torchid.geometry.arrow.twists import Twists, column_gradient, column_twists, moments, with_markers
-from torchid.geometry.problem import Evaluation, MarkerProblem
+from torchid.geometry.problem import MarkerProblem, ProblemPoint
 
 
 @dataclass(frozen=True)
-class Blocks:
+class NormalBlocks:
     """The quadratic model of the cost of a chunk, with frames first and the columns of motion as in the layout."""
 
     cost: Tensor
@@ -34,7 +34,7 @@ class Blocks:
 
 
 @dataclass(frozen=True)
-class Pieces:
+class BlockPieces:
     """The parts of which all blocks of a chunk of frames are made."""
 
     cost: Tensor
@@ -81,7 +81,7 @@ def fold_rows(fold: Tensor, lower: Tensor, beside: Tensor) -> tuple[Tensor, Tens
     return fold.mT @ whole @ fold, fold.mT @ beside
 
 
-def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: Evaluation, shared: bool) -> Pieces:
+def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: ProblemPoint, shared: bool) -> BlockPieces:
     """Compute twists, wrenches and gradients of all frames of a problem, in the layout's precision.
 
     Args:
@@ -100,7 +100,7 @@ def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: Evaluation, s
         R = at.R.index_select(0, problem.body[free])
         columns = with_markers(columns, R, p[free], weight[free], pull[free])
     pull, curvature = (x.to(dtype).index_select(0, layout.dof_rows).T for x in (seen.pull, seen.curvature))
-    return Pieces(seen.cost, columns, pull, curvature, total, fold_matrix(layout, seen.at.q, dtype))
+    return BlockPieces(seen.cost, columns, pull, curvature, total, fold_matrix(layout, seen.at.q, dtype))
 
 
 def make_gradient(
@@ -133,7 +133,7 @@ def make_gradient(
     return seen.cost, g_q, torch.cat([columns[layout.entries[: layout.geometric]], places])
 
 
-def assemble(problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool) -> Blocks:
+def assemble(problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool) -> NormalBlocks:
     """Compute the dense blocks of all frames of a problem.
 
     Args:
@@ -150,7 +150,7 @@ def assemble(problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor,
     if pieces.fold is not None:
         H_qq, g_q = fold_rows(pieces.fold, H_qq, g_q)
     torch.diagonal(H_qq, dim1=1, dim2=2).add_(pieces.curvature)
-    blocks = Blocks(pieces.cost, g_q[:, :, 0] + pieces.pull, H_qq)
+    blocks = NormalBlocks(pieces.cost, g_q[:, :, 0] + pieces.pull, H_qq)
     return _with_shared(layout, pieces, blocks, S, F, len(xi)) if shared else blocks
 
 
@@ -159,7 +159,9 @@ def lower_mask(layout: ArrowLayout, body: Tensor) -> Tensor:
     return torch.tril(layout.within(body, body))
 
 
-def _with_shared(layout: ArrowLayout, pieces: Pieces, blocks: Blocks, S: Tensor, F: Tensor, n_xi: int) -> Blocks:
+def _with_shared(
+    layout: ArrowLayout, pieces: BlockPieces, blocks: NormalBlocks, S: Tensor, F: Tensor, n_xi: int
+) -> NormalBlocks:
     """Return the blocks with the columns of xi added: named parameters, then places of free markers."""
     Se, Fe = pieces.columns.S[:, layout.entries], pieces.columns.F[:, layout.entries]
     inside, around = layout.nesting(layout.motion_body)
@@ -167,10 +169,10 @@ def _with_shared(layout: ArrowLayout, pieces: Pieces, blocks: Blocks, S: Tensor,
     H_qx = (torch.bmm(F, Se.mT) * inside + torch.bmm(S, Fe.mT) * around) @ fold
     H_qx = H_qx if pieces.fold is None else pieces.fold.mT @ H_qx
     g_x = pieces.columns.g[:, layout.entries] @ fold
-    return Blocks(blocks.cost, blocks.g_q, blocks.H_qq, H_qx, g_x, fold.T @ shared_block(layout, pieces) @ fold)
+    return NormalBlocks(blocks.cost, blocks.g_q, blocks.H_qq, H_qx, g_x, fold.T @ shared_block(layout, pieces) @ fold)
 
 
-def shared_block(layout: ArrowLayout, pieces: Pieces) -> Tensor:
+def shared_block(layout: ArrowLayout, pieces: BlockPieces) -> Tensor:
     """Return the normal matrix of the entries (entries, entries), summed over the frames of ``pieces``."""
     geometric = layout.geometric
     S, F = _stacked(pieces.columns.S, layout.entries[:geometric]), _stacked(pieces.columns.F, layout.entries)
@@ -184,7 +186,7 @@ def shared_block(layout: ArrowLayout, pieces: Pieces) -> Tensor:
     return H
 
 
-def shared_curve(layout: ArrowLayout, pieces: Pieces, dx: Tensor) -> Tensor:
+def shared_curve(layout: ArrowLayout, pieces: BlockPieces, dx: Tensor) -> Tensor:
     """Return dx' H dx / 2 of the entries alone, for each frame (frames,).
 
     A frame's quadratic model needs the term: without it, a good model looks like a bad one.

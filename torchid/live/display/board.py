@@ -12,7 +12,7 @@ from torchid.inertia.pseudo import com, inertia_com, mass
 from torchid.model.model import InertialPrior
 from torchid.scene import colours
 from torchid.scene.panel import KNOWN, Cameras, Chart, SegmentCard
-from torchid.scene.scene import Ground, Instant, Scene
+from torchid.scene.scene import Ground, Instant, PageScene
 from torchid.scene.solids import solids
 from torchid.session.tables import segments_table
 
@@ -53,7 +53,7 @@ class Board:
         curves = (("mass", colours.PREDICTED), ("low", colours.SCALED), ("high", colours.SCALED))
         self._mass = Chart(gui, "Total mass [kg], and its 95 % bounds", curves)
         gui.add_html(LEGEND)
-        self._scene = Scene(server.scene, ground)
+        self._scene = PageScene(server.scene, ground)
         mean = prior.mean
         some = solids(names, mass(mean).numpy(), com(mean).numpy(), inertia_com(mean).numpy())
         self._scene.set_body(some, np.zeros(len(names)))

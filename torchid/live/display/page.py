@@ -20,8 +20,8 @@ from torchid.errors import ConfigError
 from torchid.geometry.result import GeometryFit
 from torchid.kinematics.chain import chain_poses
 from torchid.live.display.board import Board
-from torchid.live.estimation.beside import Found, apart
-from torchid.live.estimation.identifier import BLOCK_S, LAG_PERIODS, Subject
+from torchid.live.estimation.beside import LiveEstimate, apart
+from torchid.live.estimation.identifier import BLOCK_S, LAG_PERIODS, LiveSubject
 from torchid.live.estimation.pipeline import Moment
 from torchid.live.estimation.watch import Notice
 from torchid.live.exercises.advice import Advice
@@ -74,7 +74,9 @@ class Picture:
 class Page:
     """Opens a page beside the caller; ``show`` never waits for it."""
 
-    def __init__(self, subject: Subject, labels: tuple[str, ...], plates: tuple[Plate, ...], where: Address) -> None:
+    def __init__(
+        self, subject: LiveSubject, labels: tuple[str, ...], plates: tuple[Plate, ...], where: Address
+    ) -> None:
         """Start the process and wait until the page is open.
 
         Args:
@@ -192,7 +194,7 @@ class Show:
         self._seen_s, self._found_q = time.monotonic(), False
         self._plates: tuple[float, np.ndarray | None] = (-np.inf, None)
 
-    def found(self, some: Found | GeometryFit) -> None:
+    def found(self, some: LiveEstimate | GeometryFit) -> None:
         """Take up what the identifier has found."""
         if isinstance(some, GeometryFit):
             self._fit = some

@@ -19,9 +19,9 @@ from torch import Tensor
 from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit
 from torchid.inertia.identify import Identified
-from torchid.live.estimation.identifier import Reconstructed, Subject
+from torchid.live.estimation.identifier import LiveSubject, Reconstructed
 from torchid.live.estimation.pose import Postures
-from torchid.live.estimation.refining import Piece, Refining
+from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.estimation.watch import Notice
 from torchid.live.exercises.advice import Account, Advice, Adviser
 from torchid.recording import Plate
@@ -32,7 +32,7 @@ THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 @dataclass(frozen=True)
-class Found:
+class LiveEstimate:
     """What the identifier has found so far."""
 
     fit: InertiaFit
@@ -52,7 +52,8 @@ class Beside:
     """An ``Identifier`` that works beside the caller; what is sent waits in order, and results are asked for."""
 
     def __init__(
-        self, subject: Subject, labels: tuple[str, ...], rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float
+        self, subject: LiveSubject, labels: tuple[str, ...], rate_hz: float, plates: tuple[Plate, ...],
+        force_rate_hz: float
     ) -> None:  # fmt: skip
         """Start the process; arguments are those of ``Refining``."""
         context = multiprocessing.get_context("spawn")
@@ -68,7 +69,7 @@ class Beside:
         self.sent = self.done = 0
         self.version, self.fit, self.prior = 0, subject.fit, subject.prior
         """Number of the newest geometry, and what it is."""
-        self.found: Found | None = None
+        self.found: LiveEstimate | None = None
         self.notices: tuple[Notice, ...] = ()
         """What is wrong now."""
         self.noted: dict[tuple[str, str], tuple[float, float]] = {}
@@ -76,7 +77,7 @@ class Beside:
         self.advice: Advice | None = None
         self.account: Account | None = None
 
-    def add(self, piece: Piece) -> None:
+    def add(self, piece: MessagePiece) -> None:
         """Send what came; arguments are those of ``Refining.put``."""
         parts = (piece.index, piece.position, piece.postures.q, piece.postures.error, piece.sample, piece.wrench)
         self._send(tuple(part.numpy() for part in parts))
@@ -105,7 +106,7 @@ class Beside:
         elif what == "account":
             self.account = from_bytes(value)
         elif what == "found":
-            self.found = Found(*from_bytes(value))
+            self.found = LiveEstimate(*from_bytes(value))
             self.advice = self.found.advice
         elif what == "watched":
             self._note(value)
@@ -202,7 +203,7 @@ def _serve(jobs: Queue, put: Any, pipe: Connection, given: bytes, rest: tuple) -
     torch.set_num_threads(1)
     fit, prior, weight, plates, guide, static = from_bytes(given)
     config, mass, cutoff_hz, half_life_s, labels, rate_hz, force_rate_hz = rest
-    subject = Subject(config, fit, prior, mass, weight, cutoff_hz, static, half_life_s)
+    subject = LiveSubject(config, fit, prior, mass, weight, cutoff_hz, static, half_life_s)
     own = Refining(subject, labels, rate_hz, plates, force_rate_hz)
     adviser = None if guide is None else Adviser(guide, rate_hz)
     try:
@@ -220,8 +221,8 @@ def _serve(jobs: Queue, put: Any, pipe: Connection, given: bytes, rest: tuple) -
         pass  # the parent is gone
 
 
-def _piece(index: Tensor, position: Tensor, q: Tensor, error: Tensor, sample: Tensor, wrench: Tensor) -> Piece:
-    return Piece(index, position, Postures(q, error), sample, wrench)
+def _piece(index: Tensor, position: Tensor, q: Tensor, error: Tensor, sample: Tensor, wrench: Tensor) -> MessagePiece:
+    return MessagePiece(index, position, Postures(q, error), sample, wrench)
 
 
 def _work(own: Refining, adviser: Adviser | None, pipe: Connection, rate_hz: float) -> None:

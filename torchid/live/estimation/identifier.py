@@ -20,7 +20,7 @@ from torchid.live.estimation.estimator import Estimator
 from torchid.live.estimation.gather import Gatherer
 from torchid.live.estimation.instruments import InstrumentRows
 from torchid.live.estimation.pose import Postures
-from torchid.live.estimation.watch import Block, Notice, Watch
+from torchid.live.estimation.watch import Notice, Watch, WatchedBlock
 from torchid.live.exercises.guidance import Guide
 from torchid.live.sources.timeline import Timeline
 from torchid.model.model import InertialPrior
@@ -45,7 +45,7 @@ CONTEXT_S = 2.0
 
 
 @dataclass(frozen=True)
-class Subject:
+class LiveSubject:
     """What is known of a subject before the stream begins."""
 
     config: Config
@@ -86,7 +86,7 @@ class Identifier:
     time that the filter remembers on either side.
     """
 
-    def __init__(self, subject: Subject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float) -> None:
+    def __init__(self, subject: LiveSubject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float) -> None:
         """Wait for frames.
 
         Args:
@@ -179,7 +179,7 @@ class Identifier:
             contact = None if followed is None or followed.contact is None else followed.contact.frames(part)
             if rows is not None:
                 self.instruments.add(rows, plates, part)
-            seen = Block(self._error.get(block), contact, read[part, :, 2], self.instruments.found())
+            seen = WatchedBlock(self._error.get(block), contact, read[part, :, 2], self.instruments.found())
             self.watched.append((block.stop / self._rate, self._watch.after(seen)))
         self._next = stop
         kept = self._next - self._context

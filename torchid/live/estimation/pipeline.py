@@ -12,10 +12,10 @@ from torch import Tensor
 
 from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import Identified
-from torchid.live.estimation.beside import Beside, Found
-from torchid.live.estimation.identifier import BLOCK_S, LAG_PERIODS, Subject
-from torchid.live.estimation.pose import Follower, Postures
-from torchid.live.estimation.refining import Piece
+from torchid.live.estimation.beside import Beside, LiveEstimate
+from torchid.live.estimation.identifier import BLOCK_S, LAG_PERIODS, LiveSubject
+from torchid.live.estimation.pose import PostureFollower, Postures
+from torchid.live.estimation.refining import MessagePiece
 from torchid.live.estimation.watch import Notice
 from torchid.live.sources.intake import Intake
 from torchid.live.sources.recorder import Recorder
@@ -43,7 +43,7 @@ class Moment:
     """By which they were found."""
     wrench: Float[Tensor, "plates 6"] | None
     """Newest reading of the plates [N, N m]."""
-    found: Found | None
+    found: LiveEstimate | None
     """What was identified last."""
     notices: tuple[Notice, ...] = ()
     """What is wrong with the stream."""
@@ -52,7 +52,7 @@ class Moment:
 class Pipeline:
     """Takes packets, finds postures at once, and hands both on; the identifier works beside it."""
 
-    def __init__(self, subject: Subject, source: Source, recorder: Recorder | None = None) -> None:
+    def __init__(self, subject: LiveSubject, source: Source, recorder: Recorder | None = None) -> None:
         """Start the identifier; ``close`` or a ``with`` block ends it.
 
         Args:
@@ -62,7 +62,7 @@ class Pipeline:
         """
         self._source, self._recorder, self._cutoff_hz = source, recorder, subject.cutoff_hz
         self._intake = Intake(source.rate_hz, source.force_rate_hz, LAG_PERIODS / subject.cutoff_hz)
-        self._follower, self._version = Follower(subject.fit, source.labels), 0
+        self._follower, self._version = PostureFollower(subject.fit, source.labels), 0
         self._beside = Beside(subject, source.labels, source.rate_hz, source.plates, source.force_rate_hz)
         self._fit = subject.fit
         self._latency_s: list[float] = []
@@ -129,7 +129,7 @@ class Pipeline:
             show(Moment(placed.index, placed.markers, postures, self._fit, wrench, self._beside.found, self._notices))
         else:
             postures = Postures(torch.zeros(0, 0), torch.zeros(0, 0))
-        piece = Piece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench)
+        piece = MessagePiece(placed.index, placed.markers.position, postures, placed.sample, placed.wrench)
         self._beside.add(piece)
         self._poll()
         return True

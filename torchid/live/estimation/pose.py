@@ -52,7 +52,7 @@ class Postures:
         return torch.isfinite(self.error).any(1)
 
 
-class Follower:
+class PostureFollower:
     """Inverse kinematics of a stream at fixed geometry, all frames that came together in one batch."""
 
     def __init__(self, fit: GeometryFit, labels: tuple[str, ...]) -> None:
@@ -78,7 +78,7 @@ class Follower:
             fit: geometry, places of the markers and their scatter.
             labels: of the stream.
         """
-        other = Follower(fit, labels)
+        other = PostureFollower(fit, labels)
         other._near, other._rate = self._near, self._rate
         other._held_s, other._sought_s = self._held_s, self._sought_s
         return other

@@ -13,8 +13,8 @@ from torchid.errors import TorchidError
 from torchid.geometry.fit import fit_geometry
 from torchid.geometry.posture.initial_posture import evenly
 from torchid.inertia.identify import Identified
-from torchid.live.estimation.identifier import Identifier, Subject
-from torchid.live.estimation.pose import Follower, Postures
+from torchid.live.estimation.identifier import Identifier, LiveSubject
+from torchid.live.estimation.pose import PostureFollower, Postures
 from torchid.recording import Markers, Plate
 from torchid.session.following import subject_prior
 
@@ -29,7 +29,7 @@ SLICE = 512
 
 
 @dataclass(frozen=True)
-class Piece:
+class MessagePiece:
     """What came with one message."""
 
     index: Int[Tensor, " frames"]
@@ -53,7 +53,8 @@ class Refining:
     """
 
     def __init__(
-        self, subject: Subject, labels: tuple[str, ...], rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float
+        self, subject: LiveSubject, labels: tuple[str, ...], rate_hz: float, plates: tuple[Plate, ...],
+        force_rate_hz: float
     ) -> None:  # fmt: skip
         """Wait for frames.
 
@@ -66,8 +67,8 @@ class Refining:
         """
         self._stream = labels, rate_hz, plates, force_rate_hz
         self._by, self._next = ByGeometry(subject, *self._stream), None
-        self._waiting: list[Piece] = []
-        self._past: list[Piece] = []
+        self._waiting: list[MessagePiece] = []
+        self._past: list[MessagePiece] = []
         self._due = FIRST_S * rate_hz if subject.static is not None else math.inf
         self._known = self._fitted = 0
         self._newest = -1
@@ -75,7 +76,7 @@ class Refining:
         """Number of geometries that have been put in place of one before."""
 
     @property
-    def subject(self) -> Subject:
+    def subject(self) -> LiveSubject:
         """Return the subject, with its newest geometry."""
         return self._by.subject
 
@@ -89,7 +90,7 @@ class Refining:
         """Return whether there is something to do although nothing has come."""
         return self._next is not None
 
-    def put(self, piece: Piece) -> None:
+    def put(self, piece: MessagePiece) -> None:
         """Take in what came.
 
         Args:
@@ -174,16 +175,17 @@ class ByGeometry:
     """What is found by one geometry."""
 
     def __init__(
-        self, subject: Subject, labels: tuple[str, ...], rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float
+        self, subject: LiveSubject, labels: tuple[str, ...], rate_hz: float, plates: tuple[Plate, ...],
+        force_rate_hz: float
     ) -> None:  # fmt: skip
         """Begin with nothing; arguments are those of ``Refining``."""
         self.subject, self._labels, self._rate = subject, labels, rate_hz
         self.identifier = Identifier(subject, rate_hz, plates, force_rate_hz)
-        self._follower = Follower(subject.fit, labels)
-        self.past: list[Piece] = []
+        self._follower = PostureFollower(subject.fit, labels)
+        self.past: list[MessagePiece] = []
         """What was taken again, from the stream's beginning on."""
 
-    def take(self, piece: Piece) -> Piece:
+    def take(self, piece: MessagePiece) -> MessagePiece:
         """Hand a piece to the identifier, and return it with postures by this geometry.
 
         Args:
@@ -196,7 +198,7 @@ class ByGeometry:
         return piece
 
 
-def joined(pieces: Sequence[Piece]) -> Piece:
+def joined(pieces: Sequence[MessagePiece]) -> MessagePiece:
     """Return all that came with several messages as one.
 
     Args:
@@ -204,20 +206,20 @@ def joined(pieces: Sequence[Piece]) -> Piece:
     """
     some = [piece for piece in pieces if len(piece.index)]
     some = some or list(pieces[:1])
-    return Piece(
+    return MessagePiece(
         torch.cat([one.index for one in some]), torch.cat([one.position for one in some]),
         Postures(torch.cat([one.postures.q for one in some]), torch.cat([one.postures.error for one in some])),
         torch.cat([one.sample for one in pieces]), torch.cat([one.wrench for one in pieces]),
     )  # fmt: skip
 
 
-def _distances(before: Sequence[Piece], after: Sequence[Piece]) -> list[float]:
+def _distances(before: Sequence[MessagePiece], after: Sequence[MessagePiece]) -> list[float]:
     """Root mean square distances of markers from two models, in frames that are known by both [m]."""
     errors = torch.stack([torch.cat([one.postures.error.reshape(-1) for one in some]) for some in (before, after)])
     return errors[:, torch.isfinite(errors).all(0)].square().mean(1).sqrt().tolist()
 
 
-def refined(subject: Subject, past: Sequence[Piece], labels: tuple[str, ...]) -> Subject:
+def refined(subject: LiveSubject, past: Sequence[MessagePiece], labels: tuple[str, ...]) -> LiveSubject:
     """Return the subject with geometry and prior from its standing trial and some of what came since.
 
     Args:

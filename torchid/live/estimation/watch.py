@@ -42,7 +42,7 @@ UNKNOWN = Notice("posture", "", "No posture fits the markers: look whether label
 
 
 @dataclass(frozen=True)
-class Block:
+class WatchedBlock:
     """What is known of the frames of a block."""
 
     error: Float[Tensor, "frames markers"]
@@ -62,14 +62,14 @@ class Watch:
         """Begin with nothing.
 
         Args:
-            labels: of the markers, in the order of ``Block.error``.
+            labels: of the markers, in the order of ``WatchedBlock.error``.
             plates: their names.
         """
         self._labels, self._plates = tuple(labels), tuple(plates)
         # Many are taken off when the subject has stood: only one that was there is missed.
         self._seen = torch.zeros(len(self._labels), dtype=torch.bool)
 
-    def after(self, block: Block) -> tuple[Notice, ...]:
+    def after(self, block: WatchedBlock) -> tuple[Notice, ...]:
         """Return what is wrong now.
 
         Args:
@@ -89,7 +89,7 @@ class Watch:
         for k in missing.nonzero()[:, 0].tolist():
             yield Notice("marker", self._labels[k], f"Marker {self._labels[k]} is not seen")
 
-    def _feet(self, block: Block, known: Bool[Tensor, " frames"]) -> Iterator[Notice]:
+    def _feet(self, block: WatchedBlock, known: Bool[Tensor, " frames"]) -> Iterator[Notice]:
         contact = block.contact
         if contact is None:
             return
@@ -100,7 +100,7 @@ class Watch:
             elif _lasts(contact.touching[:, k] & ~contact.supported[:, k] & known):
                 yield Notice("beside", foot, f"The {name} stands beside the plates: these seconds do not count")
 
-    def _offsets(self, block: Block) -> Iterator[Notice]:
+    def _offsets(self, block: WatchedBlock) -> Iterator[Notice]:
         if block.contact is None:
             return
         for k, plate in enumerate(self._plates):
@@ -108,14 +108,14 @@ class Watch:
             if _lasts(free) and abs(mean := float(block.vertical[free, k].mean())) > OFFSET_N:
                 yield Notice("offset", plate, f"{plate} reads {mean:.0f} N while nobody is on it: set it to zero")
 
-    def _late(self, block: Block) -> Iterator[Notice]:
+    def _late(self, block: WatchedBlock) -> Iterator[Notice]:
         if (found := block.instruments) is None:
             return
         late_s = found.late_s
         if abs(late_s) - CLOCK_SD * found.late_sd_s > CLOCK_S:
             yield Notice("clock", "", f"Forces come {1e3 * abs(late_s):.0f} ms {'late' if late_s > 0.0 else 'early'}")
 
-    def _gains(self, block: Block) -> Iterator[Notice]:
+    def _gains(self, block: WatchedBlock) -> Iterator[Notice]:
         if block.instruments is None or len(self._plates) < 2:
             return
         high, low, off, sd = block.instruments.most_apart()

@@ -52,7 +52,7 @@ class Advice:
 
 
 @dataclass(frozen=True)
-class Entry:
+class AdviceEntry:
     """What one interval of a session has brought."""
 
     exercise: str
@@ -71,7 +71,7 @@ class Account:
 
     names: tuple[str, ...]
     """Of the bodies."""
-    entries: tuple[Entry, ...]
+    entries: tuple[AdviceEntry, ...]
     """One for each interval, in order."""
     share: Float[Tensor, " bodies"]
     """How much of each body's determined parameters is known."""
@@ -193,7 +193,7 @@ class Adviser:
 
 def make_ledger(
     labels: Sequence[str], blocks: Sequence[BlockSpectrum], whitening: Whitening, begin: Knowledge
-) -> tuple[tuple[Entry, ...], Knowledge]:
+) -> tuple[tuple[AdviceEntry, ...], Knowledge]:
     """Return what each interval has added to those before it, and what is known at the end.
 
     Args:
@@ -206,6 +206,6 @@ def make_ledger(
     for name, run in groupby(labels):
         count = len(list(run))
         then = known.after(accumulate(blocks[start : start + count], whitening).gram)
-        entries.append(Entry(name, count, then.nats - known.nats, then.progress - known.progress))
+        entries.append(AdviceEntry(name, count, then.nats - known.nats, then.progress - known.progress))
         known, start = then, start + count
     return tuple(entries), known

@@ -35,7 +35,7 @@ Tree = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Layout:
+class ChannelLayout:
     """Where the parts of markers or plates are among the channels of a stream, and what its times mean."""
 
     names: tuple[str, ...]
@@ -67,7 +67,7 @@ class Layout:
             found[(found == 0.0).all(dim=-1)] = torch.nan  # where senders put a marker that they do not see
         return to_world(found, self.up)
 
-    def having(self, names: tuple[str, ...]) -> "Layout":
+    def having(self, names: tuple[str, ...]) -> "ChannelLayout":
         """Return the layout of some markers or plates, in their order; the channels of unknown ones are -1.
 
         Args:
@@ -110,7 +110,7 @@ def _tree(element: Any) -> Tree | str:
     return children or (element.text or "")
 
 
-def marker_layout(info: Tree, source: str) -> Layout:
+def marker_layout(info: Tree, source: str) -> ChannelLayout:
     """Return where the markers are.
 
     Args:
@@ -123,7 +123,7 @@ def marker_layout(info: Tree, source: str) -> Layout:
     return _layout(info, source, "marker", POSITION)
 
 
-def plate_layout(info: Tree, source: str) -> Layout:
+def plate_layout(info: Tree, source: str) -> ChannelLayout:
     """Return where the plates' wrenches are, and the plates' corners.
 
     Args:
@@ -152,7 +152,7 @@ def channel_labels(info: Tree, count: int) -> tuple[str, ...]:
     return tuple(label or f"{text(info, 'name')}_{k + 1}" for k, label in enumerate(labels))
 
 
-def _layout(info: Tree, source: str, owner: str, parts: Mapping[str, Mapping[str, float]]) -> Layout:
+def _layout(info: Tree, source: str, owner: str, parts: Mapping[str, Mapping[str, float]]) -> ChannelLayout:
     description = _first(info, "desc")
     if text(info, "channel_format") == "string":
         raise fault(source, "holds texts", "channel_format string", "Send float32 or double64")
@@ -160,7 +160,7 @@ def _layout(info: Tree, source: str, owner: str, parts: Mapping[str, Mapping[str
     up = text(_first(description, "setup"), "up").lower() or "z"
     if up not in ("y", "z"):
         raise fault(source, "has an unknown vertical axis", f"setup/up {up[:20]}", "Write y or z")
-    return Layout(
+    return ChannelLayout(
         tuple(places),
         torch.tensor([[place[part][0] for part in parts] for place in places.values()]),
         torch.tensor([[place[part][1] for part in parts] for place in places.values()], dtype=torch.float64),
@@ -214,7 +214,7 @@ def _corners(entry: Tree, source: str) -> Float[Tensor, "4 3"]:
     return torch.tensor(places, dtype=torch.float64)
 
 
-def rate_of(layout: Layout, time: Float[Tensor, " samples"], source: str) -> float:
+def rate_of(layout: ChannelLayout, time: Float[Tensor, " samples"], source: str) -> float:
     """Return the rate that a stream states, or else that of its times, which lost samples and jitter make uneven [Hz].
 
     Args:

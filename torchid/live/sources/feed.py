@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import InputError
-from torchid.live.sources.description import Layout, Tree, fault, rate_of, tree
+from torchid.live.sources.description import ChannelLayout, Tree, fault, rate_of, tree
 
 LOOK_S = 1.0
 """Cited. Duration of one look for streams; below half a second some are missed (pylsl, ``resolve_streams``)."""
@@ -33,12 +33,12 @@ Samples = tuple[Float[Tensor, " samples"], Float[Tensor, "samples items parts"]]
 
 
 @dataclass(frozen=True)
-class Link:
+class FeedLink:
     """A connection to one run of a sender, with what that run says of its channels; never changed, only replaced."""
 
     inlet: pylsl.StreamInlet
     uid: str
-    layout: Layout
+    layout: ChannelLayout
 
     def pull(self) -> Samples:
         """Return times by this machine's clock [s], and samples in W and SI units, at once.
@@ -65,7 +65,7 @@ class Feed:
     its name; it does all that waits, so that pulling never does. A run that does not fit is refused, with a warning.
     """
 
-    def __init__(self, found: pylsl.StreamInfo, read: Callable[[Tree, str], Layout]) -> None:
+    def __init__(self, found: pylsl.StreamInfo, read: Callable[[Tree, str], ChannelLayout]) -> None:
         """Connect; samples are kept from the first pull on.
 
         Args:
@@ -91,7 +91,7 @@ class Feed:
         self._thread.start()
 
     def pull(self) -> Samples:
-        """Return what arrived since the last call, perhaps nothing, as ``Link.pull``."""
+        """Return what arrived since the last call, perhaps nothing, as ``FeedLink.pull``."""
         try:
             time_s, values = self._link.pull()
         except RuntimeError:
@@ -106,11 +106,11 @@ class Feed:
         self._closed.set()
         self._thread.join()
 
-    def _connected(self, found: pylsl.StreamInfo) -> Link:
+    def _connected(self, found: pylsl.StreamInfo) -> FeedLink:
         inlet = pylsl.StreamInlet(found, recover=False)
         xml = inlet.info(REPLY_S).as_xml()
         inlet.time_correction(REPLY_S)
-        return Link(inlet, found.uid(), self._read(tree(xml), self.name))
+        return FeedLink(inlet, found.uid(), self._read(tree(xml), self.name))
 
     def _watched(self) -> Float[Tensor, " samples"]:
         """Times of the samples of a while, none where the rate is known."""
@@ -143,14 +143,14 @@ class Feed:
             self._refused.add(newest.uid())
             log.warning("a restart is not taken up: %s", error)
             return
-        old, self._link = self._link, Link(link.inlet, link.uid, layout)
+        old, self._link = self._link, FeedLink(link.inlet, link.uid, layout)
         self._lost.clear()
         self._heard_s = time.monotonic()
         log.warning("%s is back", self.name)
         self._closed.wait(POLL_S)  # The last pull of the old inlet is over then: to end an inlet takes a while.
         del old
 
-    def _fitting(self, layout: Layout) -> Layout:
+    def _fitting(self, layout: ChannelLayout) -> ChannelLayout:
         """Layout of another run, by the names of the first.
 
         Raises:

@@ -15,7 +15,7 @@ frames: no network holds a frame back that long."""
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedPacket:
     """What was new in a packet, on the uniform clock of a session."""
 
     index: Int[Tensor, " frames"]
@@ -66,7 +66,7 @@ class Intake:
         self._newest, self._first, self._known = -1, 0, set[int]()
         self.counts = Counts()
 
-    def place(self, packet: Packet) -> Placed:
+    def place(self, packet: Packet) -> PlacedPacket:
         """Place what is new in a packet.
 
         Args:
@@ -76,7 +76,7 @@ class Intake:
         order = keep.nonzero()[:, 0][index[keep].argsort()]
         markers = Markers(packet.markers.labels, index[order] / self._rate, packet.markers.position[order])
         sample, wrench = self._samples(packet)
-        return Placed(index[order], markers, sample, wrench)
+        return PlacedPacket(index[order], markers, sample, wrench)
 
     def _frames(self, time: Float[Tensor, " frames"]) -> tuple[Int[Tensor, " frames"], Bool[Tensor, " frames"]]:
         """Places of the frames of a packet in the order of their coming, and which of them are new."""

@@ -20,7 +20,7 @@ HEADER, DATA, DATA_HEADER = struct.Struct("<II"), 3, struct.Struct("<IIqII")
 """Cited. Size and type of a packet; the type of data; then stamp, frame and number of components (RT protocol)."""
 
 
-class Link(QTMProtocol):
+class QtmLink(QTMProtocol):
     """A connection that a packet which cannot be one ends, instead of being waited for or read for ever."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, source: str) -> None:

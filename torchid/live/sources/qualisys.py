@@ -17,7 +17,7 @@ from qtm_rt.protocol import QRTCommandException
 from qtm_rt.qrt import QRTConnection
 
 from torchid.errors import InputError
-from torchid.live.sources.qtm_link import Link, address_of
+from torchid.live.sources.qtm_link import QtmLink, address_of
 from torchid.live.sources.qtm_run import Arrival, Run
 from torchid.live.sources.qtm_settings import Settings, fault, read_settings
 from torchid.live.sources.stream import Packet
@@ -150,9 +150,9 @@ class QualisysSource:
             link.end(fault(self.name, "is left", "by torchid", "Nothing needs to be done"))
             await asyncio.sleep(0)  # in which the socket is closed
 
-    async def _link(self) -> Link:
+    async def _link(self) -> QtmLink:
         try:
-            connected = self._loop.create_connection(lambda: Link(self._loop, self.name), self._host, self._port)
+            connected = self._loop.create_connection(lambda: QtmLink(self._loop, self.name), self._host, self._port)
             return (await asyncio.wait_for(connected, REPLY_S))[1]
         except OSError as error:
             raise fault(
@@ -179,11 +179,11 @@ class QualisysSource:
         self._arrivals.append(run.take(packet))
         self._newest_s = run.newest_s
 
-    def _event(self, link: Link, run: Run, event: QRTEvent) -> None:
+    def _event(self, link: QtmLink, run: Run, event: QRTEvent) -> None:
         if event in ANEW and run.begun:
             link.end(fault(self.name, "begins anew", event.name, "Nothing needs to be done"))
 
-    async def _listen(self, link: Link, server: QRTConnection | None) -> None:
+    async def _listen(self, link: QtmLink, server: QRTConnection | None) -> None:
         """Wait until the connection is lost; where it is silent, ask whether the server is there."""
         while not (await asyncio.wait({link.lost}, timeout=SILENT_S))[0]:
             if server is not None and time.monotonic() - link.heard_s > SILENT_S:

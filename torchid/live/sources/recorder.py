@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from torchid.errors import InputError
-from torchid.live.sources.intake import Placed
+from torchid.live.sources.intake import PlacedPacket
 from torchid.recording import Plate
 from torchid.storage.files import NewFile, writing
 
@@ -62,7 +62,7 @@ class Recorder:
     ) -> None:
         self.close()
 
-    def add(self, placed: Placed) -> None:
+    def add(self, placed: PlacedPacket) -> None:
         """Append what was new in a packet, unless the recording has ended.
 
         Frames that come after their successors would break the order of rows; they are left out.
@@ -89,7 +89,7 @@ class Recorder:
         """Return until when both files go and why no longer, by the keys of the line ``torchid live`` prints."""
         return {"until_s": round(self._row / self._rate, 2), "fault": self.fault}
 
-    def _write(self, placed: Placed) -> None:
+    def _write(self, placed: PlacedPacket) -> None:
         lines, row = [], self._row
         for index, frame in zip(placed.index.tolist(), placed.markers.position.numpy(), strict=True):
             if index >= row:
@@ -122,7 +122,7 @@ class Recorder:
             if not file.closed:
                 os.fsync(file.fileno())
 
-    def _samples(self, placed: Placed) -> list[str]:
+    def _samples(self, placed: PlacedPacket) -> list[str]:
         """Rows of the samples that are newer than the newest written."""
         rows = []
         for index, wrench in zip(placed.sample.tolist(), placed.wrench.numpy(), strict=True):

@@ -11,7 +11,7 @@ from torchid.errors import InputError
 from torchid.live.sources.description import (
     FORCE_PLATE,
     MOCAP,
-    Layout,
+    ChannelLayout,
     channel_labels,
     fault,
     marker_layout,
@@ -99,7 +99,7 @@ def _only(streams: list[dict[str, Any]], kind: str, path: Path) -> dict[str, Any
     raise fault(str(path), message, listed or "no stream with samples", "Record one of each type (docs/live.md)")
 
 
-def _samples(stream: dict[str, Any], layout: Layout) -> tuple[torch.Tensor, torch.Tensor]:
+def _samples(stream: dict[str, Any], layout: ChannelLayout) -> tuple[torch.Tensor, torch.Tensor]:
     """Times and samples of a stream, rising: the replay cuts them by their times."""
     time_s = torch.as_tensor(stream["time_stamps"], dtype=torch.float64) - layout.late_s
     values = torch.as_tensor(stream["time_series"], dtype=torch.float64)

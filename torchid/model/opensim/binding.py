@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchid.model.coupling import pushed
 from torchid.model.opensim.functions import Function
-from torchid.model.opensim.model import Joint, OsimModel
+from torchid.model.opensim.model import OsimJoint, OsimModel
 from torchid.model.opensim.posing import coupled, joint_pose
 from torchid.model.opensim.rotations import R_OW, inverse, pose
 from torchid.model.tree import BASE_DOFS
@@ -34,7 +34,7 @@ class OsimBinding:
     """Pose of each body of the file in the body of the tree that it belongs to."""
 
     @property
-    def root(self) -> Joint:
+    def root(self) -> OsimJoint:
         """The joint that carries the root from ground."""
         return self.model.joints[0]
 
@@ -151,7 +151,7 @@ def affine(function: Function) -> tuple[float, float] | None:
     return (slope, start) if straight and slope != 0.0 else None
 
 
-def _root_values(root: Joint, X: Float[Tensor, "frames 4 4"]) -> Float[Tensor, "frames 6"]:
+def _root_values(root: OsimJoint, X: Float[Tensor, "frames 4 4"]) -> Float[Tensor, "frames 6"]:
     """Values of the root joint's coordinates that make poses X of its child in its parent, without jumps of angles."""
     axis = torch.stack([turn.unit for turn in root.turns]).to(X)
     R = X[:, :3, :3]

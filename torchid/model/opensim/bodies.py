@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchid.model.markup import Element
 from torchid.model.opensim.model import Inertias
-from torchid.model.opensim.words import Document, child_text
+from torchid.model.opensim.words import OsimDocument, child_text
 
 MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Cited. Order of OpenSim 4's ``inertia``; older files have an element each."""
@@ -16,7 +16,7 @@ SPELT = tuple(f"inertia_{'xyz'[i]}{'xyz'[j]}" for i, j in MOMENTS)
 """Wording. Elements of older files for the moments, in the same order."""
 
 
-def read_inertias(bodies: Mapping[str, Element], document: Document) -> Inertias:
+def read_inertias(bodies: Mapping[str, Element], document: OsimDocument) -> Inertias:
     """Return the bodies' inertia as it is stated; OpenSim's own defaults where it is not.
 
     Args:
@@ -42,7 +42,7 @@ def read_inertias(bodies: Mapping[str, Element], document: Document) -> Inertias
     )
 
 
-def stated_moments(element: Element, document: Document) -> Float[Tensor, "6"]:
+def stated_moments(element: Element, document: OsimDocument) -> Float[Tensor, "6"]:
     """Return the moments of a body in the order of ``MOMENTS`` [kg m^2].
 
     Args:
@@ -56,7 +56,7 @@ def stated_moments(element: Element, document: Document) -> Float[Tensor, "6"]:
     )
 
 
-def compact(element: Element, document: Document) -> bool:
+def compact(element: Element, document: OsimDocument) -> bool:
     """Return True for a body that states its moments in one element.
 
     Args:

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 from torchid.model.markup import Element
 from torchid.model.opensim.function_elements import function_in
-from torchid.model.opensim.functions import Linear, Scaled
-from torchid.model.opensim.model import Coordinate, Coupler, Motion, TransformAxis
-from torchid.model.opensim.words import Document, child_text, objects
+from torchid.model.opensim.functions import LinearFunction, ScaledFunction
+from torchid.model.opensim.model import CoordinateKind, Coupler, OsimCoordinate, TransformAxis
+from torchid.model.opensim.words import OsimDocument, child_text, objects
 
 RANGE = (-10.0, 10.0)
 """Cited. Range of a coordinate that states none (OpenSim, Coordinate::constructProperties)."""
@@ -22,7 +22,7 @@ def coordinate_elements(joint: Element) -> list[Element]:
     return [*joint.findall("coordinates/Coordinate"), *joint.findall("CoordinateSet/objects/Coordinate")]
 
 
-def motion_of(row: int, turns: Sequence[TransformAxis], slides: Sequence[TransformAxis]) -> Motion:
+def motion_of(row: int, turns: Sequence[TransformAxis], slides: Sequence[TransformAxis]) -> CoordinateKind:
     """Return the kind of a coordinate, decided as OpenSim does: by the last axis that it moves in proportion 1.
 
     Args:
@@ -30,17 +30,17 @@ def motion_of(row: int, turns: Sequence[TransformAxis], slides: Sequence[Transfo
         turns: turns of its joint.
         slides: slides of its joint.
     """
-    motion = Motion.COUPLED
-    for axes, kind in ((turns, Motion.ROTATIONAL), (slides, Motion.TRANSLATIONAL)):
+    motion = CoordinateKind.COUPLED
+    for axes, kind in ((turns, CoordinateKind.ROTATIONAL), (slides, CoordinateKind.TRANSLATIONAL)):
         for axis in axes:
-            straight = isinstance(axis.function, Linear) and abs(float(axis.function.weights[0])) == 1.0
+            straight = isinstance(axis.function, LinearFunction) and abs(float(axis.function.weights[0])) == 1.0
             motion = kind if row in axis.rows and straight else motion
     return motion
 
 
 def joint_coordinates(
-    joint: Element, names: Sequence[str], motions: Sequence[Motion], document: Document
-) -> list[Coordinate]:
+    joint: Element, names: Sequence[str], motions: Sequence[CoordinateKind], document: OsimDocument
+) -> list[OsimCoordinate]:
     """Return the coordinates of a joint in the order of their rows.
 
     Args:
@@ -68,14 +68,14 @@ def joint_coordinates(
     return [_coordinate(name, stated.get(name), kind, document) for name, kind in zip(names, motions, strict=True)]
 
 
-def _coordinate(name: str, element: Element | None, motion: Motion, document: Document) -> Coordinate:
+def _coordinate(name: str, element: Element | None, motion: CoordinateKind, document: OsimDocument) -> OsimCoordinate:
     if element is None:
-        return Coordinate(name, motion, 0.0, *RANGE, clamped=False, locked=False, prescribed=False)
+        return OsimCoordinate(name, motion, 0.0, *RANGE, clamped=False, locked=False, prescribed=False)
     lower, upper = document.vector(element, "range", RANGE).tolist()
     if lower > upper:
         found = f"{lower:g} > {upper:g}"
         raise document.fault(element, "osim.range", "the range is upside down", found, remedy="Exchange its ends.")
-    return Coordinate(
+    return OsimCoordinate(
         name=name,
         motion=motion,
         default=document.number(element, "default_value", 0.0),
@@ -87,7 +87,7 @@ def _coordinate(name: str, element: Element | None, motion: Motion, document: Do
     )
 
 
-def read_couplers(names: Sequence[str], document: Document) -> tuple[Coupler, ...]:
+def read_couplers(names: Sequence[str], document: OsimDocument) -> tuple[Coupler, ...]:
     """Return the couplers that hold, each behind those that its leading coordinate needs.
 
     Args:
@@ -116,7 +116,7 @@ def read_couplers(names: Sequence[str], document: Document) -> tuple[Coupler, ..
     return _ordered(found, document)
 
 
-def _coupler(element: Element, names: Sequence[str], document: Document) -> Coupler:
+def _coupler(element: Element, names: Sequence[str], document: OsimDocument) -> Coupler:
     leading = child_text(element, "independent_coordinate_names").split()
     following = child_text(element, "dependent_coordinate_name")
     unknown = [name for name in (*leading, following) if name not in names]
@@ -126,11 +126,11 @@ def _coupler(element: Element, names: Sequence[str], document: Document) -> Coup
     function = function_in(element, document, "coupled_coordinates_function")
     if function is None or function.n_arguments > 1:
         raise _coupler_fault(element, document, "needs a function of one coordinate")
-    scaled = Scaled(function, document.number(element, "scale_factor", 1.0))
+    scaled = ScaledFunction(function, document.number(element, "scale_factor", 1.0))
     return Coupler(document.name(element), names.index(following), names.index(leading[0]), scaled)
 
 
-def _ordered(found: dict[int, tuple[Coupler, Element]], document: Document) -> tuple[Coupler, ...]:
+def _ordered(found: dict[int, tuple[Coupler, Element]], document: OsimDocument) -> tuple[Coupler, ...]:
     order: list[Coupler] = []
     waiting = dict(found)
     while waiting:
@@ -142,6 +142,6 @@ def _ordered(found: dict[int, tuple[Coupler, Element]], document: Document) -> t
     return tuple(order)
 
 
-def _coupler_fault(element: Element, document: Document, message: str, found: str = "") -> Exception:
+def _coupler_fault(element: Element, document: OsimDocument, message: str, found: str = "") -> Exception:
     remedy = "Couple one coordinate of the model to one other."
     return document.fault(element, "osim.coupler", message, found, remedy=remedy)

@@ -12,7 +12,7 @@ import torch
 
 from torchid.model.markup import Element
 from torchid.model.opensim.model import GROUND, Frame
-from torchid.model.opensim.words import Document, child_text, objects
+from torchid.model.opensim.words import OsimDocument, child_text, objects
 
 OFFSET = ("translation", "orientation")
 """Wording. Elements of an offset frame that hold its numbers."""
@@ -30,7 +30,7 @@ class Stated:
     tags: tuple[str, str] = OFFSET
 
 
-def body_elements(document: Document) -> dict[str, Element]:
+def body_elements(document: OsimDocument) -> dict[str, Element]:
     """Return the bodies of the file by name, without ground.
 
     Args:
@@ -51,7 +51,7 @@ def body_elements(document: Document) -> dict[str, Element]:
     return found
 
 
-def component_path(element: Element, document: Document) -> str:
+def component_path(element: Element, document: OsimDocument) -> str:
     """Return OpenSim's absolute path of a component.
 
     Args:
@@ -71,7 +71,7 @@ def component_path(element: Element, document: Document) -> str:
 class Frames:
     """All frames of a file."""
 
-    def __init__(self, document: Document, bodies: Mapping[str, Element]) -> None:
+    def __init__(self, document: OsimDocument, bodies: Mapping[str, Element]) -> None:
         """Collect them.
 
         Args:

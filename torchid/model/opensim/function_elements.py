@@ -5,12 +5,20 @@ from collections.abc import Callable
 import torch
 
 from torchid.model.markup import Element
-from torchid.model.opensim.functions import Constant, Function, Linear, Pieces, Polynomial, Scaled, Sine
+from torchid.model.opensim.functions import (
+    Constant,
+    Function,
+    LinearFunction,
+    PiecewiseCubic,
+    Polynomial,
+    ScaledFunction,
+    Sine,
+)
 from torchid.model.opensim.splines import broken_line, simm_spline
-from torchid.model.opensim.words import Document
+from torchid.model.opensim.words import OsimDocument
 
 
-def function_in(parent: Element, document: Document, tag: str = "function") -> Function | None:
+def function_in(parent: Element, document: OsimDocument, tag: str = "function") -> Function | None:
     """Return the function of a property, or None where it is absent.
 
     OpenSim 4 names the function's own element after the property, or leaves the name out; older files put it into an
@@ -30,7 +38,7 @@ def function_in(parent: Element, document: Document, tag: str = "function") -> F
     return read_function(found[0], document) if found else None
 
 
-def read_function(element: Element, document: Document) -> Function:
+def read_function(element: Element, document: OsimDocument) -> Function:
     """Return the function that an element states; raises as ``function_in``."""
     kind = str(element.tag)
     if kind not in READERS:
@@ -39,47 +47,49 @@ def read_function(element: Element, document: Document) -> Function:
     return READERS[kind](element, document)
 
 
-def _constant(element: Element, document: Document) -> Function:
+def _constant(element: Element, document: OsimDocument) -> Function:
     return Constant(document.number(element, "value", 0.0))
 
 
-def _linear(element: Element, document: Document) -> Function:
+def _linear(element: Element, document: OsimDocument) -> Function:
     coefficients = document.series(element, "coefficients")
     if element.find("coefficients") is None:
         coefficients = torch.tensor([1.0, 0.0], dtype=torch.float64)
     if len(coefficients) < 2:
         raise _lacking(element, document, "a slope for every argument and a constant")
-    return Linear(coefficients[:-1], float(coefficients[-1]))
+    return LinearFunction(coefficients[:-1], float(coefficients[-1]))
 
 
-def _polynomial(element: Element, document: Document) -> Function:
+def _polynomial(element: Element, document: OsimDocument) -> Function:
     coefficients = document.series(element, "coefficients")
     if not len(coefficients):
         raise _lacking(element, document, "coefficients")
     return Polynomial(coefficients)
 
 
-def _scaled(element: Element, document: Document) -> Function:
+def _scaled(element: Element, document: OsimDocument) -> Function:
     inner = function_in(element, document)
     if inner is None:
         raise _lacking(element, document, "a function to multiply")
-    return Scaled(inner, document.number(element, "scale", 1.0))
+    return ScaledFunction(inner, document.number(element, "scale", 1.0))
 
 
-def _sine(element: Element, document: Document) -> Function:
+def _sine(element: Element, document: OsimDocument) -> Function:
     words = (("amplitude", 1.0), ("omega", 1.0), ("phase", 0.0), ("offset", 0.0))
     return Sine(*(document.number(element, tag, default) for tag, default in words))
 
 
-def _spline(element: Element, document: Document) -> Function:
+def _spline(element: Element, document: OsimDocument) -> Function:
     return _points(element, document, simm_spline)
 
 
-def _broken_line(element: Element, document: Document) -> Function:
+def _broken_line(element: Element, document: OsimDocument) -> Function:
     return _points(element, document, broken_line)
 
 
-def _points(element: Element, document: Document, through: Callable[[torch.Tensor, torch.Tensor], Pieces]) -> Function:
+def _points(
+    element: Element, document: OsimDocument, through: Callable[[torch.Tensor, torch.Tensor], PiecewiseCubic]
+) -> Function:
     x, y = (document.series(element, tag) for tag in ("x", "y"))
     if len(x) != len(y) or len(x) < 2:
         raise _lacking(element, document, "as many x as y, two at least")
@@ -88,12 +98,12 @@ def _points(element: Element, document: Document, through: Callable[[torch.Tenso
     return through(x, y)
 
 
-def _lacking(element: Element, document: Document, what: str) -> Exception:
+def _lacking(element: Element, document: OsimDocument, what: str) -> Exception:
     remedy = "Correct the element, or save the model again with OpenSim."
     return document.fault(element, "osim.function", f"needs {what}", remedy=remedy)
 
 
-READERS: dict[str, Callable[[Element, Document], Function]] = {
+READERS: dict[str, Callable[[Element, OsimDocument], Function]] = {
     "Constant": _constant,
     "LinearFunction": _linear,
     "PolynomialFunction": _polynomial,

@@ -47,7 +47,7 @@ class Constant(Function):
 
 
 @dataclass(frozen=True)
-class Linear(Function):
+class LinearFunction(Function):
     """A weighted sum of the arguments and a constant."""
 
     weights: Float[Tensor, " arguments"]
@@ -91,7 +91,7 @@ class Polynomial(Function):
 
 
 @dataclass(frozen=True)
-class Scaled(Function):
+class ScaledFunction(Function):
     """A multiple of another function."""
 
     function: Function
@@ -130,7 +130,7 @@ class Sine(Function):
 
 
 @dataclass(frozen=True)
-class Pieces(Function):
+class PiecewiseCubic(Function):
     """A piecewise cubic (or linear) function, continued by the tangents at its ends."""
 
     x: Float[Tensor, " knots"]

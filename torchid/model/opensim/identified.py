@@ -10,7 +10,7 @@ from torch import Tensor
 from torchid.model.model import Geometry
 from torchid.model.opensim.binding import OsimBinding
 from torchid.model.opensim.group_inertia import of_bodies
-from torchid.model.opensim.model import Frame, Joint, OsimModel
+from torchid.model.opensim.model import Frame, OsimJoint, OsimModel
 from torchid.model.opensim.rotations import inverse, moved
 
 
@@ -43,7 +43,7 @@ def identified_model(
     return replace(model, inertias=inertias, joints=joints, markers=tuple(markers))
 
 
-def _placed(binding: OsimBinding, geometry: Geometry, joint: Joint) -> Joint:
+def _placed(binding: OsimBinding, geometry: Geometry, joint: OsimJoint) -> OsimJoint:
     """The joint whose carrier's frame stands where the geometry has it."""
     if joint is binding.root:
         return joint

@@ -14,9 +14,9 @@ from torchid.model.markup import Element
 from torchid.model.opensim.coordinates import coordinate_elements, joint_coordinates, motion_of
 from torchid.model.opensim.frames import Frames, Stated
 from torchid.model.opensim.function_elements import function_in
-from torchid.model.opensim.functions import Constant, Function, Linear, Scaled
-from torchid.model.opensim.model import Coordinate, Joint, TransformAxis
-from torchid.model.opensim.words import Document, child_text, objects
+from torchid.model.opensim.functions import Constant, Function, LinearFunction, ScaledFunction
+from torchid.model.opensim.model import OsimCoordinate, OsimJoint, TransformAxis
+from torchid.model.opensim.words import OsimDocument, child_text, objects
 
 KINDS: Mapping[str, tuple[str, str]] = {
     "WeldJoint": ("", ""),
@@ -42,7 +42,7 @@ class JointElement:
     child: Stated
 
 
-def joint_elements(document: Document, frames: Frames, bodies: Mapping[str, Element]) -> list[JointElement]:
+def joint_elements(document: OsimDocument, frames: Frames, bodies: Mapping[str, Element]) -> list[JointElement]:
     """Return the joints of the file in its order: OpenSim 4 has a set of them, older files one in every body.
 
     Args:
@@ -62,12 +62,12 @@ def joint_elements(document: Document, frames: Frames, bodies: Mapping[str, Elem
     return [
         _in_body(joint, name, document, frames)
         for name, body in bodies.items()
-        for holder in body.findall("Joint")
+        for holder in body.findall("OsimJoint")
         for joint in holder
     ]
 
 
-def _in_body(joint: Element, body: str, document: Document, frames: Frames) -> JointElement:
+def _in_body(joint: Element, body: str, document: OsimDocument, frames: Frames) -> JointElement:
     """Return a joint of an older file, which stands in the body that it moves."""
     parent = frames.named(child_text(joint, "parent_body"), joint).frame
     parent = frames.offset(parent, joint, ("location_in_parent", "orientation_in_parent"))
@@ -76,7 +76,7 @@ def _in_body(joint: Element, body: str, document: Document, frames: Frames) -> J
     return JointElement(joint, child, parent) if reverse else JointElement(joint, parent, child)
 
 
-def read_joint(stated: JointElement, first: int, document: Document) -> tuple[Joint, list[Coordinate]]:
+def read_joint(stated: JointElement, first: int, document: OsimDocument) -> tuple[OsimJoint, list[OsimCoordinate]]:
     """Return a joint and its coordinates.
 
     Args:
@@ -98,7 +98,7 @@ def read_joint(stated: JointElement, first: int, document: Document) -> tuple[Jo
         raise document.fault(element, "osim.joint", "a joint of a kind that is not read", kind, remedy=remedy)
     motions = [motion_of(first + k, turns, slides) for k in range(len(names))]
     coordinates = joint_coordinates(element, names, motions, document)
-    joint = Joint(
+    joint = OsimJoint(
         name=document.name(element),
         kind=kind,
         parent=stated.parent.frame,
@@ -114,7 +114,7 @@ _Axes = tuple[list[TransformAxis], list[TransformAxis], list[str]]
 """Turns, slides and the names of the coordinates in the order of their rows."""
 
 
-def _plain(element: Element, first: int, document: Document) -> _Axes:
+def _plain(element: Element, first: int, document: OsimDocument) -> _Axes:
     turns, slides = KINDS[str(element.tag)]
     count = len(turns) + len(slides)
     names = [document.name(one) for one in coordinate_elements(element)]
@@ -122,12 +122,12 @@ def _plain(element: Element, first: int, document: Document) -> _Axes:
         remedy = "State one coordinate for every turn and slide, or save the model again with OpenSim."
         found = f"{len(names)} instead of {count}"
         raise document.fault(element, "osim.joint", "another number of coordinates than its kind", found, remedy=remedy)
-    itself = Linear(torch.ones(1, dtype=torch.float64), 0.0)
+    itself = LinearFunction(torch.ones(1, dtype=torch.float64), 0.0)
     axes = [TransformAxis(_unit(axis), (first + k,), itself) for k, axis in enumerate(turns + slides)]
     return axes[: len(turns)], axes[len(turns) :], names
 
 
-def _custom(element: Element, first: int, document: Document) -> _Axes:
+def _custom(element: Element, first: int, document: OsimDocument) -> _Axes:
     transform = element.find("SpatialTransform")
     if transform is None:
         remedy = "Save the model again with OpenSim 3 or newer."
@@ -147,7 +147,7 @@ def _custom(element: Element, first: int, document: Document) -> _Axes:
     return axes[:count], axes[count:], names
 
 
-def _axis(element: Element, default: torch.Tensor, rows: Mapping[str, int], document: Document) -> TransformAxis:
+def _axis(element: Element, default: torch.Tensor, rows: Mapping[str, int], document: OsimDocument) -> TransformAxis:
     names = child_text(element, "coordinates").split()
     unit = document.vector(element, "axis", default.tolist())
     if not float(unit.norm()) > 0.0:
@@ -171,7 +171,7 @@ def _moving(axes: list[TransformAxis]) -> tuple[TransformAxis, ...]:
 
 
 def _zero(function: Function) -> bool:
-    if isinstance(function, Scaled):
+    if isinstance(function, ScaledFunction):
         return function.scale == 0.0 or _zero(function.function)
     return isinstance(function, Constant) and function.value == 0.0
 

@@ -21,7 +21,7 @@ GROUND = -1
 """Wording. Index that stands for ground where an index of a body is expected."""
 
 
-class Motion(StrEnum):
+class CoordinateKind(StrEnum):
     """Kinds of coordinates."""
 
     ROTATIONAL = "rotational"
@@ -31,11 +31,11 @@ class Motion(StrEnum):
 
 
 @dataclass(frozen=True)
-class Coordinate:
+class OsimCoordinate:
     """A generalised coordinate."""
 
     name: str
-    motion: Motion
+    motion: CoordinateKind
     default: float
     lower: float
     upper: float
@@ -49,7 +49,7 @@ class Coordinate:
     @property
     def unit(self) -> str:
         """Return the unit of its values; coupled ones are angles in OpenSim's files."""
-        return "m" if self.motion is Motion.TRANSLATIONAL else "rad"
+        return "m" if self.motion is CoordinateKind.TRANSLATIONAL else "rad"
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class TransformAxis:
 
 
 @dataclass(frozen=True)
-class Joint:
+class OsimJoint:
     """A joint, whatever its kind, as turns one after the other and slides in its parent frame."""
 
     name: str
@@ -171,8 +171,8 @@ class OsimModel:
     """Inertia as the file states it."""
     inertias: Inertias
     """Inertia that a distribution of mass can have: the nearest to what is stated."""
-    coordinates: tuple[Coordinate, ...]
-    joints: tuple[Joint, ...]
+    coordinates: tuple[OsimCoordinate, ...]
+    joints: tuple[OsimJoint, ...]
     """Joints from ground outwards: each stands behind the one that moves its carrier."""
     couplers: tuple[Coupler, ...]
     """Couplers in an order in which every leading coordinate is known."""

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import DataError
-from torchid.model.opensim.model import GROUND, Joint, OsimModel, TransformAxis
+from torchid.model.opensim.model import GROUND, OsimJoint, OsimModel, TransformAxis
 from torchid.model.opensim.rotations import about_axis, inverse, moved, pose
 
 
@@ -66,7 +66,7 @@ def body_poses(model: OsimModel, q: Float[Tensor, "*batch coordinates"]) -> Floa
     return torch.stack([poses[body] for body in range(len(model.bodies))], dim=-3)
 
 
-def joint_pose(joint: Joint, q: Float[Tensor, "*batch coordinates"]) -> Float[Tensor, "*batch 4 4"]:
+def joint_pose(joint: OsimJoint, q: Float[Tensor, "*batch coordinates"]) -> Float[Tensor, "*batch 4 4"]:
     """Return the pose of a joint's child frame in its parent frame.
 
     Args:

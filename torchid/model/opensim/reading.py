@@ -15,9 +15,9 @@ from torchid.model.opensim.consistent import consistent
 from torchid.model.opensim.coordinates import read_couplers
 from torchid.model.opensim.frames import Frames, Stated, body_elements
 from torchid.model.opensim.joints import JointElement, joint_elements, read_joint
-from torchid.model.opensim.model import GROUND, Coordinate, Joint, Marker, OsimModel
+from torchid.model.opensim.model import GROUND, Marker, OsimCoordinate, OsimJoint, OsimModel
 from torchid.model.opensim.vocabulary import WORDS
-from torchid.model.opensim.words import Document, child_text, objects
+from torchid.model.opensim.words import OsimDocument, child_text, objects
 from torchid.model.vocabulary import unread
 
 log = logging.getLogger(__name__)
@@ -33,7 +33,7 @@ LOOKED_AT = ("BodySet", "JointSet", "ConstraintSet", "MarkerSet")
 class Parts:
     """A file's elements that state numbers, beside what they state."""
 
-    document: Document
+    document: OsimDocument
     bodies: Mapping[str, Element]
     joints: tuple[JointElement, ...]
     markers: tuple[tuple[Element, Stated], ...]
@@ -61,7 +61,7 @@ def read_osim(path: str | Path) -> tuple[OsimModel, tuple[Note, ...]]:
     return model, notes
 
 
-def open_document(content: bytes, path: Path) -> Document:
+def open_document(content: bytes, path: Path) -> OsimDocument:
     """Return the document of a file's bytes.
 
     Args:
@@ -83,10 +83,10 @@ def open_document(content: bytes, path: Path) -> Document:
     if model is None:
         remedy = "Name a model file, not a setup file."
         raise InputError("osim.model", "holds no <Model>", source=path, place="<OpenSimDocument>", remedy=remedy)
-    return Document(path, model, version)
+    return OsimDocument(path, model, version)
 
 
-def parts_of(document: Document) -> Parts:
+def parts_of(document: OsimDocument) -> Parts:
     """Return the elements of a document that state numbers.
 
     Args:
@@ -114,7 +114,7 @@ def _refuse_elsewhere(parts: Parts) -> None:
     looked_at |= {one.element for one in parts.joints}
     for element in document.model.iterdescendants():
         tag = str(element.tag)
-        moves = tag in ("Body", "Marker") or tag != "Joint" and tag.endswith(("Joint", "Constraint"))
+        moves = tag in ("Body", "Marker") or tag != "OsimJoint" and tag.endswith(("OsimJoint", "Constraint"))
         changes = element.getparent().tag == "defaults" and tag in WORDS
         if changes or moves and element not in looked_at:
             remedy = f"Put it into {', '.join(LOOKED_AT)}; write defaults out: saving with OpenSim 4 does."
@@ -156,9 +156,9 @@ def model_of(parts: Parts) -> tuple[OsimModel, tuple[Note, ...]]:
     return model, (*unread(document.model, WORDS, source), *notes)
 
 
-def _joints(parts: Parts) -> tuple[list[Joint], tuple[Coordinate, ...]]:
-    joints: list[Joint] = []
-    coordinates: list[Coordinate] = []
+def _joints(parts: Parts) -> tuple[list[OsimJoint], tuple[OsimCoordinate, ...]]:
+    joints: list[OsimJoint] = []
+    coordinates: list[OsimCoordinate] = []
     for stated in parts.joints:
         joint, own = read_joint(stated, len(coordinates), parts.document)
         known = {one.name for one in coordinates}
@@ -172,9 +172,9 @@ def _joints(parts: Parts) -> tuple[list[Joint], tuple[Coordinate, ...]]:
     return joints, tuple(coordinates)
 
 
-def _outwards(joints: list[Joint], parts: Parts) -> tuple[Joint, ...]:
+def _outwards(joints: list[OsimJoint], parts: Parts) -> tuple[OsimJoint, ...]:
     """Order the joints from ground outwards; one whose child is nearer to ground is turned round."""
-    order: list[Joint] = []
+    order: list[OsimJoint] = []
     reached, waiting = {GROUND}, dict(enumerate(joints))
     while near := [k for k, joint in waiting.items() if {joint.parent.body, joint.child.body} & reached]:
         joint = waiting.pop(near[0])

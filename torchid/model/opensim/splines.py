@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.model.opensim.functions import Pieces
+from torchid.model.opensim.functions import PiecewiseCubic
 
 
-def broken_line(x: Float[Tensor, " knots"], y: Float[Tensor, " knots"]) -> Pieces:
+def broken_line(x: Float[Tensor, " knots"], y: Float[Tensor, " knots"]) -> PiecewiseCubic:
     """Return straight lines from knot to knot; the first and the last go on.
 
     Args:
@@ -24,7 +24,7 @@ def broken_line(x: Float[Tensor, " knots"], y: Float[Tensor, " knots"]) -> Piece
     return _pieces(x, y, torch.cat([slopes, slopes[-1:]]), torch.zeros_like(x), torch.zeros_like(x))
 
 
-def simm_spline(x: Float[Tensor, " knots"], y: Float[Tensor, " knots"]) -> Pieces:
+def simm_spline(x: Float[Tensor, " knots"], y: Float[Tensor, " knots"]) -> PiecewiseCubic:
     """Return OpenSim's cubic spline through points; beyond the ends it goes on straight.
 
     Args:
@@ -67,5 +67,5 @@ def _ends(x: Float[Tensor, " knots"], y: Float[Tensor, " knots"]) -> Float[Tenso
     return differences * (x[1] - x[0])
 
 
-def _pieces(x: Tensor, y: Tensor, *powers: Tensor) -> Pieces:
-    return Pieces(x, torch.stack([y, *powers], dim=1))
+def _pieces(x: Tensor, y: Tensor, *powers: Tensor) -> PiecewiseCubic:
+    return PiecewiseCubic(x, torch.stack([y, *powers], dim=1))

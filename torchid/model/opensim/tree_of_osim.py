@@ -13,12 +13,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import InputError
-from torchid.model.coupling import Coupling, Follower
+from torchid.model.coupling import CoupledAxis, Coupling
 from torchid.model.mechanics import as_rotation
 from torchid.model.model import Geometry
 from torchid.model.opensim.binding import OsimBinding, affine
-from torchid.model.opensim.functions import Constant, Function, Linear
-from torchid.model.opensim.model import GROUND, Joint, OsimModel, TransformAxis
+from torchid.model.opensim.functions import Constant, Function, LinearFunction
+from torchid.model.opensim.model import GROUND, OsimJoint, OsimModel, TransformAxis
 from torchid.model.opensim.posing import joint_pose
 from torchid.model.opensim.rotations import R_OW, inverse, pose
 from torchid.model.skeleton import BASE_SD
@@ -84,11 +84,11 @@ def _refuse_other_roots(model: OsimModel) -> None:
         raise refuse("coordinates of the joint on ground drive something else as well", root.name)
 
 
-def _welded(model: OsimModel) -> tuple[list[list[int]], list[Joint]]:
+def _welded(model: OsimModel) -> tuple[list[list[int]], list[OsimJoint]]:
     """Groups of bodies that are welded together, the heaviest first, and the joint that carries each group."""
     group: dict[int, int] = {}
     groups: list[list[int]] = []
-    joints: list[Joint] = []
+    joints: list[OsimJoint] = []
     for joint in model.joints:
         still = not any(axis.rows and axis.function.n_arguments for axis in (*joint.turns, *joint.slides))
         if still and joint.carrier.body != GROUND:
@@ -102,7 +102,7 @@ def _welded(model: OsimModel) -> tuple[list[list[int]], list[Joint]]:
     return [sorted(members, key=lambda body: -mass[body]) for members in groups], joints
 
 
-def _poses_in_groups(model: OsimModel, groups: list[list[int]], joints: list[Joint]) -> Float[Tensor, "bodies 4 4"]:
+def _poses_in_groups(model: OsimModel, groups: list[list[int]], joints: list[OsimJoint]) -> Float[Tensor, "bodies 4 4"]:
     """X_TB of every body of the file: the carried one of a group's joint stands turned about its joint's centre."""
     X_TB: dict[int, Tensor] = {}
     for joint in joints:
@@ -124,7 +124,7 @@ class _Builder:
     binding: OsimBinding
     bodies: list[Body] = field(default_factory=list)
     offset: list[Tensor] = field(default_factory=list)
-    followers: list[Follower] = field(default_factory=list)
+    followers: list[CoupledAxis] = field(default_factory=list)
     hinges: list[str] = field(default_factory=list)
     angles: list[float] = field(default_factory=list)
 
@@ -149,10 +149,10 @@ class _Builder:
         """A new follower's row."""
         taken = {one.name for one in self.followers}
         name = name if name not in taken else f"{name}_{len(self.followers)}"
-        self.followers.append(Follower(name, rows, function))
+        self.followers.append(CoupledAxis(name, rows, function))
         return self.n_dofs + len(self.followers) - 1
 
-    def add(self, index: int, joint: Joint) -> None:
+    def add(self, index: int, joint: OsimJoint) -> None:
         """A group of welded bodies and the joint that carries it."""
         groups, names = self.binding.groups, self.model.bodies
         name = names[groups[index][0]]
@@ -170,7 +170,7 @@ class _Builder:
         self.bodies.append(Body(name, parent, tuple(made), tuple(slides), R_PJ, R_JB))
         self.offset.append(X_PF[:3, 3])
 
-    def _turn(self, joint: Joint, axis: TransformAxis) -> list[Turn]:
+    def _turn(self, joint: OsimJoint, axis: TransformAxis) -> list[Turn]:
         sign = 1.0 if joint.outward else -1.0
         line = affine(axis.function) if len(axis.rows) == 1 else None
         if line is not None and abs(line[0]) == 1.0 and line[1] == 0.0:
@@ -180,18 +180,18 @@ class _Builder:
             row = self._value(joint, axis)
         return leaning_turn(f"{joint.name}_{row}", sign * axis.unit.numpy(), row, self.hinges, self.angles)
 
-    def _alone(self, joint: Joint, row: int) -> int:
+    def _alone(self, joint: OsimJoint, row: int) -> int:
         """The row itself where it drives nothing yet, else a follower of it."""
         if row in self.busy:
-            return self.follow(f"{joint.name}_again", (row,), Linear(torch.ones(1, dtype=torch.float64), 0.0))
+            return self.follow(f"{joint.name}_again", (row,), LinearFunction(torch.ones(1, dtype=torch.float64), 0.0))
         self.busy.add(row)
         return row
 
-    def _value(self, joint: Joint, axis: TransformAxis) -> int:
+    def _value(self, joint: OsimJoint, axis: TransformAxis) -> int:
         rows = tuple(self.row[row] for row in axis.rows)
         return self.follow(f"{joint.name}_axis", rows if axis.function.n_arguments else (), axis.function)
 
-    def _slides(self, joint: Joint) -> list[Slide]:
+    def _slides(self, joint: OsimJoint) -> list[Slide]:
         """Slides along the axes of the joint's frame, each the sum of what the file's slides do there."""
         if joint.slides and not joint.outward:
             remedy = "Exchange the joint's parent and child."
@@ -209,7 +209,7 @@ class _Builder:
             elif parts:
                 slopes = torch.tensor([share for _, share in parts], dtype=torch.float64)
                 rows = tuple(row for row, _ in parts)
-                found.append(Slide(component, self.follow(f"{joint.name}_slide", rows, Linear(slopes, 0.0))))
+                found.append(Slide(component, self.follow(f"{joint.name}_slide", rows, LinearFunction(slopes, 0.0))))
         return found
 
     def tree(self) -> Tree:

@@ -15,7 +15,7 @@ FLAGS = {"true": True, "false": False, "1": True, "0": False}
 
 
 @dataclass(frozen=True)
-class Document:
+class OsimDocument:
     """An OpenSim file that is being read."""
 
     source: Path

@@ -7,13 +7,13 @@ from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import column_unit
 from torchid.evaluation.report.sentences import change
 from torchid.evaluation.report.words import column_words, digits_of
-from torchid.evaluation.statistics.comparing import Column
+from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.study.compare import SubjectsComparison
 from torchid.evaluation.study.study import Pooled
 from torchid.wording import ABSENT, clean
 
 
-def key_of(one: SubjectsComparison, column: Column, statistic: str, body: str = "identified") -> Key:
+def key_of(one: SubjectsComparison, column: MeasureColumn, statistic: str, body: str = "identified") -> Key:
     """Key of a number of a difference over subjects.
 
     Args:
