@@ -23,7 +23,7 @@ from torchid.geometry.tracking import track
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import determined
 from torchid.run.simulation import with_recordings
-from torchid.session.following import cutoff, follow, subject_prior
+from torchid.session.following import Following, cutoff, follow, subject_prior
 from torchid.session.opening import Session, read_session
 from torchid.storage.snapshot import from_bytes, to_bytes
 
@@ -40,10 +40,10 @@ def main(argv: list[str] | None = None) -> None:
     # 1. Follow every trial with the identified geometry; motion and forces pass the same filter.
     config = with_recordings(load_config(args.config, args.overrides), lambda stage, fraction: None)
     session = read_session(config)
-    fit, limit = geometry(session, args.out / "geometry.snapshot", config), cutoff(config, session)
+    fit, limit = geometry(session, args.out / "geometry.snapshot", config), cutoff(config.motion, session)
     wrenches = {}
     for name, trial in session.trials.items():
-        followed = follow(fit, trial, track(fit, trial.markers), limit, config)
+        followed = follow(fit, trial, track(fit, trial.markers), Following.of(config, limit))
         if followed.wrench is not None:
             wrenches[name] = followed.wrench
     train = [wrenches[name] for name in session.fit("inertia") if name in wrenches]
@@ -51,7 +51,7 @@ def main(argv: list[str] | None = None) -> None:
 
     # 2. Six rows a frame, base of the tree only: Y phi = F. In the frequency domain their noise is nearly independent.
     blocks = [block for trial in train for block in spectra(trial)]
-    prior, names = subject_prior(config, fit), fit.model.tree.names
+    prior, names = subject_prior(config.model, config.subject, fit), fit.model.tree.names
     options = replace(config.inertia, refuse=False)
 
     # 3. The loop: weigh the rows by the noise, solve for phi with every pseudo-inertia positive definite (Clarabel),

@@ -20,7 +20,7 @@ from torchid.inertia.transform import move_frame
 from torchid.kinematics.chain import chain_poses
 from torchid.run import run_experiment
 from torchid.session import Outcome
-from torchid.session.following import follow
+from torchid.session.following import Following, follow
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import SimulatedSession, simulate_session
 from torchid.storage.allocator import keep_memory
@@ -144,7 +144,9 @@ def perfect(outcome: Outcome, session: SimulatedSession) -> list:
     for item in session.trials:
         if item.trial.role == "heldout":
             trial = outcome.session.trials[item.trial.name]
-            followed = follow(known, trial, track(known, trial.markers), outcome.cutoff_hz, outcome.config)
+            followed = follow(
+                known, trial, track(known, trial.markers), Following.of(outcome.config, outcome.cutoff_hz)
+            )
             if followed.wrench is not None:
                 used = outcome.followed[item.trial.name].wrench.used
                 found.append(replace(followed.wrench, used=used))

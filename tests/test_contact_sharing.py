@@ -30,7 +30,7 @@ from torchid.geometry.result import GeometryFit
 from torchid.recording import Forces, Plate
 from torchid.report.contacts import contacts_figure
 from torchid.session.contact_wrenches import sharing_notes, wrenches_under
-from torchid.session.following import follow, legs, torques
+from torchid.session.following import Following, follow, legs, torques
 
 TOLERANCE_N = 0.2
 """Of a solution at the default tolerance: some 3e-4 of the weight."""
@@ -324,7 +324,7 @@ def test_merged_plates_of_a_simulated_session_give_the_feet_their_truth() -> Non
     assert trial.forces is not None
     both = replace(trial, forces=merged(trial.forces))
     fit: GeometryFit = outcome.fit
-    followed = follow(fit, both, one.tracked, outcome.cutoff_hz, outcome.config)
+    followed = follow(fit, both, one.tracked, Following.of(outcome.config, outcome.cutoff_hz))
     under = wrenches_under(followed, fit, outcome.phi, both, ContactOptions())
     assert under is not None and both.forces is not None
     smoother, total = one.motion.smoother, torch.nan_to_num(both.forces.total)

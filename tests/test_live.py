@@ -54,8 +54,8 @@ MOVING, RATE = "squats", 100.0
 def subject() -> LiveSubject:
     """Of the small session's run."""
     o = small_session.outcome()
-    weight = standing_weight(o.followed.values(), o.session, o.config)
-    return LiveSubject(o.config, o.fit, o.prior, given_mass(o.config, o), weight, o.cutoff_hz)
+    weight = standing_weight(o.followed.values(), o.session, o.config.subject.mass_kg)
+    return LiveSubject(o.config, o.fit, o.prior, given_mass(o.config.inertia, o.config.subject, o), weight, o.cutoff_hz)
 
 
 def moving() -> Trial:

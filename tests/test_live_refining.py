@@ -23,7 +23,9 @@ def standing(fit: GeometryFit, seed: int) -> LiveSubject:
     """The small session's subject, with joints and markers some millimetres beside their places."""
     who, (static,) = subject(), [t for t in small_session.outcome().session.trials.values() if t.role == "static"]
     rough = replace(fit, xi=fit.xi + 0.006 * torch.from_numpy(np.random.default_rng(seed).normal(size=len(fit.xi))))
-    return replace(who, fit=rough, prior=subject_prior(who.config, rough), static=static.markers)
+    return replace(
+        who, fit=rough, prior=subject_prior(who.config.model, who.config.subject, rough), static=static.markers
+    )
 
 
 def pieces(fit: GeometryFit) -> list[MessagePiece]:

@@ -37,6 +37,7 @@ from torchid.inertia.options import InertiaOptions
 from torchid.motion import Motion
 from torchid.session import Outcome
 from torchid.session.fitting import identify
+from torchid.session.following import Following
 from torchid.session.standing import follow_each
 from torchid.session.tables import diagnosis_table
 from torchid.simulate.options import PlantedOptions
@@ -239,9 +240,17 @@ def measured_with(outcome: Outcome, one: Planted) -> Outcome:
     """As if plates had read so: all from the contacts on is found anew."""
     trials = {n: misread(t, (one,)) if t.role != "static" else t for n, t in outcome.session.trials.items()}
     session = replace(outcome.session, trials=trials)
-    each = follow_each(outcome.fit, session, lambda n: outcome.followed[n].tracked, outcome.cutoff_hz, outcome.config)
+    each = follow_each(
+        outcome.fit,
+        session,
+        lambda n: outcome.followed[n].tracked,
+        Following.of(outcome.config, outcome.cutoff_hz),
+        outcome.prior,
+    )
     found = replace(outcome, session=session, followed={own.name: own for own in each})
-    return replace(found, identified=identify(found.config, found, lambda stage, share: None))
+    return replace(
+        found, identified=identify(found.config.inertia, found.config.subject, found, lambda stage, share: None)
+    )
 
 
 def drawn(rng: np.random.Generator) -> Planted:

@@ -29,6 +29,7 @@ from torchid.model_free.watched import share_load
 from torchid.report.decisions import sentence
 from torchid.session import Outcome
 from torchid.session.fitting import OnStage
+from torchid.session.following import Following
 from torchid.session.standing import follow_each, standing_weight
 from torchid.session.tables import diagnosis_table
 from torchid.storage.results import OutputFolder
@@ -205,11 +206,16 @@ def test_a_plate_that_is_put_right_weighs_right(tmp_path) -> None:
     cause = Cause("plate_gain", place.where, None, {}, 1.0, (), (), {}, place, theta[None], trials, True)
     with OutputFolder(tmp_path) as folder:
         followed = {
-            one.name: one for one in follow_each(base.fit, wrong.session, base.tracked, base.cutoff_hz, base.config)
+            one.name: one
+            for one in follow_each(
+                base.fit, wrong.session, base.tracked, Following.of(base.config, base.cutoff_hz), base.prior
+            )
         }
         wrong = replace(wrong, followed=followed, diagnosis=verdict_of((cause,)))
         right = extend_outcome(wrong, wrong, folder, "key", lambda stage, fraction: None)
-    true, found = (standing_weight(one.followed.values(), one.session, one.config) for one in (base, right))
+    true, found = (
+        standing_weight(one.followed.values(), one.session, one.config.subject.mass_kg) for one in (base, right)
+    )
     assert true is not None and found is not None
     assert abs(found.mass / true.mass - 1.0) < 0.1 * abs(float(theta[0])), (theta, true, found)
 

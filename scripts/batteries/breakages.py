@@ -47,7 +47,7 @@ FAULTS = (
     Fault("swapped names stay", "extension/swapped_markers.py", "position[inside, pair[::-1]]",
           "position[inside, pair]", ("test_relabelled.py",)),
     Fault("a swap bends the geometry for good", "extension/swapped_markers.py",
-          "lambda: fit_session(config, session, True, progress)", "lambda: base.fit", ("test_relabelled.py",)),
+          "lambda: fit_session(config.geometry, session, True, progress)", "lambda: base.fit", ("test_relabelled.py",)),
     Fault("gaps are never bridged", "geometry/tracking.py", "if bridge and not bool(", "if False and not bool(",
           ("test_geometry_fit.py",), "gap"),
     Fault("held-out motion refutes nothing", "diagnosis/testing/refutation.py", "margin[worst] > -options.refuted_nats",

@@ -74,7 +74,7 @@ def run(arguments: tuple[str, str, bool, Path]) -> Row:
             outcome = run_experiment(load_config(path))
         except TorchidError as error:
             return Row(child, split, np.nan, np.nan, np.nan, 0, 0, 0, str(error)[:200])
-        weight = standing_weight(outcome.followed.values(), outcome.session, outcome.config)
+        weight = standing_weight(outcome.followed.values(), outcome.session, outcome.config.subject.mass_kg)
         held = [outcome.followed[n].wrench for n in outcome.session.part("heldout", "inertia")]
         force = residual_rms([w for w in held if w is not None], outcome.phi)[0]
         found = float(outcome.phi[:, 0].sum())

@@ -29,7 +29,7 @@ from torchid.conventions import GRAVITY
 from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.session.contact_wrenches import body_needs, wrenches_under
-from torchid.session.following import follow, soles
+from torchid.session.following import Following, follow, soles
 from torchid.storage.allocator import keep_memory
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,7 +62,7 @@ def merged_plates(outcome: Outcome, name: str) -> tuple[dict[str, Errors], dict[
     if not bool(loaded.any()):
         return None
     both = replace(trial, forces=merged(trial.forces))
-    followed = follow(fit, both, one.tracked, outcome.cutoff_hz, outcome.config)
+    followed = follow(fit, both, one.tracked, Following.of(outcome.config, outcome.cutoff_hz))
     start = time.process_time()
     found = wrenches_under(followed, fit, outcome.phi, both, outcome.config.contact)
     seconds = time.process_time() - start

@@ -18,7 +18,7 @@ from torchid.recording import Forces, Plate, Trial
 from torchid.session import Outcome
 from torchid.session.contact_wrenches import wrenches_under
 from torchid.session.fitting import identify
-from torchid.session.following import follow, limb, torques
+from torchid.session.following import Following, follow, limb, torques
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import SimulatedSession
 from torchid.torque.inverse import Load, joint_torques
@@ -187,12 +187,12 @@ def told(outcome: Outcome, trial: Trial, hidden: Hidden, contact: OtherContact |
     options = replace(outcome.config.contact, others=others, torques="predicted")
     config = outcome.config.model_copy(update={"contact": options})
     one = outcome.followed[trial.name]
-    followed = follow(outcome.fit, trial, one.tracked, outcome.cutoff_hz, config)
+    followed = follow(outcome.fit, trial, one.tracked, Following.of(config, outcome.cutoff_hz))
     session = replace(outcome.session, trials=outcome.session.trials | {trial.name: trial})
     changed = replace(
         outcome, config=config, session=session, followed=outcome.followed | {trial.name: followed}, identified=None
     )
-    return replace(changed, identified=identify(config, changed, lambda *_: None))
+    return replace(changed, identified=identify(config.inertia, config.subject, changed, lambda *_: None))
 
 
 @dataclass(frozen=True)

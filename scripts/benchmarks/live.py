@@ -96,8 +96,15 @@ def _told(outcome: Outcome) -> list[Trial]:
 
 def _subject(outcome: Outcome) -> LiveSubject:
     config = outcome.config
-    weight = standing_weight(outcome.followed.values(), outcome.session, config)
-    return LiveSubject(config, outcome.fit, outcome.prior, given_mass(config, outcome), weight, outcome.cutoff_hz)
+    weight = standing_weight(outcome.followed.values(), outcome.session, config.subject.mass_kg)
+    return LiveSubject(
+        config,
+        outcome.fit,
+        outcome.prior,
+        given_mass(config.inertia, config.subject, outcome),
+        weight,
+        outcome.cutoff_hz,
+    )
 
 
 def _two_processes(outcome: Outcome) -> dict[str, float]:

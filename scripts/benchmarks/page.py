@@ -73,8 +73,8 @@ def prepared(seed: int, folder: Path) -> tuple[LiveSubject, Trial]:
     written = simulate_session(SESSION, seed, folder / "recordings").config
     assert written is not None
     outcome = run_experiment(load_config(written, [f"out={folder}/out", "diagnosis.enabled=false"]))
-    weight = standing_weight(outcome.followed.values(), outcome.session, outcome.config)
-    mass = given_mass(outcome.config, outcome)
+    weight = standing_weight(outcome.followed.values(), outcome.session, outcome.config.subject.mass_kg)
+    mass = given_mass(outcome.config.inertia, outcome.config.subject, outcome)
     subject = LiveSubject(outcome.config, outcome.fit, outcome.prior, mass, weight, outcome.cutoff_hz)
     return subject, outcome.session.trials["squats"]
 

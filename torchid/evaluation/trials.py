@@ -15,9 +15,9 @@ from torchid.recording import Trial
 from torchid.run.sequence import run_key
 from torchid.session import Followed, Outcome, Session
 from torchid.session.fitting import OnStage
-from torchid.session.following import put_aside
+from torchid.session.following import Following, subject_prior
 from torchid.session.opening import join_trials, open_trials, read_setup
-from torchid.session.standing import follow_each
+from torchid.session.standing import follow_session
 from torchid.storage.files import file_sha256
 from torchid.storage.provenance import stage_key
 from torchid.storage.results import OutputFolder
@@ -123,8 +123,10 @@ def _follow(
         progress("motion with the device", (k + 1) / len(new))
     wanted = {n: t for n, t in session.trials.items() if t.role == "static" or n in new}
     part = replace(session, trials=wanted)
-    each = follow_each(fit, part, lambda name: tracked[name], outcome.cutoff_hz, config)
-    return {one.name: put_aside(one, folder) for one in each if one.name in new}
+    prior = subject_prior(config.model, config.subject, fit)
+    way = Following.of(config, outcome.cutoff_hz)
+    followed = follow_session(fit, part, tracked.__getitem__, way, prior, folder)
+    return {name: followed[name] for name in new}
 
 
 def refuse_still(trials: tuple[ConditionTrial, ...]) -> None:

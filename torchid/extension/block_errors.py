@@ -142,7 +142,7 @@ def _left_out(outcome: Outcome, config: Config, every: list[tuple[str, slice]]) 
     identified = outcome.identified
     assert identified is not None
     sums = [_sums(_rows(outcome, name), part, identified.whitening) for name, part in every]
-    fit, known = identified.fit, given_mass(config, outcome)
+    fit, known = identified.fit, given_mass(config.inertia, config.subject, outcome)
     return leave_out_each(sums, outcome.prior, fit.names, config.inertia, fit.omega_2, known) if sums else []
 
 

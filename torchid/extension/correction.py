@@ -30,7 +30,7 @@ from torchid.observation.trial import TrialObservation
 from torchid.recording import Forces, Trial
 from torchid.session import Followed, Outcome, Residual, Session
 from torchid.session.fitting import OnStage, fit_session, identify
-from torchid.session.following import put_aside, subject_prior
+from torchid.session.following import Following, put_aside, subject_prior
 from torchid.session.standing import follow_each
 from torchid.storage.provenance import stage_key
 from torchid.storage.results import OutputFolder
@@ -70,10 +70,16 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
         followed = follow_extended(config, relabelled, session, fit, tracked, added, folder)
         added = _taken_off(base, followed)
     outcome = replace(
-        base, config=config, fit=fit, followed=followed, prior=subject_prior(config, fit), base=base, added=added
+        base,
+        config=config,
+        fit=fit,
+        followed=followed,
+        prior=subject_prior(config.model, config.subject, fit),
+        base=base,
+        added=added,
     )
     name, key = _stage("inertia_extended", key, causes)
-    identified = folder.stage(name, key, lambda: identify(config, outcome, progress))
+    identified = folder.stage(name, key, lambda: identify(config.inertia, config.subject, outcome, progress))
     outcome = replace(outcome, identified=identified, config=base.config)
     return replace(outcome, residuals=(*base.residuals, *_residuals(outcome, "+ named causes")))
 
@@ -90,7 +96,7 @@ def _followed_anew(
 ) -> tuple[GeometryFit, dict[str, Tracked]]:  # fmt: skip
     """Geometry fitted to corrected markers, and all trials followed by it."""
     name, key = _stage("geometry_extended", key, causes)
-    fit = folder.stage(name, key, lambda: fit_session(config, session, True, progress))
+    fit = folder.stage(name, key, lambda: fit_session(config.geometry, session, True, progress))
     # All others are followed from where the markers that were measured led.
     renamed = {own.trial for cause in swap_causes(causes) for own in cause.when or ()}
     tracked = {}
@@ -220,7 +226,8 @@ def follow_extended(
     """
     assert base.diagnosis is not None
     found = {}
-    for one in follow_each(fit, session, lambda name: tracked[name], base.cutoff_hz, config):
+    prior, way = subject_prior(config.model, config.subject, fit), Following.of(config, base.cutoff_hz)
+    for one in follow_each(fit, session, tracked.__getitem__, way, prior):
         before = base.followed[one.name].wrench
         if one.wrench is not None and one.contact is not None and before is not None:
             used = one.wrench.used & before.used

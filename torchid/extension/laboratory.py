@@ -172,9 +172,9 @@ def read_right(outcome: Outcome, causes: Sequence[Cause], folder: OutputFolder, 
     config, named = corrected_config(outcome.config, tuple(causes)), replace(outcome, diagnosis=verdict_of(causes))
     session, tracked = extend_session(named, folder), {n: item.tracked for n, item in outcome.followed.items()}
     followed = follow_extended(config, named, session, outcome.fit, tracked, effect_wrenches(named), folder)
-    prior = subject_prior(config, outcome.fit)
+    prior = subject_prior(config.model, config.subject, outcome.fit)
     found = replace(outcome, config=config, session=session, followed=followed, prior=prior)
-    return replace(found, identified=identify(config, found, progress))
+    return replace(found, identified=identify(config.inertia, config.subject, found, progress))
 
 
 def unfounded(found: Diagnosis) -> tuple[Refuted, ...]:

@@ -20,8 +20,8 @@ from torchid.geometry.tracking import Tracked, track
 from torchid.recording import Trial
 from torchid.session import Outcome, Session
 from torchid.session.fitting import OnStage, fit_session, identify
-from torchid.session.following import put_aside, subject_prior
-from torchid.session.standing import follow_each
+from torchid.session.following import Following, subject_prior
+from torchid.session.standing import follow_session
 from torchid.storage.results import OutputFolder
 
 
@@ -88,16 +88,20 @@ def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, ke
         named = relabel(trial, others)
         trials[name] = trial if named is base.session.trials[name] else folder.aside(named)
     session = replace(session, trials=trials)
-    fit = folder.stage("geometry_relabelled", key, lambda: fit_session(config, session, True, progress))
+    fit = folder.stage("geometry_relabelled", key, lambda: fit_session(config.geometry, session, True, progress))
 
     def tracked(name: str) -> Tracked:
         return folder.stage(f"relabelled_{name}", key, lambda: track(fit, trials[name].markers))
 
-    each = follow_each(fit, session, tracked, base.cutoff_hz, config)
-    found = {one.name: put_aside(one, folder) for one in each}
-    followed = {name: found[name] for name in trials}
-    found = replace(base, session=session, fit=fit, followed=followed, prior=subject_prior(config, fit))
-    return replace(found, identified=folder.stage("inertia_relabelled", key, lambda: identify(config, found, progress)))
+    prior = subject_prior(config.model, config.subject, fit)
+    followed = follow_session(fit, session, tracked, Following.of(config, base.cutoff_hz), prior, folder)
+    found = replace(base, session=session, fit=fit, followed=followed, prior=prior)
+    return replace(
+        found,
+        identified=folder.stage(
+            "inertia_relabelled", key, lambda: identify(config.inertia, config.subject, found, progress)
+        ),
+    )
 
 
 def _by_distances(session: Session, causes: Sequence[Cause]) -> tuple[list[TrackStatement], list[Cause]]:

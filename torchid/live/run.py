@@ -25,7 +25,7 @@ from torchid.model.model import InertialPrior
 from torchid.run.sequence import GEOMETRY, run_key
 from torchid.session import Outcome, Session
 from torchid.session.fitting import fit_session, given_mass, refuse_unseen
-from torchid.session.following import subject_prior
+from torchid.session.following import Following, subject_prior
 from torchid.session.opening import open_as_recorded, read_session
 from torchid.session.other_contacts import refuse_plates
 from torchid.session.standing import follow_each, standing_weight
@@ -150,15 +150,18 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     fit = finished or _from_standing(alone, session, folder, progress)
     cutoff_hz = CUTOFF_HZ if config.motion.cutoff_hz == "auto" else float(config.motion.cutoff_hz)
     tracked = {name: track(fit, trial.markers) for name, trial in session.trials.items()}
-    followed = {one.name: one for one in follow_each(fit, session, tracked.__getitem__, cutoff_hz, config)}
-    prior = subject_prior(config, fit)
+    prior = subject_prior(config.model, config.subject, fit)
+    way = Following.of(config, cutoff_hz)
+    followed = {one.name: one for one in follow_each(fit, session, tracked.__getitem__, way, prior)}
     outcome = Outcome(config, session, fit, fit, cutoff_hz, followed, followed, prior, prior)
     if config.inertia.refuse:
         refuse_unseen(outcome)
-    weight = standing_weight(followed.values(), session, config)
+    weight = standing_weight(followed.values(), session, config.subject.mass_kg)
     assert session.static is not None
     refining = session.static.markers if finished is None else None
-    return LiveSubject(config, fit, prior, given_mass(config, outcome), weight, cutoff_hz, refining), outcome
+    return LiveSubject(
+        config, fit, prior, given_mass(config.inertia, config.subject, outcome), weight, cutoff_hz, refining
+    ), outcome
 
 
 def _refuse_intervals(config: Config) -> None:
@@ -176,7 +179,7 @@ def _from_standing(config: Config, session: Session, folder: OutputFolder, progr
     paths = [path for file in config.trials for path in (file.file, file.forces) if path is not None]
     own = config.model_dump(mode="json", exclude={"out", "threads", "diagnosis", "inertia"})
     key = stage_key(inputs=[file_sha256(path) for path in paths], config=own)
-    return folder.stage("live_geometry", key, lambda: fit_session(config, session, True, progress))
+    return folder.stage("live_geometry", key, lambda: fit_session(config.geometry, session, True, progress))
 
 
 def guided(subject: LiveSubject, possibilities: Possibilities) -> LiveSubject:

@@ -25,10 +25,10 @@ from torchid.scene.embedded import EmbeddedPage
 from torchid.session import Followed, Outcome, Residual, Session
 from torchid.session.contact_wrenches import sharing_notes, wrenches_under
 from torchid.session.fitting import OnStage, fit_session, identify
-from torchid.session.following import cutoff, follow, put_aside, subject_prior, torques
+from torchid.session.following import Following, cutoff, follow, subject_prior, torques
 from torchid.session.opening import read_each, read_session
 from torchid.session.other_contacts import refuse_unknown_plates
-from torchid.session.standing import follow_each
+from torchid.session.standing import follow_session
 from torchid.storage.files import file_sha256, write_json, write_text
 from torchid.storage.provenance import provenance, stage_key
 from torchid.storage.publication import CONFIGS
@@ -130,22 +130,23 @@ def compute_outcome(
     """
     key = run_key(config)
     fit, scaled = _geometry(config, session, folder, key, progress)
-    cutoff_hz = cutoff(config, session)
+    cutoff_hz = cutoff(config.motion, session)
     tracked = _track_all(session, folder, key, {"motion": fit, "scaled": scaled}, progress)
+    prior, prior_scaled = (subject_prior(config.model, config.subject, one) for one in (fit, scaled))
     with folder.timed("follow"):
         followed, followed_scaled = (
-            _followed(g, session, tracked[kind], cutoff_hz, config, folder)
-            for kind, g in (("motion", fit), ("scaled", scaled))
+            follow_session(one, session, tracked[kind].__getitem__, Following.of(config, cutoff_hz), own, folder)
+            for kind, one, own in (("motion", fit, prior), ("scaled", scaled, prior_scaled))
         )
     outcome = Outcome(
-        config, session, fit, scaled, cutoff_hz, followed, followed_scaled,
-        subject_prior(config, fit), subject_prior(config, scaled), notes=(*session.notes, *fit.notes),
+        config, session, fit, scaled, cutoff_hz, followed, followed_scaled, prior, prior_scaled,
+        notes=(*session.notes, *fit.notes),
     )  # fmt: skip
     outcome = replace(outcome, notes=(*outcome.notes, *_contact_notes(followed), *_rate_notes(fit, followed)))
     if not config.inertia.enabled:
         return _with_torques(outcome, folder), None
     try:
-        identified = folder.stage("inertia", key, lambda: identify(config, outcome, progress))
+        identified = folder.stage("inertia", key, lambda: identify(config.inertia, config.subject, outcome, progress))
     except DataError as failure:
         log.info("%s", failure)
         return _with_torques(outcome, folder), failure
@@ -161,7 +162,7 @@ def _geometry(
     config: Config, session: Session, folder: OutputFolder, key: str, progress: OnStage
 ) -> tuple[GeometryFit, GeometryFit]:
     def fit(free: bool) -> GeometryFit:
-        return fit_session(config, session, free, progress)
+        return fit_session(config.geometry, session, free, progress)
 
     found = folder.stage(GEOMETRY, key, lambda: fit(True)), folder.stage("scaled", key, lambda: fit(False))
     progress("geometry", 1.0)
@@ -179,15 +180,6 @@ def _track_all(
             done += 1
             progress("motion", done / total)
     return found
-
-
-def _followed(
-    fit: GeometryFit, session: Session, tracked: dict[str, Tracked], cutoff_hz: float, config: Config,
-    folder: OutputFolder,
-) -> dict[str, Followed]:  # fmt: skip
-    each = follow_each(fit, session, lambda name: tracked[name], cutoff_hz, config)
-    found = {one.name: put_aside(one, folder) for one in each}
-    return {name: found[name] for name in session.trials}
 
 
 def _contact_notes(followed: dict[str, Followed]) -> list[Note]:
@@ -279,7 +271,7 @@ def contributions(outcome: Outcome) -> tuple[Residual, ...]:
             for name in names:
                 item = source[name]
                 if cutoff_hz != outcome.cutoff_hz:
-                    item = follow(fit, session.trials[name], item.tracked, cutoff_hz, config)
+                    item = follow(fit, session.trials[name], item.tracked, Following.of(config, cutoff_hz))
                 if item.wrench is not None:
                     trials.append(item.wrench)
             if trials:

@@ -38,7 +38,7 @@ def outcome_draws(
     fitted = [n for n in outcome.session.fit("inertia") if outcome.followed[n].wrench is not None]
     seen = {one.name: one for one in seen_trials(outcome, list(dict.fromkeys([*fitted, *names])))}
     every = [one if name in fitted else replace(one, rows=None) for name, one in seen.items()]
-    mass = given_mass(outcome.config, outcome)
+    mass = given_mass(outcome.config.inertia, outcome.config.subject, outcome)
     bodies = draw_bodies(outcome.fit, outcome.identified, outcome.phi, every, count, generator, mass)
     return torque_draws(outcome.fit, outcome.phi, [seen[name] for name in names], bodies, generator, plates)
 

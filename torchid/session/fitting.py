@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import torch
 
-from torchid.config import Config
+from torchid.config.sections import Inertia, Subject
 from torchid.errors import DataError
 from torchid.geometry.fit import fit_geometry
+from torchid.geometry.options import GeometryOptions
 from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import Identified, identify_inertia
 from torchid.model.model import InertialPrior
@@ -20,9 +21,9 @@ UNSEEN = 0.35
 are 0.24; trunk and arms held rigid on the pelvis, 0.5, left 42 N and 25 N m in a walk and cost the thorax 8 kg."""
 
 
-def fit_session(config: Config, session: Session, free: bool, progress: OnStage) -> GeometryFit:
+def fit_session(options: GeometryOptions, session: Session, free: bool, progress: OnStage) -> GeometryFit:
     """Geometry on the fit trials; not free, the template is scaled."""
-    options, static = config.geometry, session.static
+    static = session.static
     trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
     if not trials:
         trials = {n: t.markers for n, t in session.trials.items() if t.role == "static"}
@@ -34,29 +35,28 @@ def fit_session(config: Config, session: Session, free: bool, progress: OnStage)
     )  # fmt: skip
 
 
-def identify(config: Config, outcome: Outcome, progress: OnStage) -> Identified:
+def identify(inertia: Inertia, who: Subject, outcome: Outcome, progress: OnStage) -> Identified:
     """Inertia on the fit trials, with the total mass that standing on plates has told.
 
     Raises:
         DataError: nobody saw how much of the body moves.
     """
     progress("inertia", 0.0)
-    if config.inertia.refuse:
+    if inertia.refuse:
         refuse_unseen(outcome)
     names = outcome.session.fit("inertia")
     trials = [outcome.followed[n].wrench for n in names]
-    mass, box = given_mass(config, outcome), com_boxes(outcome.prior) if config.inertia.com_boxes else None
-    found = identify_inertia([t for t in trials if t is not None], outcome.prior, config.inertia, mass, box)
+    mass, box = given_mass(inertia, who, outcome), com_boxes(outcome.prior) if inertia.com_boxes else None
+    found = identify_inertia([t for t in trials if t is not None], outcome.prior, inertia, mass, box)
     progress("inertia", 1.0)
     return found
 
 
-def given_mass(config: Config, outcome: Outcome) -> tuple[float, float] | None:
+def given_mass(inertia: Inertia, who: Subject, outcome: Outcome) -> tuple[float, float] | None:
     """Total mass and its standard deviation [kg] that the inertial fit holds to, beside the prior; None without any."""
-    who = config.subject
-    if config.inertia.known_mass and who.mass_kg:
+    if inertia.known_mass and who.mass_kg:
         return who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg
-    weight = standing_weight(outcome.followed.values(), outcome.session, config)
+    weight = standing_weight(outcome.followed.values(), outcome.session, who.mass_kg)
     return None if weight is None else (weight.mass, weight.sd)
 
 

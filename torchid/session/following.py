@@ -1,13 +1,17 @@
 """What each stage of an experiment computes from the stages before."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.config import Config
+from torchid.config.sections import ModelSource, MotionOptions, Subject
 from torchid.contact.contact import Contact, find_contact
+from torchid.contact.options import ContactOptions
 from torchid.contact.sharing.records import ContactWrenches, WrenchSource
 from torchid.dynamics.rows import WrenchTrial
 from torchid.filters import Smoother
@@ -41,9 +45,31 @@ ENDS = 0.2
 synthetic data the residual is 110 N in the two outermost frames, 50 N a fifth of a period in, 9 N inside."""
 
 
-def cutoff(config: Config, session: Session) -> float:
+@dataclass(frozen=True)
+class Following:
+    """How trials are followed by a model."""
+
+    cutoff_hz: float
+    """Of the filter of motion and forces."""
+    filter: Literal["spline", "butterworth"]
+    contact: ContactOptions
+    recorded_kg: float | None
+    """The subject's mass on record."""
+
+    @staticmethod
+    def of(config: Config, cutoff_hz: float) -> "Following":
+        """As a config asks.
+
+        Args:
+            config: of the session.
+            cutoff_hz: of the filter.
+        """
+        return Following(cutoff_hz, config.motion.filter, config.contact, config.subject.mass_kg)
+
+
+def cutoff(motion: MotionOptions, session: Session) -> float:
     """Cut-off of the filter [Hz]: as configured, or the largest that a fit trial asks for."""
-    wanted = config.motion.cutoff_hz
+    wanted = motion.cutoff_hz
     if wanted != "auto":
         return float(wanted)
     labels = session.assignment.attachment.labels
@@ -55,8 +81,7 @@ def follow(
     fit: GeometryFit,
     trial: Trial,
     tracked: Tracked,
-    cutoff_hz: float,
-    config: Config,
+    way: Following,
     short: Callable[[Motion], Bool[Tensor, " frames"]] | None = None,
 ) -> Followed:
     """Smooth motion of a tracked trial, its contacts, and the wrench of the plates.
@@ -65,9 +90,9 @@ def follow(
     """
     tree = fit.model.tree
     if len(trial.markers.time) < SHORTEST:
-        return _still(trial, tracked, cutoff_hz, config)
+        return _still(trial, tracked, way)
     rate = trial.markers.rate
-    smoother = Smoother(min(cutoff_hz, 0.4 * rate), rate, config.motion.filter)
+    smoother = Smoother(min(way.cutoff_hz, 0.4 * rate), rate, way.filter)
     wild = frames_of(impossible_steps(tree, tracked.q, rate), len(tracked.q), rate)
     seen = torch.isfinite(tracked.error).any(dim=1) & ~wild.to(tracked.q.device)
     motion = smooth_motion(tree, trial.markers.time, tracked.q, smoother, seen)
@@ -80,9 +105,9 @@ def follow(
         sure,
         rate,
         SPREAD / smoother.cutoff_hz,
-        config.contact,
+        way.contact,
         None if short is None else short(motion),
-        others_of(fit, tracked, trial, config.contact),
+        others_of(fit, tracked, trial, way.contact),
     )
     total = smoother(torch.nan_to_num(trial.forces.total), contact.measured.to(torch.float64))
     wrench = WrenchTrial(trial.name, tree, fit.geometry, motion, total, contact.used)
@@ -96,10 +121,10 @@ def put_aside(followed: Followed, folder: OutputFolder) -> Followed:
     )
 
 
-def _still(trial: Trial, tracked: Tracked, cutoff_hz: float, config: Config) -> Followed:
+def _still(trial: Trial, tracked: Tracked, way: Following) -> Followed:
     """A static trial of a few frames: posture without motion, and no use of its forces."""
     still = torch.zeros_like(tracked.q)
-    smoother = Smoother(cutoff_hz, float("inf"), config.motion.filter)
+    smoother = Smoother(way.cutoff_hz, float("inf"), way.filter)
     return Followed(trial.name, tracked, Motion(tracked.time, tracked.q, still, still, smoother))
 
 
@@ -130,11 +155,10 @@ def _outline(p_BM_B: Float[Tensor, "4 3"]) -> Float[Tensor, "5 3"]:
     return torch.cat([p_BM_B, p_BM_B[:1] + TIP * (p_BM_B[-1:] - p_BM_B[:1])])
 
 
-def subject_prior(config: Config, fit: GeometryFit) -> InertialPrior:
+def subject_prior(model: ModelSource, who: Subject, fit: GeometryFit) -> InertialPrior:
     """Inertial prior for the fit's segment lengths; a model from a file brings its own."""
-    if config.model != "whole_body":
+    if model != "whole_body":
         return fit.model.inertia
-    who = config.subject
     return inertial_prior(fit.geometry, who.height_m, who.mass_kg, who.mass_sd_kg, who.sex)
 
 

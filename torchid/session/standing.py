@@ -6,16 +6,18 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.config import Config
 from torchid.contact.balance import Weight, falls_short
+from torchid.contact.options import ContactOptions
 from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
 from torchid.dynamics.rows import WrenchTrial, predict
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked
+from torchid.model.model import InertialPrior
 from torchid.motion import Motion
 from torchid.recording import Trial
 from torchid.session import Followed, Session
-from torchid.session.following import follow, subject_prior
+from torchid.session.following import Following, follow, put_aside
+from torchid.storage.results import OutputFolder
 
 STANDS = 0.9
 """Who stands keeps the median of the force at this share of its largest value."""
@@ -27,7 +29,7 @@ sessions."""
 
 
 def follow_each(
-    fit: GeometryFit, session: Session, tracked: Callable[[str], Tracked], cutoff_hz: float, config: Config
+    fit: GeometryFit, session: Session, tracked: Callable[[str], Tracked], way: Following, prior: InertialPrior
 ) -> Iterator[Followed]:
     """All trials followed by one model, static ones first: what they weigh tells which frames of the others count.
 
@@ -35,24 +37,45 @@ def follow_each(
         fit: the model.
         session: the trials.
         tracked: coordinates of a trial by its name.
-        cutoff_hz: of the filter of motion and forces.
-        config: what the run asks for.
+        way: how they are followed.
+        prior: inertia of the model, whose shares of mass tell what the plates should bear.
     """
     levels: dict[str, float] = {}
-    phi = subject_prior(config, fit).mean
     for name in sorted(session.trials, key=lambda n: session.trials[n].role != "static"):
         trial, weight = session.trials[name], _weight(levels)
-        short = weight and short_of(fit, trial, weight, phi, config)
-        one = follow(fit, trial, tracked(name), cutoff_hz, config, short)
-        level = _level(one, session, config)
+        short = weight and short_of(fit, trial, weight, prior.mean, way.contact)
+        one = follow(fit, trial, tracked(name), way, short)
+        level = _level(one, session, way.recorded_kg)
         if level is not None:
             levels[name] = level
         yield one
 
 
-def standing_weight(followed: Iterable[Followed], session: Session, config: Config) -> Weight | None:
+def follow_session(
+    fit: GeometryFit,
+    session: Session,
+    tracked: Callable[[str], Tracked],
+    way: Following,
+    prior: InertialPrior,
+    folder: OutputFolder,
+) -> dict[str, Followed]:
+    """Return all trials followed by one model, in the order of the session, what is as long as they are in files.
+
+    Args:
+        fit: the model.
+        session: the trials.
+        tracked: coordinates of a trial by its name.
+        way: how they are followed.
+        prior: inertia of the model.
+        folder: for what is as long as a recording.
+    """
+    found = {one.name: put_aside(one, folder) for one in follow_each(fit, session, tracked, way, prior)}
+    return {name: found[name] for name in session.trials}
+
+
+def standing_weight(followed: Iterable[Followed], session: Session, recorded_kg: float | None) -> Weight | None:
     """What the subject weighs, from the static trials that stand on plates; None where none does."""
-    levels = {one.name: _level(one, session, config) for one in followed}
+    levels = {one.name: _level(one, session, recorded_kg) for one in followed}
     return _weight({name: level for name, level in levels.items() if level is not None})
 
 
@@ -61,9 +84,8 @@ def _weight(levels: dict[str, float]) -> Weight | None:
     return Weight(mass, PLATE_GAIN * mass, tuple(levels)) if levels else None
 
 
-def _level(one: Followed, session: Session, config: Config) -> float | None:
+def _level(one: Followed, session: Session, recorded_kg: float | None) -> float | None:
     """Mass [kg] that a static trial reads, None where it does not stand on plates that can be believed."""
-    recorded = config.subject.mass_kg
     if session.trials[one.name].role != "static" or not session.files[one.name].inertia or one.wrench is None:
         return None
     if one.contact is None or not one.contact.feet:
@@ -73,11 +95,11 @@ def _level(one: Followed, session: Session, config: Config) -> float | None:
     if not (len(vertical) and float(vertical.median()) > STANDS * float(vertical.max()) > SAMPLE_LOADED_N):
         return None
     mass = float(vertical.mean()) / GRAVITY
-    return mass if not recorded or NEAR_RECORD[0] < mass / recorded < NEAR_RECORD[1] else None
+    return mass if not recorded_kg or NEAR_RECORD[0] < mass / recorded_kg < NEAR_RECORD[1] else None
 
 
 def short_of(
-    fit: GeometryFit, trial: Trial, weight: Weight, phi: Float[Tensor, "bodies 10"], config: Config
+    fit: GeometryFit, trial: Trial, weight: Weight, phi: Float[Tensor, "bodies 10"], contact: ContactOptions
 ) -> Callable[[Motion], Bool[Tensor, " frames"]] | None:
     """From a motion to the frames in which the plates miss a part of the weight, with the shares of mass of ``phi``."""
     if trial.forces is None:
@@ -89,6 +111,6 @@ def short_of(
         total = motion.smoother(torch.nan_to_num(vertical), known.to(vertical))
         every = WrenchTrial(trial.name, fit.model.tree, fit.geometry, motion, total, known)
         needed = predict(every, phi)[:, 2] * (weight.mass / phi[:, 0].sum())
-        return known & falls_short(total[:, 2], needed, weight, trial.markers.rate, config.contact)
+        return known & falls_short(total[:, 2], needed, weight, trial.markers.rate, contact)
 
     return short

@@ -27,7 +27,7 @@ from torchid.model.model import InertialPrior
 from torchid.recording import Forces, Markers, Plate, Trial
 from torchid.session import Followed
 from torchid.session.fitting import com_boxes
-from torchid.session.following import ENDS, follow
+from torchid.session.following import ENDS, Following, follow
 from torchid.session.standing import short_of
 
 BLOCK_S = 1.0
@@ -207,8 +207,10 @@ class Identifier:
             return nothing
         trial = Trial("live", Markers((), time, q.new_zeros(len(q), 0, 3)), forces)
         who = self._subject
-        short = None if who.weight is None else short_of(who.fit, trial, who.weight, who.prior.mean, who.config)
-        found = follow(who.fit, trial, Tracked(time, _held(q, seen), error, seen), who.cutoff_hz, who.config, short)
+        short = None if who.weight is None else short_of(who.fit, trial, who.weight, who.prior.mean, who.config.contact)
+        found = follow(
+            who.fit, trial, Tracked(time, _held(q, seen), error, seen), Following.of(who.config, who.cutoff_hz), short
+        )
         assert found.wrench is not None
         # Beside a gap, as at an end, a filter knows one side only.
         beside = dilate(~seen, round(ENDS / found.motion.smoother.cutoff_hz * self._rate))

@@ -240,4 +240,4 @@ def refined(subject: LiveSubject, past: Sequence[MessagePiece], labels: tuple[st
     moving = Markers(attached, torch.arange(len(position)).to(position), torch.cat([position, missing], 1)[:, column])
     options = subject.config.geometry
     fit = fit_geometry(subject.fit.model, subject.fit.attachment, {"live": moving}, subject.static, options)
-    return replace(subject, fit=fit, prior=subject_prior(subject.config, fit))
+    return replace(subject, fit=fit, prior=subject_prior(subject.config.model, subject.config.subject, fit))
