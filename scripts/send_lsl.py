@@ -14,7 +14,7 @@ from torchid.config import load_config
 from torchid.io import ReadOptions, read_trial
 from torchid.live.sources.outlets import Outlets, play
 from torchid.recording import Trial
-from torchid.session.opening import read_recording, read_setup
+from torchid.session.opening import read_recording, setup_of
 
 CONFIGS = (".yaml", ".yml", ".json")
 
@@ -50,7 +50,7 @@ def read(given: argparse.Namespace) -> Trial:
     names = {file.name: file for file in config.trials}
     if given.trial not in names:
         raise SystemExit(f"give --trial, one of {', '.join(names)}")
-    return read_recording(names[given.trial], config, read_setup(config)[2])
+    return read_recording(names[given.trial], setup_of(config))
 
 
 if __name__ == "__main__":

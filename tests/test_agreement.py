@@ -24,13 +24,14 @@ from torchid.io.plate_limits import within_limits
 from torchid.io.resample import synchronise
 from torchid.io.storage import Storage
 from torchid.recording import Forces, Plate, Trial
+from torchid.session.opening import setup_of
 
 
 def options_of(line: str) -> ReadOptions:
     """What a line means in a trial's entry of a config."""
     entry = {"name": "t", "file": "t.c3d", **yaml.safe_load(f"{{{line}}}")}
     config = Config.model_validate_json(json.dumps({"subject": {"name": "s"}, "markers": "opencap", "trials": [entry]}))
-    return config.reading(config.trials[0])
+    return replace(setup_of(config).reading(config.trials[0]), wanted=frozenset())
 
 
 def read_as(trial: Trial, options: ReadOptions) -> Trial:

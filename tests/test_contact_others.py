@@ -365,8 +365,8 @@ def test_contacts_that_the_session_does_not_have_are_refused(name: str, contact:
     config = load_config(small_session.config())
     config = config.model_copy(update={"contact": ContactOptions(others={name: contact})})
     with pytest.raises((ConfigError, DataError)) as refusal:
-        check_others(config, small_session.assignment(), trials)
-        refuse_unknown_plates(config, trials.values())
+        check_others(config.contact, small_session.assignment(), trials)
+        refuse_unknown_plates(config.contact, trials.values())
     assert refusal.value.code == code and said in refusal.value.remedy
 
 
@@ -378,7 +378,7 @@ def test_a_plate_that_no_trial_has_is_refused_before_the_fit(tmp_path: Path, mon
     conditions = {"without": Condition(reference=True), "on": Condition(device="exo")}
     config = config.model_copy(update={"trials": (*config.trials[:-1], worn), "conditions": conditions,
                                        "contact": contact, "out": tmp_path})  # fmt: skip
-    monkeypatch.setattr(run, "compute_outcome", lambda *given: pytest.fail("the body was fitted first"))
+    monkeypatch.setattr(sequence, "compute_outcome", lambda *given: pytest.fail("the body was fitted first"))
     with pytest.raises(ConfigError) as refusal:
         sequence.run_experiment(config)
     assert refusal.value.code == "contact.plate" and "1, 2, 3, 4" in refusal.value.remedy
@@ -390,7 +390,7 @@ def test_trials_are_read_until_all_plates_are_found():
     config = config.model_copy(update={"contact": ContactOptions(others={"rail": OtherContact("hand_r", plate=2)})})
     (first, *_) = (item.trial for item in small_session.session().trials)
     rest = iter([first, first])
-    refuse_unknown_plates(config, chain([first], rest))
+    refuse_unknown_plates(config.contact, chain([first], rest))
     assert len(list(rest)) == 2
 
 
@@ -481,9 +481,9 @@ def test_a_handle_is_not_held_against_the_feet(seed: int):
     assert trial.forces is not None
     config = load_config(small_session.config())
     options = ContactOptions(others={"rail": hidden.measured(len(trial.forces.plates))})
-    left = on_feet(trial, config.model_copy(update={"contact": options}))
+    left = on_feet(trial, options)
     assert left.forces is not None and len(left.forces.plates) == len(trial.forces.plates) - 1
-    assert on_feet(trial, config) is trial
+    assert on_feet(trial, config.contact) is trial
     assert judge(trial) and not judge(left)
 
 
@@ -610,6 +610,6 @@ def test_a_recording_that_an_interval_covers_is_not_refused():
     config = load_config(small_session.config())
     contact = ContactOptions(others={"rail": OtherContact("hand_r", {"arms": ((-1.0, 1e3),)})})
     config = config.model_copy(update={"contact": contact})
-    given = Given("arms", Path("arms.c3d"), on_feet=lambda one: on_feet(one, config))
+    given = Given("arms", Path("arms.c3d"), on_feet=lambda one: on_feet(one, config.contact))
     assert given.disagreements(trial) == ()
-    assert on_feet(synchronise(trial), config).forces is None
+    assert on_feet(synchronise(trial), config.contact).forces is None

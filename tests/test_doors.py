@@ -37,7 +37,7 @@ class Read(Exception):  # noqa: N818 - no failure: a door that let its recording
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Config of a simulated session: a walk of the body, one of a reference and one with a device on."""
     folder = tmp_path_factory.mktemp("doors")
-    options = SimulateOptions(fit=("walk", "walk", "walk"), heldout=(), duration_s=3.0)
+    options = SimulateOptions(fit=("walk", "walk", "walk"), heldout=(), duration_s=3.0, plates=2, rate_hz=60.0)
     made = simulate_session(options, 11, folder).config
     assert made is not None
     config = yaml.safe_load(made.read_text())

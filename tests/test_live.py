@@ -44,7 +44,7 @@ from torchid.live.sources.stream import Packet
 from torchid.recording import Forces, Markers, Trial
 from torchid.run import run_experiment
 from torchid.session.fitting import given_mass
-from torchid.session.opening import read_recording, read_setup
+from torchid.session.opening import read_recording, setup_of
 from torchid.session.standing import standing_weight
 from torchid.storage.results import OutputFolder
 
@@ -338,7 +338,7 @@ def test_a_disk_that_gets_full_costs_the_recording_and_nothing_else(tmp_path, se
     assert not [what for what, _ in free.notices if what == "recording"]
     assert len([one for one in caplog.records if one.name == "torchid.live.sources.recorder"]) == 1
     given = TrialFile(name="part", file=tmp_path / "part" / "live.trc", forces=tmp_path / "part" / "live.mot", up="z")
-    read, sent = read_recording(given, config, read_setup(config)[2]), moving()
+    read, sent = read_recording(given, setup_of(config)), moving()
     frames = len(read.markers.time)
     assert abs(frames / RATE - found["recording"]["until_s"]) < 1.1 * AT_ONCE / RATE
     assert read.forces is not None and sent.forces is not None

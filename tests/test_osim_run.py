@@ -32,7 +32,7 @@ from torchid.model.opensim.writing_back import write_back
 from torchid.model.tree_of_links import LEAST_EXTENT
 from torchid.model.whole_body import lock_bodies
 from torchid.run import run_experiment
-from torchid.session.opening import read_setup
+from torchid.session.opening import setup_of
 
 FUNCTION_KNEES = "opensim_rajagopal_walk/subject_walk_scaled.osim"
 """A model whose knees turn about three axes by functions of one coordinate, with kneecaps that follow."""
@@ -362,7 +362,7 @@ def test_what_a_run_does_not_use_is_said(tmp_path: Path) -> None:
     assert {"osim.locked", "osim.gravity"} <= {note.code for note in notes}
     assert made.tree.dof_names[6:] == ()
     with pytest.raises(ConfigError, match=r"markers\.own"):
-        read_setup(load_config(_config(tmp_path, "model")))
+        setup_of(load_config(_config(tmp_path, "model")))
 
 
 def test_marker_sets_may_name_any_body_of_the_file(tmp_path: Path) -> None:
@@ -370,7 +370,8 @@ def test_marker_sets_may_name_any_body_of_the_file(tmp_path: Path) -> None:
     weld = joint("WeldJoint", parent="/bodyset/a", child="/bodyset/b")
     (tmp_path / "a.osim").write_text(osim(joint("FreeJoint", *SIX), weld, bodies="ab"))
     (tmp_path / "m.yaml").write_text("M1: b\nM2: a\n")
-    model, _, markers = read_setup(load_config(_config(tmp_path, "m.yaml")))
+    setup = setup_of(load_config(_config(tmp_path, "m.yaml")))
+    model, markers = setup.model, setup.markers
     assert {spec.segment for spec in markers.specs.values()} == set(model.tree.names)
 
 

@@ -34,6 +34,7 @@ from torchid.errors import TorchidError
 from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
 from torchid.recording import Forces, Trial
+from torchid.session.opening import setup_of
 
 MASSES = {
     "opencap": 62.6, "hamner": 80.47, "gait2354": 72.6, "rajagopal": 85.07, "arnold": 72.84, "welk": 57.2,
@@ -91,7 +92,7 @@ def options_of(line: str) -> ReadOptions:
     entry = {"name": "t", "file": "t.c3d", **yaml.safe_load(f"{{{line}}}")}
     document = json.dumps({"subject": {"name": "s"}, "markers": "opencap", "trials": [entry]})
     config = Config.model_validate_json(document)
-    return config.reading(config.trials[0])
+    return replace(setup_of(config).reading(config.trials[0]), wanted=frozenset())
 
 
 def outcome(recording: Recording, fault: Fault, seed: int) -> dict[str, object]:

@@ -20,7 +20,6 @@ from torchid.diagnosis.options import DiagnosisOptions
 from torchid.geometry.options import GeometryOptions
 from torchid.inertia.options import InertiaOptions
 from torchid.io.mend import ForcesAs, PlateAs
-from torchid.io.options import ReadOptions
 from torchid.model.tree_of_links import FileScatter
 from torchid.simulate.options import SimulateOptions
 
@@ -168,12 +167,6 @@ class Config(ConfigSection):
     out: UserPath = Field(default=Path("out"), validate_default=True)
     """Folder of the results."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-
-    def reading(self, file: TrialFile, wanted: frozenset[str] = frozenset()) -> ReadOptions:
-        """How a trial of this config is to be read; ``wanted`` are the labels that its marker set lists."""
-        forces_as = self.forces_as if file.forces_as is None else file.forces_as
-        plates = self.plates if file.plates is None else file.plates
-        return ReadOptions(file.subject, file.up, file.units, file.allow_truncated, forces_as, plates, wanted)
 
     @property
     def body(self) -> "Config":

@@ -34,7 +34,7 @@ from torchid.run.sequence import run_experiment
 from torchid.session import Outcome
 from torchid.session.fitting import OnStage
 from torchid.session.following import soles
-from torchid.session.opening import read_setup
+from torchid.session.opening import setup_of
 from torchid.storage.results import OutputFolder
 
 
@@ -99,7 +99,7 @@ def refuse_nothing(config: Config) -> None:
 def _refuse_foreign(config: Config, devices: Mapping[str, Device | None]) -> None:
     worn = [device for device in devices.values() if device is not None]
     if worn:
-        tree = read_setup(config)[0].tree
+        tree = setup_of(config).model.tree
         for device in worn:
             refuse_foreign(device, tree)
 

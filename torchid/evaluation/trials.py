@@ -16,7 +16,7 @@ from torchid.run.sequence import run_key
 from torchid.session import Followed, Outcome, Session
 from torchid.session.fitting import OnStage
 from torchid.session.following import Following, subject_prior
-from torchid.session.opening import join_trials, open_trials, read_setup
+from torchid.session.opening import join_trials, open_trials, setup_of
 from torchid.session.standing import follow_session
 from torchid.storage.files import file_sha256
 from torchid.storage.provenance import stage_key
@@ -83,13 +83,13 @@ def refuse_faulty(config: Config, folder: OutputFolder) -> None:
     known = {file.name for file in config.body.trials}
     worn = [file for file in config.trials if file.name not in known]
     if worn:
-        open_trials(config, worn, read_setup(config)[2], folder.aside)
+        open_trials(setup_of(config), worn, folder.aside, everywhere=False)
 
 
 def _worn_session(config: Config, outcome: Outcome, folder: OutputFolder) -> Session:
     """The session with the trials that its run has left out."""
     files = [file for file in config.trials if file.name not in outcome.session.trials]
-    added = join_trials(outcome.session, config, files, folder.aside)
+    added = join_trials(outcome.session, setup_of(config), files, folder.aside)
     every = outcome.session.trials | {name: replace(trial, role="heldout") for name, trial in added.trials.items()}
     return replace(outcome.session, trials=every, files=outcome.session.files | added.files)
 

@@ -26,7 +26,7 @@ from torchid.run.sequence import GEOMETRY, run_key
 from torchid.session import Outcome, Session
 from torchid.session.fitting import fit_session, given_mass, refuse_unseen
 from torchid.session.following import Following, subject_prior
-from torchid.session.opening import open_as_recorded, read_session
+from torchid.session.opening import open_as_recorded, read_session, setup_of
 from torchid.session.other_contacts import refuse_plates
 from torchid.session.standing import follow_each, standing_weight
 from torchid.session.tables import identified_table
@@ -100,7 +100,7 @@ def run_live(
         if possibilities is not None:
             subject = guided(subject, possibilities)
         stream = recorded or (_opened(source, speed) if isinstance(source, str) else source)
-        refuse_plates(config, stream.plates)
+        refuse_plates(config.contact, stream.plates)
         progress("live", 0.0)
         performance, identified, guidance, (fit, prior) = _streamed(subject, stream, record, seconds, page, opened)
         table = identified_table(replace(base, fit=fit, prior=prior, identified=identified))
@@ -227,7 +227,8 @@ def _replayed(source: str | Source, config: Config, speed: float) -> Source | No
     """A trial of the config as a source, None where the source is another."""
     if not isinstance(source, str) or not source.startswith(REPLAY):
         return None
-    trial = open_as_recorded(config, source.removeprefix(REPLAY))
+    name = source.removeprefix(REPLAY)
+    trial = open_as_recorded(setup_of(config), next(file for file in config.trials if file.name == name))
     if trial.forces is None:
         raise DataError(
             "live.no_forces", "nothing can be identified without force plates",

@@ -26,7 +26,7 @@ from torchid.session import Followed, Outcome, Residual, Session
 from torchid.session.contact_wrenches import sharing_notes, wrenches_under
 from torchid.session.fitting import OnStage, fit_session, identify
 from torchid.session.following import Following, cutoff, follow, subject_prior, torques
-from torchid.session.opening import read_each, read_session
+from torchid.session.opening import open_session, read_each, setup_of
 from torchid.session.other_contacts import refuse_unknown_plates
 from torchid.session.standing import follow_session
 from torchid.storage.files import file_sha256, write_json, write_text
@@ -59,10 +59,11 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
         write_text(folder.path(next(filter(folder.owns, CONFIGS))), dump_config(config))
         progress("read", 0.0)
         with folder.timed("read"):
-            session = read_session(config, folder.aside)
+            setup = setup_of(config)
+            session = open_session(setup, config.trials, folder.aside)
             known = {trial.name for trial in config.trials}
-            others = read_each(config, [file for file in listed if file.name not in known])
-            refuse_unknown_plates(config, chain(session.trials.values(), others))
+            others = read_each(setup, [file for file in listed if file.name not in known])
+            refuse_unknown_plates(config.contact, chain(session.trials.values(), others))
         progress("read", 1.0)
         outcome, failure = compute_outcome(config, session, folder, progress)
         failure = failure or impossible(outcome)

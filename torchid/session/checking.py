@@ -8,7 +8,7 @@ from torchid.config import Config
 from torchid.errors import TorchidError
 from torchid.geometry.assign import assign_markers
 from torchid.recording import Trial
-from torchid.session.opening import on_feet, read_setup
+from torchid.session.opening import on_feet, setup_of
 from torchid.session.other_contacts import check_others, refuse_unknown_plates
 from torchid.session.tracks import look_at_session
 
@@ -19,17 +19,16 @@ def check_session(config: Config) -> Iterator[CheckItem]:
     Raises:
         TorchidError: the model or the marker set is at fault.
     """
-    model, said, markers = read_setup(config)
-    mass = config.subject.mass_kg
+    setup = setup_of(config)
     given = [
         Given(
             file.name,
             file.file,
             file.forces,
             file.role,
-            config.reading(file, markers.wanted),
-            mass,
-            lambda trial: on_feet(trial, config),
+            setup.reading(file),
+            setup.mass_kg,
+            lambda trial: on_feet(trial, setup.contact),
         )
         for file in config.trials
     ]
@@ -38,13 +37,13 @@ def check_session(config: Config) -> Iterator[CheckItem]:
     if len(trials) < len(given) or not trials:
         return
     try:
-        assignment = assign_markers(model, markers, tuple(trials), config.unlisted_choice)
+        assignment = assign_markers(setup.model, setup.markers, tuple(trials), setup.unlisted)
         named = {trial.name: trial for trial in trials}
-        check_others(config, assignment, named)
-        refuse_unknown_plates(config, trials)
+        check_others(setup.contact, assignment, named)
+        refuse_unknown_plates(setup.contact, trials)
         wrong = look_at_session({trial.name: trial for trial in trials}, assignment)
         # Leaps and frozen markers have been said of each recording.
         between = [one for one in wrong if one.kind in (TrackFault.EXCHANGED, TrackFault.MOVED)]
-        yield from (*said, *assignment.notes, *notes_of(between))
+        yield from (*setup.notes, *assignment.notes, *notes_of(between))
     except TorchidError as error:
         yield Refusal.of(error)

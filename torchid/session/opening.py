@@ -1,16 +1,19 @@
 """Recordings and model of a config, ready for the fits."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from torchid.checks.marker_tracks.statement import notes_of
 from torchid.checks.plates_against_feet.session import Recording, refuse_disagreement
 from torchid.config import Config
 from torchid.config.sections import TrialFile
+from torchid.contact.options import ContactOptions
 from torchid.contact.others import feet_alone
 from torchid.errors import ConfigError, DataError, Note
 from torchid.geometry.assign import Assignment, assign_markers
 from torchid.io import ReadOptions, read_trial
+from torchid.io.mend import ForcesAs, PlateAs
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
 from torchid.model.marker_set import MarkerSet, MarkerSpec, load_marker_set
@@ -27,6 +30,53 @@ SHORTEST = 6
 """Frames of the shortest trial whose accelerations a quintic spline tells; a static trial may be shorter."""
 
 
+@dataclass(frozen=True)
+class Setup:
+    """What recordings of a session are opened with."""
+
+    model: Model
+    markers: MarkerSet
+    notes: tuple[Note, ...]
+    """What reading the model had to say."""
+    mass_kg: float | None
+    """The subject's, on record."""
+    forces_as: ForcesAs
+    """What is wrong with the forces of every trial that says nothing of its own."""
+    plates: Mapping[int, PlateAs]
+    """What is wrong with single force plates, likewise."""
+    contact: ContactOptions
+    unlisted: Literal["assign", "leave_out"]
+    """What becomes of labels that the marker set does not list."""
+
+    def reading(self, file: TrialFile) -> ReadOptions:
+        """How a trial is to be read.
+
+        Args:
+            file: of the trial.
+        """
+        forces_as = self.forces_as if file.forces_as is None else file.forces_as
+        plates = self.plates if file.plates is None else file.plates
+        return ReadOptions(
+            file.subject, file.up, file.units, file.allow_truncated, forces_as, plates, self.markers.wanted
+        )
+
+
+def setup_of(config: Config) -> Setup:
+    """What the recordings of a config are opened with.
+
+    Args:
+        config: of the session.
+
+    Raises:
+        TorchidError: the model or the marker set is at fault.
+    """
+    model, said = _model(config)
+    return Setup(
+        model, _markers(config, model), said, config.subject.mass_kg, config.forces_as, config.plates, config.contact,
+        config.unlisted_choice,
+    )  # fmt: skip
+
+
 def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: trial) -> Session:
     """Read all trials of the config and assign their markers to the model.
 
@@ -37,87 +87,101 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     Raises:
         TorchidError: a file, the model or the marker set is at fault, or a trial that moves is too short.
     """
-    model, said, markers = read_setup(config)
-    trials = open_trials(config, config.trials, markers, keep)
-    assignment = assign_markers(model, markers, tuple(trials.values()), config.unlisted_choice)
-    return _tracked(config, config.trials, assignment, trials, keep, (*said, *assignment.notes))
+    return open_session(setup_of(config), config.trials, keep)
+
+
+def open_session(
+    setup: Setup, files: Sequence[TrialFile], keep: Callable[[Trial], Trial] = lambda trial: trial
+) -> Session:
+    """Read trials and assign their markers to the model.
+
+    Args:
+        setup: model, markers, and what is said of the recordings.
+        files: of the trials.
+        keep: where to put a trial while others are read.
+
+    Raises:
+        TorchidError: as ``open_trials``; the markers do not carry the model.
+    """
+    trials = open_trials(setup, files, keep)
+    assignment = assign_markers(setup.model, setup.markers, tuple(trials.values()), setup.unlisted)
+    return _tracked(setup, files, assignment, trials, keep, (*setup.notes, *assignment.notes))
 
 
 def join_trials(
-    session: Session, config: Config, files: Sequence[TrialFile], keep: Callable[[Trial], Trial] = lambda trial: trial
+    session: Session, setup: Setup, files: Sequence[TrialFile], keep: Callable[[Trial], Trial] = lambda trial: trial
 ) -> Session:
     """Read more trials of the subject of a session, for the model on which its markers are assigned already.
 
     Args:
         session: as it was read.
-        config: with the trials.
-        files: which of them to read.
+        setup: what its recordings are opened with.
+        files: of the further trials.
         keep: where to put a trial while others are read.
 
     Returns:
         The session of these trials alone.
 
     Raises:
-        TorchidError: as ``read_session``.
+        TorchidError: as ``open_trials``.
     """
-    trials = open_trials(config, files, read_setup(config)[2], keep)
-    return _tracked(config, files, session.assignment, trials, keep)
+    trials = open_trials(setup, files, keep, everywhere=False)
+    return _tracked(setup, files, session.assignment, trials, keep)
 
 
 def open_trials(
-    config: Config,
+    setup: Setup,
     files: Sequence[TrialFile],
-    markers: MarkerSet,
     keep: Callable[[Trial], Trial] = lambda trial: trial,
+    everywhere: bool = True,
 ) -> dict[str, Trial]:
     """Read trials by name, forces on the clock of the markers; whoever uses a recording of a config opens it here.
 
     Args:
-        config: of the session.
-        files: which of its trials to read.
-        markers: the session's marker set.
+        setup: what they are opened with.
+        files: of the trials.
         keep: where to put a trial while others are read.
+        everywhere: whether these are all trials of the session, so that a line may be advised for all of them.
 
     Raises:
         InputError: a file is at fault, or ``forces.feet``: its forces do not agree with its feet.
         DataError: ``trial.short`` where a trial that moves is too short.
     """
     # Kept twice: beside an hour's samples of the plates the markers would have no room.
-    trials = {file.name: keep(synchronise(keep(read_recording(file, config, markers)))) for file in files}
+    trials = {file.name: keep(synchronise(keep(read_recording(file, setup)))) for file in files}
     _refuse_short(trials)
-    _refuse_forces(config, files, markers, trials)
+    _refuse_forces(setup, files, trials, everywhere)
     return trials
 
 
-def open_as_recorded(config: Config, name: str, keep: Callable[[Trial], Trial] = lambda trial: trial) -> Trial:
+def open_as_recorded(setup: Setup, file: TrialFile, keep: Callable[[Trial], Trial] = lambda trial: trial) -> Trial:
     """Read one trial by itself, its forces on their own clock.
 
     Args:
-        config: with the trial.
-        name: of the trial.
+        setup: what it is opened with.
+        file: of the trial.
         keep: where to put it while it is looked at.
 
     Raises:
-        TorchidError: as ``open_trials``; the model or the marker set is at fault.
+        TorchidError: as ``open_trials``.
     """
-    file, markers = next(file for file in config.trials if file.name == name), read_setup(config)[2]
-    trial = keep(read_recording(file, config, markers))
-    _refuse_forces(config, [file], markers, {name: synchronise(trial)})
+    trial = keep(read_recording(file, setup))
+    _refuse_forces(setup, [file], {file.name: synchronise(trial)}, everywhere=False)
     return trial
 
 
-def _refuse_forces(config: Config, files: Sequence[TrialFile], markers: MarkerSet, trials: Mapping[str, Trial]) -> None:
+def _refuse_forces(setup: Setup, files: Sequence[TrialFile], trials: Mapping[str, Trial], everywhere: bool) -> None:
     """Refuse forces that do not agree with the feet, of trials whose forces are on the clock of the markers."""
-    judged = {f.name: (on_feet(trials[f.name], config), _recording(f, config, markers)) for f in files}
-    refuse_disagreement(judged, everywhere=len(files) == len(config.trials))
+    judged = {f.name: (on_feet(trials[f.name], setup.contact), _recording(f, setup)) for f in files}
+    refuse_disagreement(judged, everywhere)
 
 
 def _tracked(
-    config: Config, files: Sequence[TrialFile], assignment: Assignment, trials: dict[str, Trial],
+    setup: Setup, files: Sequence[TrialFile], assignment: Assignment, trials: dict[str, Trial],
     keep: Callable[[Trial], Trial], said: tuple[Note, ...] = (),
 ) -> Session:  # fmt: skip
     """The session of trials that were opened, without the samples of markers that say nothing of segments."""
-    check_others(config, assignment, trials)
+    check_others(setup.contact, assignment, trials)
     notes = tuple(note for trial in trials.values() for note in trial.notes)
     wrong = look_at_session(trials, assignment)
     sound, before = taken_out(trials, wrong, keep)
@@ -125,19 +189,13 @@ def _tracked(
     return Session(sound, named, assignment, (*notes, *said, *notes_of(wrong)), wrong, before)
 
 
-def read_setup(config: Config) -> tuple[Model, tuple[Note, ...], MarkerSet]:
-    """The model, what reading it had to say, and the marker set of a config.
-
-    Raises:
-        TorchidError: one of them is at fault.
-    """
-    model, said = _model(config)
+def _markers(config: Config, model: Model) -> MarkerSet:
     if config.markers == OWN:
-        return model, said, _own_markers(model, config)
+        return _own_markers(model, config)
     segments = _segments(model)
     given = load_marker_set(config.markers, tuple(segments), tuple(model.landmarks))
     specs = {label: replace(spec, segment=segments[spec.segment]) for label, spec in given.specs.items()}
-    return model, said, replace(given, specs=specs)
+    return replace(given, specs=specs)
 
 
 def _segments(model: Model) -> dict[str, str]:
@@ -160,42 +218,42 @@ def _own_markers(model: Model, config: Config) -> MarkerSet:
     return MarkerSet(OWN, {name: MarkerSpec(model.landmarks[name].segment, name) for name in names})
 
 
-def read_recording(file: TrialFile, config: Config, markers: MarkerSet) -> Trial:
-    """One trial of a config, markers and forces each on their own clock. Errors as ``read_trial``."""
-    return read_trial(file.name, file.file, file.forces, file.role, config.reading(file, markers.wanted))
+def read_recording(file: TrialFile, setup: Setup) -> Trial:
+    """One trial, markers and forces each on their own clock. Errors as ``read_trial``."""
+    return read_trial(file.name, file.file, file.forces, file.role, setup.reading(file))
 
 
-def read_each(config: Config, files: Iterable[TrialFile]) -> Iterator[Trial]:
+def read_each(setup: Setup, files: Iterable[TrialFile]) -> Iterator[Trial]:
     """Read trials one by one, as they are asked for.
 
     Args:
-        config: of the session.
+        setup: what they are opened with.
         files: of the trials.
 
     Raises:
-        TorchidError: a file, the model or the marker set is at fault.
+        TorchidError: a file is at fault.
     """
     for file in files:
-        yield read_recording(file, config, read_setup(config)[2])
+        yield read_recording(file, setup)
 
 
-def _recording(file: TrialFile, config: Config, markers: MarkerSet) -> Recording:
+def _recording(file: TrialFile, setup: Setup) -> Recording:
     def read(options: ReadOptions) -> Trial:
-        return on_feet(read_trial(file.name, file.file, file.forces, file.role, options), config)
+        return on_feet(read_trial(file.name, file.file, file.forces, file.role, options), setup.contact)
 
-    return Recording(read, config.reading(file, markers.wanted), config.subject.mass_kg)
+    return Recording(read, setup.reading(file), setup.mass_kg)
 
 
-def on_feet(trial: Trial, config: Config) -> Trial:
+def on_feet(trial: Trial, contact: ContactOptions) -> Trial:
     """Return the trial with the forces that feet must answer for.
 
     Args:
         trial: as read.
-        config: with the contacts other than feet.
+        contact: with the contacts other than feet.
     """
-    if not config.contact.others or trial.forces is None:
+    if not contact.others or trial.forces is None:
         return trial
-    return replace(trial, forces=feet_alone(config.contact, trial.name, trial.forces))
+    return replace(trial, forces=feet_alone(contact, trial.name, trial.forces))
 
 
 def _refuse_short(trials: dict[str, Trial]) -> None:

@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.config import Config
 from torchid.contact.options import ContactOptions
 from torchid.contact.other_options import OtherContact, Point
 from torchid.contact.others import Others, find_others
@@ -56,11 +55,11 @@ USUAL = (
 tissue around them, thighs 0.14 m and trunks 0.22 m deep, shoulder blades behind the shoulders and below them."""
 
 
-def check_others(config: Config, assignment: Assignment, trials: Mapping[str, Trial]) -> None:
+def check_others(contact: ContactOptions, assignment: Assignment, trials: Mapping[str, Trial]) -> None:
     """Refuse contacts that the body or the recordings do not have.
 
     Args:
-        config: with the contacts.
+        contact: with the contacts other than feet.
         assignment: markers of the session on its model.
         trials: of the session.
 
@@ -68,7 +67,7 @@ def check_others(config: Config, assignment: Assignment, trials: Mapping[str, Tr
         ConfigError: ``contact.segment``, ``contact.name``, ``contact.points``, ``contact.push``.
         DataError: ``contact.interval`` where an interval lies outside its trial.
     """
-    for name, one in config.contact.others.items():
+    for name, one in contact.others.items():
         place = f"contact.others.{name}"
         known = assignment.model.tree.names
         if one.segment not in known:
@@ -87,40 +86,40 @@ def check_others(config: Config, assignment: Assignment, trials: Mapping[str, Tr
         _refuse_times(one, trials, place)
 
 
-def refuse_unknown_plates(config: Config, trials: Iterable[Trial]) -> None:
+def refuse_unknown_plates(contact: ContactOptions, trials: Iterable[Trial]) -> None:
     """Refuse contacts whose plate no recording has; a plate may be in some trials only.
 
     Args:
-        config: with the contacts.
+        contact: with the contacts other than feet.
         trials: all that the config lists; read no further than plates are missing.
 
     Raises:
         ConfigError: ``contact.plate``.
     """
-    wanted, seen = {one.plate for one in config.contact.others.values()} - {None}, []
+    wanted, seen = {one.plate for one in contact.others.values()} - {None}, []
     for trial in trials:
         seen += [trial.forces.plates] if trial.forces else []
         if wanted <= _numbers(seen):
             return
-    refuse_plates(config, *seen)
+    refuse_plates(contact, *seen)
 
 
 def _numbers(plates: Sequence[Sequence[Plate]]) -> set[int]:
     return {number_of(plate, k) for own in plates for k, plate in enumerate(own)}
 
 
-def refuse_plates(config: Config, *plates: Sequence[Plate]) -> None:
+def refuse_plates(contact: ContactOptions, *plates: Sequence[Plate]) -> None:
     """Refuse contacts whose plate is not there.
 
     Args:
-        config: with the contacts.
+        contact: with the contacts other than feet.
         plates: of each recording or stream.
 
     Raises:
         ConfigError: ``contact.plate``.
     """
     known = _numbers(plates)
-    for name, one in config.contact.others.items():
+    for name, one in contact.others.items():
         if one.plate is not None and one.plate not in known:
             raise ConfigError(
                 "contact.plate", "no recording has this plate", place=f"contact.others.{name}.plate",

@@ -162,7 +162,7 @@ class Diagnosis:
     """Adequacy of the model with the causes."""
     not_testable: dict[str, str] = field(default_factory=dict)
     """Reason why an effect could not be tested, by its name."""
-    nearest: tuple["Near", ...] = ()
+    nearest: tuple["NearestEffect", ...] = ()
     """Effects that came closest to being named beside the causes, best first."""
     refuted: tuple["Refuted", ...] = ()
     """Causes that held-out motion, or the model fitted with them, refuted."""

@@ -71,7 +71,7 @@ class PostureFollower:
         self._rate = torch.zeros_like(self._near)
         self._held_s, self._sought_s = -math.inf, -math.inf
 
-    def refined(self, fit: GeometryFit, labels: tuple[str, ...]) -> "Follower":
+    def refined(self, fit: GeometryFit, labels: tuple[str, ...]) -> "PostureFollower":
         """Return a follower of the same stream by another geometry, from where this one is.
 
         Args:
