@@ -19,7 +19,8 @@ from torchid.conventions import GRAVITY
 from torchid.errors import InputError
 from torchid.io import ReadOptions, read_trial
 from torchid.io.grf import forces_from_storage
-from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, from_plate, in_plate, mend, ordered_corners, reframed
+from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, mend, ordered_corners, reframed
+from torchid.io.plate_axes import from_plate, in_plate
 from torchid.io.plate_limits import within_limits
 from torchid.io.resample import synchronise
 from torchid.io.storage import Storage
@@ -159,11 +160,43 @@ def test_other_axes_of_a_file_of_its_own_are_named(seed, matrix):
     assert finding.changes and judge(read_as(faulty, options_of(finding.changes[0].line)), MASS) == ()
 
 
+def moved(trial: Trial, number: int | None, key: str, shift: np.ndarray) -> Trial:
+    """The trial as a file gives it whose plate, or all of whose plates, are described away from their place."""
+    by = (float(shift[0]), float(shift[1]))
+    file, plates = (ForcesAs(shift_m=by), {}) if number is None else (ForcesAs(), {number: PlateAs(**{key: by})})
+    return replace(trial, forces=mend(trial.forces, file, plates))
+
+
+@pytest.mark.parametrize(
+    "key, corners, whole",
+    [("shift_m", True, False), ("shift_m", False, False), ("origin_shift_m", True, False), ("shift_m", True, True)],
+)
+def test_the_place_of_a_plate_is_found(seed, key, corners, whole):
+    """By any amount and into any direction: its corners, its ORIGIN, or the origin of all forces.
+
+    The line puts the pressures within 45 mm of where they are, which is what the standard deviation says, and leaves
+    nothing to say.
+    """
+    random, right = np.random.default_rng(seed), walking_trial(seed, corners)
+    far, way, number = np.exp(random.uniform(np.log(0.25), np.log(5.0))), random.uniform(0, 2 * np.pi), seed % 2 + 1
+    shift = far * np.array([np.cos(way), np.sin(way)])
+    faulty = moved(right, None if whole else number, key, shift)
+    (finding,) = judge(faulty, MASS)
+    (change,) = finding.changes
+    told = change.forces_as.shift_m if whole else getattr(change.plates[number], key)
+    assert np.linalg.norm(told + shift) < 0.045, (change.line, shift)
+    mended = read_as(faulty, options_of(change.line))
+    assert judge(mended, MASS) == ()
+    if corners:
+        got, wanted = (trial.forces.plates[number - 1].corners for trial in (mended, right))
+        torch.testing.assert_close(got, wanted, atol=0.045, rtol=0)
+
+
 def test_forces_of_another_walk_are_named_but_not_mended(seed):
-    """Forces of a walk elsewhere in the room have no line that mends them, and one that leaves them out."""
+    """Forces of steps at other times have no line that mends them, and one that leaves them out."""
     right = walking_trial(seed, corners=False)
-    other = right.markers.position + torch.tensor([0.9, -0.5, 0.0])
-    (finding, *_) = judge(replace(right, markers=replace(right.markers, position=other)), MASS)
+    other = replace(right.forces, wrench=right.forces.wrench.flip(0))
+    (finding, *_) = judge(replace(right, forces=other), MASS)
     assert not finding.changes and "another trial" in finding.what and "use: false" in finding.remedy()
     assert read_as(right, options_of("forces_as: {use: false}")).forces is None
 

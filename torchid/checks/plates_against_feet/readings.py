@@ -81,9 +81,7 @@ class Tried:
     @property
     def right(self) -> list[Change]:
         """Changes under which the plate agrees best, and those that are not told apart from it."""
-        gain = self.evidence.gain
-        least = BETTER if self.agrees(0) else MENDS
-        better = [i for i in range(1, len(gain)) if self.agrees(i) and float(gain[i]) > least and self._may_speak(i)]
+        gain, better = self.evidence.gain, self._better
         # Of what is told apart by less than its scatter, the list's own order says what happens more often.
         alike = [i for i in better if float(gain[better].max() - gain[i]) < ALIKE]
         kept: list[int] = []
@@ -91,6 +89,22 @@ class Tried:
             if all(float((self.wrench[i] - self.wrench[j]).abs().max()) > SAME_N for j in kept):
                 kept.append(i)
         return [self.changes[i - 1] for i in kept]
+
+    @property
+    def best(self) -> float:
+        """Gain of the best of them; minus infinity without any.
+
+        Smaller moments do not count: next to none agree with every foot, and of moments that are too large no place
+        would keep the pressure under one.
+        """
+        kept = [i for i in self._better if not self.changes[i - 1].shrinks_moments]
+        return max((float(self.evidence.gain[i]) for i in kept), default=-torch.inf)
+
+    @property
+    def _better(self) -> list[int]:
+        """Readings that agree, and enough better than as read."""
+        gain, least = self.evidence.gain, BETTER if self.agrees(0) else MENDS
+        return [i for i in range(1, len(gain)) if self.agrees(i) and float(gain[i]) > least and self._may_speak(i)]
 
     @property
     def disagrees(self) -> bool:
