@@ -215,10 +215,47 @@ def test_another_world_is_told(seed, factor, words):
     assert words in " ".join(f.what for f in judge(world, MASS))
 
 
-def test_volts_cannot_be_mended(seed):
-    """Forces that are no person's in any unit are said to be volts."""
-    (finding,) = judge(scaled(walking_trial(seed), 1e-4), MASS)
-    assert "volts" in finding.what and not finding.changes
+@pytest.mark.parametrize("whole", [True, False])
+@pytest.mark.parametrize("mass", [MASS, None])
+def test_volts_are_mended_by_the_weight(seed, whole, mass):
+    """Channels in volts get the gain that makes a person's weight of them, where a record or other plates tell it."""
+    random, right, number = np.random.default_rng(seed), walking_trial(seed), seed % 2 + 1
+    volts = float(random.uniform(5e-5, 1.8e-4) if whole else random.uniform(0.003, 0.02))
+    faulty = scaled(right, volts) if whole else channels(right, number - 1, lambda six: volts * six)
+    (finding,) = judge(faulty, mass)
+    assert "volts" in finding.what
+    if whole and mass is None:
+        assert not finding.changes
+        return
+    (change,) = finding.changes
+    gain = change.forces_as.gain if whole else change.plates[number].gain
+    assert abs(gain * volts - 1.0) < 0.08, change.line
+    assert judge(read_as(faulty, options_of(change.line)), mass) == ()
+
+
+@pytest.mark.parametrize("factor", [0.0, 1e-3])
+@pytest.mark.parametrize("part", ["forces", "moments"])
+def test_scales_of_nothing_are_told(seed, factor, part):
+    """Forces without moments and moments without forces: a thousandth is mended, with 0 the plate is left out."""
+    right, number = walking_trial(seed), seed % 2 + 1
+    signs = torch.tensor([factor] * 3 + [1.0] * 3 if part == "forces" else [1.0] * 3 + [factor] * 3).double()
+    faulty = channels(right, number - 1, lambda six: six * signs)
+    (finding,) = judge(faulty, MASS)
+    assert "scaled by 0 or far too little" in finding.what and len(finding.changes) == (factor > 0)
+    mended = read_as(faulty, options_of(finding.changes[0].line if factor else finding.instead.line))
+    assert judge(mended, MASS) == ()
+    if factor:
+        torch.testing.assert_close(mended.forces.wrench, right.forces.wrench, atol=1e-4, rtol=1e-6)
+
+
+def test_plates_that_read_nothing_under_feet_are_told(seed):
+    """All channels scaled by 0: nothing is loaded although feet stand. Plates beside the feet may read nothing."""
+    right = walking_trial(seed)
+    silent = scaled(right, 0.0)
+    (finding,) = judge(silent, MASS)
+    assert "yet a foot stands on it" in finding.what and not finding.changes
+    away = moved(silent, None, "shift_m", np.array([0.0, 5.0]))
+    assert judge(away, MASS) == ()
 
 
 def recording(trial: Trial, options: ReadOptions | None = None) -> tuple[Trial, Recording]:

@@ -12,6 +12,7 @@ from torchid.checks.plates_against_feet.finding import ForceFinding, in_figures,
 from torchid.checks.plates_against_feet.left_out import Reread, left_out_plates
 from torchid.checks.plates_against_feet.place import FoundPlace, find_place, place_changes, shared_place
 from torchid.checks.plates_against_feet.readings import FeetScene, Tried, scene_of, shared_changes, tried
+from torchid.checks.plates_against_feet.scales import scale_findings
 from torchid.checks.plates_against_feet.units import unit_findings
 from torchid.checks.plates_against_feet.worlds import off_the_floor, other_size, other_up, upside_down
 from torchid.io.mend import mend, number_of
@@ -37,9 +38,10 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
         return (ForceFinding(ON_ITS_HEAD),)
     lying = _lying(trial, reread) if scene is None or off_the_floor(trial) else ()
     if scene is None or lying:
-        return together((*lying, *refused))
-    units = unit_findings(trial, scene.feet, scene.forces, scene.heights, mass_kg)
-    return units or together((*_axes_or_clock(scene, trial, reread), *refused))
+        return together((*lying, *refused)) or together(scale_findings(trial, scene))
+    units = unit_findings(trial, mass_kg)
+    scales = () if units else scale_findings(trial, scene)
+    return units or together((*scales, *refused) if scales else (*_axes_or_clock(scene, trial, reread), *refused))
 
 
 def _lying(trial: Trial, reread: Reread | None) -> tuple[ForceFinding, ...]:
