@@ -9,6 +9,7 @@ import torch
 import yaml
 from walker import BODY, FOOT, MASS, walking_trial
 
+from torchid.checks.finding import InstrumentFault, record_of
 from torchid.checks.plates_against_feet.changes import Change
 from torchid.checks.plates_against_feet.finding import BELIEVED
 from torchid.checks.plates_against_feet.judge import judge
@@ -302,6 +303,34 @@ def test_a_session_is_refused_once_for_all_its_trials(seed):
     assert "to the config, for every trial" in caught.value.remedy
     mended = {name: recording(trial, options_of("plates: {1: {turn_deg: 180}}")) for name, (trial, _) in trials.items()}
     refuse_disagreement(mended)
+
+
+def test_cures_that_contradict_each_other_are_not_both_advised(seed):
+    """One plate, turned by 180 degrees in one walk and by 90 in the next, is not both: the trials are named, and no line
+    but the one that leaves the plate out."""
+    faulty = {
+        "walk0": in_other_corners(walking_trial(seed), 0, [2, 3, 0, 1]),
+        "walk1": in_other_corners(walking_trial(seed + 1), 0, [1, 2, 3, 0]),
+    }
+    trials = {name: recording(trial) for name, trial in faulty.items()}
+    found = judge_session(trials)
+    assert set(found) == set(faulty) and not any(f.changes for each in found.values() for f in each)
+    with pytest.raises(InputError) as caught:
+        refuse_disagreement(trials)
+    assert "contradict each other about plate 1" in caught.value.remedy and "use: false" in caught.value.remedy
+    one = found["walk0"][0].as_finding("walk.c3d")
+    assert not one.cures and one.config == "" and "walk1: `plates: {1: {turn_deg: " in one.message
+
+
+def test_a_finding_says_the_same_everywhere(seed):
+    """A plate that has moved: fault, size, sd, line, and one sentence for check, error and JSON."""
+    (finding,) = judge(moved(walking_trial(seed), 1, "shift_m", np.array([0.4, 0.3])), MASS)
+    one = finding.as_finding("walk.c3d")
+    record = record_of(one)
+    assert one.fault is InstrumentFault.PLACE and abs(one.size - 0.5) < 0.07 and one.unit == "m" and one.sd < 0.1
+    assert record.place == "walk.c3d, plate 1" and record.config == finding.changes[0].line
+    assert record.message == one.note.message == f"{record.found}. Cure: {record.remedy}"
+    assert record.config in record.remedy and one.cures[0].hypothesis.startswith("shift_m=[")
 
 
 def test_channels_of_a_plate_come_back(seed):

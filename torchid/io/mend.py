@@ -82,12 +82,13 @@ PlatesAs = Mapping[int, PlateAs]
 def in_words(change: ForcesAs | PlateAs) -> str:
     """The change as a config writes it, such as ``{turn_deg: 180}``."""
     different = [f for f in fields(change) if getattr(change, f.name) != f.default]
-    return f"{{{', '.join(f'{f.name}: {_value(getattr(change, f.name))}' for f in different)}}}"
+    return f"{{{', '.join(f'{f.name}: {in_config(getattr(change, f.name))}' for f in different)}}}"
 
 
-def _value(value: object) -> str:
+def in_config(value: object) -> str:
+    """A value as a config writes it."""
     if isinstance(value, tuple):
-        return f"[{', '.join(map(_value, value))}]"
+        return f"[{', '.join(map(in_config, value))}]"
     return (
         {True: "true", False: "false"}[value]
         if isinstance(value, bool)

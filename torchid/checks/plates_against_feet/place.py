@@ -110,10 +110,13 @@ def place_changes(scene: FeetScene, one: FoundPlace) -> tuple[Change, ...]:
     """
     plate, name = scene.forces.plates[one.plate], scene.forces.plates[one.plate].name
     number, by = number_of(plate, one.plate), _in_config(one.shift)
-    whole = Change(f"{name} lies {one.words} from where the file has it", plates={number: PlateAs(shift_m=by)})
+    size = float(one.shift.norm()), one.sd, "m"
+    said = f"{name} lies {one.words} from where the file has it"
+    whole = Change(said, ForcesAs(), {number: PlateAs(shift_m=by)}, None, *size)
     if plate.corners is None:
         return (whole,)
-    alone = Change(f"ORIGIN of {name} is off by {one.words}", plates={number: PlateAs(origin_shift_m=by)})
+    said = f"ORIGIN of {name} is off by {one.words}"
+    alone = Change(said, ForcesAs(), {number: PlateAs(origin_shift_m=by)}, None, *size)
     wrench, height = scene.forces.wrench[:, one.plate], scene.heights[one.plate]
     before, after = (_on(plate.corners, each, height) for each in (wrench, moved_by(wrench, one.shift[None])[0]))
     if before == after:
@@ -132,7 +135,8 @@ def shared_place(scene: FeetScene, found: Sequence[FoundPlace]) -> tuple[Change,
         return ()
     shared = FoundPlace(-1, mean, float(weight.sum()) ** -0.5, 0.0)
     said = f"all plates lie {shared.words} from where the file has them"
-    return (Change(said, ForcesAs(shift_m=_in_config(mean))),)
+    moved = ForcesAs(shift_m=_in_config(mean))
+    return (Change(said, moved, size=float(shared.shift.norm()), sd=shared.sd, unit="m"),)
 
 
 def _in_config(shift: Tensor) -> tuple[float, float]:

@@ -138,6 +138,19 @@ def tried(scene: FeetScene, k: int, changes: list[Change]) -> Tried:
     return Tried(tuple(changes), gather(scene.feet, wrench, scene.heights[k], others), wrench)
 
 
+def pressures_to_soles(trial: Trial) -> dict[str, float]:
+    """Median distance of the pressure of each loaded plate from the nearest foot, by the plate's name [m].
+
+    Args:
+        trial: forces on the clock of its markers; without feet or loads nothing is known.
+    """
+    scene = scene_of(trial)
+    if scene is None:
+        return {}
+    each = {plate.name: tried(scene, k, []) for k, plate in enumerate(scene.forces.plates)}
+    return {name: float(one.evidence.pressure[0]) for name, one in each.items() if one.bears(0)}
+
+
 def changed(forces: Forces, change: Change) -> Float[torch.Tensor, "n plates 6"]:
     """Wrenches under a change."""
     other = mend(reframed(forces, change.plates), change.forces_as, change.plates)
