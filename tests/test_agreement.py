@@ -306,8 +306,8 @@ def test_a_session_is_refused_once_for_all_its_trials(seed):
 
 
 def test_cures_that_contradict_each_other_are_not_both_advised(seed):
-    """One plate, turned by 180 degrees in one walk and by 90 in the next, is not both: the trials are named, and no line
-    but the one that leaves the plate out."""
+    """One plate, turned by 180 degrees in one walk and by 90 in the next, is not both: the trials are named, and no
+    line but the one that leaves the plate out."""
     faulty = {
         "walk0": in_other_corners(walking_trial(seed), 0, [2, 3, 0, 1]),
         "walk1": in_other_corners(walking_trial(seed + 1), 0, [1, 2, 3, 0]),

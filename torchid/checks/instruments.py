@@ -59,22 +59,23 @@ def unlike_gains(low: str, high: str, share: float, sd: float, code: str) -> Fin
     )  # fmt: skip
 
 
-def other_weight(moved_kg: float, mass_kg: float, source: str) -> Finding:
+def other_weight(moved_kg: float, mass_kg: float, source: str, known: str = "on record") -> Finding:
     """Return that plates carry another weight than the body's: check says it, and a run that it stops.
 
     Args:
         moved_kg: mass that the vertical force moves while somebody stands on the plates [kg].
-        mass_kg: of the body, on record or as standing tells it [kg].
+        mass_kg: of the body [kg].
         source: file or trial.
+        known: how that is known, as the end of ``70.0 kg are ...``.
     """
     more = moved_kg - mass_kg
     seen = (
-        f"the plates move {moved_kg:.1f} kg on average while loaded, {mass_kg:.1f} kg are on record: "
+        f"the plates move {moved_kg:.1f} kg on average while loaded, {mass_kg:.1f} kg are {known}: "
         f"{abs(more):.1f} kg ({abs(more) * GRAVITY:.0f} N) {'beyond' if more > 0.0 else 'short of'} the body"
     )
     why = "a load or a pull downwards without a sensor" if more > 0.0 else "a support, or contact beside the plates"
     advice = (
-        f"check the mass on record; it is else {why}, or a gain (`forces_as: {{gain: {mass_kg / moved_kg:.4g}}}`). "
+        f"Check the mass; it is else {why}, or a gain (`forces_as: {{gain: {mass_kg / moved_kg:.4g}}}`). "
         "The fit takes all of it for the body: give the trial role: heldout where the body alone is asked for"
     )
     return Finding(InstrumentFault.WEIGHT, "plates.weight", seen, source, (), more, unit="kg", advice=advice)

@@ -133,15 +133,15 @@ def check_trial(
     weight = plate_weight(forces) if forces else None
     source = facts.get("file", trial.name)
     found = [*disagreements, *_from_notes(trial), *_gap_problems(gaps, source), *_plate_problems(plates, source)]
-    moved = moved_mass(trial)
-    found += _weight_problems(moved, mass, source)
+    weighed = weight_problem(trial, mass, source=source)
+    found += [] if weighed is None else [weighed]
     frames = len(markers.time)
     return TrialCheck(
         name=trial.name, source=source, subject=facts.get("subject", ""), markers=len(markers.labels), frames=frames,
         rate=markers.rate if frames > 1 else float("nan"),
         duration=float(markers.time[-1] - markers.time[0]) if frames else 0.0, gaps=gaps,
         force_rate=forces.rate if forces and len(forces.time) > 1 else None, plates=plates, weight=weight,
-        mass=moved,
+        mass=moved_mass(trial),
         recorded_mass=mass, units=facts.get("units", ""), up=facts.get("up", ""), events=len(trial.events),
         problems=tuple(found), to_sole=to_sole or {},
         notes=(*(note for note in trial.notes if note.code not in CURES), *_track_notes(trial)),
@@ -208,10 +208,19 @@ def _plate_problems(plates: tuple[PlateCheck, ...], source: str) -> list[Finding
     return found
 
 
-def _weight_problems(weight: float | None, mass: float | None, source: str) -> list[Finding]:
-    if weight is None or not mass or abs(weight / mass - 1.0) <= WEIGHT_MISMATCH:
-        return []
-    return [other_weight(weight, mass, source)]
+def weight_problem(trial: Trial, mass: float | None, known: str = "on record", source: str = "") -> Finding | None:
+    """That the plates of a trial carry another weight than the body's; None where they do not, or nothing can tell.
+
+    Args:
+        trial: the trial.
+        mass: of the body [kg].
+        known: how that is known, as the end of ``70.0 kg are ...``.
+        source: the file, by default the trial's name.
+    """
+    moved = moved_mass(trial)
+    if moved is None or not mass or abs(moved / mass - 1.0) <= WEIGHT_MISMATCH:
+        return None
+    return other_weight(moved, mass, source or trial.name, known)
 
 
 def format_check(check: TrialCheck) -> Group:

@@ -52,7 +52,7 @@ class Change:
     """Of both."""
 
     @property
-    def said(self) -> dict[str, object]:
+    def said(self) -> Mapping[str, object]:
         """Keys and values of the line, without the plates that they are about."""
         entries = (self.forces_as, *(self.plates[n] for n in sorted(self.plates)))
         own = {f.name: getattr(e, f.name) for e in entries for f in fields(e) if getattr(e, f.name) != f.default}
