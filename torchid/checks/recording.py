@@ -128,13 +128,10 @@ def check_trial(
     mass = mass_kg if mass_kg is not None else stated_mass(trial)
     missing = 100.0 * markers.position.isnan().any(dim=-1).double().mean(dim=0)
     gaps = {label: float(share) for label, share in zip(markers.labels, missing, strict=True)}
-    kinds = [facts.get(f"{plate.name} type", "") for plate in forces.plates] if forces else []
-    plates = tuple(check_plate(forces, k, kind) for k, kind in enumerate(kinds)) if forces else ()
+    plates = _plates(trial)
     weight = plate_weight(forces) if forces else None
     source = facts.get("file", trial.name)
-    found = [*disagreements, *_from_notes(trial), *_gap_problems(gaps, source), *_plate_problems(plates, source)]
-    weighed = weight_problem(trial, mass, source=source)
-    found += [] if weighed is None else [weighed]
+    found = [*disagreements, *_from_notes(trial), *_gap_problems(gaps, source), *plate_problems(trial, mass, plates)]
     frames = len(markers.time)
     return TrialCheck(
         name=trial.name, source=source, subject=facts.get("subject", ""), markers=len(markers.labels), frames=frames,
@@ -182,7 +179,29 @@ def _gap_problems(gaps: dict[str, float], source: str) -> list[Finding]:
     return [Finding(InstrumentFault.HIDDEN, "markers.gaps", seen, source, places, worst, unit="%", advice=advice)]
 
 
-def _plate_problems(plates: tuple[PlateCheck, ...], source: str) -> list[Finding]:
+def _plates(trial: Trial) -> tuple[PlateCheck, ...]:
+    forces, facts = trial.forces, trial.parameters
+    kinds = [facts.get(f"{plate.name} type", "") for plate in forces.plates] if forces else []
+    return tuple(check_plate(forces, k, kind) for k, kind in enumerate(kinds)) if forces else ()
+
+
+def plate_problems(
+    trial: Trial, mass: float | None, plates: tuple[PlateCheck, ...] | None = None
+) -> tuple[Finding, ...]:
+    """What is wrong with the plates of a trial by themselves: zeros, places, limits, and the weight on them.
+
+    Args:
+        trial: the trial.
+        mass: of the body, on record [kg].
+        plates: facts about each, by default those of the trial.
+    """
+    source = trial.parameters.get("file", trial.name)
+    weighed = weight_problem(trial, mass, source=source)
+    found = _of_plates(_plates(trial) if plates is None else plates, source)
+    return tuple(found) if weighed is None else (*found, weighed)
+
+
+def _of_plates(plates: tuple[PlateCheck, ...], source: str) -> list[Finding]:
     found = []
     for plate in plates:
         if plate.baseline is not None and abs(plate.baseline) > LARGE_BASELINE:
