@@ -9,6 +9,7 @@ import torch
 import yaml
 from walker import BODY, FOOT, MASS, walking_trial
 
+from torchid.checks.finding import InstrumentFault, record_of
 from torchid.checks.plates_against_feet.changes import Change
 from torchid.checks.plates_against_feet.finding import BELIEVED
 from torchid.checks.plates_against_feet.judge import judge
@@ -19,7 +20,8 @@ from torchid.conventions import GRAVITY
 from torchid.errors import InputError
 from torchid.io import ReadOptions, read_trial
 from torchid.io.grf import forces_from_storage
-from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, from_plate, in_plate, mend, ordered_corners, reframed
+from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, mend, ordered_corners, reframed
+from torchid.io.plate_axes import from_plate, in_plate
 from torchid.io.plate_limits import within_limits
 from torchid.io.resample import synchronise
 from torchid.io.storage import Storage
@@ -160,11 +162,43 @@ def test_other_axes_of_a_file_of_its_own_are_named(seed, matrix):
     assert finding.changes and judge(read_as(faulty, options_of(finding.changes[0].line)), MASS) == ()
 
 
+def moved(trial: Trial, number: int | None, key: str, shift: np.ndarray) -> Trial:
+    """The trial as a file gives it whose plate, or all of whose plates, are described away from their place."""
+    by = (float(shift[0]), float(shift[1]))
+    file, plates = (ForcesAs(shift_m=by), {}) if number is None else (ForcesAs(), {number: PlateAs(**{key: by})})
+    return replace(trial, forces=mend(trial.forces, file, plates))
+
+
+@pytest.mark.parametrize(
+    "key, corners, whole",
+    [("shift_m", True, False), ("shift_m", False, False), ("origin_shift_m", True, False), ("shift_m", True, True)],
+)
+def test_the_place_of_a_plate_is_found(seed, key, corners, whole):
+    """By any amount and into any direction: its corners, its ORIGIN, or the origin of all forces.
+
+    The line puts the pressures within 45 mm of where they are, which is what the standard deviation says, and leaves
+    nothing to say.
+    """
+    random, right = np.random.default_rng(seed), walking_trial(seed, corners)
+    far, way, number = np.exp(random.uniform(np.log(0.25), np.log(5.0))), random.uniform(0, 2 * np.pi), seed % 2 + 1
+    shift = far * np.array([np.cos(way), np.sin(way)])
+    faulty = moved(right, None if whole else number, key, shift)
+    (finding,) = judge(faulty, MASS)
+    (change,) = finding.changes
+    told = change.forces_as.shift_m if whole else getattr(change.plates[number], key)
+    assert np.linalg.norm(told + shift) < 0.045, (change.line, shift)
+    mended = read_as(faulty, options_of(change.line))
+    assert judge(mended, MASS) == ()
+    if corners:
+        got, wanted = (trial.forces.plates[number - 1].corners for trial in (mended, right))
+        torch.testing.assert_close(got, wanted, atol=0.045, rtol=0)
+
+
 def test_forces_of_another_walk_are_named_but_not_mended(seed):
-    """Forces of a walk elsewhere in the room have no line that mends them, and one that leaves them out."""
+    """Forces of steps at other times have no line that mends them, and one that leaves them out."""
     right = walking_trial(seed, corners=False)
-    other = right.markers.position + torch.tensor([0.9, -0.5, 0.0])
-    (finding, *_) = judge(replace(right, markers=replace(right.markers, position=other)), MASS)
+    other = replace(right.forces, wrench=right.forces.wrench.flip(0))
+    (finding, *_) = judge(replace(right, forces=other), MASS)
     assert not finding.changes and "another trial" in finding.what and "use: false" in finding.remedy()
     assert read_as(right, options_of("forces_as: {use: false}")).forces is None
 
@@ -183,10 +217,47 @@ def test_another_world_is_told(seed, factor, words):
     assert words in " ".join(f.what for f in judge(world, MASS))
 
 
-def test_volts_cannot_be_mended(seed):
-    """Forces that are no person's in any unit are said to be volts."""
-    (finding,) = judge(scaled(walking_trial(seed), 1e-4), MASS)
-    assert "volts" in finding.what and not finding.changes
+@pytest.mark.parametrize("whole", [True, False])
+@pytest.mark.parametrize("mass", [MASS, None])
+def test_volts_are_mended_by_the_weight(seed, whole, mass):
+    """Channels in volts get the gain that makes a person's weight of them, where a record or other plates tell it."""
+    random, right, number = np.random.default_rng(seed), walking_trial(seed), seed % 2 + 1
+    volts = float(random.uniform(5e-5, 1.8e-4) if whole else random.uniform(0.003, 0.02))
+    faulty = scaled(right, volts) if whole else channels(right, number - 1, lambda six: volts * six)
+    (finding,) = judge(faulty, mass)
+    assert "volts" in finding.what
+    if whole and mass is None:
+        assert not finding.changes
+        return
+    (change,) = finding.changes
+    gain = change.forces_as.gain if whole else change.plates[number].gain
+    assert abs(gain * volts - 1.0) < 0.08, change.line
+    assert judge(read_as(faulty, options_of(change.line)), mass) == ()
+
+
+@pytest.mark.parametrize("factor", [0.0, 1e-3])
+@pytest.mark.parametrize("part", ["forces", "moments"])
+def test_scales_of_nothing_are_told(seed, factor, part):
+    """Forces without moments and moments without forces: a thousandth is mended, with 0 the plate is left out."""
+    right, number = walking_trial(seed), seed % 2 + 1
+    signs = torch.tensor([factor] * 3 + [1.0] * 3 if part == "forces" else [1.0] * 3 + [factor] * 3).double()
+    faulty = channels(right, number - 1, lambda six: six * signs)
+    (finding,) = judge(faulty, MASS)
+    assert "scaled by 0 or far too little" in finding.what and len(finding.changes) == (factor > 0)
+    mended = read_as(faulty, options_of(finding.changes[0].line if factor else finding.instead.line))
+    assert judge(mended, MASS) == ()
+    if factor:
+        torch.testing.assert_close(mended.forces.wrench, right.forces.wrench, atol=1e-4, rtol=1e-6)
+
+
+def test_plates_that_read_nothing_under_feet_are_told(seed):
+    """All channels scaled by 0: nothing is loaded although feet stand. Plates beside the feet may read nothing."""
+    right = walking_trial(seed)
+    silent = scaled(right, 0.0)
+    (finding,) = judge(silent, MASS)
+    assert "yet a foot stands on it" in finding.what and not finding.changes
+    away = moved(silent, None, "shift_m", np.array([0.0, 5.0]))
+    assert judge(away, MASS) == ()
 
 
 def recording(trial: Trial, options: ReadOptions | None = None) -> tuple[Trial, Recording]:
@@ -233,6 +304,34 @@ def test_a_session_is_refused_once_for_all_its_trials(seed):
     assert "to the config, for every trial" in caught.value.remedy
     mended = {name: recording(trial, options_of("plates: {1: {turn_deg: 180}}")) for name, (trial, _) in trials.items()}
     refuse_disagreement(mended)
+
+
+def test_cures_that_contradict_each_other_are_not_both_advised(seed):
+    """One plate, turned by 180 degrees in one walk and by 90 in the next, is not both: the trials are named, and no
+    line but the one that leaves the plate out."""
+    faulty = {
+        "walk0": in_other_corners(walking_trial(seed), 0, [2, 3, 0, 1]),
+        "walk1": in_other_corners(walking_trial(seed + 1), 0, [1, 2, 3, 0]),
+    }
+    trials = {name: recording(trial) for name, trial in faulty.items()}
+    found = judge_session(trials)
+    assert set(found) == set(faulty) and not any(f.changes for each in found.values() for f in each)
+    with pytest.raises(InputError) as caught:
+        refuse_disagreement(trials)
+    assert "contradict each other about plate 1" in caught.value.remedy and "use: false" in caught.value.remedy
+    one = found["walk0"][0].as_finding("walk.c3d")
+    assert not one.cures and one.config == "" and "walk1: `plates: {1: {turn_deg: " in one.message
+
+
+def test_a_finding_says_the_same_everywhere(seed):
+    """A plate that has moved: fault, size, sd, line, and one sentence for check, error and JSON."""
+    (finding,) = judge(moved(walking_trial(seed), 1, "shift_m", np.array([0.4, 0.3])), MASS)
+    one = finding.as_finding("walk.c3d")
+    record = record_of(one)
+    assert one.fault is InstrumentFault.PLACE and abs(one.size - 0.5) < 0.07 and one.unit == "m" and one.sd < 0.1
+    assert record.place == "walk.c3d, plate 1" and record.config == finding.changes[0].line
+    assert record.message == one.note.message == f"{record.found}. Cure: {record.remedy}"
+    assert record.config in record.remedy and one.cures[0].hypothesis.startswith("shift_m=[")
 
 
 def test_channels_of_a_plate_come_back(seed):

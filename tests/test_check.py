@@ -9,11 +9,13 @@ import torch
 from numpy.testing import assert_allclose
 from rich.console import Console
 
+from torchid.checks.finding import InstrumentFault
 from torchid.checks.plates import moved_mass, plate_weight
 from torchid.checks.recording import check_trial, format_check
 from torchid.conventions import GRAVITY
-from torchid.errors import Note
+from torchid.errors import DataError, Note
 from torchid.recording import Forces, Markers, Plate, Trial
+from torchid.session.fitting import explained_by_weight
 
 FRAMES, RATIO, RATE, MASS = 200, 10, 100.0, 70.0
 
@@ -121,6 +123,19 @@ def test_checking_changes_nothing() -> None:
     before = trial.forces.wrench.clone(), trial.markers.position.clone()
     check_trial(trial)
     torch.testing.assert_close((trial.forces.wrench, trial.markers.position), before)
+
+
+def test_a_load_beyond_the_body_is_said_alike_by_check_and_run() -> None:
+    """A squat under 60 % more than the person: a run that cannot fit it ends with the figures and cure of ``check``."""
+    trial = replace(with_wrench(swaying(0.06), lambda w: w.__setitem__((..., slice(None)), w * 1.6)), name="squat")
+    (said,) = (one for one in check_trial(trial, MASS).problems if one.code == "plates.weight")
+    assert said.fault is InstrumentFault.WEIGHT and said.unit == "kg" and abs((said.size or 0.0) - 0.6 * MASS) < 1.5
+    refused = DataError("inertia.prior_conflict", "no such mass", remedy="")
+    error = explained_by_weight(refused, [swaying(0.06), trial], MASS, "on record")
+    assert said.evidence in str(error) and error.remedy == said.remedy() and error.source == "squat"
+    other = DataError("inertia.no_information", "nothing", remedy="")
+    assert explained_by_weight(other, [trial], MASS, "on record") is other
+    assert explained_by_weight(refused, [trial], None, "by standing") is refused
 
 
 def test_the_table_shows_labels_as_they_are() -> None:

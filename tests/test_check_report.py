@@ -9,7 +9,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from torchid.checks.report import schema
+from torchid.checks.as_json import schema
 from torchid.cli import app
 from torchid.errors import InputError
 from torchid.io.pairing import find_recordings, pair_files
@@ -133,9 +133,9 @@ def test_json_is_as_its_schema_says(tmp_path: Path) -> None:
     result = runner.invoke(app, ["check", "--json", str(tmp_path)])
     found = json.loads(result.stdout, parse_constant=pytest.fail)
     assert result.exit_code == 2 and fits(found, schema(), schema())
-    assert [note["code"] for note in found["recordings"][0]["problems"]] == ["markers.gaps"]
+    assert [note["code"] for note in found["files"][0]["problems"]] == ["markers.gaps"]
     assert [error["code"] for error in found["refused"]] == ["c3d.signature"] and found["refused"][0]["remedy"]
-    found["recordings"][0]["markers"] = "8"
+    found["files"][0]["markers"]["count"] = "8"
     assert not fits(found, schema(), schema())
 
 

@@ -190,7 +190,7 @@ def check(
 ) -> None:
     """What is wrong with the recordings, before any fit; ends with 2 where something is."""
     with _exit_codes(debug):
-        from torchid.checks.report import report, to_json
+        from torchid.checks.as_json import report, to_json
 
         found = report(_findings(what) if json else _shown(_findings(what)))
         if json:

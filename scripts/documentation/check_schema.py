@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from torchid.checks.report import schema
+from torchid.checks.as_json import schema
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "check.schema.json"
 

@@ -34,6 +34,8 @@ class PlateCheck:
     """Share of the loaded time that the centre of pressure lies beside the plate; NaN without corners or load."""
     saturated: int
     """Samples on a plateau at the peak."""
+    loaded: float | None = None
+    """Mean vertical force [N] while somebody is on it, None where nobody is."""
 
 
 def check_plate(forces: Forces, k: int, kind: str) -> PlateCheck:
@@ -42,8 +44,14 @@ def check_plate(forces: Forces, k: int, kind: str) -> PlateCheck:
     peak = float(vertical[vertical.abs().argmax()]) if len(vertical) else 0.0
     return PlateCheck(
         forces.plates[k].name, kind, float(vertical.mean()) if len(vertical) else 0.0, peak,
-        baseline(forces.wrench[:, k, 2].numpy()), _outside(forces, k), _saturated(forces, k)
+        baseline(forces.wrench[:, k, 2].numpy()), _outside(forces, k), _saturated(forces, k), _mean_loaded(vertical),
     )  # fmt: skip
+
+
+def _mean_loaded(vertical: torch.Tensor) -> float | None:
+    """Mean of the samples (samples) above half of the median of those that bear load."""
+    vertical = vertical[vertical > SAMPLE_LOADED_N]
+    return float(vertical[vertical > 0.5 * vertical.median()].mean()) if len(vertical) else None
 
 
 def _outside(forces: Forces, k: int) -> float:
@@ -88,11 +96,8 @@ def plate_weight(forces: Forces) -> float | None:
     Loaded are the samples above half of the median of those above ``SAMPLE_LOADED_N``: steps onto and off the plates
     would otherwise lower the mean.
     """
-    vertical = forces.total[:, 2]
-    vertical = vertical[vertical > SAMPLE_LOADED_N]
-    if not len(vertical):
-        return None
-    return float(vertical[vertical > 0.5 * vertical.median()].mean()) / GRAVITY
+    loaded = _mean_loaded(forces.total[:, 2])
+    return None if loaded is None else loaded / GRAVITY
 
 
 def moved_mass(trial: Trial) -> float | None:

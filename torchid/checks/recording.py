@@ -1,12 +1,15 @@
 """What a recording holds and what is wrong with it, before any fit; nothing is repaired here."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from torchid.checks.finding import Finding, InstrumentFault
+from torchid.checks.instruments import other_weight, unloaded_reading
 from torchid.checks.marker_tracks.clusters import Clusters
 from torchid.checks.marker_tracks.session import look_at_trial
 from torchid.checks.marker_tracks.statement import notes_of
@@ -25,6 +28,20 @@ MOST_MARKERS = 200
 LARGE_BASELINE = 5.0
 """Unloaded reading [N] above which an offset is worth a cure."""
 
+FAULTS = {
+    "markers.held": InstrumentFault.FROZEN,
+    "markers.duplicates": InstrumentFault.EXCHANGE,
+    "markers.never_seen": InstrumentFault.HIDDEN,
+    "markers.spikes": InstrumentFault.JUMP,
+    "markers.steps": InstrumentFault.JUMP,
+    "markers.leaping": InstrumentFault.JUMP,
+    "plates.sign": InstrumentFault.GAIN,
+    "plates.force": InstrumentFault.LIMIT,
+    "plates.spikes": InstrumentFault.JUMP,
+    "axes.markers": InstrumentFault.AXES,
+    "trial.overlap": InstrumentFault.CLOCK,
+}
+"""Faults that notes of reading are about; others are of the file."""
 CURES = {
     "markers.held": "check the marker in the recording system; torchid treats the run as a gap",
     "markers.duplicates": "rename them in the recording system, or leave the numbered ones out of the marker map",
@@ -80,10 +97,12 @@ class TrialCheck:
     units: str
     up: str
     events: int
-    problems: tuple[Note, ...]
+    problems: tuple[Finding, ...]
     """Each with its cure."""
     notes: tuple[Note, ...]
     """What reading chose or repaired without it being a problem."""
+    to_sole: Mapping[str, float] = field(default_factory=dict)
+    """Distance of the pressure of each loaded plate from the nearest foot, by the plate's name [m]."""
 
     @property
     def gap_share(self) -> float:
@@ -91,34 +110,38 @@ class TrialCheck:
         return float(np.mean(list(self.gaps.values()))) if self.gaps else 0.0
 
 
-def check_trial(trial: Trial, mass_kg: float | None = None, disagreements: tuple[Note, ...] = ()) -> TrialCheck:
+def check_trial(
+    trial: Trial,
+    mass_kg: float | None = None,
+    disagreements: tuple[Finding, ...] = (),
+    to_sole: Mapping[str, float] | None = None,
+) -> TrialCheck:
     """Look at a trial without changing it.
 
     Args:
         trial: as read.
         mass_kg: the subject's mass on record; by default what the file states.
         disagreements: of its forces with the feet (``torchid.checks.plates_against_feet``), each with its cure.
+        to_sole: distance of the pressure of each plate from the nearest foot, by the plate's name [m].
     """
     facts, markers, forces = trial.parameters, trial.markers, trial.forces
     mass = mass_kg if mass_kg is not None else stated_mass(trial)
     missing = 100.0 * markers.position.isnan().any(dim=-1).double().mean(dim=0)
     gaps = {label: float(share) for label, share in zip(markers.labels, missing, strict=True)}
-    kinds = [facts.get(f"{plate.name} type", "") for plate in forces.plates] if forces else []
-    plates = tuple(check_plate(forces, k, kind) for k, kind in enumerate(kinds)) if forces else ()
+    plates = _plates(trial)
     weight = plate_weight(forces) if forces else None
     source = facts.get("file", trial.name)
-    found = [*disagreements, *_from_notes(trial), *_gap_problems(gaps, source), *_plate_problems(plates, source)]
-    moved = moved_mass(trial)
-    found += _weight_problems(moved, mass, source)
+    found = [*disagreements, *_from_notes(trial), *_gap_problems(gaps, source), *plate_problems(trial, mass, plates)]
     frames = len(markers.time)
     return TrialCheck(
         name=trial.name, source=source, subject=facts.get("subject", ""), markers=len(markers.labels), frames=frames,
         rate=markers.rate if frames > 1 else float("nan"),
         duration=float(markers.time[-1] - markers.time[0]) if frames else 0.0, gaps=gaps,
         force_rate=forces.rate if forces and len(forces.time) > 1 else None, plates=plates, weight=weight,
-        mass=moved,
+        mass=moved_mass(trial),
         recorded_mass=mass, units=facts.get("units", ""), up=facts.get("up", ""), events=len(trial.events),
-        problems=tuple(found), notes=(*(note for note in trial.notes if note.code not in CURES), *_track_notes(trial))
+        problems=tuple(found), to_sole=to_sole or {},
+        notes=(*(note for note in trial.notes if note.code not in CURES), *_track_notes(trial)),
     )  # fmt: skip
 
 
@@ -137,45 +160,86 @@ def _track_notes(trial: Trial) -> tuple[Note, ...]:
     return notes_of(look_at_trial(trial, Clusters.unknown(trial.markers.labels), []))
 
 
-def _from_notes(trial: Trial) -> list[Note]:
-    return [Note(n.code, f"{n.message}. Cure: {CURES[n.code]}", n.source) for n in trial.notes if n.code in CURES]
+def _from_notes(trial: Trial) -> list[Finding]:
+    return [
+        Finding(FAULTS.get(n.code, InstrumentFault.RECORD), n.code, n.message, n.source, advice=CURES[n.code])
+        for n in trial.notes
+        if n.code in CURES
+    ]
 
 
-def _gap_problems(gaps: dict[str, float], source: str) -> list[Note]:
+def _gap_problems(gaps: dict[str, float], source: str) -> list[Finding]:
     many = [f"{label} ({share:.0f} %)" for label, share in gaps.items() if MANY_GAPS < share < 100.0]
     if not many:
         return []
-    text = (
-        f"markers with many gaps: {', '.join(many[:12])}. Cure: label them again, or leave them out of the marker map"
-    )
-    return [Note("markers.gaps", text, source)]
+    seen = f"markers with many gaps: {', '.join(many[:12])}"
+    places = tuple(label for label, share in gaps.items() if MANY_GAPS < share < 100.0)
+    advice = "label them again, or leave them out of the marker map"
+    worst = max(share for share in gaps.values() if share < 100.0)
+    return [Finding(InstrumentFault.HIDDEN, "markers.gaps", seen, source, places, worst, unit="%", advice=advice)]
 
 
-def _plate_problems(plates: tuple[PlateCheck, ...], source: str) -> list[Note]:
+def _plates(trial: Trial) -> tuple[PlateCheck, ...]:
+    forces, facts = trial.forces, trial.parameters
+    kinds = [facts.get(f"{plate.name} type", "") for plate in forces.plates] if forces else []
+    return tuple(check_plate(forces, k, kind) for k, kind in enumerate(kinds)) if forces else ()
+
+
+def plate_problems(
+    trial: Trial, mass: float | None, plates: tuple[PlateCheck, ...] | None = None
+) -> tuple[Finding, ...]:
+    """What is wrong with the plates of a trial by themselves: zeros, places, limits, and the weight on them.
+
+    Args:
+        trial: the trial.
+        mass: of the body, on record [kg].
+        plates: facts about each, by default those of the trial.
+    """
+    source = trial.parameters.get("file", trial.name)
+    weighed = weight_problem(trial, mass, source=source)
+    found = _of_plates(_plates(trial) if plates is None else plates, source)
+    return tuple(found) if weighed is None else (*found, weighed)
+
+
+def _of_plates(plates: tuple[PlateCheck, ...], source: str) -> list[Finding]:
     found = []
     for plate in plates:
         if plate.baseline is not None and abs(plate.baseline) > LARGE_BASELINE:
-            text = f"{plate.name} reads {plate.baseline:.1f} N unloaded. Cure: zero it before recording; else the"
-            found.append(Note("plates.offset", f"{text} diagnosis may name a plate_offset", source))
+            found.append(unloaded_reading(plate.name, plate.baseline, "plates.offset", source))
         if plate.outside > OUTSIDE:
-            text = (
+            seen = (
                 f"{plate.name}: centre of pressure beside the plate for {100 * plate.outside:.0f} % of its loaded time"
             )
-            found.append(Note("plates.outside", f"{text}. Cure: check CORNERS, ORIGIN and the channel order", source))
+            found.append(
+                Finding(
+                    InstrumentFault.PLACE, "plates.outside", seen, source, (plate.name,), 100 * plate.outside, unit="%",
+                    advice="check CORNERS, ORIGIN and the channel order",
+                )
+            )  # fmt: skip
         if plate.saturated:
-            text = f"{plate.name} stays on its largest value for {plate.saturated} samples: saturated"
-            found.append(Note("plates.saturated", f"{text}. Cure: lower its gain, leave those frames out", source))
+            seen = f"{plate.name} stays on its largest value for {plate.saturated} samples: saturated"
+            found.append(
+                Finding(
+                    InstrumentFault.LIMIT, "plates.saturated", seen, source, (plate.name,), float(plate.saturated),
+                    unit="samples", advice="lower its gain, leave those frames out",
+                )
+            )  # fmt: skip
     return found
 
 
-def _weight_problems(weight: float | None, mass: float | None, source: str) -> list[Note]:
-    if weight is None or not mass or abs(weight / mass - 1.0) <= WEIGHT_MISMATCH:
-        return []
-    text = f"the plates move {weight:.1f} kg on average while loaded, {mass:.1f} kg are on record"
-    cure = (
-        "check the mass, whether all contact is on the plates, and their gains; the fit goes on with the mass unknown"
-    )
-    return [Note("plates.weight", f"{text}. Cure: {cure}", source)]
+def weight_problem(trial: Trial, mass: float | None, known: str = "on record", source: str = "") -> Finding | None:
+    """That the plates of a trial carry another weight than the body's; None where they do not, or nothing can tell.
+
+    Args:
+        trial: the trial.
+        mass: of the body [kg].
+        known: how that is known, as the end of ``70.0 kg are ...``.
+        source: the file, by default the trial's name.
+    """
+    moved = moved_mass(trial)
+    if moved is None or not mass or abs(moved / mass - 1.0) <= WEIGHT_MISMATCH:
+        return None
+    return other_weight(moved, mass, source or trial.name, known)
 
 
 def format_check(check: TrialCheck) -> Group:

@@ -16,11 +16,13 @@ from torch import Tensor
 
 from torchid.conventions import y_up_to_z_up
 from torchid.errors import InputError
+from torchid.io.plate_axes import from_plate, in_plate
 from torchid.recording import Forces, Plate
 
 Channel = Literal["fx", "fy", "fz", "mx", "my", "mz"]
 CHANNELS: tuple[Channel, ...] = ("fx", "fy", "fz", "mx", "my", "mz")
 Corner = Annotated[int, Ge(1), Le(4)]
+Shift = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class ForcesAs:
     """Further factor of the stored moments alone: 0.001 for N mm."""
     lag_ms: float = 0.0
     """How much later than the markers the forces were stamped."""
+    shift_m: Shift = (0.0, 0.0)
+    """Moves all plates, and what they read, by this much along X and Y of W: of another origin than the markers'."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,10 @@ class PlateAs:
     gain: float = 1.0
     moment_gain: float = 1.0
     lag_ms: float = 0.0
+    shift_m: Shift = (0.0, 0.0)
+    """Moves the plate, and what it reads, by this much along X and Y of W: of wrong corners."""
+    origin_shift_m: Shift = (0.0, 0.0)
+    """Moves what it reads alone, its corners being right: of a wrong ORIGIN."""
 
 
 PlatesAs = Mapping[int, PlateAs]
@@ -74,12 +82,13 @@ PlatesAs = Mapping[int, PlateAs]
 def in_words(change: ForcesAs | PlateAs) -> str:
     """The change as a config writes it, such as ``{turn_deg: 180}``."""
     different = [f for f in fields(change) if getattr(change, f.name) != f.default]
-    return f"{{{', '.join(f'{f.name}: {_value(getattr(change, f.name))}' for f in different)}}}"
+    return f"{{{', '.join(f'{f.name}: {in_config(getattr(change, f.name))}' for f in different)}}}"
 
 
-def _value(value: object) -> str:
+def in_config(value: object) -> str:
+    """A value as a config writes it."""
     if isinstance(value, tuple):
-        return f"[{', '.join(map(str, value))}]"
+        return f"[{', '.join(map(in_config, value))}]"
     return (
         {True: "true", False: "false"}[value]
         if isinstance(value, bool)
@@ -118,44 +127,11 @@ def _turning(corners: Tensor) -> float:
     return float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
 
 
-def frame_of(corners: Float[Tensor, "4 3"]) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
-    """Axes R_WF and centre p_WF of a plate from its corners [m] in the quadrants ++, -+, --, +-."""
-    x = corners[0] - corners[1]
-    z = torch.linalg.cross(x, corners[0] - corners[3])
-    x, z = x / x.norm(), z / z.norm()
-    return torch.stack([x, torch.linalg.cross(z, x), z], dim=1), corners.mean(dim=0)
-
-
-def in_plate(wrench: Float[Tensor, "samples 6"], plate: Plate) -> Float[Tensor, "samples 6"]:
-    """A wrench about the origin of W as the plate's six channels: in its axes, about its transducer."""
-    assert plate.corners is not None
-    R_WF, p_WF = frame_of(plate.corners)
-    force, moment = wrench[:, :3], wrench[:, 3:]
-    force_F = force @ R_WF
-    moment_F = (moment - torch.linalg.cross(p_WF.expand_as(force), force)) @ R_WF
-    return torch.cat([force_F, moment_F + torch.linalg.cross(_depth(plate).expand_as(force), force_F)], dim=1)
-
-
-def from_plate(channels: Float[Tensor, "samples 6"], plate: Plate) -> Float[Tensor, "samples 6"]:
-    """The inverse of ``in_plate``."""
-    assert plate.corners is not None
-    R_WF, p_WF = frame_of(plate.corners)
-    force, moment = channels[:, :3], channels[:, 3:]
-    moment = (moment - torch.linalg.cross(_depth(plate).expand_as(force), force)) @ R_WF.T
-    force = force @ R_WF.T
-    return torch.cat([force, moment + torch.linalg.cross(p_WF.expand_as(force), force)], dim=1)
-
-
-def _depth(plate: Plate) -> Tensor:
-    assert plate.corners is not None
-    return plate.corners.new_zeros(3) if plate.origin is None else plate.origin
-
-
 def mend(forces: Forces, file: ForcesAs, plates: PlatesAs, source: str = "") -> Forces | None:
     """Forces in W as the user says that they are.
 
-    Corners are not touched here: a plate's frame is needed before its channels mean anything, so that reading applies
-    ``corners``, ``turn_deg`` and ``corner_unit`` of a plate first.
+    Corners are moved here, and no more: a plate's frame is needed before its channels mean anything, so that reading
+    applies ``corners``, ``turn_deg`` and ``corner_unit`` of a plate first.
 
     Args:
         forces: as read, in W.
@@ -177,9 +153,25 @@ def mend(forces: Forces, file: ForcesAs, plates: PlatesAs, source: str = "") -> 
         return forces  # an hour's forces are not copied for nothing
     wrench = torch.stack([_mended(forces, k, plates.get(n), index, source) for n, k in index.items()], dim=1)
     wrench = _turned(_scaled(wrench, forces.plates, file), file)
+    moved = _moved(replace(forces, time=forces.time - file.lag_ms / 1e3, wrench=wrench), file, plates)
     kept = [k for n, k in index.items() if plates.get(n, PlateAs()).use]
-    time = forces.time - file.lag_ms / 1e3
-    return Forces(time, wrench[:, kept], tuple(forces.plates[k] for k in kept)) if kept else None
+    return replace(moved, wrench=moved.wrench[:, kept], plates=tuple(moved.plates[k] for k in kept)) if kept else None
+
+
+def _moved(forces: Forces, file: ForcesAs, plates: PlatesAs) -> Forces:
+    """Forces whose plates, and what they read, have been moved to where the user says that they are."""
+    known, arms = list(forces.plates), torch.zeros(len(forces.plates), 3).to(forces.wrench)
+    for k, plate in enumerate(forces.plates):
+        own = plates.get(number_of(plate, k), PlateAs())
+        place, origin = (arms.new_tensor([*one, 0.0]) for one in (own.shift_m, own.origin_shift_m))
+        place = place + arms.new_tensor([*file.shift_m, 0.0])
+        arms[k] = place + origin
+        known[k] = plate if plate.corners is None else replace(plate, corners=plate.corners + place)
+    if not bool(arms.any()):
+        return forces
+    force, moment = forces.wrench[..., :3], forces.wrench[..., 3:]
+    moment = moment + torch.linalg.cross(arms.expand_as(force), force)
+    return replace(forces, wrench=torch.cat([force, moment], dim=-1), plates=tuple(known))
 
 
 def reframed(forces: Forces, plates: PlatesAs) -> Forces:

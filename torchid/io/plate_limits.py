@@ -9,7 +9,8 @@ from torch import Tensor
 
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import Note
-from torchid.io.mend import frame_of, number_of
+from torchid.io.mend import number_of
+from torchid.io.plate_axes import frame_of
 from torchid.recording import Forces, Plate
 
 MOST_FORCE = 20e3

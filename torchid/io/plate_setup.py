@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from torchid.errors import Note
 from torchid.io.c3d_header import C3dHeader
-from torchid.io.mend import PlateAs, PlatesAs, frame_of, ordered_corners
+from torchid.io.mend import PlateAs, PlatesAs, ordered_corners
+from torchid.io.plate_axes import frame_of
 from torchid.io.units import METRES
 
 CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6, 7: 8}

@@ -33,7 +33,7 @@ def check_session(config: Config) -> Iterator[CheckItem]:
         for file in config.trials
     ]
     trials: list[Trial] = []
-    yield from check_recordings(given, trials.append)
+    yield from check_recordings(given, trials.append, one_session=True)
     if len(trials) < len(given) or not trials:
         return
     try:

@@ -1,9 +1,10 @@
 """Geometry and inertia of a session, fitted as its config asks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import torch
 
+from torchid.checks.recording import weight_problem
 from torchid.config.sections import Inertia, Subject
 from torchid.errors import DataError
 from torchid.geometry.fit import fit_geometry
@@ -11,11 +12,14 @@ from torchid.geometry.options import GeometryOptions
 from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import Identified, identify_inertia
 from torchid.model.model import InertialPrior
+from torchid.recording import Trial
 from torchid.session import Outcome, Session
 from torchid.session.standing import standing_weight
 
 OnStage = Callable[[str, float], None]
 """Callback of a run, called with the name of a stage and the share of it that is done, 0 to 1."""
+REFUSED_FOR_FORCES = ("inertia.prior_conflict", "inertia.unexplained")
+"""Refusals of the inertial fit that another weight than the body's explains."""
 UNSEEN = 0.35
 """Share of the mass on bodies without markers above which inertia is not identified. Head, hands and abdomen together
 are 0.24; trunk and arms held rigid on the pelvis, 0.5, left 42 N and 25 N m in a walk and cost the thorax 8 kg."""
@@ -47,9 +51,41 @@ def identify(inertia: Inertia, who: Subject, outcome: Outcome, progress: OnStage
     names = outcome.session.fit("inertia")
     trials = [outcome.followed[n].wrench for n in names]
     mass, box = given_mass(inertia, who, outcome), com_boxes(outcome.prior) if inertia.com_boxes else None
-    found = identify_inertia([t for t in trials if t is not None], outcome.prior, inertia, mass, box)
+    try:
+        found = identify_inertia([t for t in trials if t is not None], outcome.prior, inertia, mass, box)
+    except DataError as error:
+        fitted = outcome.session.fit("inertia").values()
+        raise explained_by_weight(error, fitted, *_body_mass(who, outcome)) from error
     progress("inertia", 1.0)
     return found
+
+
+def _body_mass(who: Subject, outcome: Outcome) -> tuple[float | None, str]:
+    """Mass of the body [kg], None where nobody knows, and how it is known."""
+    if who.mass_kg:
+        return who.mass_kg, "on record"
+    standing = standing_weight(outcome.followed.values(), outcome.session, who.mass_kg)
+    return None if standing is None else standing.mass, "by standing"
+
+
+def explained_by_weight(error: DataError, trials: Iterable[Trial], mass: float | None, known: str) -> DataError:
+    """The error with what ``check`` says of the weight, where the plates of a trial carry another than the body's.
+
+    Args:
+        error: of the inertial fit.
+        trials: that were fitted.
+        mass: of the body [kg]; None where nobody knows.
+        known: how that is known (``weight_problem``).
+    """
+    if error.code not in REFUSED_FOR_FORCES:
+        return error
+    each = filter(None, (weight_problem(trial, mass, known) for trial in trials))
+    worst = max(each, key=lambda one: abs(one.size or 0.0), default=None)
+    if worst is None:
+        return error
+    return DataError(
+        error.code, f"{error.message}: {worst.evidence}", source=worst.source, found=error.found, remedy=worst.remedy()
+    )
 
 
 def given_mass(inertia: Inertia, who: Subject, outcome: Outcome) -> tuple[float, float] | None:

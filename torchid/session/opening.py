@@ -6,6 +6,7 @@ from typing import Literal
 
 from torchid.checks.marker_tracks.statement import notes_of
 from torchid.checks.plates_against_feet.session import Recording, refuse_disagreement
+from torchid.checks.recording import plate_problems, stated_mass
 from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.contact.options import ContactOptions
@@ -182,7 +183,11 @@ def _tracked(
 ) -> Session:  # fmt: skip
     """The session of trials that were opened, without the samples of markers that say nothing of segments."""
     check_others(setup.contact, assignment, trials)
-    notes = tuple(note for trial in trials.values() for note in trial.notes)
+    each = (
+        (*trial.notes, *(found.note for found in plate_problems(trial, setup.mass_kg or stated_mass(trial))))
+        for trial in trials.values()
+    )
+    notes = tuple(note for some in each for note in some)
     wrong = look_at_session(trials, assignment)
     sound, before = taken_out(trials, wrong, keep)
     named = {file.name: file for file in files}

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.checks.finding import Finding, InstrumentFault, Severity
 from torchid.errors import Note
 from torchid.wording import listing
 
@@ -102,16 +103,35 @@ TAKEN_OUT = (TrackFault.JUMP, TrackFault.FLIP, TrackFault.FROZEN, TrackFault.EXC
 """Kinds whose samples say nothing of where the segment is."""
 
 
+FAULTS = {
+    TrackFault.JUMP: InstrumentFault.JUMP,
+    TrackFault.FLIP: InstrumentFault.JUMP,
+    TrackFault.FROZEN: InstrumentFault.FROZEN,
+    TrackFault.EXCHANGED: InstrumentFault.EXCHANGE,
+    TrackFault.MOVED: InstrumentFault.MOVED,
+}
+"""The faults of instruments that these are."""
+
+
+def track_finding(one: TrackStatement) -> Finding:
+    """Return the statement as one of an instrument, with what is done about it.
+
+    Args:
+        one: the statement.
+    """
+    done = "left as it is" if one.kind is TrackFault.MOVED else "taken as missing there"
+    if one.kind is TrackFault.EXCHANGED:
+        done = "both taken as missing there; the diagnosis may give them back their names"
+    return Finding(
+        FAULTS[one.kind], f"tracking.{one.kind}", f"{one.sentence}; {done}", one.trial, one.labels, one.size_mm,
+        one.sd_mm, "mm", severity=Severity.WARNING,
+    )  # fmt: skip
+
+
 def notes_of(statements: Iterable[TrackStatement]) -> tuple[Note, ...]:
     """Return the statements as notes, with what is done about each.
 
     Args:
         statements: of any trials.
     """
-    found = []
-    for one in statements:
-        done = "left as it is" if one.kind is TrackFault.MOVED else "taken as missing there"
-        if one.kind is TrackFault.EXCHANGED:
-            done = "both taken as missing there; the diagnosis may give them back their names"
-        found.append(Note(f"tracking.{one.kind}", f"{one.sentence}; {done}", one.trial))
-    return tuple(found)
+    return tuple(track_finding(one).note for one in statements)

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal, TypeVar
 
-from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, in_words, number_of
+from torchid.checks.finding import Cure, InstrumentFault
+from torchid.io.mend import CHANNELS, ForcesAs, PlateAs, in_config, in_words, number_of
 from torchid.recording import Plate
 
 QUARTERS = (90, 180, 270)
@@ -16,6 +17,21 @@ CROSSED = tuple(itertools.permutations((1, 2, 3, 4)))[1:]
 """Every other order of four corners."""
 
 Up = Literal["y", "z"]
+FAULTS = {
+    "up": InstrumentFault.AXES,
+    "turn_deg": InstrumentFault.TURN,
+    "corners": InstrumentFault.TURN,
+    "corner_unit": InstrumentFault.UNIT,
+    "mirror": InstrumentFault.WIRING,
+    "exchange": InstrumentFault.WIRING,
+    "reads": InstrumentFault.EXCHANGE,
+    "shift_m": InstrumentFault.PLACE,
+    "origin_shift_m": InstrumentFault.PLACE,
+    "lag_ms": InstrumentFault.CLOCK,
+    "gain": InstrumentFault.GAIN,
+    "moment_gain": InstrumentFault.UNIT,
+}
+"""What each key of a line says is wrong."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +44,33 @@ class Change:
     plates: Mapping[int, PlateAs] = field(default_factory=dict)
     up: Up | None = None
     """Vertical axis of the markers, where it is not as read."""
+    size: float | None = None
+    """How large the fault is, where it was found and not picked."""
+    sd: float | None = None
+    """Standard deviation of that."""
+    unit: str = ""
+    """Of both."""
+
+    @property
+    def said(self) -> Mapping[str, object]:
+        """Keys and values of the line, without the plates that they are about."""
+        entries = (self.forces_as, *(self.plates[n] for n in sorted(self.plates)))
+        own = {f.name: getattr(e, f.name) for e in entries for f in fields(e) if getattr(e, f.name) != f.default}
+        return ({"up": self.up} if self.up else {}) | own
+
+    @property
+    def hypothesis(self) -> str:
+        """The line as keys and values, such as ``turn_deg=180``."""
+        return ", ".join(f"{key}={in_config(value)}" for key, value in self.said.items())
+
+    @property
+    def fault(self) -> InstrumentFault:
+        """What is wrong where the line mends."""
+        return next((FAULTS[key] for key in self.said if key in FAULTS), InstrumentFault.DISAGREEMENT)
+
+    def as_cure(self, whole: bool) -> Cure:
+        """The line as a cure; ``whole`` as of ``written``."""
+        return Cure(self.what, self.written(whole), self.hypothesis, tuple(sorted(self.plates)))
 
     @property
     def shrinks_moments(self) -> bool:
@@ -40,7 +83,9 @@ class Change:
         for number, change in other.plates.items():
             plates[number] = _added(plates.get(number, PlateAs()), change)
         what = " and ".join(filter(None, (self.what, other.what)))
-        return Change(what, _added(self.forces_as, other.forces_as), plates, other.up or self.up)
+        forces_as, up = _added(self.forces_as, other.forces_as), other.up or self.up
+        both = replace(other, what=what, forces_as=forces_as, plates=plates, up=up)
+        return replace(both, size=None, sd=None, unit="") if self.what else both
 
     @property
     def line(self) -> str:
@@ -61,9 +106,39 @@ Entry = TypeVar("Entry", ForcesAs, PlateAs)
 
 
 def _added(one: Entry, other: Entry) -> Entry:
-    """One entry with what the other changes."""
+    """One entry with what the other changes: lags and shifts add up, gains multiply, all else is replaced."""
     different = {f.name: getattr(other, f.name) for f in fields(other) if getattr(other, f.name) != f.default}
+    for key, value in different.items():
+        before = getattr(one, key)
+        if key in ("shift_m", "origin_shift_m"):
+            different[key] = tuple(round(a + b, 3) for a, b in zip(before, value, strict=True))
+        elif key == "lag_ms":
+            different[key] = before + value
+        elif key in ("gain", "moment_gain"):
+            different[key] = before * value
     return replace(one, **different)
+
+
+FIXED = ("turn_deg", "corners", "corner_unit", "mirror", "exchange", "reads")
+"""Keys that say how a plate stands or is wired, which is the same in all trials of a session."""
+APART_M = 0.2
+"""Derived. Places of one plate that differ by more along an axis are two: three standard deviations of the difference
+of two that are known to some 45 mm each."""
+
+
+def contradict(one: Change, other: Change, number: int) -> bool:
+    """Whether two changes say of a plate what cannot both be.
+
+    Args:
+        one: a change.
+        other: another.
+        number: of the plate.
+    """
+    a, b = one.plates.get(number, PlateAs()), other.plates.get(number, PlateAs())
+    if any(getattr(a, key) != getattr(b, key) for key in FIXED):
+        return True
+    pairs = zip((*a.shift_m, *a.origin_shift_m), (*b.shift_m, *b.origin_shift_m), strict=True)
+    return any(abs(x - y) > APART_M for x, y in pairs)
 
 
 def plate_changes(plates: tuple[Plate, ...], k: int) -> list[Change]:

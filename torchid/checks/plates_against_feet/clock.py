@@ -24,6 +24,8 @@ EARLY_S, LATE_S, CLEAR = -0.030, 0.045, 1.5
 """A lag is believed beyond these, where undoing it makes the loaded foot this much slower (root mean square). Feet tell
 clocks to 20 ms, and rather late than early: of 52 public recordings the largest are 32 ms with a factor of 1.1 and
 24 ms with 1.6, and in four of them forces that were made 20 ms late look 36 to 43 ms late."""
+FEET_SD_S = 0.020
+"""Estimator. Standard deviation with which feet tell a clock, see there."""
 MOVES_M_S = 0.05
 """And by this speed [m/s]: who stands has no clock in the feet."""
 SAME_S = 0.05
@@ -165,14 +167,18 @@ def clock_findings(trial: Trial) -> tuple[ForceFinding, ...]:
         shared = sum(late[1:], late[0])
         near = all(abs(lag.seconds - shared.seconds) < SAME_S for lag in late)
         if near and all(lag.late or lag.no_worse(shared.seconds) for lag in told.values()):
-            change = Change("their clock is off by that", ForcesAs(lag_ms=_rounded(shared)))
+            change = Change(
+                "their clock is off by that", ForcesAs(lag_ms=_rounded(shared)), size=shared.seconds, unit="s"
+            )
             return (ForceFinding(f"all forces are {_in_words(shared)}", (change,)),)
     return tuple(_of_plate(forces.plates[k], k, lag) for k, lag in told.items() if lag.late)
 
 
 def _of_plate(plate: Plate, k: int, lag: Lag) -> ForceFinding:
     n = number_of(plate, k)
-    change = Change("its clock is off by that", plates={n: PlateAs(lag_ms=_rounded(lag))})
+    change = Change(
+        "its clock is off by that", plates={n: PlateAs(lag_ms=_rounded(lag))}, size=lag.seconds, sd=FEET_SD_S, unit="s"
+    )
     return ForceFinding(f"{plate.name} is {_in_words(lag)}", (change,), without(n))
 
 

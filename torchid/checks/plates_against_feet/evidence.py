@@ -56,6 +56,25 @@ class Evidence:
     log(1 + (witness / usual)^2), as of Cauchy errors."""
 
 
+@dataclass(frozen=True)
+class FrameWitnesses:
+    """Witnesses of several readings of one plate, frame by frame."""
+
+    loaded: Bool[Tensor, "readings n"]
+    weight: Float[Tensor, "readings n"]
+    """Vertical force [N]; 0 without load."""
+    pressure: Float[Tensor, "readings n"]
+    """Distance of the centre of pressure from the nearest foot [m]."""
+    aim: Float[Tensor, "readings n"]
+    """Distance of the force's line from the middle of the body [m]; NaN where others bear the body too."""
+    slip: Float[Tensor, "readings n"]
+    """Speed of the loaded foot against the ground [m/s]."""
+    free: Float[Tensor, "readings n"]
+    """Free moment over vertical force [m]."""
+    belt: Float[Tensor, " readings"]
+    """Speed of the ground [m/s]."""
+
+
 def gather(
     feet: Feet, wrench: Float[Tensor, "readings n 6"], height: float, others: Float[Tensor, " n"] | None = None
 ) -> Evidence:
@@ -68,6 +87,13 @@ def gather(
         others: vertical force that the other plates bear, without sign [N]: only who stands on one plate alone has its
             force aim at the body.
     """
+    return _summary(by_frame(feet, wrench, height, others))
+
+
+def by_frame(
+    feet: Feet, wrench: Float[Tensor, "readings n 6"], height: float, others: Float[Tensor, " n"] | None = None
+) -> FrameWitnesses:
+    """The same before any mean over frames; arguments as of ``gather``."""
     force, moment = wrench[..., :3].nan_to_num(), wrench[..., 3:].nan_to_num()
     loaded = (force[..., 2] > SAMPLE_LOADED_N) & feet.seen
     fz, centre = torch.where(loaded, force[..., 2], 1.0), _pressure(force, moment, loaded, wrench.new_tensor(height))
@@ -82,7 +108,7 @@ def gather(
     free = ((moment[..., 2] - turning) / fz).abs()
     weight = torch.where(loaded, force[..., 2], 0.0)
     slip, belt = _slip(foot, feet, weight)
-    return _summary(loaded, weight, pressure, aim, slip, free, belt)
+    return FrameWitnesses(loaded, weight, pressure, aim, slip, free, belt)
 
 
 def agrees(evidence: Evidence) -> Bool[Tensor, " readings"]:
@@ -109,20 +135,18 @@ def pressure_centre(wrench: Float[Tensor, "n 6"], height: float) -> Float[Tensor
     return _pressure(force, moment, force[:, 2] > SAMPLE_LOADED_N, wrench.new_tensor(height))
 
 
-def _summary(
-    loaded: Tensor, weight: Tensor, pressure: Tensor, aim: Tensor, slip: Tensor, free: Tensor, belt: Tensor
-) -> Evidence:
-    usual = SLIP_M_S + SLIP_OF_BELT * belt[:, None]
-    parts = (pressure / PRESSURE_M, aim / AIM_M, slip / usual, free / FREE_M)
+def _summary(one: FrameWitnesses) -> Evidence:
+    usual = SLIP_M_S + SLIP_OF_BELT * one.belt[:, None]
+    parts = (one.pressure / PRESSURE_M, one.aim / AIM_M, one.slip / usual, one.free / FREE_M)
     disagreement = torch.stack([torch.log1p(part.nan_to_num(0.0, posinf=1e6).square()) for part in parts]).sum(dim=0)
-    disagreement = torch.where(loaded, disagreement, UNLOADED)
-    either = (loaded | loaded[:1]).double()
+    disagreement = torch.where(one.loaded, disagreement, UNLOADED)
+    either = (one.loaded | one.loaded[:1]).double()
     gain = ((disagreement[:1] - disagreement) * either).sum(dim=1) / either.sum(dim=1).clamp_min(1.0)
-    slowly = torch.where(torch.isfinite(slip), weight, 0.0)
+    slowly = torch.where(torch.isfinite(one.slip), one.weight, 0.0)
     return Evidence(
-        weighted_quantile(pressure, weight, 0.5), weighted_quantile(aim, weight, 0.5),
-        weighted_quantile(slip, slowly, 0.5), weighted_quantile(free, weight, 0.95), belt,
-        loaded.double().mean(dim=1), gain,
+        weighted_quantile(one.pressure, one.weight, 0.5), weighted_quantile(one.aim, one.weight, 0.5),
+        weighted_quantile(one.slip, slowly, 0.5), weighted_quantile(one.free, one.weight, 0.95), one.belt,
+        one.loaded.double().mean(dim=1), gain,
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from functools import reduce
 from itertools import islice, product
 from operator import and_
 
+from torchid.checks.finding import Finding
 from torchid.checks.plates_against_feet.changes import Change
 from torchid.checks.plates_against_feet.evidence import Evidence
 from torchid.io.mend import ForcesAs, PlateAs
@@ -31,23 +32,29 @@ class ForceFinding:
     """What leaves the forces in question out."""
     removed: bool = False
     """The config says something about these forces already, which the line replaces."""
+    advice: str = ""
+    """What to do where no line mends it and leaving it out is no answer."""
 
     def lines(self) -> list[str]:
         """The config lines of the changes."""
         return [change.written(self.removed) for change in self.changes]
 
+    def as_finding(self, source: str = "") -> Finding:
+        """The same of an instrument.
+
+        Args:
+            source: the file.
+        """
+        first = self.changes[0] if self.changes else Change("")
+        return Finding(
+            first.fault, "forces.feet", self.what, source, tuple(f"plate {n}" for n in sorted(self.instead.plates)),
+            first.size, first.sd, first.unit, tuple(c.as_cure(self.removed) for c in self.changes),
+            self.instead.line, BELIEVED, self.removed, self.advice,
+        )  # fmt: skip
+
     def remedy(self, where: str = "to the trial") -> str:
         """What to do, with the config lines; ``where`` they belong."""
-        add = f"instead of what the config says add {where}" if self.removed else f"add {where}"
-        if not self.changes:
-            return (
-                "Nothing on the list of known faults puts it right; to go on without them "
-                f"{add} `{self.instead.line}`, or, if they are right all the same, `{BELIEVED}`"
-            )
-        if len(self.changes) == 1:
-            return f"They agree if {self.changes[0].what}; then {add} `{self.lines()[0]}`"
-        several = "; or ".join(f"{c.what}: `{line}`" for c, line in zip(self.changes, self.lines(), strict=True))
-        return f"They agree in several ways ({several}): {add} the one that is true, or `{self.instead.line}`"
+        return self.as_finding().remedy(where)
 
 
 BELIEVED = "forces_as: {believe: true}"

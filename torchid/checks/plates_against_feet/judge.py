@@ -10,7 +10,9 @@ from torchid.checks.plates_against_feet.changes import file_changes, pair_change
 from torchid.checks.plates_against_feet.clock import clock_findings
 from torchid.checks.plates_against_feet.finding import ForceFinding, in_figures, together, without
 from torchid.checks.plates_against_feet.left_out import Reread, left_out_plates
+from torchid.checks.plates_against_feet.place import FoundPlace, find_place, place_changes, shared_place
 from torchid.checks.plates_against_feet.readings import FeetScene, Tried, scene_of, shared_changes, tried
+from torchid.checks.plates_against_feet.scales import scale_findings
 from torchid.checks.plates_against_feet.units import unit_findings
 from torchid.checks.plates_against_feet.worlds import off_the_floor, other_size, other_up, upside_down
 from torchid.io.mend import mend, number_of
@@ -36,9 +38,10 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
         return (ForceFinding(ON_ITS_HEAD),)
     lying = _lying(trial, reread) if scene is None or off_the_floor(trial) else ()
     if scene is None or lying:
-        return together((*lying, *refused))
-    units = unit_findings(trial, scene.feet, scene.forces, scene.heights, mass_kg)
-    return units or together((*_axes_or_clock(scene, trial, reread), *refused))
+        return together((*lying, *refused)) or together(scale_findings(trial, scene))
+    units = unit_findings(trial, mass_kg)
+    scales = () if units else scale_findings(trial, scene)
+    return units or together((*scales, *refused) if scales else (*_axes_or_clock(scene, trial, reread), *refused))
 
 
 def _lying(trial: Trial, reread: Reread | None) -> tuple[ForceFinding, ...]:
@@ -88,15 +91,20 @@ def _axes(scene: FeetScene, trial: Trial, reread: Reread | None) -> tuple[ForceF
     if size is not None:
         said = f"{seen}, and would if the markers were {size:g} times as large: check their unit and calibration"
         return (ForceFinding(said),)
-    return tuple(_of_plate(scene, k, single[k]) for k in bad)
+    places = {k: found for k in bad if not single[k].agrees(0) and (found := find_place(scene, k, single[k]))}
+    together_moved = shared_place(scene, tuple(places.values())) if len(places) == len(bad) else ()
+    if together_moved:
+        return (ForceFinding(seen, together_moved),)
+    return tuple(_of_plate(scene, k, single[k], places.get(k)) for k in bad)
 
 
-def _of_plate(scene: FeetScene, k: int, plate: Tried) -> ForceFinding:
+def _of_plate(scene: FeetScene, k: int, plate: Tried, place: FoundPlace | None) -> ForceFinding:
     name, n = scene.forces.plates[k].name, number_of(scene.forces.plates[k], k)
     said = f"{name} does not agree with the feet: {in_figures(plate.evidence, 0)}"
-    if not plate.right:
+    changes = tuple(plate.right) if place is None else place_changes(scene, place)
+    if not changes:
         said += "; forces of another trial would look so"
-    return ForceFinding(said, tuple(plate.right), without(n))
+    return ForceFinding(said, changes, without(n))
 
 
 def _said(scene: FeetScene, each: dict[int, Tried], bad: list[int]) -> str:

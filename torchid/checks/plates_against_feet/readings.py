@@ -81,9 +81,7 @@ class Tried:
     @property
     def right(self) -> list[Change]:
         """Changes under which the plate agrees best, and those that are not told apart from it."""
-        gain = self.evidence.gain
-        least = BETTER if self.agrees(0) else MENDS
-        better = [i for i in range(1, len(gain)) if self.agrees(i) and float(gain[i]) > least and self._may_speak(i)]
+        gain, better = self.evidence.gain, self._better
         # Of what is told apart by less than its scatter, the list's own order says what happens more often.
         alike = [i for i in better if float(gain[better].max() - gain[i]) < ALIKE]
         kept: list[int] = []
@@ -91,6 +89,22 @@ class Tried:
             if all(float((self.wrench[i] - self.wrench[j]).abs().max()) > SAME_N for j in kept):
                 kept.append(i)
         return [self.changes[i - 1] for i in kept]
+
+    @property
+    def best(self) -> float:
+        """Gain of the best of them; minus infinity without any.
+
+        Smaller moments do not count: next to none agree with every foot, and of moments that are too large no place
+        would keep the pressure under one.
+        """
+        kept = [i for i in self._better if not self.changes[i - 1].shrinks_moments]
+        return max((float(self.evidence.gain[i]) for i in kept), default=-torch.inf)
+
+    @property
+    def _better(self) -> list[int]:
+        """Readings that agree, and enough better than as read."""
+        gain, least = self.evidence.gain, BETTER if self.agrees(0) else MENDS
+        return [i for i in range(1, len(gain)) if self.agrees(i) and float(gain[i]) > least and self._may_speak(i)]
 
     @property
     def disagrees(self) -> bool:
@@ -122,6 +136,19 @@ def tried(scene: FeetScene, k: int, changes: list[Change]) -> Tried:
     wrench = torch.stack([forces.wrench[:, k], *(changed(forces, change)[:, k] for change in changes)])
     others = forces.wrench[..., 2].abs().sum(dim=1) - forces.wrench[:, k, 2].abs()
     return Tried(tuple(changes), gather(scene.feet, wrench, scene.heights[k], others), wrench)
+
+
+def pressures_to_soles(trial: Trial) -> dict[str, float]:
+    """Median distance of the pressure of each loaded plate from the nearest foot, by the plate's name [m].
+
+    Args:
+        trial: forces on the clock of its markers; without feet or loads nothing is known.
+    """
+    scene = scene_of(trial)
+    if scene is None:
+        return {}
+    each = {plate.name: tried(scene, k, []) for k, plate in enumerate(scene.forces.plates)}
+    return {name: float(one.evidence.pressure[0]) for name, one in each.items() if one.bears(0)}
 
 
 def changed(forces: Forces, change: Change) -> Float[torch.Tensor, "n plates 6"]:

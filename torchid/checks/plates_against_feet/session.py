@@ -1,10 +1,11 @@
 """Forces against feet for the trials of a session together: what one trial leaves open another may tell."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
-from torchid.checks.plates_against_feet.changes import Change
-from torchid.checks.plates_against_feet.finding import ForceFinding
+from torchid.checks.plates_against_feet.changes import Change, contradict
+from torchid.checks.plates_against_feet.finding import ForceFinding, without
 from torchid.checks.plates_against_feet.judge import judge
 from torchid.errors import InputError
 from torchid.io.options import ReadOptions
@@ -59,14 +60,67 @@ def judge_recording(trial: Trial, recording: Recording) -> tuple[ForceFinding, .
 
 
 def judge_session(trials: Mapping[str, tuple[Trial, Recording]]) -> dict[str, tuple[ForceFinding, ...]]:
-    """Findings about every trial that has some; a line that one of them tells alone settles it where others are open.
+    """Findings about every trial that has some, reconciled.
 
     Args:
         trials: by name, each as read and how to read it again.
     """
     found = {name: judge_recording(trial, recording) for name, (trial, recording) in trials.items()}
+    return reconciled({name: each for name, each in found.items() if each}, trials)
+
+
+def reconciled(
+    found: Mapping[str, tuple[ForceFinding, ...]], trials: Mapping[str, tuple[Trial, Recording]]
+) -> dict[str, tuple[ForceFinding, ...]]:
+    """Findings about trials of one session: a line that one tells alone settles it where others are open.
+
+    Lines of two trials that contradict each other about one plate are not both advised: one that mends both is, or
+    none.
+
+    Args:
+        found: by trial, of those that have some.
+        trials: by name, each as read and how to read it again.
+    """
     settled = {f.lines()[0] for each in found.values() for f in each if len(f.changes) == 1}
-    return {name: tuple(_narrowed(f, settled) for f in each) for name, each in found.items() if each}
+    narrowed = {name: tuple(_narrowed(f, settled) for f in each) for name, each in found.items()}
+    clash = _contradiction(narrowed)
+    if clash is None:
+        return narrowed
+    number, told = clash
+    concerned = {name: trials[name] for name in told}
+    options = [change for each in told.values() for change in each]
+    shared = [change for change in options if holds_everywhere(change, concerned)][:1]
+    return {
+        name: tuple(_settled(f, number, told, shared) for f in each) if name in told else each
+        for name, each in narrowed.items()
+    }
+
+
+def _contradiction(found: Mapping[str, tuple[ForceFinding, ...]]) -> tuple[int, dict[str, tuple[Change, ...]]] | None:
+    """The first plate of which two trials tell nothing that can both be, and the changes that each trial tells."""
+    told = {name: each[0].changes for name, each in found.items()}
+    for number in sorted({n for changes in told.values() for change in changes for n in change.plates}):
+        about = {name: own for name, own in told.items() if own and all(number in change.plates for change in own)}
+        for one, other in combinations(about.values(), 2):
+            if all(contradict(a, b, number) for a in one for b in other):
+                return number, about
+    return None
+
+
+def _settled(
+    finding: ForceFinding, number: int, told: Mapping[str, tuple[Change, ...]], shared: Sequence[Change]
+) -> ForceFinding:
+    """The finding about a plate of which trials tell what cannot both be: with the line that mends all, or none."""
+    if not all(number in change.plates for change in finding.changes):
+        return finding
+    if shared:
+        return replace(finding, changes=(shared[0],))
+    each = "; ".join(f"{name}: {' or '.join(f'`{c.line}`' for c in own)}" for name, own in told.items())
+    advice = (
+        f"Trials contradict each other about plate {number} ({each}), and one plate cannot be both. Compare what their "
+        f"files say of it and whether it was changed between them; to go on without it add `{without(number).line}`"
+    )
+    return replace(finding, changes=(), advice=advice)
 
 
 def _narrowed(finding: ForceFinding, settled: set[str]) -> ForceFinding:

@@ -4,7 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+from torchid.checks.finding import record_of
 from torchid.diagnosis.trace import TraceStep
+from torchid.diagnosis.verdict.instruments import instrument_findings
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
 from torchid.effects.place import Place
 from torchid.effects.recommendations import tell_apart
@@ -27,6 +29,7 @@ def verdict_table(diagnosis: Diagnosis) -> dict[str, Any]:
         "refuted": [dataclasses.asdict(one) for one in diagnosis.refuted],
         "trace": [_step(k, one) for k, one in enumerate(diagnosis.trace, 1)],
         "plates": plates_table(diagnosis.plates),
+        "findings": [dataclasses.asdict(record_of(one)) for one in instrument_findings(diagnosis)],
     }
 
 

@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.checks.finding import Finding, InstrumentFault, Severity
+from torchid.checks.instruments import late_forces, unlike_gains, unloaded_reading
 from torchid.contact.contact import Contact
 from torchid.live.estimation.instruments import Instruments
 
@@ -36,8 +38,22 @@ class Notice:
     text: str
     """For whoever stands beside the subject."""
 
+    @classmethod
+    def of(cls, found: Finding) -> "Notice":
+        """Return a finding about an instrument as the page of a stream has it.
 
-UNKNOWN = Notice("posture", "", "No posture fits the markers: look whether labels are exchanged, or markers hidden")
+        Args:
+            found: its code is the name behind ``live.``.
+        """
+        return cls(found.code.removeprefix("live."), ", ".join(found.place), found.message)
+
+
+UNKNOWN = Notice.of(
+    Finding(
+        InstrumentFault.EXCHANGE, "live.posture", "No posture fits the markers",
+        advice="look whether labels are exchanged, or markers hidden",
+    )
+)  # fmt: skip
 """Nothing else can be said then."""
 
 
@@ -87,7 +103,11 @@ class Watch:
         here = torch.isfinite(error).any(0)
         missing, self._seen = self._seen & ~here, self._seen | here
         for k in missing.nonzero()[:, 0].tolist():
-            yield Notice("marker", self._labels[k], f"Marker {self._labels[k]} is not seen")
+            label = self._labels[k]
+            seen = f"Marker {label} is not seen"
+            yield Notice.of(
+                Finding(InstrumentFault.HIDDEN, "live.marker", seen, "", (label,), severity=Severity.WARNING)
+            )
 
     def _feet(self, block: WatchedBlock, known: Bool[Tensor, " frames"]) -> Iterator[Notice]:
         contact = block.contact
@@ -106,23 +126,21 @@ class Watch:
         for k, plate in enumerate(self._plates):
             free = block.contact.plate[:, k] == -1
             if _lasts(free) and abs(mean := float(block.vertical[free, k].mean())) > OFFSET_N:
-                yield Notice("offset", plate, f"{plate} reads {mean:.0f} N while nobody is on it: set it to zero")
+                yield Notice.of(unloaded_reading(plate, mean, "live.offset", severity=Severity.WARNING))
 
     def _late(self, block: WatchedBlock) -> Iterator[Notice]:
         if (found := block.instruments) is None:
             return
         late_s = found.late_s
         if abs(late_s) - CLOCK_SD * found.late_sd_s > CLOCK_S:
-            yield Notice("clock", "", f"Forces come {1e3 * abs(late_s):.0f} ms {'late' if late_s > 0.0 else 'early'}")
+            yield Notice.of(late_forces(late_s, found.late_sd_s, "live.clock"))
 
     def _gains(self, block: WatchedBlock) -> Iterator[Notice]:
         if block.instruments is None or len(self._plates) < 2:
             return
         high, low, off, sd = block.instruments.most_apart()
         if off > max(GAIN, GAIN_SD * sd):
-            names = [self._plates[k] for k in (low, high)]
-            text = f"{names[0]} reads {100.0 * off:.0f} % less than {names[1]} for the same weight: look at their gains"
-            yield Notice("gain", ", ".join(names), text)
+            yield Notice.of(unlike_gains(self._plates[low], self._plates[high], off, sd, "live.gain"))
 
 
 def _lasts(flag: Bool[Tensor, " frames"]) -> bool:

@@ -20,7 +20,7 @@ from torch import Tensor
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError
 from torchid.io.frame import to_world
-from torchid.io.mend import from_plate
+from torchid.io.plate_axes import from_plate
 from torchid.io.plate_setup import PlateProblem, plate_frame
 from torchid.recording import Plate
 
