@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from torchid.evaluation.cycle_measures.conventions import SIDED
+from torchid.evaluation.numbers import column_unit
 from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.wording import clean
 
@@ -56,6 +57,17 @@ def column_words(column: MeasureColumn) -> str:
     if column.where == WHOLE_BODY:
         return measure_words(column.measure)
     return f"{measure_words(column.measure)}, {where_words(column.where)}"
+
+
+def labelled(column: MeasureColumn, per_mass: bool) -> str:
+    """``peak torque, left hip flexion [N m]``.
+
+    Args:
+        column: of measures.
+        per_mass: whether torques are divided by mass.
+    """
+    own = column_unit(column, per_mass)
+    return f"{column_words(column)}{f' [{own}]' if own else ''}"
 
 
 def headed(head: Sequence[str], usual: str) -> tuple[str, ...]:
