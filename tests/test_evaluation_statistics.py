@@ -11,9 +11,16 @@ from scipy import stats
 from torchid.config.conditions import EvaluateOptions
 from torchid.evaluation.statistics.arrangements import deal, flip
 from torchid.evaluation.statistics.comparing import MeasureColumn, Sample, compare, spans
-from torchid.evaluation.statistics.effects import difference_of, hedges
-from torchid.evaluation.statistics.permutation import correlations, sign_means, step_down
+from torchid.evaluation.statistics.effects import Estimate, difference_of, hedges
+from torchid.evaluation.statistics.permutation import (
+    COURSE_COUNTS,
+    correlations,
+    counted_as_many,
+    sign_means,
+    step_down,
+)
 from torchid.evaluation.statistics.units import choose_units, least_units, memory, trial_units, unit_means
+from torchid.evaluation.torque_shares.beyond import beyond_need
 
 OPTIONS = EvaluateOptions(permutations=999)
 
@@ -187,3 +194,56 @@ def test_paired_signs(seed):
     values = torch.as_tensor(np.abs(rng.normal(size=(6, 1))) + 0.5)
     tested = step_down(sign_means(values, flip(6, 999, 0).ways))
     assert float(tested.p[0]) == pytest.approx(2 / 64)
+
+
+def test_a_torque_that_changes_sign_is_found_by_its_course_alone(seed):
+    """Peaks of size are the same; the course and the signed extremes are not."""
+    rng = np.random.default_rng(seed)
+    sign = np.where(np.arange(12) < 6, 1.0, -1.0)
+    curves = sign[:, None] * 13.0 * np.sin(np.pi * np.linspace(0, 1, 31)) + 0.5 * rng.normal(size=(12, 31))
+    peaks = np.abs(curves).max(1)[:, None]
+    courses = (MeasureColumn("ankle", "torque_Nm"), MeasureColumn("knee", "torque_Nm"))
+    both = np.stack([curves, 20.0 * rng.normal(size=(12, 1)) + rng.normal(size=(12, 31))], -1)
+    names, conditions = tuple(f"t{k}" for k in range(12)), tuple("off" if s > 0 else "on" for s in sign)
+    own = Sample(names, conditions, (MeasureColumn("ankle", "peak_torque_Nm"),), torch.as_tensor(peaks),
+                 courses=courses, curves=torch.as_tensor(both))  # fmt: skip
+    found = compare(own, "off", "on", OPTIONS, seed)
+    assert 0 in found.found_courses(0.05) and float(found.tested.courses[0]) <= float(found.tested.courses[1])
+    assert bool((found.tested.points[5:26, 0] <= 0.05).all())
+    torch.testing.assert_close(found.tested.points.amin(0), found.tested.courses)
+
+
+def test_courses_and_measures_are_wrong_as_rarely_as_any_family(seed):
+    """Five measures and four smooth courses without an effect: some finding in at most 5 % of 200, within chance."""
+    rng, wrong = np.random.default_rng(seed), 0
+    waves = np.stack([np.cos(np.pi * k * np.linspace(0, 1, 21)) for k in range(6)])
+    courses = tuple(MeasureColumn(f"c{k}", "torque_Nm") for k in range(4))
+    for k in range(200):
+        curves = np.einsum("nck,kp->npc", rng.normal(size=(10, 4, 6)), waves)
+        own = replace(sample(rng, 5, 1, 5), courses=courses, curves=torch.as_tensor(curves))
+        found = compare(own, "off", "on", OPTIONS, k)
+        wrong += bool(found.found(0.05) or found.found_courses(0.05))
+    assert wrong <= stats.binom.ppf(1 - 1e-5, 200, 0.05)
+
+
+def test_a_course_counts_as_eight_measures(seed):
+    """The chance of a statistic by Student's t is eight times its own, one at most, for labels and for signs."""
+    rng = np.random.default_rng(seed)
+    r, freedom = torch.as_tensor(rng.uniform(0.0, 0.999, 50)), torch.full((50,), 7.0, dtype=torch.float64)
+    for largest in (1.0, math.sqrt(8.0)):
+        less = counted_as_many(largest * r, torch.full_like(r, largest), freedom) / largest
+        before, after = (2.0 * stats.t.sf(x * np.sqrt(7.0 / (1.0 - x**2)), 7) for x in (r.numpy(), less.numpy()))
+        np.testing.assert_allclose(after, np.minimum(COURSE_COUNTS * before, 1.0), rtol=1e-6)
+
+
+def test_more_than_a_joint_needs_is_where_the_human_changes_sign():
+    """Half a cycle of a device that gives 20 of 10 N m; not where it gives 5, nor where the band holds zero."""
+    demand = torch.full((10, 3), 10.0, dtype=torch.float64)
+    device = torch.full_like(demand, 5.0)
+    device[:5, 1:] = 20.0
+    human = (demand - device).flatten()
+    wide = torch.tensor([1.0, 1.0, 30.0], dtype=torch.float64).repeat(10)
+    part, back = beyond_need(
+        Estimate(human, wide, human - wide, human + wide), demand.flatten(), device.flatten(), 10
+    )  # fmt: skip
+    assert part.tolist() == [0.0, 0.5, 0.0] and back.tolist() == [0.0, 10.0, 0.0]

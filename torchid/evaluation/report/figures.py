@@ -112,9 +112,19 @@ def courses_section(found: Compared, ledger: Ledger) -> Section:
                f"{clean(one.condition)} and {clean(one.reference)}, in the sense of the coordinate.")
         for k, one in enumerate(found.comparisons)
     ]  # fmt: skip
-    level, percent = (ledger.show(Key("method", name), 0, 100.0) for name in ("level", "coverage"))
-    said = (
-        f"Means over {found.comparisons[0].units.kind} with {percent} % bands. A bar at the bottom marks a significant "
-        f"difference, at {level} % for all measures and all points of all courses together."
-    )
+    percent, kind = ledger.show(Key("method", "coverage"), 0, 100.0), found.comparisons[0].units.kind
+    said = f"Means over {kind} with {percent} % bands.{marked(found, ledger)}"
     return Section("courses", "Human and device over the cycle", said, tuple(blocks))
+
+
+def marked(found: Compared, ledger: Ledger) -> str:
+    """What a bar in a panel marks; empty where nothing could be tested.
+
+    Args:
+        found: the evaluation or the study.
+        ledger: of its numbers.
+    """
+    if not any(one.testable for one in found.comparisons):
+        return ""
+    level = ledger.show(Key("method", "level"), 0, 100.0)
+    return f" A bar at the bottom marks a significant difference (family-wise {level} %: all measures, all points)."

@@ -23,6 +23,10 @@ BODIES = {
     "on it anew.",
 }
 """What is held beside the identified body, by ``Evaluation.usual``."""
+ADJUSTED = (
+    "p-values are adjusted by the step-down maximum over all measures and all courses (Westfall & Young 1993), and by "
+    "the number of conditions that are compared."
+)
 HUMAN = (
     "Human torque: inverse dynamics of the identified body and of the parts that it carries, minus the plates, minus "
     "the device's generalised force."
@@ -49,8 +53,7 @@ def method_section(found: Compared, ledger: Ledger, intervals: str, more: Sequen
         *(BODIES[one] for one in found.usual.split(" or ")),
         f"Coordinates: {SIGNS[found.signs]}.",
         *(_test(ledger, one) for one in found.comparisons),
-        "p-values are adjusted by the step-down maximum over all measures and all courses (Westfall & Young 1993), and "
-        "by the number of conditions that are compared.",
+        *([ADJUSTED] if any(one.testable for one in found.comparisons) else []),
         intervals, effect, *more,
     ]  # fmt: skip
     mass = Key("method", "mass")

@@ -4,7 +4,7 @@ from torchid.evaluation.compared import Compared
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.report.details import device_section, reach_section, values_section
-from torchid.evaluation.report.figures import courses_section, draw_courses
+from torchid.evaluation.report.figures import courses_section, draw_courses, marked
 from torchid.evaluation.report.method import method_section
 from torchid.evaluation.report.summary import summary_section
 from torchid.evaluation.report.tables import differences_section
@@ -94,8 +94,7 @@ def _caption(found: Evaluation, ledger: Ledger) -> str:
     percent, draws = ledger.show(Key("method", "coverage"), 0, 100.0), ledger.show(Key("method", "draws"), 0)
     bands = f" Bands: {percent} %, between trials and over {draws} bodies that the recordings allow."
     drawn = found.identified.rows.human_draws is not None
-    return (f"Mean torque that the human supplies over the cycle.{bands if drawn else ''} A bar at the bottom marks a "
-            "significant difference.")  # fmt: skip
+    return f"Mean torque that the human supplies over the cycle.{bands if drawn else ''}{marked(found, ledger)}"
 
 
 def rests_on(found: Evaluation, ledger: Ledger) -> str:

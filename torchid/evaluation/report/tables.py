@@ -75,5 +75,8 @@ def differences_section(found: Compared, ledger: Ledger) -> Section:
         if pairs
         else ""
     )
-    said = f"{over}Intervals are {percent} % each. p-values are adjusted for all measures, courses and conditions. "
-    return Section("differences", "All differences", f"{said}Rows in bold are findings.", tuple(blocks))
+    tested = "p-values are adjusted for all measures, courses and conditions. Rows in bold are findings."
+    if not any(one.testable for one in found.comparisons):
+        tested = "Nothing could be tested."
+    said = f"{over}Intervals are {percent} % each. {tested}"
+    return Section("differences", "All differences", said, tuple(blocks))
