@@ -158,12 +158,14 @@ def _counted(found: Compared, ledger: Ledger, one: Comparison) -> list[str]:
         for name in ("findings", "hypotheses", "course_findings", "courses")
     )
     level = ledger.show(Key("method", "level"), 0, 100.0)
-    counted = f"({findings} of {every} measures, {courses} of {all_courses} courses, family-wise {level} %)"
-    some = [where_words(one.courses[j].where) for j in one.found_courses(found.level)]
-    if not some and not one.found(found.level):
-        return [f"No significant difference {counted}."]
-    where = f" Over the cycle: {listing(list(dict.fromkeys(some)), SOME)}." if some else ""
-    return [f"Significant differences {counted}.{where}"]
+    if not (one.found(found.level) or one.found_courses(found.level)):
+        return [
+            f"No significant difference (0 of {every} measures, 0 of {all_courses} courses, family-wise {level} %)."
+        ]
+    counted = f"{findings} of {every} measures and {courses} of {all_courses} courses differ"
+    some = dict.fromkeys(where_words(one.courses[j].where) for j in one.found_courses(found.level))
+    where = [f"Over the cycle: {listing(list(some), SOME)}."] if some else []
+    return [f"{counted} significantly (family-wise {level} %).", *where]
 
 
 def _beyond(found: Compared, ledger: Ledger, one: Comparison) -> list[str]:
