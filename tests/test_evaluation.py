@@ -183,7 +183,7 @@ def test_the_page_begins_with_whether_it_helps(found: Evaluation) -> None:
     """One sentence; where trials are too few it says what is needed, claims no error rate and shows no effect size."""
     page = shown_text(render_evaluation(found, Ledger(all_numbers(found))))
     first = page.partition("Summary")[2].partition("Condition")[0]
-    assert "Does on help?" in first
+    assert "Does \u201con\u201d help?" in first
     few = tuple(replace(one, needed=needed_for(one.units, 0.2, 199, 0.05)) for one in found.comparisons)
     few_found = replace(found, identified=replace(found.identified, comparisons=few))
     page = shown_text(render_evaluation(few_found, Ledger(all_numbers(few_found))))

@@ -54,9 +54,8 @@ def change(ledger: Ledger, key: Key, digits: int, own: str) -> str:
         own: its unit.
     """
     behind = own if own in ("", "°") else f" {own}"
-    if key.measure in SIGNED:
-        return f"{ledger.show(key, digits)}{behind} different"
-    way = "lower" if ledger.value(key) < 0.0 else "higher"
+    ways = ("more negative", "more positive") if key.measure in SIGNED else ("lower", "higher")
+    way = ways[ledger.value(key) >= 0.0]
     return f"{ledger.size(key, digits)}{behind} {way}"
 
 
@@ -132,7 +131,7 @@ def headline(found: Compared, ledger: Ledger) -> str:
 def _verdict(found: Compared, ledger: Ledger, one: Comparison) -> list[str]:
     """Whether a condition helps, what was found, and where its device gives too much."""
     over = _beyond(found, ledger, one)
-    asked = f"Does {clean(one.condition)} help?"
+    asked = f"Does \u201c{clean(one.condition)}\u201d help?"
     if not one.testable:
         return [ledger.say("test", f"{asked} Not testable: {one.needed.said}."), *over]
     loads = load_change(one, found.level)
@@ -147,7 +146,7 @@ def _verdict(found: Compared, ledger: Ledger, one: Comparison) -> list[str]:
         for k in (*loads.lower[:1], *([] if loads.lower else loads.higher[:1]))
     ]
     counted = f"{lower} of {tested} loads lower, {higher} higher"
-    return [f"{asked} {answer}: {counted}{''.join(largest)}.", *_counted(found, ledger, one), *over]
+    return [f"{asked} {answer}: {counted}{''.join(largest)}.", *over, *_counted(found, ledger, one)]
 
 
 def _counted(found: Compared, ledger: Ledger, one: Comparison) -> list[str]:

@@ -8,8 +8,8 @@ from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.wording import clean
 
 MEASURES = {
-    "peak_torque_Nm": "peak torque", "max_torque_Nm": "largest torque in the sense of the coordinate",
-    "min_torque_Nm": "largest torque against the sense of the coordinate", "mean_torque_Nm": "mean torque",
+    "peak_torque_Nm": "peak torque", "max_torque_Nm": "maximum torque (signed)",
+    "min_torque_Nm": "minimum torque (signed)", "mean_torque_Nm": "mean torque",
     "positive_work_J": "work done (positive)", "negative_work_J": "work taken up (negative)",
     "peak_power_W": "peak power", "cumulative_load_Nms": "cumulative load", "range_deg": "range of motion",
     "peak_moment_Nm": "peak extension moment", "cumulative_moment_Nms": "cumulative extension moment",
