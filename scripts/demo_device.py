@@ -105,7 +105,8 @@ def blind(config: Config, recordings: Path) -> Config:
 def verdict(found: Evaluation) -> list[str]:
     """Findings and the device's parameters in plain lines."""
     one = found.identified.comparisons[0]
-    lines = [f"Found: {len(one.found(found.config.evaluate.level))} of {len(one.columns)} measures differ."]
+    differing = f"{len(one.found(found.level))} of {len(one.columns)} measures"
+    lines = [f"Found: {differing} and {len(one.found_courses(found.level))} of {len(one.courses)} courses differ."]
     for key, said in found.worn["on"].parameters.items():
         if key.endswith(("stiffness_Nm_rad", "mass_kg")):
             value = f"{said['value']:.2f} (sd {said['sd']:.2f})" if "value" in said else f"unknown: {said['why']}"

@@ -27,12 +27,15 @@ from torchid.devices import Device, SheetFinding, load_device
 from torchid.devices.values import SheetValue
 from torchid.dynamics.equations_of_motion import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
+from torchid.evaluation.corrections import Correction
 from torchid.evaluation.evaluate import evaluate, gather, judge
 from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.foreseen import foreseen
 from torchid.evaluation.gaps import find_gaps, unweighed
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import all_numbers
 from torchid.evaluation.report.page import render_evaluation
+from torchid.evaluation.statistics.units import needed_for
 from torchid.evaluation.torque_shares.back import lever_arms, low_back, trunk_of
 from torchid.evaluation.torque_shares.contacts import feet_of, refuse_twice
 from torchid.evaluation.torque_shares.device_draws import device_deviations
@@ -174,6 +177,46 @@ def test_without_draws_the_findings_are_the_same(found: Evaluation, device: Devi
 def test_blocks_are_said_to_take_something_for_granted(found: Evaluation) -> None:
     """One trial per condition cannot tell what trials have in common."""
     assert any("takes for granted" in gap.why for gap in found.gaps)
+
+
+def test_the_page_begins_with_whether_it_helps(found: Evaluation) -> None:
+    """One sentence; where trials are too few it says what is needed, claims no error rate and shows no effect size."""
+    page = shown_text(render_evaluation(found, Ledger(all_numbers(found))))
+    first = page.partition("Summary")[2].partition("Condition")[0]
+    assert "Does \u201con\u201d help?" in first
+    few = tuple(replace(one, needed=needed_for(one.units, 0.2, 199, 0.05)) for one in found.comparisons)
+    few_found = replace(found, identified=replace(found.identified, comparisons=few))
+    page = shown_text(render_evaluation(few_found, Ledger(all_numbers(few_found))))
+    first = page.partition("Summary")[2].partition("Condition")[0]
+    assert "Not testable" in first and "are the least that can" in first and "family-wise" not in first
+
+
+def test_what_the_diagnosis_corrected_is_listed(found: Evaluation, tmp_path: Path) -> None:
+    """On the first page by name, behind it in full, and in the JSON."""
+    gain = Correction(
+        "Gain of plate 1", "Plate 1 reads 0.936 times the force.", "plate_gain", ("1",), 0.97, ("squats",)
+    )
+    rests = replace(found, corrections=(gain,))
+    with OutputFolder(tmp_path / "out") as folder:
+        write_evaluation(rests, folder)
+    text = shown_text((tmp_path / "out" / "evaluation.html").read_text())
+    assert "Rests on 1 correction by the diagnosis: Gain of plate 1." in text
+    assert "Plate 1 reads 0.936 times the force. Probability 97 %." in text
+    held = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert held["corrections"][0]["what"] == gain.what and held["corrections"][0]["where"] == ["1"]
+
+
+@pytest.mark.parametrize(("trials", "conditions", "said"), [(3, 1, "4 trials"), (4, 1, ""), (4, 2, "5 trials")])
+def test_trials_too_few_for_any_finding_are_said_by_check(
+    tmp_path: Path, trials: int, conditions: int, said: str
+) -> None:  # fmt: skip
+    """Before anything is computed; two conditions share the level."""
+    names = ["without", *(f"on{k}" for k in range(conditions))]
+    listed = [{"name": f"{n}{k}", "file": "a.c3d", "condition": n} for n in names for k in range(trials)]
+    under = {name: {"reference": name == "without"} for name in names}
+    notes = list(foreseen(load_config(written(tmp_path, trials=listed, conditions=under))))
+    assert len(notes) == (conditions if said else 0)
+    assert all(said in one.message and one.code == "evaluate.untestable" for one in notes)
 
 
 def shown_text(page: str) -> str:

@@ -10,10 +10,17 @@ from scipy import stats
 
 from torchid.config.conditions import EvaluateOptions
 from torchid.evaluation.statistics.arrangements import deal, flip
-from torchid.evaluation.statistics.comparing import MeasureColumn, Sample, compare, course_p, spans, with_others
-from torchid.evaluation.statistics.effects import difference_of, hedges
-from torchid.evaluation.statistics.permutation import correlations, sign_means, step_down
+from torchid.evaluation.statistics.comparing import MeasureColumn, Sample, compare, spans
+from torchid.evaluation.statistics.effects import Estimate, difference_of, hedges
+from torchid.evaluation.statistics.permutation import (
+    COURSE_COUNTS,
+    correlations,
+    counted_as_many,
+    sign_means,
+    step_down,
+)
 from torchid.evaluation.statistics.units import choose_units, least_units, memory, trial_units, unit_means
+from torchid.evaluation.torque_shares.beyond import beyond_need
 
 OPTIONS = EvaluateOptions(permutations=999)
 
@@ -39,12 +46,12 @@ def test_all_arrangements_or_as_many_as_asked(seed):
     """The observed one first, none twice where they are all there are, sizes kept."""
     second = torch.tensor([True, False, True, False, False])
     every = deal(second, 999, seed)
-    assert every.complete and len(every.second) == math.comb(5, 2) == len({tuple(w) for w in every.second.tolist()})
-    assert torch.equal(every.second[0], second) and every.least_p == 0.1
+    assert every.complete and len(every.ways) == math.comb(5, 2) == len({tuple(w) for w in every.ways.tolist()})
+    assert torch.equal(every.ways[0], second) and every.least_p == 0.1
     some = deal(torch.arange(30) % 2 == 0, 200, seed)
-    assert not some.complete and len(some.second) == 200 and bool((some.second.sum(1) == 15).all())
+    assert not some.complete and len(some.ways) == 200 and bool((some.ways.sum(1) == 15).all())
     assert deal(torch.arange(6) % 2 == 0, 999, 0).least_p == 2 / 20
-    assert len(flip(4, 999, 0)) == 16 and bool((flip(12, 100, seed)[0] == 1.0).all())
+    assert len(flip(4, 999, 0).ways) == 16 and bool((flip(12, 100, seed).ways[0] == 1.0).all())
 
 
 def test_the_statistic_is_a_monotone_function_of_students_t(seed):
@@ -91,8 +98,8 @@ def test_adjusting_is_single_step_for_the_largest_and_never_falls(seed):
     """Step-down: the largest statistic against the largest of all, later ones never below earlier ones."""
     rng = np.random.default_rng(seed)
     values = torch.as_tensor(rng.normal(size=(8, 6)))
-    statistic = correlations(values, deal(torch.arange(8) < 4, 999, 0).second)
-    tested = step_down(statistic, 0.05)
+    statistic = correlations(values, deal(torch.arange(8) < 4, 999, 0).ways)
+    tested = step_down(statistic)
     size = statistic.abs()
     first = int(size[0].argmax())
     assert float(tested.adjusted[first]) == pytest.approx(
@@ -100,7 +107,7 @@ def test_adjusting_is_single_step_for_the_largest_and_never_falls(seed):
     )
     ordered = tested.adjusted[size[0].argsort(descending=True)]
     assert bool((ordered.diff() >= 0.0).all()) and bool((tested.adjusted >= tested.p - 1e-12).all())
-    alone = step_down(correlations(values[:, :1].expand(-1, 3), deal(torch.arange(8) < 4, 999, 0).second), 0.05)
+    alone = step_down(correlations(values[:, :1].expand(-1, 3), deal(torch.arange(8) < 4, 999, 0).ways))
     torch.testing.assert_close(alone.adjusted, alone.p)
 
 
@@ -109,9 +116,10 @@ def test_units_are_trials_unless_blocks_are_asked_for():
     rng = np.random.default_rng(0)
     assert compare(sample(rng, 4, 3, 2), "off", "on", OPTIONS, 0).units.kind == "trials"
     few = compare(sample(rng, 1, 12, 2), "off", "on", replace(OPTIONS, units="blocks"), 0)
-    assert few.units.kind == "blocks" and "takes for granted" in few.units.reason
+    assert few.units.kind == "blocks" and "takes for granted" in few.units.granted
     none = compare(sample(rng, 3, 8, 2), "off", "on", OPTIONS, 0)
-    assert not none.units.testable and "record 4" in none.units.reason and not none.found(0.99)
+    assert not none.testable and "4 trials of each condition are the least" in none.needed.said and not none.found(0.99)
+    assert bool(torch.isnan(none.effect.value).all())
     assert bool(torch.isnan(none.tested.adjusted).all()) and bool(torch.isfinite(none.difference.value).all())
     assert least_units(0.05) == 4 and least_units(0.001) == 7
 
@@ -126,7 +134,7 @@ def test_blocks_are_as_long_as_cycles_remember(seed):
     trials = ["a"] * 100 + ["b"] * 100
     assert memory(torch.as_tensor(white), trials) <= 2 < memory(torch.as_tensor(slow), trials)
     labels = [False] * 100 + [True] * 100
-    units = choose_units(torch.as_tensor(slow), trials, labels, EvaluateOptions(units="blocks"))
+    units = choose_units(torch.as_tensor(slow), trials, labels, "blocks")
     assert units.cycles_per_block > 2 and len(units.second) < 100
 
 
@@ -162,22 +170,80 @@ def test_courses_say_when(seed):
     smooth = np.stack([np.sin(np.pi * (k + 1) * t) for k in range(4)])
     curves = rng.normal(size=(16, 4)) @ smooth * 0.3 + 0.05 * rng.normal(size=(16, 51))
     curves[8:] += 3.0 * np.exp(-(((t - 0.5) / 0.08) ** 2))
-    own = sample(rng, 8, 1, 1)
-    units = choose_units(own.values, own.trials, [c == "on" for c in own.conditions], OPTIONS)
-    p = course_p(torch.as_tensor(curves)[:, :, None], units, OPTIONS, seed)[:, 0]
-    (start, stop), *_ = spans(p <= 0.05)
+    own = replace(
+        sample(rng, 8, 1, 1), courses=(MeasureColumn("c", "torque_Nm"),), curves=torch.as_tensor(curves)[..., None]
+    )
+    found = compare(own, "off", "on", OPTIONS, seed)
+    assert found.found_courses(0.05) == [0] and not found.found(1e-9)
+    (start, stop), *_ = spans(found.tested.points[:, 0] <= 0.05)
     assert 20.0 < start < 50.0 < stop < 80.0
 
 
 def test_more_comparisons_cost(seed):
     """Adjusted p-values are multiplied by their number, one at most."""
-    found = compare(sample(np.random.default_rng(seed), 4, 2, 3), "off", "on", OPTIONS, 0)
-    torch.testing.assert_close(with_others(found, 3).tested.adjusted, (3.0 * found.tested.adjusted).clamp(max=1.0))
+    own = sample(np.random.default_rng(seed), 5, 2, 3)
+    one, three = (compare(own, "off", "on", OPTIONS, 0, count) for count in (1, 3))
+    torch.testing.assert_close(three.tested.adjusted, (3.0 * one.tested.adjusted).clamp(max=1.0))
+    few = compare(sample(np.random.default_rng(seed), 4, 2, 3), "off", "on", OPTIONS, 0, 2)
+    assert not few.testable and few.needed.units == 5  # 2/70 twice is above 5 %
 
 
 def test_paired_signs(seed):
     """Over subjects: differences that are all of one sign have the smallest p that there is."""
     rng = np.random.default_rng(seed)
     values = torch.as_tensor(np.abs(rng.normal(size=(6, 1))) + 0.5)
-    tested = step_down(sign_means(values, flip(6, 999, 0)), 0.05)
+    tested = step_down(sign_means(values, flip(6, 999, 0).ways))
     assert float(tested.p[0]) == pytest.approx(2 / 64)
+
+
+def test_a_torque_that_changes_sign_is_found_by_its_course_alone(seed):
+    """Peaks of size are the same; the course and the signed extremes are not."""
+    rng = np.random.default_rng(seed)
+    sign = np.where(np.arange(12) < 6, 1.0, -1.0)
+    curves = sign[:, None] * 13.0 * np.sin(np.pi * np.linspace(0, 1, 31)) + 0.5 * rng.normal(size=(12, 31))
+    peaks = np.abs(curves).max(1)[:, None]
+    courses = (MeasureColumn("ankle", "torque_Nm"), MeasureColumn("knee", "torque_Nm"))
+    both = np.stack([curves, 20.0 * rng.normal(size=(12, 1)) + rng.normal(size=(12, 31))], -1)
+    names, conditions = tuple(f"t{k}" for k in range(12)), tuple("off" if s > 0 else "on" for s in sign)
+    own = Sample(names, conditions, (MeasureColumn("ankle", "peak_torque_Nm"),), torch.as_tensor(peaks),
+                 courses=courses, curves=torch.as_tensor(both))  # fmt: skip
+    found = compare(own, "off", "on", OPTIONS, seed)
+    assert 0 in found.found_courses(0.05) and float(found.tested.courses[0]) <= float(found.tested.courses[1])
+    assert bool((found.tested.points[5:26, 0] <= 0.05).all())
+    torch.testing.assert_close(found.tested.points.amin(0), found.tested.courses)
+
+
+def test_courses_and_measures_are_wrong_as_rarely_as_any_family(seed):
+    """Five measures and four smooth courses without an effect: some finding in at most 5 % of 200, within chance."""
+    rng, wrong = np.random.default_rng(seed), 0
+    waves = np.stack([np.cos(np.pi * k * np.linspace(0, 1, 21)) for k in range(6)])
+    courses = tuple(MeasureColumn(f"c{k}", "torque_Nm") for k in range(4))
+    for k in range(200):
+        curves = np.einsum("nck,kp->npc", rng.normal(size=(10, 4, 6)), waves)
+        own = replace(sample(rng, 5, 1, 5), courses=courses, curves=torch.as_tensor(curves))
+        found = compare(own, "off", "on", OPTIONS, k)
+        wrong += bool(found.found(0.05) or found.found_courses(0.05))
+    assert wrong <= stats.binom.ppf(1 - 1e-5, 200, 0.05)
+
+
+def test_a_course_counts_as_eight_measures(seed):
+    """The chance of a statistic by Student's t is eight times its own, one at most, for labels and for signs."""
+    rng = np.random.default_rng(seed)
+    r, freedom = torch.as_tensor(rng.uniform(0.0, 0.999, 50)), torch.full((50,), 7.0, dtype=torch.float64)
+    for largest in (1.0, math.sqrt(8.0)):
+        less = counted_as_many(largest * r, torch.full_like(r, largest), freedom) / largest
+        before, after = (2.0 * stats.t.sf(x * np.sqrt(7.0 / (1.0 - x**2)), 7) for x in (r.numpy(), less.numpy()))
+        np.testing.assert_allclose(after, np.minimum(COURSE_COUNTS * before, 1.0), rtol=1e-6)
+
+
+def test_more_than_a_joint_needs_is_where_the_human_changes_sign():
+    """Half a cycle of a device that gives 20 of 10 N m; not where it gives 5, nor where the band holds zero."""
+    demand = torch.full((10, 3), 10.0, dtype=torch.float64)
+    device = torch.full_like(demand, 5.0)
+    device[:5, 1:] = 20.0
+    human = (demand - device).flatten()
+    wide = torch.tensor([1.0, 1.0, 30.0], dtype=torch.float64).repeat(10)
+    part, back = beyond_need(
+        Estimate(human, wide, human - wide, human + wide), demand.flatten(), device.flatten(), 10
+    )  # fmt: skip
+    assert part.tolist() == [0.0, 0.5, 0.0] and back.tolist() == [0.0, 10.0, 0.0]

@@ -21,9 +21,9 @@ from torchid.cli import app
 from torchid.config import Config, InvalidConfig, Study, load_evaluation
 from torchid.config.study import Member
 from torchid.errors import ConfigError, DataError, InputError, TorchidError
-from torchid.evaluation.evaluation import Gap
+from torchid.evaluation.compared import Gap
 from torchid.evaluation.statistics.effects import hedges_paired
-from torchid.evaluation.study.compare import least_permutations, least_subjects
+from torchid.evaluation.statistics.units import least_subjects, needed_for, subject_units
 from torchid.evaluation.study.study import pool, subjects_of
 from torchid.evaluation.study.subject import read_subject
 from torchid.evaluation.study.write import FILES, evaluate_study
@@ -111,19 +111,19 @@ def test_a_change_that_all_subjects_share_is_found(tmp_path: Path, seed: int) ->
     found = pool(study, subjects_of(study, lambda stage, fraction: None)[0])
     (one,) = found.comparisons
     assert [c.where for c in one.columns[:3]] == [JOINTS[0], JOINTS[1], "L5/S1"] and one.least_p == 2 / 256
-    own = one.answers["identified"]
+    own = one
     assert 0 in own.found(0.05) and float(own.difference.high[0]) < 0.0 and own.agreeing[0] == (8, 8)
     ankle = [c.where for c in one.columns].index(JOINTS[2])
     assert own.agreeing[ankle] == (6, 6) and float(own.tested.p[ankle]) == 2 / 64
-    plain = one.answers["template"].difference.value
+    plain = found.template[0].difference.value
     torch.testing.assert_close(plain[[0, ankle]], 1.1 * own.difference.value[[0, ankle]])
-    hip = one.differing[:, [c.where for c in one.courses].index(JOINTS[0])]
+    hip = one.tested.points[:, [c.where for c in one.courses].index(JOINTS[0])]
     assert float(hip[POINTS // 2]) <= 0.05
     assert any("S0 and S1" in gap.why and JOINTS[2] in gap.what for gap in found.gaps)
 
 
 def test_signs_of_subjects_are_wrong_as_rarely_as_they_say(tmp_path: Path, seed: int) -> None:
-    """Correlated measures of six subjects without an effect: a finding in at most 5 % of 200, within chance."""
+    """Measures and courses of six subjects without an effect: a finding in at most 5 % of 200, within chance."""
     rng, wrong = np.random.default_rng(seed), 0
     study = study_of(tmp_path, drawn(seed, 6))
     subjects, _ = subjects_of(study, lambda stage, fraction: None)
@@ -132,17 +132,20 @@ def test_signs_of_subjects_are_wrong_as_rarely_as_they_say(tmp_path: Path, seed:
             common = rng.normal()
             for key, own in one.differences.items():
                 one.differences[key] = own.__class__(common + rng.normal(), own.low, own.high)
+            for courses in one.courses.values():
+                size = torch.as_tensor(common + rng.normal(size=(1, len(courses.columns))))
+                courses.mean["human"] = size + torch.as_tensor(0.3 * rng.normal(size=(POINTS, len(courses.columns))))
         again = pool(study.model_copy(update={"seed": k}), subjects)
-        wrong += bool(again.comparisons[0].answers["identified"].found(0.05))
+        wrong += bool(again.comparisons[0].found(0.05) or again.comparisons[0].found_courses(0.05))
     assert wrong <= stats.binom.ppf(1 - 1e-5, 200, 0.05)
 
 
 def test_too_few_subjects_find_nothing_and_are_told_how_many_do(tmp_path: Path, seed: int) -> None:
     """Five cannot reach 5 %, and seven are needed for two conditions; the differences are given all the same."""
-    assert [least_subjects(0.05, 1), least_subjects(0.05, 2), least_subjects(0.0625, 1)] == [6, 7, 5]
+    assert [least_subjects(x) for x in (0.05, 0.025, 0.0625)] == [6, 7, 5]
     study = study_of(tmp_path, drawn(seed, 5))
     found = pool(study, subjects_of(study, lambda stage, fraction: None)[0])
-    own = found.comparisons[0].answers["identified"]
+    own = found.comparisons[0]
     assert not own.found(0.9999) and bool(own.difference.value.isfinite().all())
     assert any("6 subjects are the least" in gap.why for gap in found.gaps)
 
@@ -155,8 +158,8 @@ def test_adjusted_p_values_count_the_conditions(tmp_path: Path, seed: int) -> No
     subjects, _ = subjects_of(study, lambda stage, fraction: None)
     two, one = pool(study, subjects).comparisons, pool(study_of(tmp_path, drawn(seed)), subjects_of(
         study_of(tmp_path, drawn(seed)), lambda stage, fraction: None)[0]).comparisons  # fmt: skip
-    doubled = (2.0 * one[0].answers["identified"].tested.adjusted).clamp(max=1.0)
-    torch.testing.assert_close(two[0].answers["identified"].tested.adjusted, doubled)
+    doubled = (2.0 * one[0].tested.adjusted).clamp(max=1.0)
+    torch.testing.assert_close(two[0].tested.adjusted, doubled)
 
 
 def test_who_lacks_a_condition_is_left_out_by_name(tmp_path: Path, seed: int) -> None:
@@ -167,7 +170,7 @@ def test_who_lacks_a_condition_is_left_out_by_name(tmp_path: Path, seed: int) ->
     own["S6"]["crutch"] = {JOINTS[0]: 1.0}
     study = study_of(tmp_path, own)
     found = pool(study, subjects_of(study, lambda stage, fraction: None)[0])
-    assert {one.condition: len(one.subjects) for one in found.comparisons} == {"spring": 7, "motor": 6}
+    assert {one.condition: len(one.units.second) for one in found.comparisons} == {"spring": 7, "motor": 6}
     said = [f"{gap.what}: {gap.why}" for gap in found.gaps]
     assert any(text.startswith("motor of S0: left out") for text in said)
     assert any(text.startswith("crutch: not compared: S6 alone") for text in said)
@@ -304,16 +307,16 @@ def test_why_too_few_subjects_are_left_is_said(tmp_path: Path, seed: int) -> Non
 
 def test_permutations_too_few_for_the_level_test_nothing(tmp_path: Path, seed: int) -> None:
     """Signs that are drawn cannot reach a level below one of their number; that is no verdict, and names the key."""
-    assert [least_permutations(0.05, 1), least_permutations(0.01, 1), least_permutations(0.05, 6)] == [20, 100, 120]
+    assert [needed_for(subject_units(9), 1.0, 99, x).permutations for x in (0.05, 0.01, 0.05 / 6)] == [20, 100, 120]
     study = study_of(tmp_path, drawn(seed), permutations=99, level=0.01)
     found = evaluate_study(study)
     (one,) = found.comparisons
-    assert not one.testable and one.needs == (False, True) and one.least_p == 1 / 99
+    assert not one.testable and one.needed.least == "permutations: 100" and one.least_p == 1 / 99
     assert any("permutations: 100 are the least" in gap.why for gap in found.gaps)
     page = shown_text((study.out / "subjects.html").read_text())
-    assert "permutations: 100 are the least" in page and "than chance" not in page
+    assert "permutations: 100 are the least" in page and "family-wise" not in page
     again = pool(study.model_copy(update={"permutations": 100}), found.subjects).comparisons[0]
-    assert again.testable and again.needs == (False, False)
+    assert again.testable and not again.needed.said
 
 
 def test_what_the_device_takes_is_weighed_by_time(tmp_path: Path, seed: int) -> None:

@@ -223,9 +223,12 @@ def _findings(what: list[str]) -> Iterator:
     """What there is to say of a config's session, or of the recordings of a list, one after the other."""
     if Path(what[0]).suffix.lower() in CONFIG_SUFFIXES:
         from torchid.config import load_config
+        from torchid.evaluation.foreseen import foreseen
         from torchid.session.checking import check_session
 
-        yield from check_session(load_config(what[0], what[1:]))
+        config = load_config(what[0], what[1:])
+        yield from check_session(config)
+        yield from foreseen(config)
     else:
         from torchid.checks.report import Given, check_recordings
         from torchid.io.pairing import pair_files

@@ -30,7 +30,7 @@ from benchmarks import evaluation_whole
 from torchid.config.conditions import EvaluateOptions
 from torchid.evaluation.cycle_measures.cycles import Cycle
 from torchid.evaluation.cycle_measures.measures import measure
-from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn, Sample, compare, course_p
+from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn, Sample, compare
 
 WALKS = Path(__file__).with_name("evaluation_walks.json")
 KIND = 2
@@ -99,8 +99,8 @@ def draw(walks: Walks, rng: np.random.Generator, trials: int, cycles: int) -> to
 
 def sample_of(
     walks: Walks, courses: torch.Tensor, conditions: int, options: EvaluateOptions, rng: np.random.Generator
-) -> tuple[Sample, torch.Tensor]:
-    """Measures of all cycles as an evaluation has them, and the courses of torque."""
+) -> Sample:
+    """Measures and courses of torque of all cycles, as an evaluation has them."""
     trials, cycles, _, points, joints = courses.shape
     flat = courses.flatten(0, 1)
     step = CYCLE_S / (points - 1)
@@ -115,35 +115,33 @@ def sample_of(
     names = tuple(f"trial {t}" for t in range(trials) for _ in range(cycles))
     per = trials // conditions
     labels = tuple(("without", "with")[t // per] for t in range(trials) for _ in range(cycles))
-    return Sample(names, labels, columns, values, values * body), flat[:, 0]
+    courses = tuple(MeasureColumn(name, "torque_Nm") for name in walks.names)
+    return Sample(names, labels, columns, values, values * body, (), courses, flat[:, 0])
 
 
 def evaluate(
     walks: Walks, rng: np.random.Generator, trials: int, cycles: int, options: EvaluateOptions, share: float, seed: int
-) -> tuple[Comparison, torch.Tensor, torch.Tensor]:
-    """One simulated evaluation: its comparison, p-values of its courses, and the true differences of the measures."""
+) -> tuple[Comparison, torch.Tensor]:
+    """One simulated evaluation: its comparison, and the true differences of the measures."""
     both = torch.cat([draw(walks, rng, trials, cycles), draw(walks, rng, trials, cycles)])
-    plain, _ = sample_of(walks, both, 2, options, np.random.default_rng(0))
+    plain = sample_of(walks, both, 2, options, np.random.default_rng(0))
     helped = both.clone()
     helped[trials:, :, 0, :, walks.names.index(HELPED)] *= 1.0 - share
-    sample, torque = sample_of(walks, helped, 2, options, rng)
+    sample = sample_of(walks, helped, 2, options, rng)
     found = compare(sample, "without", "with", options, seed)
     taken = (sample.values - plain.values)[trials * cycles :].mean(0)
-    names = {found.columns[k].where for k in found.found(options.level)}
-    wanted = [j for j, name in enumerate(walks.names) if name in names]
-    p = course_p(torque[:, :, wanted], found.units, options, seed)
-    return found, p, taken
+    return found, taken
 
 
 def null(walks: Walks, evaluations: int, trials: int, cycles: int, options: EvaluateOptions, seed: int) -> dict:
-    """Family-wise false findings, how often courses add some, and what intervals cover."""
+    """Family-wise false findings of measures and courses, how often of courses, and what intervals cover."""
     rng = np.random.default_rng(seed)
     wrong = courses = 0
     covered, widths, units = [], [], ""
     for k in range(evaluations):
-        found, p, _ = evaluate(walks, rng, trials, cycles, options, 0.0, seed + k)
-        wrong += bool(found.found(options.level))
-        courses += bool((p <= options.level).any())
+        found, _ = evaluate(walks, rng, trials, cycles, options, 0.0, seed + k)
+        wrong += bool(found.found(options.level) or found.found_courses(options.level))
+        courses += bool(found.found_courses(options.level))
         covered.append(((found.difference.low <= 0.0) & (found.difference.high >= 0.0)).double().mean())
         widths.append((found.effect.high - found.effect.low).nanmedian())
         units = found.units.kind
@@ -153,6 +151,7 @@ def null(walks: Walks, evaluations: int, trials: int, cycles: int, options: Eval
         "false_findings": rate, "sd": (rate * (1.0 - rate) / evaluations) ** 0.5,
         "of_which_in_courses": courses / evaluations,
         "interval_coverage": float(torch.stack(covered).mean()), "measures": len(found.columns),
+        "courses": len(found.courses),
     }  # fmt: skip
 
 
@@ -166,7 +165,7 @@ def power(walks: Walks, evaluations: int, options: EvaluateOptions, seed: int) -
             rng = np.random.default_rng((seed, trials))
             hits = 0
             for k in range(evaluations):
-                found, _, _ = evaluate(walks, rng, trials, 3, options, share, seed + k)
+                found, _ = evaluate(walks, rng, trials, 3, options, share, seed + k)
                 hits += any(found.columns[c].where == HELPED for c in found.found(options.level))
             chances.append(hits / evaluations)
             if chances[-1] > 0.97:

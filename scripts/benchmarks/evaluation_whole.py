@@ -27,7 +27,8 @@ from benchmarks.evaluation_recordings import perform
 from torchid.config import Config, load_config
 from torchid.errors import TorchidError
 from torchid.evaluation.evaluate import gather, judge
-from torchid.evaluation.evaluation import BodyAnswer, Evaluation
+from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.statistics.answers import BodyAnswer
 from torchid.evaluation.torque_shares.wearing import worn_devices
 from torchid.evaluation.trials import condition_trials
 from torchid.io.c3d_write import write_c3d
@@ -160,7 +161,7 @@ def _said(answer: BodyAnswer, found: Evaluation) -> dict:
     known = torch.isfinite(low)
     return {
         "found": [f"{one.columns[k].where} {one.columns[k].measure}" for k in one.found(level)],
-        "courses": int((answer.course_p[0] <= level).any()),
+        "courses": len(one.found_courses(level)),
         "least": float(one.tested.adjusted.nan_to_num(1.0).min()),
         "units": f"{len(one.units.second)} {one.units.kind}", "columns": int(one.tested.adjusted.isfinite().sum()),
         "covered": float(((low <= 0.0) & (high >= 0.0))[known].double().mean()),

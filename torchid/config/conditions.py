@@ -86,7 +86,8 @@ class EvaluateOptions:
     """How cycles are found: strides or stances by the feet's contacts, events of the files, rests of a coordinate, or a
     list of intervals."""
     measures: tuple[Literal[MEASURES], ...] = (  # type: ignore[valid-type]
-        "peak_torque_Nm", "positive_work_J", "negative_work_J", "cumulative_load_Nms", "range_deg",
+        "peak_torque_Nm", "max_torque_Nm", "min_torque_Nm", "positive_work_J", "negative_work_J", "cumulative_load_Nms",
+        "range_deg",
     )  # fmt: skip
     """What is tested of every coordinate; each one more is another chance to find something that is not there."""
     units: Literal["trials", "blocks"] = "trials"

@@ -14,13 +14,14 @@ from torchid.config import Config
 from torchid.config.conditions import EvaluateOptions
 from torchid.devices import Device, refuse_foreign
 from torchid.errors import ConfigError, DataError
+from torchid.evaluation.corrections import corrections_of
 from torchid.evaluation.cycle_measures.cycles import Course, Cycle, find_cycles, outliers
 from torchid.evaluation.cycle_measures.layout import MeasureLayout, make_layout
 from torchid.evaluation.cycle_measures.rows import CycleRows, RowScene, cycle_rows, joined
-from torchid.evaluation.evaluation import BodyAnswer, Evaluation
+from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.gaps import find_gaps
 from torchid.evaluation.simulation import with_conditions
-from torchid.evaluation.statistics.answers import answer
+from torchid.evaluation.statistics.answers import BodyAnswer, answer
 from torchid.evaluation.torque_shares.back import lever_arms
 from torchid.evaluation.torque_shares.contacts import FeetWrenches, count_contacts, feet_of, refuse_twice
 from torchid.evaluation.torque_shares.device_draws import device_deviations
@@ -182,6 +183,7 @@ def judge(config: Config, outcome: Outcome, material: Material) -> Evaluation:
     found = Evaluation(
         config, outcome, trials, cycles, conditions, material.layout, identified, template,
         _apart(identified, conditions), material.worn, count_contacts(trials, feet), (), material.mass_kg,
+        corrections_of(outcome),
     )  # fmt: skip
     return replace(found, gaps=find_gaps(found))
 

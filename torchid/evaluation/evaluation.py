@@ -6,21 +6,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
+from torchid.evaluation.compared import Gap
+from torchid.evaluation.corrections import Correction
 from torchid.evaluation.cycle_measures.cycles import Cycle
 from torchid.evaluation.cycle_measures.layout import MeasureLayout, from_file, usual_body
-from torchid.evaluation.cycle_measures.rows import CycleRows
-from torchid.evaluation.statistics.comparing import Comparison, Sample
+from torchid.evaluation.statistics.answers import BodyAnswer, sided_courses
+from torchid.evaluation.statistics.comparing import Comparison
+from torchid.evaluation.statistics.effects import Estimate
 from torchid.evaluation.torque_shares.wearing import Worn
 from torchid.evaluation.trials import ConditionTrial
 from torchid.session import Outcome
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Something that cannot be determined, and why."""
-
-    what: str
-    why: str
 
 
 @dataclass(frozen=True)
@@ -37,18 +32,6 @@ class ContactCount:
     """On a plate with another contact, and shared out."""
     beside: float
     """On no plate, or on one that does not tell: predicted where that was asked for, else left out."""
-
-
-@dataclass(frozen=True)
-class BodyAnswer:
-    """What one body says: the identified one, or the scaled template with tabulated inertia."""
-
-    rows: CycleRows
-    sample: Sample
-    comparisons: tuple[Comparison, ...]
-    """Of every condition with the reference."""
-    course_p: tuple[Float[Tensor, "points courses"], ...]
-    """Adjusted p-values of every comparison's courses."""
 
 
 @dataclass(frozen=True)
@@ -71,16 +54,38 @@ class Evaluation:
     gaps: tuple[Gap, ...]
     per_mass_kg: float | None
     """Mass by which torques are divided, None where they are not."""
+    corrections: tuple[Correction, ...] = ()
+    """What the diagnosis corrected before anything was compared."""
+
+    @property
+    def name(self) -> str:
+        """The subject's."""
+        return self.config.subject.name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All conditions."""
+        return tuple(self.config.conditions)
+
+    @property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """With the identified body."""
+        return self.identified.comparisons
+
+    @property
+    def level(self) -> float:
+        """Family-wise rate of false findings."""
+        return self.config.evaluate.level
+
+    @property
+    def per_mass(self) -> bool:
+        """Whether torques are divided by mass."""
+        return self.per_mass_kg is not None
 
     @property
     def reference(self) -> str:
         """Condition that the others are compared with."""
         return next(name for name, condition in self.config.conditions.items() if condition.reference)
-
-    @property
-    def others(self) -> tuple[str, ...]:
-        """Conditions that are compared with the reference."""
-        return tuple(name for name in self.config.conditions if name != self.reference)
 
     @property
     def usual(self) -> str:
@@ -93,10 +98,26 @@ class Evaluation:
         chosen = self.config.evaluate.convention
         return f"file_{chosen}" if from_file(self.config) else chosen
 
-    def unit(self, ending: str) -> str:
-        """Unit of a torque measure, per mass where that is wanted.
+    def devices(self, condition: str) -> tuple[str, ...]:
+        """Name of what was worn; none where nothing was.
 
         Args:
-            ending: unit as it is without division, such as ``N m``.
+            condition: its name.
         """
-        return ending if self.per_mass_kg is None else f"{ending}/kg"
+        device = self.worn[condition].device
+        return () if device is None else (device.name,)
+
+    def course(self, one: Comparison, condition: str, share: str) -> Estimate:
+        """Mean courses of a condition with their band, flattened to points times courses.
+
+        Args:
+            one: a comparison; all have the same courses.
+            condition: its name.
+            share: human, demand, device, or template.
+        """
+        answer = self.template if share == "template" else self.identified
+        rows = answer.rows
+        courses = rows.human if share == "template" else getattr(rows, share)
+        draws = rows.human_draws if share == "human" else None
+        values = sided_courses(courses, self.layout, self.cycles)
+        return answer.mean(condition, values.flatten(1), None if draws is None else draws.flatten(2))

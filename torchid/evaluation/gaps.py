@@ -7,8 +7,10 @@ import torch
 from torchid.conventions import GRAVITY
 from torchid.devices import SheetFinding
 from torchid.dynamics.rows import predict
+from torchid.evaluation.compared import Gap
 from torchid.evaluation.cycle_measures.measures import MEASURES
-from torchid.evaluation.evaluation import Evaluation, Gap
+from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.statistics.comparing import Comparison
 from torchid.evaluation.torque_shares.draws import SAID
 from torchid.evaluation.torque_shares.wearing import Worn, carried
 from torchid.wording import listing, plural
@@ -93,12 +95,20 @@ def _coordinates(found: Evaluation) -> Iterator[Gap]:
 
 
 def _tests(found: Evaluation) -> Iterator[Gap]:
-    for one in found.identified.comparisons:
-        what = f"{one.condition} against {one.reference}"
-        if not one.units.testable:
-            yield Gap(f"whether {what} differs", one.units.reason)
-        elif one.units.reason:
-            yield Gap(f"what trials of {what} have in common", one.units.reason)
+    for one in found.comparisons:
+        yield from untested(one)
+        if one.testable and one.units.granted:
+            yield Gap(f"what trials of {one.condition} against {one.reference} have in common", one.units.granted)
+
+
+def untested(one: Comparison) -> Iterator[Gap]:
+    """A comparison in which no finding is possible, and what it needs.
+
+    Args:
+        one: the comparison.
+    """
+    if not one.testable:
+        yield Gap(f"whether {one.condition} against {one.reference} differs", one.needed.said)
 
 
 def _torques(found: Evaluation) -> Iterator[Gap]:

@@ -5,20 +5,23 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
+from torchid.evaluation.compared import Compared
 from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.cycle_measures.layout import BACK
 from torchid.evaluation.cycle_measures.measures import divides_by_mass, unit_of
-from torchid.evaluation.evaluation import BodyAnswer, Evaluation
+from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import BODIES, Key
-from torchid.evaluation.statistics.answers import sided_courses
-from torchid.evaluation.statistics.comparing import MeasureColumn
-from torchid.evaluation.statistics.effects import Estimate, mean_of
-from torchid.evaluation.statistics.units import Units, trial_units, unit_means
+from torchid.evaluation.loads import load_change
+from torchid.evaluation.statistics.answers import BodyAnswer
+from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn
+from torchid.evaluation.statistics.effects import COVERAGE, Estimate
 from torchid.evaluation.torque_shares.back import NIOSH_N
+from torchid.evaluation.torque_shares.beyond import beyond_need
 
 Entry = tuple[Key, float, str]
-COVERAGE = 0.95
-"""Choice. Of all intervals and bands."""
+INTERVAL = ("value", "low", "high")
+PRESSED = ("L5/S1", "peak_compression_N")
+"""Where and measure of what is held against NIOSH's limit."""
 
 
 def all_numbers(found: Evaluation) -> Iterator[Entry]:
@@ -27,24 +30,121 @@ def all_numbers(found: Evaluation) -> Iterator[Entry]:
     Args:
         found: the evaluation.
     """
+    yield from common_numbers(found)
     yield from _method(found)
     yield from _cycles(found)
     yield from _contacts(found)
     yield from _device(found)
     for body, answer in zip(BODIES, (found.identified, found.template), strict=True):
         yield from _measures(found, answer, body)
-        yield from _differences(found, answer, body)
-        yield from _courses(found, answer, body)
+        for one in answer.comparisons:
+            yield from difference_numbers(one, body, found.per_mass)
+    for one in found.comparisons:
+        yield from _courses(found, one, one.condition)
+    yield from _courses(found, found.comparisons[0], found.reference)
 
 
-def unit(found: Evaluation, column: MeasureColumn) -> str:
-    """Unit of a column.
+def common_numbers(found: Compared) -> Iterator[Entry]:
+    """Numbers of method, tests and p-values of courses, which one subject and a study have alike.
 
     Args:
-        found: the evaluation, which may divide by mass.
-        column: of measures or courses.
+        found: the evaluation or the study.
     """
-    return column_unit(column, found.per_mass_kg is not None)
+    yield Key("method", "level"), found.level, ""
+    yield Key("method", "coverage"), COVERAGE, ""
+    yield Key("method", "limit", "", *PRESSED), NIOSH_N, "N"
+    for one in found.comparisons:
+        counts, courses, loads = one.units.counts, one.tested.courses, load_change(one, found.level)
+        said = {
+            "units_reference": counts[0], "units": counts[1], "cycles_per_block": one.units.cycles_per_block,
+            "least_p": one.least_p, "hypotheses": int(one.tested.adjusted.isfinite().sum()),
+            "findings": len(one.found(found.level)), "courses": int(courses.isfinite().sum()),
+            "course_findings": len(one.found_courses(found.level)), "loads": len(loads.tested),
+            "loads_lower": len(loads.lower), "loads_higher": len(loads.higher),
+        }  # fmt: skip
+        yield from ((Key("test", name, one.condition), value, "") for name, value in said.items())
+        yield from _course_tests(one)
+        if found.devices(one.condition):
+            yield from _beyond(found, one)
+
+
+def _course_tests(one: Comparison) -> Iterator[Entry]:
+    for j, column in enumerate(one.courses):
+        key = Key("course", "p_adjusted", one.condition, column.where, column.measure)
+        yield key, float(one.tested.courses[j]), ""
+        for k, p in enumerate(one.tested.points[:, j].tolist()):
+            yield key._replace(item=percent_of(k, len(one.tested.points))), p, ""
+
+
+def percent_of(point: int, points: int) -> str:
+    """A point of the cycle in percent, as keys have it.
+
+    Args:
+        point: from zero.
+        points: of the cycle.
+    """
+    return f"{100.0 * point / (points - 1):g}"
+
+
+def _beyond(found: Compared, one: Comparison) -> Iterator[Entry]:
+    """Of every coordinate, where the device gives more than is needed."""
+    human, demand, device = (found.course(one, one.condition, share) for share in ("human", "demand", "device"))
+    part, back = beyond_need(human, demand.value, device.value, len(one.tested.points))
+    for j, column in enumerate(one.courses):
+        if column.measure == "torque_Nm":
+            key = Key("device", "beyond_part", one.condition, column.where, column.measure)
+            yield key, float(part[j]), ""
+            yield key._replace(statistic="beyond_torque"), float(back[j]), column_unit(column, found.per_mass)
+
+
+def difference_numbers(one: Comparison, body: str, per_mass: bool) -> Iterator[Entry]:
+    """Numbers of all differences of a comparison.
+
+    Args:
+        one: the comparison.
+        body: identified or template.
+        per_mass: whether torques are divided by mass.
+    """
+    for k, column in enumerate(one.columns):
+        key, own = (
+            Key("difference", "", one.condition, column.where, column.measure, body),
+            column_unit(column, per_mass),
+        )
+        yield from interval_numbers(key, one.difference, k, own)
+        yield key._replace(statistic="sd"), float(one.difference.sd[k]), own
+        for name, source in (("g", "value"), ("g_low", "low"), ("g_high", "high")):
+            yield key._replace(statistic=name), float(getattr(one.effect, source)[k]), ""
+        yield key._replace(statistic="p"), float(one.tested.p[k]), ""
+        yield key._replace(statistic="p_adjusted"), float(one.tested.adjusted[k]), ""
+
+
+def interval_numbers(key: Key, estimate: Estimate, k: int, unit: str) -> Iterator[Entry]:
+    """Value and interval of one number.
+
+    Args:
+        key: without its statistic.
+        estimate: of several.
+        k: which of them.
+        unit: of it.
+    """
+    for name in INTERVAL:
+        yield key._replace(statistic=name), float(getattr(estimate, name)[k]), unit
+
+
+def course_numbers(key: Key, one: Comparison, mean: Estimate, per_mass: bool) -> Iterator[Entry]:
+    """Numbers of the mean courses of a condition.
+
+    Args:
+        key: with section, condition and body.
+        one: the comparison.
+        mean: flattened points times courses.
+        per_mass: whether torques are divided by mass.
+    """
+    width, points = len(one.courses), len(one.tested.points)
+    for at in range(len(mean.value)):
+        column = one.courses[at % width]
+        own = key._replace(where=column.where, measure=column.measure, item=percent_of(at // width, points))
+        yield from interval_numbers(own, mean, at, column_unit(column, per_mass))
 
 
 def column_unit(column: MeasureColumn, per_mass: bool) -> str:
@@ -59,70 +159,15 @@ def column_unit(column: MeasureColumn, per_mass: bool) -> str:
     return f"{own}/kg" if per_mass and divides_by_mass(column.measure) and not back else own
 
 
-def condition_units(answer: BodyAnswer, condition: str) -> tuple[list[int], Units]:
-    """Cycles of a condition, and their trials as units.
-
-    Args:
-        answer: of one body.
-        condition: its name.
-    """
-    own = [k for k, name in enumerate(answer.sample.conditions) if name == condition]
-    return own, trial_units([answer.sample.trials[k] for k in own])
-
-
-def condition_means(answer: BodyAnswer, condition: str) -> Estimate:
-    """Mean of every column over the trials of a condition; over its cycles where there is one trial.
-
-    Args:
-        answer: of one body.
-        condition: its name.
-    """
-    own, units = condition_units(answer, condition)
-    values = answer.sample.values[own]
-    draws = None if answer.sample.draws is None else answer.sample.draws[:, own]
-    if len(units.second) > 1:
-        values = unit_means(values, units)
-        draws = None if draws is None else unit_means(draws, units)
-    return mean_of(values, draws, COVERAGE)
-
-
-def course_means(answer: BodyAnswer, courses: Tensor, draws: Tensor | None, condition: str) -> Estimate:
-    """Mean course of a condition with its band, flattened to points times courses.
-
-    Args:
-        answer: of one body.
-        courses: of all cycles, NaN where a cycle is of the other side.
-        draws: the same with other bodies.
-        condition: its name.
-    """
-    own, units = condition_units(answer, condition)
-    values = courses[own].flatten(1)
-    drawn = None if draws is None else draws[:, own].flatten(2)
-    if len(units.second) > 1:
-        values = unit_means(values, units)
-        drawn = None if drawn is None else unit_means(drawn, units)
-    return mean_of(values, drawn, COVERAGE)
-
-
 def _method(found: Evaluation) -> Iterator[Entry]:
     options = found.config.evaluate
-    yield Key("method", "level"), options.level, ""
-    yield Key("method", "coverage"), COVERAGE, ""
     yield Key("method", "draws"), 0 if found.identified.rows.draws is None else options.draws, ""
     yield Key("method", "apart"), APART, ""
-    yield Key("method", "limit", where="L5/S1", measure="peak_compression_N"), NIOSH_N, "N"
+    yield Key("method", "corrections"), len(found.corrections), ""
     for name, value in zip(("lever_low", "lever_high"), options.lever_arm_m, strict=True):
         yield Key("method", name, where="L5/S1"), value, "m"
     if found.per_mass_kg is not None:
         yield Key("method", "mass"), found.per_mass_kg, "kg"
-    for one in found.identified.comparisons:
-        second = int(one.units.second.sum())
-        yield Key("test", "units_reference", one.condition), len(one.units.second) - second, ""
-        yield Key("test", "units", one.condition), second, ""
-        yield Key("test", "cycles_per_block", one.condition), one.units.cycles_per_block, ""
-        yield Key("test", "least_p", one.condition), one.least_p, ""
-        yield Key("test", "hypotheses", one.condition), int(torch.isfinite(one.tested.adjusted).sum()), ""
-        yield Key("test", "findings", one.condition), len(one.found(options.level)), ""
 
 
 def _cycles(found: Evaluation) -> Iterator[Entry]:
@@ -165,12 +210,12 @@ def _device(found: Evaluation) -> Iterator[Entry]:
     for condition, worn in found.worn.items():
         if worn.device is None:
             continue
-        own = [k for k, name in enumerate(found.conditions) if name == condition]
+        own, per = found.identified.cycles_of(condition), "/kg" if found.per_mass else ""
         for j, (name, side) in enumerate(zip(layout.names, layout.sides, strict=True)):
             mine = [k for k in own if not side or not found.cycles[k].side or found.cycles[k].side == side]
-            yield Key("device", "peak", condition, name, "torque_Nm"), _peak(rows.device[mine, :, j]), found.unit("N m")
+            yield Key("device", "peak", condition, name, "torque_Nm"), _peak(rows.device[mine, :, j]), f"N m{per}"
             load = rows.device_load[mine, j].nanmean()
-            yield Key("device", "load_taken", condition, name, "cumulative_load_Nms"), float(load), found.unit("N m s")
+            yield Key("device", "load_taken", condition, name, "cumulative_load_Nms"), float(load), f"N m s{per}"
         for key, parameter in worn.parameters.items():
             for name in ("value", "sd"):
                 if name in parameter:
@@ -183,42 +228,22 @@ def _peak(courses: Tensor) -> float:
 
 
 def _measures(found: Evaluation, answer: BodyAnswer, body: str) -> Iterator[Entry]:
-    for condition in found.config.conditions:
-        own, _ = condition_units(answer, condition)
-        mean = condition_means(answer, condition)
+    for condition in found.names:
+        own = answer.cycles_of(condition)
+        mean = answer.mean(condition, answer.sample.values, answer.sample.draws)
         for k, column in enumerate(answer.sample.columns):
-            key = Key("measure", "", condition, column.where, column.measure, body)
-            for name in ("value", "sd", "low", "high"):
-                yield key._replace(statistic=name), float(getattr(mean, name)[k]), unit(found, column)
+            key, unit = (
+                Key("measure", "", condition, column.where, column.measure, body),
+                column_unit(column, found.per_mass),
+            )
+            yield from interval_numbers(key, mean, k, unit)
+            yield key._replace(statistic="sd"), float(mean.sd[k]), unit
             count = int(torch.isfinite(answer.sample.values[own, k]).sum())
             yield key._replace(statistic="cycles"), count, ""
 
 
-def _differences(found: Evaluation, answer: BodyAnswer, body: str) -> Iterator[Entry]:
-    for one in answer.comparisons:
-        for k, column in enumerate(one.columns):
-            key, own = Key("difference", "", one.condition, column.where, column.measure, body), unit(found, column)
-            for name in ("value", "sd", "low", "high"):
-                yield key._replace(statistic=name), float(getattr(one.difference, name)[k]), own
-            for name, source in (("g", "value"), ("g_low", "low"), ("g_high", "high")):
-                yield key._replace(statistic=name), float(getattr(one.effect, source)[k]), ""
-            yield key._replace(statistic="p"), float(one.tested.p[k]), ""
-            yield key._replace(statistic="p_adjusted"), float(one.tested.adjusted[k]), ""
-
-
-def _courses(found: Evaluation, answer: BodyAnswer, body: str) -> Iterator[Entry]:
-    rows, columns = answer.rows, found.layout.courses
-    human = sided_courses(rows.human, found.layout, found.cycles)
-    points = human.shape[1]
-    for condition in found.config.conditions:
-        mean = course_means(answer, human, rows.human_draws, condition)
-        for k in range(points):
-            for j, column in enumerate(columns):
-                item = f"{100.0 * k / (points - 1):g}"
-                key = Key("course", "", condition, column.where, column.measure, body, item)
-                for name in ("value", "low", "high"):
-                    yield (
-                        key._replace(statistic=name),
-                        float(getattr(mean, name)[k * len(columns) + j]),
-                        unit(found, column),
-                    )
+def _courses(found: Evaluation, one: Comparison, condition: str) -> Iterator[Entry]:
+    for share, body in (("human", "identified"), ("template", "template")):
+        yield from course_numbers(
+            Key("course", "", condition, body=body), one, found.course(one, condition, share), found.per_mass
+        )

@@ -3,10 +3,12 @@
 from dataclasses import asdict
 from typing import Any
 
+from torchid.evaluation.compared import Compared
 from torchid.evaluation.cycle_measures.cycles import APART
-from torchid.evaluation.evaluation import BodyAnswer, Evaluation
-from torchid.evaluation.numbers import condition_means, condition_units
-from torchid.evaluation.statistics.comparing import Comparison
+from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.numbers import INTERVAL
+from torchid.evaluation.statistics.answers import BodyAnswer
+from torchid.evaluation.statistics.comparing import Comparison, spans
 
 
 def evaluation_table(found: Evaluation) -> dict[str, Any]:
@@ -39,15 +41,14 @@ def evaluation_table(found: Evaluation) -> dict[str, Any]:
             if worn.device is not None
         },
         "template": answer_table(found, found.template),
-        "test": {one.condition: _test(one, options.level) for one in found.identified.comparisons},
-        "level": options.level,
+        **tests_table(found),
+        "corrections": [asdict(one) for one in found.corrections],
         "contacts": [vars(one) for one in found.contacts],
         "cycles": [
             {"trial": c.trial, "condition": found.conditions[k], "side": c.side, "frames": [c.start, c.stop],
              "apart": float(found.apart[k]), "stands_apart": float(found.apart[k]) > APART}
             for k, c in enumerate(found.cycles)
         ],
-        "not_determinable": [{"what": gap.what, "why": gap.why} for gap in found.gaps],
     }  # fmt: skip
 
 
@@ -60,33 +61,63 @@ def answer_table(found: Evaluation, answer: BodyAnswer) -> dict[str, Any]:
     """
     joints: dict[str, Any] = {}
     for condition in found.config.conditions:
-        mean = condition_means(answer, condition)
-        own, _ = condition_units(answer, condition)
+        mean, own = answer.mean(condition, answer.sample.values, answer.sample.draws), answer.cycles_of(condition)
         for k, column in enumerate(answer.sample.columns):
             place = joints.setdefault(column.where, {}).setdefault(condition, {})
             place[column.measure] = {name: float(getattr(mean, name)[k]) for name in ("value", "sd", "low", "high")}
             place[column.measure]["cycles"] = int(answer.sample.values[own, k].isfinite().sum())
-    return {"joints": joints, "differences": [row for one in answer.comparisons for row in _rows(one, found)]}
+    rows = [difference_row(one, k, found.level) for one in answer.comparisons for k in range(len(one.columns))]
+    return {"joints": joints, "differences": rows}
 
 
-def _rows(one: Comparison, found: Evaluation) -> list[dict[str, Any]]:
-    level = found.config.evaluate.level
+def tests_table(found: Compared) -> dict[str, Any]:
+    """``courses``, ``test``, ``level`` and ``not_determinable``, which one subject and a study have alike.
+
+    Args:
+        found: the evaluation or the study.
+    """
+    return {
+        "courses": [row for one in found.comparisons for row in _course_rows(one, found.level)],
+        "test": {one.condition: _test(one, found.level) for one in found.comparisons},
+        "level": found.level,
+        "not_determinable": [{"what": gap.what, "why": gap.why} for gap in found.gaps],
+    }
+
+
+def difference_row(one: Comparison, k: int, level: float) -> dict[str, Any]:
+    """One difference of a comparison.
+
+    Args:
+        one: the comparison.
+        k: number of its column.
+        level: family-wise.
+    """
+    return {
+        "condition": one.condition, "where": one.columns[k].where, "measure": one.columns[k].measure,
+        **{name: float(getattr(one.difference, name)[k]) for name in ("value", "sd", "low", "high")},
+        "p": float(one.tested.p[k]), "p_adjusted": float(one.tested.adjusted[k]),
+        "hedges_g": {name: float(getattr(one.effect, name)[k]) for name in INTERVAL},
+        "found": float(one.tested.adjusted[k]) <= level,
+    }  # fmt: skip
+
+
+def _course_rows(one: Comparison, level: float) -> list[dict[str, Any]]:
     return [
         {
-            "condition": one.condition, "where": column.where, "measure": column.measure,
-            **{name: float(getattr(one.difference, name)[k]) for name in ("value", "sd", "low", "high")},
-            "p": float(one.tested.p[k]), "p_adjusted": float(one.tested.adjusted[k]),
-            "hedges_g": {name: float(getattr(one.effect, name)[k]) for name in ("value", "low", "high")},
-            "found": float(one.tested.adjusted[k]) <= level,
+            "condition": one.condition, "where": column.where, "course": column.measure,
+            "p_adjusted": float(one.tested.courses[j]), "found": float(one.tested.courses[j]) <= level,
+            "differs_percent": spans(one.tested.points[:, j] <= level),
         }
-        for k, column in enumerate(one.columns)
+        for j, column in enumerate(one.courses)
     ]  # fmt: skip
 
 
 def _test(one: Comparison, level: float) -> dict[str, Any]:
-    second = int(one.units.second.sum())
+    first, second = one.units.counts
     return {
-        "units": one.units.kind, "reference": len(one.units.second) - second, "condition": second,
+        "units": one.units.kind if one.testable else "none", "reference": first, "condition": second,
         "cycles_per_block": one.units.cycles_per_block, "least_p": one.least_p, "all_arrangements": one.complete,
-        "findings": len(one.found(level)), "said": one.units.reason,
+        "testable": one.testable, "units_wanted": one.needed.units, "permutations_wanted": one.needed.permutations,
+        "findings": len(one.found(level)), "course_findings": len(one.found_courses(level)),
+        "said": one.needed.said or one.units.granted,
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""What stands behind the first page: all differences, values, courses, cycles, contacts, devices and gaps."""
+"""What stands behind the first page of one subject: values, devices, corrections, contacts, cycles and gaps."""
 
 import math
 from collections.abc import Sequence
@@ -8,68 +8,12 @@ from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.gaps import contradicted
 from torchid.evaluation.ledger import Key, Ledger
-from torchid.evaluation.numbers import cycle_name, unit
-from torchid.evaluation.report.figures import draw_courses
-from torchid.evaluation.report.sentences import difference_key, ranked
-from torchid.evaluation.report.words import column_words, digits_of, headed, where_words
-from torchid.evaluation.statistics.comparing import Comparison
-from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
-from torchid.wording import ABSENT, clean, segment
-
-HEAD = ("Measure", "Reference", "Condition", "Difference", "Interval", "Adj. p", "Template", "Adj. p", "Hedges' g")
-"""The two columns on the scaled template say what it would have said of the difference."""
-
-
-def difference_rows(
-    found: Evaluation, ledger: Ledger, one: Comparison, columns: Sequence[int], title: str, effects: bool = True
-) -> Table:  # fmt: skip
-    """Table of differences, found ones in bold.
-
-    Args:
-        found: the evaluation.
-        ledger: of its numbers.
-        one: a comparison.
-        columns: numbers of its columns.
-        title: of the table.
-        effects: whether there is a column of standardised effects.
-    """
-    rows = []
-    for k in columns:
-        column = one.columns[k]
-        digits = digits_of(column.measure, found.per_mass_kg is not None)
-
-        def show(name: str, decimals: int = digits, body: str = "identified", of: int = k) -> str:
-            return ledger.show(difference_key(one, one.columns[of], name, body), decimals)
-
-        means = [
-            ledger.show(Key("measure", "value", name, column.where, column.measure), digits)
-            for name in (one.reference, one.condition)
-        ]
-        own = unit(found, column)
-        rows.append((
-            f"{column_words(column)}{f' [{own}]' if own else ''}", *means, show("value"),
-            f"{show('low')} to {show('high')}", show("p_adjusted", 3),
-            show("value", digits, "template"), show("p_adjusted", 3, "template"), *([show("g", 2)] if effects else []),
-        ))  # fmt: skip
-    own = set(one.found(found.config.evaluate.level))
-    strong = frozenset(k for k, column in enumerate(columns) if column in own)
-    return Table(title, headed(HEAD if effects else HEAD[:-1], found.usual), tuple(rows), strong=strong)
-
-
-def differences_section(found: Evaluation, ledger: Ledger) -> Section:
-    """All differences.
-
-    Args:
-        found: the evaluation.
-        ledger: of its numbers.
-    """
-    blocks: list[Block] = []
-    for one in found.identified.comparisons:
-        title = f"{clean(one.condition)} minus {clean(one.reference)}"
-        blocks.append(difference_rows(found, ledger, one, ranked(one) or range(len(one.columns)), title))
-    percent = ledger.show(Key("method", "coverage"), 0, 100.0)
-    said = f"Intervals are {percent} % each; p-values are adjusted for all measures and conditions together. "
-    return Section("differences", "All differences", said + "Rows in bold are findings.", tuple(blocks))
+from torchid.evaluation.numbers import cycle_name
+from torchid.evaluation.report.sentences import gap_lines, interval
+from torchid.evaluation.report.words import digits_of, labelled, where_words
+from torchid.report.blocks import Block, Details, Items, Paragraph, Section, Table
+from torchid.report.cause_sentences import chance
+from torchid.wording import clean, segment
 
 
 def values_section(found: Evaluation, ledger: Ledger) -> Section:
@@ -86,11 +30,9 @@ def values_section(found: Evaluation, ledger: Ledger) -> Section:
             key = Key("measure", "value", name, column.where, column.measure)
             if not math.isfinite(ledger.value(key)):
                 continue
-            digits, own = digits_of(column.measure, found.per_mass_kg is not None), unit(found, column)
-            low, high = (ledger.show(key._replace(statistic=end), digits) for end in ("low", "high"))
-            interval = ABSENT if low == ABSENT else f"{low} to {high}"
+            digits = digits_of(column.measure, found.per_mass)
             rows.append((
-                f"{column_words(column)}{f' [{own}]' if own else ''}", ledger.show(key, digits), interval,
+                labelled(column, found.per_mass), ledger.show(key, digits), interval(ledger, key, digits),
                 ledger.show(key._replace(statistic="cycles"), 0),
                 ledger.show(key._replace(body="template"), digits),
             ))  # fmt: skip
@@ -98,23 +40,6 @@ def values_section(found: Evaluation, ledger: Ledger) -> Section:
         tables.append(Table(clean(name), head, tuple(rows)))
     said = "Means over trials; torques, powers and works are the human's share."
     return Section("values", "Values of every condition", said, tuple(tables))
-
-
-def courses_section(found: Evaluation, ledger: Ledger) -> Section:
-    """All courses over the cycle.
-
-    Args:
-        found: the evaluation.
-        ledger: of its numbers.
-    """
-    blocks: list[Block] = []
-    for number, one in enumerate(found.identified.comparisons):
-        words = f"{clean(one.condition)} and {clean(one.reference)}, in the sense of the coordinate."
-        every = range(len(found.layout.courses))
-        blocks.append(Figure(draw_courses(found, number, every, f"c{number}"), words))
-    level = ledger.show(Key("method", "level"), 0, 100.0)
-    said = f"Where a bar marks a difference, it is one at {level} % for all points of all marked courses together."
-    return Section("courses", "Human and device over the cycle", said, tuple(blocks))
 
 
 def device_section(found: Evaluation, ledger: Ledger) -> Section | None:
@@ -133,7 +58,8 @@ def device_section(found: Evaluation, ledger: Ledger) -> Section | None:
             peak = Key("device", "peak", condition, name, "torque_Nm")
             load = Key("device", "load_taken", condition, name, "cumulative_load_Nms")
             rows.append((where_words(name), ledger.show(peak, 1), ledger.show(load, 2)))
-        head = ("Coordinate", f"Device's peak torque [{found.unit('N m')}]", f"Load taken [{found.unit('N m s')}]")
+        per = "/kg" if found.per_mass else ""
+        head = ("Coordinate", f"Device's peak torque [N m{per}]", f"Load taken [N m s{per}]")
         blocks.append(Table(f"{clean(condition)}: {clean(worn.device.name)}", head, tuple(rows)))
         blocks += [*_parameters(ledger, condition, worn.parameters), *_sheet(ledger, worn.findings)]
         blocks += [Paragraph(ledger.say("device", clean(source, 300))) for source in worn.device.sources]
@@ -173,10 +99,24 @@ def reach_section(found: Evaluation, ledger: Ledger) -> Section:
         found: the evaluation.
         ledger: of its numbers.
     """
-    gaps = Items(tuple(ledger.say("gap", f"{gap.what}: {gap.why}.") for gap in found.gaps))
-    blocks = (gaps, _contacts(found, ledger), *_apart(found, ledger), _cycles(found, ledger))
+    blocks = (
+        Items(gap_lines(ledger, found.gaps)),
+        *_corrections(found, ledger),
+        _contacts(found, ledger),
+        *_apart(found, ledger),
+        _cycles(found, ledger),
+    )
     return Section("reach", "What cannot be said, and what it rests on",
                    "Nothing was left out for how it looks.", blocks)  # fmt: skip
+
+
+def _corrections(found: Evaluation, ledger: Ledger) -> list[Block]:
+    """Faults that the diagnosis took out of body and recordings before anything was compared."""
+    if not found.corrections:
+        return []
+    said = "Corrections that the diagnosis made to the body and to the trials without a device:"
+    lines = (f"{one.what} Probability {chance(one.confidence)}." for one in found.corrections)
+    return [Paragraph(said), Items(tuple(ledger.say("correction", clean(text, 600)) for text in lines))]
 
 
 def _contacts(found: Evaluation, ledger: Ledger) -> Block:

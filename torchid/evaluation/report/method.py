@@ -1,9 +1,11 @@
-"""How the figures were made, in a paragraph each, with their sources."""
+"""How the figures were made, in a few sentences each, with their sources."""
 
-from torchid.evaluation.evaluation import Evaluation
+from collections.abc import Sequence
+
+from torchid.evaluation.compared import Compared
 from torchid.evaluation.ledger import Key, Ledger
-from torchid.evaluation.torque_shares.draws import SAID
-from torchid.report.blocks import Block, Items, Section
+from torchid.evaluation.statistics.comparing import Comparison
+from torchid.report.blocks import Items, Section
 from torchid.wording import clean
 
 SIGNS = {
@@ -21,44 +23,50 @@ BODIES = {
     "on it anew.",
 }
 """What is held beside the identified body, by ``Evaluation.usual``."""
+ADJUSTED = (
+    "p-values are adjusted by the step-down maximum over all measures and all courses (Westfall & Young 1993), and by "
+    "the number of conditions that are compared."
+)
+HUMAN = (
+    "Human torque: inverse dynamics of the identified body and of the parts that it carries, minus the plates, minus "
+    "the device's generalised force."
+)
 
 
-def method_section(found: Evaluation, ledger: Ledger) -> Section:
+def method_section(found: Compared, ledger: Ledger, intervals: str, more: Sequence[str] = ()) -> Section:
     """The chapter on method.
 
     Args:
-        found: the evaluation.
+        found: the evaluation or the study.
         ledger: of its numbers.
+        intervals: what they hold.
+        more: items behind those that one subject and a study have alike.
     """
-    levers = [ledger.show(Key("method", name, where="L5/S1"), 1, 100.0) for name in ("lever_low", "lever_high")]
+    paired = any(one.units.paired for one in found.comparisons)
+    effect = (
+        "Effect size: Hedges' g of paired differences, their mean over their standard deviation; interval of the "
+        "non-central t distribution (Cumming & Finch 2001)."
+        if paired else "Effect size: Hedges' g, the difference over the pooled standard deviation between units."
+    )  # fmt: skip
     items = [
-        "Human torque: inverse dynamics of the body and of the parts that it carries, minus the plates, minus the "
-        f"device's generalised force. {BODIES[found.usual]}",
+        f"{HUMAN}{' Every subject was evaluated alone, and is one unit here.' if paired else ''}",
+        *(BODIES[one] for one in found.usual.split(" or ")),
         f"Coordinates: {SIGNS[found.signs]}.",
-        *(_test(ledger, one.condition, one.units.kind) for one in found.identified.comparisons),
-        "p-values are adjusted by the step-down maximum over all measures (Westfall & Young 1993), and by the number "
-        f"of conditions that are compared. Intervals are Welch's{_widened(found)}.",
-        f"L5/S1: moment between pelvis and trunk in the pelvis' axes; compression of a single equivalent muscle "
-        f"(Chaffin & Andersson) with a lever arm of {levers[0]} to {levers[1]} cm; limit of NIOSH "
-        "(Waters et al. 1993).",
-    ]
-    blocks: tuple[Block, ...] = (Items(tuple(items)),)
-    mass = "" if found.per_mass_kg is None else f"Torques are divided by {ledger.show(Key('method', 'mass'), 1)} kg. "
-    return Section("method", "Method", f"{mass}Equations and limits: docs/evaluate.md of torchid.", blocks)
-
-
-def _widened(found: Evaluation) -> str:
-    """What intervals hold beside the scatter of trials."""
-    if found.identified.rows.draws is None:
-        return " between trials, of one body: none was drawn"
-    return f", widened by what differs over bodies drawn, the same for all conditions; they differ in: {SAID}"
-
-
-def _test(ledger: Ledger, condition: str, kind: str) -> str:
-    count = [ledger.show(Key("test", name, condition), 0) for name in ("units_reference", "units")]
-    least = ledger.show(Key("test", "least_p", condition), 4)
-    what = "trials" if kind in ("trials", "none") else "blocks of cycles"
-    return (
-        f"{clean(condition)}: {count[0]} {what} of the reference against {count[1]} were exchanged; no p-value can be "
-        f"below {least}."
+        *(_test(ledger, one) for one in found.comparisons),
+        *([ADJUSTED] if any(one.testable for one in found.comparisons) else []),
+        intervals, effect, *more,
+    ]  # fmt: skip
+    mass = Key("method", "mass")
+    said = f"Torques are divided by {ledger.show(mass, 1)} kg. " if ledger.has(mass) else ""
+    return Section(
+        "method", "Method", f"{said}Equations and limits: docs/evaluate.md of torchid.", (Items(tuple(items)),)
     )
+
+
+def _test(ledger: Ledger, one: Comparison) -> str:
+    first, second = (ledger.show(Key("test", name, one.condition), 0) for name in ("units_reference", "units"))
+    least = ledger.show(Key("test", "least_p", one.condition), 4)
+    what = "blocks of cycles" if one.units.kind == "blocks" else one.units.kind
+    done = (f"signs of {second} subjects' differences were flipped (Nichols & Holmes 2002)" if one.units.paired
+            else f"{first} {what} of the reference against {second} were exchanged")  # fmt: skip
+    return f"{clean(one.condition)}: {done}; no p-value can be below {least}."

@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 
 from torchid.evaluation.cycle_measures.conventions import SIDED
+from torchid.evaluation.numbers import column_unit
 from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.wording import clean
 
 MEASURES = {
-    "peak_torque_Nm": "peak torque", "max_torque_Nm": "largest torque in the sense of the coordinate",
-    "min_torque_Nm": "largest torque against the sense of the coordinate", "mean_torque_Nm": "mean torque",
+    "peak_torque_Nm": "peak torque", "max_torque_Nm": "maximum torque (signed)",
+    "min_torque_Nm": "minimum torque (signed)", "mean_torque_Nm": "mean torque",
     "positive_work_J": "work done (positive)", "negative_work_J": "work taken up (negative)",
     "peak_power_W": "peak power", "cumulative_load_Nms": "cumulative load", "range_deg": "range of motion",
     "peak_moment_Nm": "peak extension moment", "cumulative_moment_Nms": "cumulative extension moment",
@@ -56,6 +57,17 @@ def column_words(column: MeasureColumn) -> str:
     if column.where == WHOLE_BODY:
         return measure_words(column.measure)
     return f"{measure_words(column.measure)}, {where_words(column.where)}"
+
+
+def labelled(column: MeasureColumn, per_mass: bool) -> str:
+    """``peak torque, left hip flexion [N m]``.
+
+    Args:
+        column: of measures.
+        per_mass: whether torques are divided by mass.
+    """
+    own = column_unit(column, per_mass)
+    return f"{column_words(column)}{f' [{own}]' if own else ''}"
 
 
 def headed(head: Sequence[str], usual: str) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
-"""The answer of one body: its measures compared, and the courses of what was found."""
+"""The answer of one body: its measures and its courses over the cycle compared."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -10,8 +11,47 @@ from torchid.config import Config
 from torchid.evaluation.cycle_measures.cycles import Cycle
 from torchid.evaluation.cycle_measures.layout import MeasureLayout
 from torchid.evaluation.cycle_measures.rows import CycleRows
-from torchid.evaluation.evaluation import BodyAnswer
-from torchid.evaluation.statistics.comparing import Comparison, Sample, compare, course_p, with_others
+from torchid.evaluation.statistics.comparing import Comparison, Sample, compare
+from torchid.evaluation.statistics.effects import Estimate, mean_of
+from torchid.evaluation.statistics.units import trial_units, unit_means
+
+
+@dataclass(frozen=True)
+class BodyAnswer:
+    """What one body says: the identified one, or the scaled template with tabulated inertia."""
+
+    rows: CycleRows
+    sample: Sample
+    comparisons: tuple[Comparison, ...]
+    """Of every condition with the reference."""
+
+    def cycles_of(self, condition: str) -> list[int]:
+        """Numbers of the cycles of a condition.
+
+        Args:
+            condition: its name.
+        """
+        return [k for k, name in enumerate(self.sample.conditions) if name == condition]
+
+    def mean(
+        self,
+        condition: str,
+        values: Float[Tensor, "cycles columns"],
+        draws: Float[Tensor, "draws cycles columns"] | None,
+    ) -> Estimate:
+        """Mean over the trials of a condition; over its cycles where there is one trial.
+
+        Args:
+            condition: its name.
+            values: of all cycles, such as the sample's.
+            draws: the same with other bodies.
+        """
+        own = self.cycles_of(condition)
+        units = trial_units([self.sample.trials[k] for k in own])
+        values, drawn = values[own], None if draws is None else draws[:, own]
+        if len(units.second) > 1:
+            values, drawn = unit_means(values, units), None if drawn is None else unit_means(drawn, units)
+        return mean_of(values, drawn)
 
 
 def answer(
@@ -26,16 +66,15 @@ def answer(
         conditions: condition of every cycle.
         rows: measures and courses of the cycles.
     """
-    options, seed = config.evaluate, config.seed
     trials, sides = tuple(c.trial for c in cycles), tuple(c.side for c in cycles)
-    sample = Sample(trials, tuple(conditions), layout.columns, rows.values, rows.draws, sides)
+    curves = sided_courses(rows.human, layout, cycles)
+    sample = Sample(
+        trials, tuple(conditions), layout.columns, rows.values, rows.draws, sides, layout.courses, curves
+    )  # fmt: skip
     reference = next(name for name, own in config.conditions.items() if own.reference)
     others = [name for name in config.conditions if name != reference]
-    each = [compare(sample, reference, name, options, seed) for name in others]
-    comparisons = tuple(with_others(one, len(others)) for one in each)
-    courses = sided_courses(rows.human, layout, cycles)
-    p = tuple(_course_p(config, one, courses, sample, layout) for one in comparisons)
-    return BodyAnswer(rows, sample, comparisons, p)
+    each = (compare(sample, reference, name, config.evaluate, config.seed, len(others)) for name in others)
+    return BodyAnswer(rows, sample, tuple(each))
 
 
 def sided_courses(
@@ -53,17 +92,4 @@ def sided_courses(
         for j, column in enumerate(layout.courses):
             if cycle.side and column.side and cycle.side != column.side:
                 found[k, :, j] = torch.nan
-    return found
-
-
-def _course_p(
-    config: Config, comparison: Comparison, courses: Tensor, sample: Sample, layout: MeasureLayout
-) -> Float[Tensor, "points courses"]:
-    """Adjusted p-values of the courses of which a measure was found; NaN for the others."""
-    names = {layout.columns[k].where for k in comparison.found(config.evaluate.level)}
-    wanted = [j for j, column in enumerate(layout.courses) if column.where in names]
-    own = [k for k, name in enumerate(sample.conditions) if name in (comparison.reference, comparison.condition)]
-    found = courses.new_full(courses.shape[1:], torch.nan)
-    if wanted:
-        found[:, wanted] = course_p(courses[own][:, :, wanted], comparison.units, config.evaluate, config.seed)
     return found

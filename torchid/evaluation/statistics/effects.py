@@ -17,6 +17,8 @@ from scipy import stats
 from scipy.optimize import root_scalar
 from torch import Tensor
 
+COVERAGE = 0.95
+"""Choice. Of all intervals and bands."""
 LIKELY = 4096
 """Choice. Intervals into which a distribution is cut: bounds of effects are then right to 1e-3 of themselves."""
 
@@ -35,7 +37,7 @@ class Estimate:
 def mean_of(
     units: Float[Tensor, "units columns"],
     draws: Float[Tensor, "draws units columns"] | None,
-    coverage: float = 0.95,
+    coverage: float = COVERAGE,
 ) -> Estimate:
     """Mean over units.
 
@@ -56,7 +58,7 @@ def difference_of(
     units: Float[Tensor, "units columns"],
     second: Bool[Tensor, " units"],
     draws: Float[Tensor, "draws units columns"] | None,
-    coverage: float = 0.95,
+    coverage: float = COVERAGE,
 ) -> Estimate:
     """Mean of the second condition's units minus that of the first's.
 
@@ -73,7 +75,9 @@ def difference_of(
     return _interval(b - a, total, _scatter(shift, a), freedom, coverage)
 
 
-def hedges(units: Float[Tensor, "units columns"], second: Bool[Tensor, " units"], coverage: float = 0.95) -> Estimate:
+def hedges(
+    units: Float[Tensor, "units columns"], second: Bool[Tensor, " units"], coverage: float = COVERAGE
+) -> Estimate:
     """Difference of means over the pooled standard deviation between units, corrected for few units.
 
     Args:
@@ -90,7 +94,7 @@ def hedges(units: Float[Tensor, "units columns"], second: Bool[Tensor, " units"]
     return Estimate(g, sd, g - reach, g + reach)
 
 
-def hedges_paired(values: Float[Tensor, "subjects columns"], coverage: float = 0.95) -> Estimate:
+def hedges_paired(values: Float[Tensor, "subjects columns"], coverage: float = COVERAGE) -> Estimate:
     """Mean of paired differences over their standard deviation, corrected for few subjects.
 
     The interval is exact for normal differences: sqrt(n) mean / sd has a non-central t distribution with the

@@ -1,33 +1,43 @@
 """Permutation tests of many columns at once, with the family-wise error rate controlled by the largest statistic.
 
-The statistic of a column is the correlation r between the label and the value, which is a monotone function of
-Student's t, t^2 = (n - 2) r^2 / (1 - r^2), whose denominator does not depend on the label. Adjusted p-values are those
-of the step-down maximum (Westfall & Young 1993, Resampling-Based Multiple Testing, algorithm 4.1): the dependence
+The statistic of an unpaired column is the correlation r between the label and the value, which is a monotone function
+of Student's t, t^2 = (n - 2) r^2 / (1 - r^2), whose denominator does not depend on the label. Adjusted p-values are
+those of the step-down maximum (Westfall & Young 1993, Resampling-Based Multiple Testing, algorithm 4.1): the dependence
 between joints and measures is in the permutations, and nothing has to be assumed about it.
+
+Courses over the cycle are in the same family. The statistic of a course is that of its largest point, made as small as
+that of a single measure whose chance is ``COURSE_COUNTS`` times the point's own by Student's t: courses of a hundred
+points would drown measures else. The family-wise rate is exact whatever that number is, since all arrangements are
+treated alike.
 """
 
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
+from scipy import stats
 from torch import Tensor
 
 TIE = 1e-9
 """Resolution. Statistics that differ by less are equal: sums of the same numbers in another order."""
+COURSE_COUNTS = 8
+"""Choice. Measures as which a course counts in the family: one more than a coordinate has by default."""
 
 
 @dataclass(frozen=True)
 class Tested:
-    """p-values of all columns; NaN where a column could not be tested."""
+    """p-values of all columns and courses; NaN where one could not be tested."""
 
     p: Float[Tensor, " columns"]
     """Of each column alone."""
     adjusted: Float[Tensor, " columns"]
-    """Chance that any column would show so much if no label meant anything."""
+    """Chance that any column or course would show so much if no label meant anything."""
     statistic: Float[Tensor, " columns"]
-    """Correlation of the observed arrangement, positive where the second label has the larger values."""
-    critical: float
-    """Absolute statistic that the largest of all columns reaches with the chance ``level`` alone."""
+    """Of the observed arrangement, positive where the second condition has the larger values."""
+    courses: Float[Tensor, " courses"]
+    """Adjusted p-values of whole courses."""
+    points: Float[Tensor, "points courses"]
+    """Adjusted p-values of all points of the courses."""
 
 
 def correlations(
@@ -58,12 +68,12 @@ def correlations(
 
 
 def sign_means(
-    values: Float[Tensor, "subjects columns"], signs: Float[Tensor, "arrangements subjects"]
+    values: Float[Tensor, "units columns"], signs: Float[Tensor, "arrangements units"]
 ) -> Float[Tensor, "arrangements columns"]:
-    """Mean of paired differences over their root mean square, for every arrangement of signs.
+    """Sum of paired differences over the root of their sum of squares, for every arrangement of signs.
 
     Args:
-        values: differences of the subjects, NaN where one has none.
+        values: differences of the units, NaN where one has none.
         signs: of ``arrangements.flip``.
     """
     known = torch.isfinite(values)
@@ -71,37 +81,54 @@ def sign_means(
     return (signs @ torch.where(known, values, 0.0)) / size
 
 
-def step_down(statistics: Float[Tensor, "arrangements columns"], level: float) -> Tested:
+def counted_as_many(
+    size: Float[Tensor, "*any columns"], largest: Float[Tensor, " columns"], freedom: Float[Tensor, " columns"]
+) -> Float[Tensor, "*any columns"]:
+    """Statistics of single measures whose chance by Student's t is ``COURSE_COUNTS`` times that of these.
+
+    Args:
+        size: absolute statistics.
+        largest: that a column can have, and ``freedom`` of its t (``Arrangements.scale``).
+        freedom: degrees of freedom.
+    """
+    freedom = freedom.clamp(min=1.0)
+    r = (size / largest.clamp(min=1e-300)).clamp(max=1.0)
+    t = r * (freedom / (1.0 - r.square()).clamp(min=1e-300)).sqrt()
+    own = freedom.cpu().numpy()
+    chance = COURSE_COUNTS * stats.t.sf(t.cpu().numpy(), own)
+    less = r.new_tensor(stats.t.isf(chance.clip(max=0.5), own)).clamp(max=1e100)
+    return largest * less / (less.square() + freedom).sqrt()
+
+
+def step_down(
+    statistics: Float[Tensor, "arrangements columns"], courses: Float[Tensor, "arrangements courses"] | None = None,
+    points: Float[Tensor, "points courses"] | None = None,
+) -> Tested:  # fmt: skip
     """p-values from the statistics of all arrangements, the observed one first.
 
     Args:
-        statistics: of ``correlations`` or ``sign_means``; a column that is zero as observed is not tested.
-        level: family-wise, for the critical value.
+        statistics: of ``Arrangements.statistics``; a column that is zero as observed is not tested.
+        courses: statistics of whole courses, NaN of those that are not tested; absent: there are none.
+        points: statistics of their points as observed, NaN where one is not tested.
     """
-    size = statistics.abs()
-    tested = size[0] > 0.0
-    p = (size >= size[0] - TIE).to(size.dtype).mean(0)
-    adjusted = torch.full_like(p, torch.nan)
-    order = size[0].argsort(descending=True)
+    curves = statistics.new_zeros(len(statistics), 0) if courses is None else courses
+    every = torch.cat([statistics.abs(), curves.nan_to_num(0.0)], 1)
+    tested = torch.cat([statistics[0] != 0.0, curves[0].isfinite()])
+    own = (every >= every[0] - TIE).to(every.dtype).mean(0)
+    adjusted = torch.full_like(own, torch.nan)
+    order = every[0].argsort(descending=True)
     order = order[tested[order]]
-    running = 0.0
-    tail = size[:, order].flip(1).cummax(1).values.flip(1)
+    tail = every[:, order].flip(1).cummax(1).values.flip(1)
+    columns, running = statistics.shape[1], 0.0
+    shown = (
+        statistics.new_full((0, curves.shape[1]), torch.nan) if points is None else torch.full_like(points, torch.nan)
+    )
     for k, column in enumerate(order.tolist()):
-        own = float((tail[:, k] >= size[0, column] - TIE).to(size.dtype).mean())
-        running = max(running, own)
+        running = max(running, float((tail[:, k] >= every[0, column] - TIE).to(every.dtype).mean()))
         adjusted[column] = running
-    critical = float("inf")
-    if len(order):
-        largest = tail[:, 0].sort(descending=True).values
-        critical = float(largest[min(len(largest) - 1, int(level * len(largest)))])
-    return Tested(torch.where(tested, p, torch.nan), adjusted, statistics[0], critical)
-
-
-def same_sized_p(statistics: Float[Tensor, "arrangements columns"]) -> Float[Tensor, " columns"]:
-    """Single-step adjusted p-values of the columns of a curve, against the largest of all columns.
-
-    Args:
-        statistics: of all arrangements, the observed one first.
-    """
-    size = statistics.abs()
-    return (size.amax(1, keepdim=True) >= size[0] - TIE).to(size.dtype).mean(0)
+        if points is not None and column >= columns:
+            each = points[:, column - columns]
+            p = (tail[:, k, None] >= each - TIE).to(every.dtype).mean(0).clamp(min=running)
+            shown[:, column - columns] = torch.where(each.isfinite(), p, torch.nan)
+    p = torch.where(tested, own, torch.nan)
+    return Tested(p[:columns], adjusted[:columns], statistics[0], adjusted[columns:], shown)

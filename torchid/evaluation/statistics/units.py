@@ -1,4 +1,4 @@
-"""The units that a test exchanges between conditions: trials, or on demand blocks of successive cycles.
+"""The units of a test: trials, on demand blocks of successive cycles, or subjects with a difference each.
 
 Cycles of one trial share what that trial got wrong (a marker that was put on again, where the plates stood, how tired
 the subject was), so that a trial is the unit. With a single long trial per condition only blocks of cycles are left.
@@ -15,7 +15,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.config.conditions import EvaluateOptions
 from torchid.evaluation.statistics.arrangements import count_arrangements
 
 FORGOTTEN = 0.2
@@ -29,65 +28,112 @@ MOST_LAGS = 5
 class Units:
     """What is exchanged in the comparison of two conditions."""
 
-    kind: Literal["trials", "blocks", "none"]
+    kind: Literal["trials", "blocks", "subjects"]
     index: tuple[int, ...]
-    """Unit of every cycle of both conditions."""
+    """Unit of every cycle of both conditions; of every subject."""
     second: Bool[Tensor, " units"]
-    """Units of the second condition."""
+    """Units of the second condition; all of them where they are paired."""
     cycles_per_block: int = 1
-    reason: str = ""
-    """Why nothing can be tested, where ``kind`` is none; what blocks take for granted, where it is blocks."""
 
     @property
-    def testable(self) -> bool:
-        """Whether some arrangement can be rare enough."""
-        return self.kind != "none"
+    def paired(self) -> bool:
+        """Whether every unit has a difference of its own."""
+        return self.kind == "subjects"
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Units of the reference and of the other condition."""
+        second = int(self.second.sum())
+        return (second, second) if self.paired else (len(self.second) - second, second)
+
+    @property
+    def granted(self) -> str:
+        """What blocks take for granted; empty of other units."""
+        if self.kind != "blocks":
+            return ""
+        return (
+            f"blocks of {self.cycles_per_block} successive cycles were exchanged instead of trials: this takes for "
+            "granted that whole trials of one condition do not differ, and finds whatever made them differ"
+        )
+
+
+@dataclass(frozen=True)
+class Needed:
+    """What a comparison would need for any finding to be possible."""
+
+    units: int
+    """Of each condition, with permutations enough."""
+    permutations: int
+    """With units enough."""
+    said: str = ""
+    """What is too few, and what is the least that can; empty where a finding is possible."""
+    least: str = ""
+    """That least alone."""
+
+
+def needed_for(units: Units, least_p: float, permutations: int, level: float) -> Needed:
+    """What a finding needs at a level.
+
+    Args:
+        units: that there are.
+        least_p: smallest p-value that they give.
+        permutations: that are tried at most.
+        level: of one comparison.
+    """
+    wanted = (least_subjects if units.paired else least_units)(level)
+    tries = math.ceil(1.0 / level - 1e-9)
+    smaller = min(units.counts)
+    if least_p <= level + 1e-12 and smaller >= 2:
+        return Needed(wanted, tries)
+    few = permutations < tries
+    own = f"{units.counts[0]} subjects" if units.paired else f"{units.counts[0]} against {units.counts[1]} {units.kind}"
+    many = f"{wanted} subjects" if units.paired else f"{wanted} {units.kind} of each condition"
+    least = " with ".join([many] * (smaller < wanted) + [f"permutations: {tries}"] * few)
+    said = (
+        f"{own}{f' with permutations: {permutations}' if few else ''} cannot show anything at a level of {level:g}: no "
+        f"p-value is below {least_p:.3g}; {least} are the least that can"
+    )
+    return Needed(wanted, tries, said, least)
 
 
 def choose_units(
     values: Float[Tensor, "cycles columns"],
     trials: Sequence[str],
     second: Sequence[bool],
-    options: EvaluateOptions,
+    kind: Literal["trials", "blocks"],
 ) -> Units:
-    """The units of a comparison as asked, and whether they can show anything at the level.
+    """The units of a comparison as asked.
 
     Args:
         values: measures of the cycles of both conditions in the order of recording.
         trials: trial of every cycle.
         second: whether a cycle is of the second condition.
-        options: which units are wanted, and the level.
+        kind: of units.
     """
-    kind, length, reason = options.units, 1, ""
     if kind == "trials":
-        index, labels = _units([(trial,) for trial in trials], second)
-    else:
-        length = memory(values, trials)
-        blocks = [(trial, k // length) for trial, k in zip(trials, _positions(trials), strict=True)]
-        index, labels = _units(blocks, second)
-        reason = (
-            f"blocks of {length} successive cycles were exchanged instead of trials: this takes for granted that "
-            "whole trials of one condition do not differ from each other, and finds whatever made them differ"
-        )
-    if _enough(labels, options.level):
-        return Units(kind, index, labels, length, reason)
-    first, own = len(labels) - int(labels.sum()), int(labels.sum())
-    wanted = least_units(options.level)
-    reason = (
-        f"{first} against {own} {kind} cannot show anything at a level of {options.level:g}: "
-        f"record {wanted} of each condition or more"
-    )
-    return Units("none", index, labels, length, reason)
+        return trial_units(trials, second)
+    length = memory(values, trials)
+    blocks = [(trial, k // length) for trial, k in zip(trials, _positions(trials), strict=True)]
+    return Units(kind, *_units(blocks, second), length)
 
 
-def trial_units(trials: Sequence[str]) -> Units:
-    """The trials of one condition as units.
+def subject_units(count: int) -> Units:
+    """Subjects, each with a difference.
+
+    Args:
+        count: of subjects.
+    """
+    return Units("subjects", tuple(range(count)), torch.ones(count, dtype=torch.bool))
+
+
+def trial_units(trials: Sequence[str], second: Sequence[bool] | None = None) -> Units:
+    """Trials as units.
 
     Args:
         trials: trial of every cycle.
+        second: whether a cycle is of the second condition; absent: all are of one.
     """
-    index, labels = _units([(trial,) for trial in trials], [False] * len(trials))
-    return Units("trials", index, labels)
+    return Units("trials", *_units([(trial,) for trial in trials], second or [False] * len(trials)))
 
 
 def least_units(level: float) -> int:
@@ -96,7 +142,16 @@ def least_units(level: float) -> int:
     Args:
         level: of the test.
     """
-    return next(n for n in range(2, 100) if 2.0 / count_arrangements(n, n) <= level)
+    return next(n for n in range(2, 100) if 2.0 / count_arrangements(n, n) <= level + 1e-12)
+
+
+def least_subjects(level: float) -> int:
+    """Subjects from which on flipped signs can reach a level: 2^(1 - n) is no larger.
+
+    Args:
+        level: of the test.
+    """
+    return 1 + math.ceil(math.log2(1.0 / level) - 1e-9)
 
 
 def memory(values: Float[Tensor, "cycles columns"], trials: Sequence[str]) -> int:
@@ -136,13 +191,6 @@ def unit_means(values: Float[Tensor, "*draws cycles columns"], units: Units) -> 
     index = torch.tensor(units.index, device=values.device)
     own = [values[..., (index == k).nonzero()[:, 0], :].nanmean(-2) for k in range(len(units.second))]
     return torch.stack(own, dim=-2)
-
-
-def _enough(second: Tensor, level: float) -> bool:
-    own = int(second.sum())
-    other = len(second) - own
-    ways = count_arrangements(other, own)
-    return min(own, other) >= 2 and (2 if own == other else 1) / ways <= level
 
 
 def _units(keys: Sequence[tuple], second: Sequence[bool]) -> tuple[tuple[int, ...], Bool[Tensor, " units"]]:

@@ -8,16 +8,21 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.evaluation.ledger import BODIES, Key
-from torchid.evaluation.numbers import COVERAGE, Entry, column_unit
-from torchid.evaluation.statistics.comparing import MeasureColumn
-from torchid.evaluation.statistics.effects import Estimate, mean_of
-from torchid.evaluation.study.compare import SubjectsComparison, course_of
+from torchid.evaluation.numbers import (
+    INTERVAL,
+    PRESSED,
+    Entry,
+    column_unit,
+    common_numbers,
+    course_numbers,
+    difference_numbers,
+    interval_numbers,
+)
+from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn
+from torchid.evaluation.statistics.effects import mean_of
 from torchid.evaluation.study.study import Pooled
 from torchid.evaluation.study.subject import SHARES
 from torchid.evaluation.torque_shares.back import NIOSH_N
-
-PRESSED = ("L5/S1", "peak_compression_N")
-"""Where and measure of what is held against NIOSH's limit."""
 
 
 def study_numbers(found: Pooled) -> Iterator[Entry]:
@@ -26,10 +31,12 @@ def study_numbers(found: Pooled) -> Iterator[Entry]:
     Args:
         found: the study.
     """
-    yield from _method(found)
+    yield from common_numbers(found)
+    for condition in found.names:
+        yield Key("test", "recorded", condition), len(found.having(condition)), ""
     for body in BODIES:
         yield from _measures(found, body)
-        for one in found.comparisons:
+        for one in found.answers[body]:
             yield from _differences(found, one, body)
     yield from _pressed(found)
     yield from _shares(found)
@@ -61,78 +68,50 @@ def condition_values(found: Pooled, condition: str, body: str) -> Float[Tensor, 
     return torch.tensor(rows, dtype=torch.float64)
 
 
-def course_estimate(found: Pooled, one: SubjectsComparison, condition: str, share: str) -> Estimate:
-    """Mean course over the subjects of a comparison with its interval, points times courses.
-
-    Args:
-        found: the study.
-        one: the comparison.
-        condition: its own or the reference.
-        share: of ``SHARES``, or ``template``.
-    """
-    each = torch.stack([course_of(subject, condition, share, one.courses) for subject in one.subjects])
-    return mean_of(each.flatten(1), None, COVERAGE)
-
-
-def taken(found: Pooled, one: SubjectsComparison) -> tuple[list[str], Float[Tensor, "subjects coordinates"]]:
+def taken(found: Pooled, one: Comparison) -> tuple[list[str], Float[Tensor, "subjects coordinates"]]:
     """Coordinates, and the part of their load that the device takes, by subject; none where nothing was worn.
 
     Args:
         found: the study.
         one: the comparison.
     """
-    if all(subject.devices[one.condition] is None for subject in one.subjects):
-        return [], torch.zeros(len(one.subjects), 0, dtype=torch.float64)
-    names = list(dict.fromkeys(w for subject in one.subjects for w in subject.courses[one.condition].taken))
-    rows = [[subject.courses[one.condition].taken.get(w, math.nan) for w in names] for subject in one.subjects]
+    if all(subject.devices[one.condition] is None for subject in found.having(one.condition)):
+        return [], torch.zeros(len(found.having(one.condition)), 0, dtype=torch.float64)
+    names = list(
+        dict.fromkeys(w for subject in found.having(one.condition) for w in subject.courses[one.condition].taken)
+    )
+    rows = [
+        [subject.courses[one.condition].taken.get(w, math.nan) for w in names]
+        for subject in found.having(one.condition)
+    ]
     return names, torch.tensor(rows, dtype=torch.float64)
 
 
-def _method(found: Pooled) -> Iterator[Entry]:
-    yield Key("method", "level"), found.study.level, ""
-    yield Key("method", "coverage"), COVERAGE, ""
-    yield Key("method", "subjects"), len(found.subjects), ""
-    yield Key("method", "limit", "", *PRESSED), NIOSH_N, "N"
-    for condition in found.conditions:
-        yield Key("test", "recorded", condition), len(found.having(condition)), ""
-    for one in found.comparisons:
-        own = one.answers["identified"]
-        yield Key("test", "subjects", one.condition), len(one.subjects), ""
-        yield Key("test", "wanted", one.condition), one.wanted, ""
-        yield Key("test", "permutations", one.condition), one.permutations, ""
-        yield Key("test", "wanted_permutations", one.condition), one.wanted_permutations, ""
-        yield Key("test", "least_p", one.condition), one.least_p, ""
-        yield Key("test", "hypotheses", one.condition), int(own.tested.adjusted.isfinite().sum()), ""
-        yield Key("test", "findings", one.condition), len(own.found(found.study.level)), ""
-
-
 def _measures(found: Pooled, body: str) -> Iterator[Entry]:
-    for condition in found.conditions:
+    for condition in found.names:
         values = condition_values(found, condition, body)
-        mean = mean_of(values, None, COVERAGE)
+        mean = mean_of(values, None)
         for k, column in enumerate(columns_of(found)):
-            key, unit = Key("measure", "", condition, column.where, column.measure, body), _unit(found, column)
-            for name in ("value", "sd", "low", "high"):
-                yield key._replace(statistic=name), float(getattr(mean, name)[k]), unit
+            key = Key("measure", "value", condition, column.where, column.measure, body)
+            unit = column_unit(column, found.per_mass)
+            yield from interval_numbers(key, mean, k, unit)
+            yield key._replace(statistic="sd"), float(mean.sd[k]), unit
             for subject, value in zip(found.having(condition), values[:, k].tolist(), strict=True):
-                yield key._replace(statistic="value", item=subject.name), value, unit
+                yield key._replace(item=subject.name), value, unit
 
 
-def _differences(found: Pooled, one: SubjectsComparison, body: str) -> Iterator[Entry]:
-    own = one.answers[body]
+def _differences(found: Pooled, one: Comparison, body: str) -> Iterator[Entry]:
+    yield from difference_numbers(one, body, found.per_mass)
     for k, column in enumerate(one.columns):
-        key, unit = Key("difference", "", one.condition, column.where, column.measure, body), _unit(found, column)
-        for name in ("value", "sd", "low", "high"):
-            yield key._replace(statistic=name), float(getattr(own.difference, name)[k]), unit
-        for name, source in (("g", "value"), ("g_low", "low"), ("g_high", "high")):
-            yield key._replace(statistic=name), float(getattr(own.effect, source)[k]), ""
-        yield key._replace(statistic="p"), float(own.tested.p[k]), ""
-        yield key._replace(statistic="p_adjusted"), float(own.tested.adjusted[k]), ""
-        for name, count in zip(("agree", "subjects"), own.agreeing[k], strict=True):
+        key, unit = (
+            Key("difference", "", one.condition, column.where, column.measure, body),
+            column_unit(column, found.per_mass),
+        )
+        for name, count in zip(("agree", "subjects"), one.agreeing[k], strict=True):
             yield key._replace(statistic=name), count, ""
-        for subject in one.subjects:
+        for subject in found.having(one.condition):
             each = subject.differences.get((body, one.condition, column.where, column.measure))
-            for name in ("value", "low", "high"):
+            for name in INTERVAL:
                 value = math.nan if each is None else getattr(each, name)
                 yield key._replace(statistic=name, item=subject.name), value, unit
 
@@ -142,7 +121,7 @@ def _pressed(found: Pooled) -> Iterator[Entry]:
     columns = columns_of(found)
     for k, column in enumerate(columns):
         if (column.where, column.measure) == PRESSED:
-            for condition in found.conditions:
+            for condition in found.names:
                 own = condition_values(found, condition, "identified")[:, k]
                 yield Key("measure", "above_limit", condition, *PRESSED), int((own > NIOSH_N).sum()), ""
                 yield Key("measure", "known", condition, *PRESSED), int(own.isfinite().sum()), ""
@@ -151,42 +130,20 @@ def _pressed(found: Pooled) -> Iterator[Entry]:
 def _shares(found: Pooled) -> Iterator[Entry]:
     for one in found.comparisons:
         names, values = taken(found, one)
-        mean = mean_of(values, None, COVERAGE)
+        mean = mean_of(values, None)
         for k, where in enumerate(names):
             key = Key("device", "", one.condition, where, "load_taken")
-            for name in ("value", "low", "high"):
-                yield key._replace(statistic=name), float(getattr(mean, name)[k]), ""
-            for subject, value in zip(one.subjects, values[:, k].tolist(), strict=True):
+            yield from interval_numbers(key, mean, k, "")
+            for subject, value in zip(found.having(one.condition), values[:, k].tolist(), strict=True):
                 yield key._replace(statistic="value", item=subject.name), value, ""
 
 
 def _courses(found: Pooled) -> Iterator[Entry]:
+    """The reference's courses stand once beside each condition, since comparisons may have other subjects each."""
     for one in found.comparisons:
         for condition in (one.reference, one.condition):
+            name = condition if condition == one.condition else f"{one.reference} beside {one.condition}"
             for share in (*SHARES, "template"):
-                mean = course_estimate(found, one, condition, share)
-                yield from _course(found, one, condition, share, mean)
-        for k, row in enumerate(one.differing.tolist()):
-            item = f"{100.0 * k / (len(one.differing) - 1):g}"
-            for column, p in zip(one.courses, row, strict=True):
-                yield Key("course", "p_adjusted", one.condition, column.where, column.measure, item=item), p, ""
-
-
-def _course(
-    found: Pooled, one: SubjectsComparison, condition: str, share: str, mean: Estimate
-) -> Iterator[Entry]:  # fmt: skip
-    """The reference's courses stand once beside each condition, since comparisons may have other subjects each."""
-    width = len(one.courses)
-    section = "course" if share in ("human", "template") else f"course_{share}"
-    name = condition if condition == one.condition else f"{one.reference} beside {one.condition}"
-    body = "template" if share == "template" else "identified"
-    for at in range(len(mean.value)):
-        column = one.courses[at % width]
-        item = f"{100.0 * (at // width) / (len(mean.value) // width - 1):g}"
-        key = Key(section, "", name, column.where, column.measure, body, item)
-        for statistic in ("value", "low", "high"):
-            yield key._replace(statistic=statistic), float(getattr(mean, statistic)[at]), _unit(found, column)
-
-
-def _unit(found: Pooled, column: MeasureColumn) -> str:
-    return column_unit(column, found.per_mass)
+                section = "course" if share in ("human", "template") else f"course_{share}"
+                key = Key(section, "", name, body="template" if share == "template" else "identified")
+                yield from course_numbers(key, one, found.course(one, condition, share), found.per_mass)

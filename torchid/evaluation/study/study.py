@@ -4,11 +4,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from torchid.config import Config, Study, load_config
 from torchid.errors import ConfigError, DataError
+from torchid.evaluation.compared import Gap
 from torchid.evaluation.evaluate import evaluate
-from torchid.evaluation.evaluation import Gap
-from torchid.evaluation.study.compare import SubjectsComparison, compare_condition
+from torchid.evaluation.gaps import untested
+from torchid.evaluation.ledger import BODIES
+from torchid.evaluation.statistics.comparing import Comparison
+from torchid.evaluation.statistics.effects import Estimate, mean_of
+from torchid.evaluation.study.compare import compare_condition, course_of
 from torchid.evaluation.study.subject import SHARES, StudySubject, read_subject
 from torchid.session.fitting import OnStage
 from torchid.wording import listing
@@ -20,7 +26,8 @@ class Pooled:
 
     study: Study
     subjects: tuple[StudySubject, ...]
-    comparisons: tuple[SubjectsComparison, ...]
+    answers: dict[str, tuple[Comparison, ...]]
+    """By body."""
     gaps: tuple[Gap, ...]
     """Who and what was left out, and what cannot be said."""
 
@@ -30,7 +37,32 @@ class Pooled:
         return self.subjects[0].reference
 
     @property
-    def conditions(self) -> tuple[str, ...]:
+    def name(self) -> str:
+        """Of the study."""
+        return self.study.name
+
+    @property
+    def level(self) -> float:
+        """Family-wise rate of false findings."""
+        return self.study.level
+
+    @property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """With the identified bodies."""
+        return self.answers["identified"]
+
+    @property
+    def template(self) -> tuple[Comparison, ...]:
+        """With the scaled templates, or the models as shipped."""
+        return self.answers["template"]
+
+    @property
+    def signs(self) -> str:
+        """Whose names and signs coordinates have (``Evaluation.signs``)."""
+        return self.subjects[0].signs
+
+    @property
+    def names(self) -> tuple[str, ...]:
         """The reference and what is compared with it."""
         return (self.reference, *(one.condition for one in self.comparisons))
 
@@ -51,6 +83,26 @@ class Pooled:
             condition: its name.
         """
         return tuple(one for one in self.subjects if condition in one.conditions)
+
+    def devices(self, condition: str) -> tuple[str, ...]:
+        """Names of what was worn; none where nobody wore anything.
+
+        Args:
+            condition: its name.
+        """
+        worn = (one.devices[condition] for one in self.having(condition))
+        return tuple(dict.fromkeys(name for name in worn if name is not None))
+
+    def course(self, one: Comparison, condition: str, share: str) -> Estimate:
+        """Mean courses over the subjects of a comparison with their band, flattened to points times courses.
+
+        Args:
+            one: the comparison.
+            condition: its own or the reference.
+            share: of ``SHARES``, or ``template``.
+        """
+        each = [course_of(subject, condition, share, one.courses) for subject in self.having(one.condition)]
+        return mean_of(torch.stack(each).flatten(1), None)
 
 
 def subjects_of(
@@ -125,9 +177,11 @@ def pool(study: Study, subjects: Sequence[StudySubject], refused: Sequence[Gap] 
             found="; ".join((*(f"{gap.what} {gap.why}"[:200] for gap in refused), *had)) or "no subject",
             remedy=f"{mend}ame the same conditions alike in the subjects' configs, or add subjects",
         )  # fmt: skip
-    comparisons = tuple(compare_condition(having[c], c, len(compared), study) for c in compared)
-    gaps = (*refused, *_lacking(subjects, having), *(gap for one in comparisons for gap in _limits(one, study.level)))
-    return Pooled(study, tuple(subjects), comparisons, gaps)
+    answers = {
+        body: tuple(compare_condition(having[c], c, len(compared), study, body) for c in compared) for body in BODIES
+    }
+    limits = (gap for one in answers["identified"] for gap in _limits(one, having[one.condition]))
+    return Pooled(study, tuple(subjects), answers, (*refused, *_lacking(subjects, having), *limits))
 
 
 def _refuse_differing(subjects: Sequence[StudySubject]) -> None:
@@ -161,21 +215,13 @@ def _lacking(subjects: Sequence[StudySubject], having: dict[str, list[StudySubje
             yield Gap(f"one device in {condition}", f"subjects wore different ones ({said})")
 
 
-def _limits(one: SubjectsComparison, level: float) -> Iterator[Gap]:
+def _limits(one: Comparison, subjects: Sequence[StudySubject]) -> Iterator[Gap]:
     """Measures that subjects lack, and too few subjects or permutations."""
-    what = f"{one.condition} against {one.reference}"
-    if not one.testable:
-        least = (f"{one.wanted} subjects", f"permutations: {one.wanted_permutations}")
-        needed = listing([words for words, short in zip(least, one.needs, strict=True) if short])
-        yield Gap(
-            f"whether {what} differs",
-            f"{len(one.subjects)} subjects with permutations: {one.permutations} cannot show anything at a level of "
-            f"{level:g}: no p-value of flipped signs is below {one.least_p:g}; {needed} are the least that can",
-        )
-    known = one.answers["identified"].values.isfinite()
+    yield from untested(one)
+    what, known = f"{one.condition} against {one.reference}", one.rows.values.isfinite()
     lacking: dict[str, list[str]] = {}
     for k, column in enumerate(one.columns):
-        without = [s.name for s, has in zip(one.subjects, known[:, k].tolist(), strict=True) if not has]
+        without = [s.name for s, has in zip(subjects, known[:, k].tolist(), strict=True) if not has]
         if without:
             lacking.setdefault(listing(without), []).append(f"{column.measure} of {column.where}")
     for names, measures in lacking.items():

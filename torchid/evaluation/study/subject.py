@@ -66,6 +66,8 @@ class StudySubject:
     courses: dict[str, ConditionCourses]
     gaps: tuple[tuple[str, str], ...]
     """What it cannot say, and why."""
+    corrections: tuple[str, ...] = ()
+    """What the diagnosis of its recordings corrected."""
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -108,6 +110,7 @@ def _subject(table: dict[str, Any], folder: Path, courses: dict[str, ConditionCo
         table["convention"], table["signs"], table["template_is"],
         table["per_mass_kg"] is not None, means, differences, courses,
         tuple((gap["what"], gap["why"]) for gap in table["not_determinable"]),
+        tuple(one["what"] for one in table.get("corrections", ())),
     )  # fmt: skip
 
 

@@ -1,0 +1,82 @@
+"""Tables of differences, with the scaled template's beside them."""
+
+from collections.abc import Sequence
+
+from torchid.evaluation.compared import Compared
+from torchid.evaluation.ledger import Key, Ledger
+from torchid.evaluation.report.sentences import difference_key, interval
+from torchid.evaluation.report.words import digits_of, headed, labelled
+from torchid.evaluation.statistics.comparing import Comparison
+from torchid.report.blocks import Block, Section, Table
+from torchid.wording import clean
+
+
+def difference_rows(
+    found: Compared, ledger: Ledger, one: Comparison, columns: Sequence[int], title: str, effects: bool = True
+) -> Table:  # fmt: skip
+    """Table of differences, findings in bold.
+
+    Args:
+        found: the evaluation or the study.
+        ledger: of its numbers.
+        one: a comparison.
+        columns: numbers of its columns.
+        title: of the table.
+        effects: whether all of standardised effects is shown.
+    """
+    rows = [_row(found, ledger, one, k, effects) for k in columns]
+    head = (
+        "Measure", *(() if one.units.paired else ("Reference", "Condition")), "Difference", "Interval",
+        *(("Agree",) if one.units.paired else ()), "Adj. p", "Template", "Adj. p",
+        *(("Hedges' g",) if effects or one.units.paired else ()),
+        *(("Interval",) if effects and one.units.paired else ()),
+    )  # fmt: skip
+    own = set(one.found(found.level))
+    strong = frozenset(k for k, column in enumerate(columns) if column in own)
+    return Table(title, headed(head, found.usual), tuple(rows), strong=strong)
+
+
+def _row(found: Compared, ledger: Ledger, one: Comparison, k: int, effects: bool) -> tuple[str, ...]:
+    column, digits = one.columns[k], digits_of(one.columns[k].measure, found.per_mass)
+    key, plain = (difference_key(one, column, "value", body) for body in ("identified", "template"))
+
+    def show(name: str, decimals: int, of: Key = key) -> str:
+        return ledger.show(of._replace(statistic=name), decimals)
+
+    first, agree, g = [], [], [show("g", 2)]
+    if one.units.paired:
+        agree = [f"{show('agree', 0)} of {show('subjects', 0)}"]
+        g += [f"{show('g_low', 2)} to {show('g_high', 2)}"] if effects else []
+    else:
+        first = [ledger.show(Key("measure", "value", name, column.where, column.measure), digits)
+                 for name in (one.reference, one.condition)]  # fmt: skip
+        g = g if effects else []
+    return (
+        labelled(column, found.per_mass), *first, show("value", digits), interval(ledger, key, digits), *agree,
+        show("p_adjusted", 3), show("value", digits, plain), show("p_adjusted", 3, plain), *g,
+    )  # fmt: skip
+
+
+def differences_section(found: Compared, ledger: Ledger) -> Section:
+    """All differences.
+
+    Args:
+        found: the evaluation or the study.
+        ledger: of its numbers.
+    """
+    blocks: list[Block] = [
+        difference_rows(found, ledger, one, one.ranked(), f"{clean(one.condition)} minus {clean(one.reference)}")
+        for one in found.comparisons
+    ]
+    percent = ledger.show(Key("method", "coverage"), 0, 100.0)
+    pairs = any(one.units.paired for one in found.comparisons)
+    over = (
+        "Mean over subjects of each one's own difference. Agree: subjects that change as the mean does. "
+        if pairs
+        else ""
+    )
+    tested = "p-values are adjusted for all measures, courses and conditions. Rows in bold are findings."
+    if not any(one.testable for one in found.comparisons):
+        tested = "Nothing could be tested."
+    said = f"{over}Intervals are {percent} % each. {tested}"
+    return Section("differences", "All differences", said, tuple(blocks))
