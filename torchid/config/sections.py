@@ -18,7 +18,7 @@ from torchid.config.paths import UserPath, resolve_path
 from torchid.contact.options import ContactOptions
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.geometry.options import GeometryOptions
-from torchid.inertia.options import InertiaOptions
+from torchid.inertia.options import IdentifyOptions
 from torchid.io.mend import ForcesAs, PlateAs
 from torchid.io.options import ReadOptions
 from torchid.model.tree_of_links import FileScatter
@@ -103,11 +103,9 @@ class MotionOptions(ConfigSection):
 
 
 @dataclass(frozen=True)
-class Inertia(InertiaOptions):
+class Inertia(IdentifyOptions):
     """Fit of mass, centre of mass and inertia tensor of every segment: the stage's options and three more."""
 
-    noise: Literal["known"] = "known"
-    """The rows of a trial are whitened by the noise that they show themselves (``identify_inertia``)."""
     enabled: bool = True
     known_mass: bool = False
     """Hold the total mass at ``subject.mass_kg`` (within ``mass_sd_kg``, or 0.1 %)."""
@@ -162,7 +160,6 @@ class Config(ConfigSection):
     """Under which trials were recorded, one of them the reference; trials with a device tell nothing of the body."""
     evaluate: EvaluateOptions = EvaluateOptions()
     simulate: SimulateOptions | None = None
-    device: Literal["cpu", "cuda"] = "cpu"
     threads: Annotated[Count, Field(le=1024)] | None = None
     """Threads of torch; absent: its own choice."""
     out: UserPath = Field(default=Path("out"), validate_default=True)
