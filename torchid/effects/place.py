@@ -13,8 +13,11 @@ class Interval:
     """Part of a trial [s]."""
 
     trial: str
+    """Name of the trial."""
     t0: float
+    """Its first moment in the trial's time [s]."""
     t1: float
+    """Its last moment [s]."""
 
 
 BEFORE = " before "

@@ -64,8 +64,11 @@ class PlateAs:
     reads: Annotated[int, Ge(1)] | None = None
     """The plate whose channels this one's corners belong to, where two are exchanged."""
     gain: float = 1.0
+    """Factor of its forces and moments."""
     moment_gain: float = 1.0
+    """Further factor of its moments alone: 0.001 for N mm."""
     lag_ms: float = 0.0
+    """How much later than the markers it was stamped."""
 
 
 PlatesAs = Mapping[int, PlateAs]
