@@ -101,7 +101,8 @@ def value_of(section: type, key: Key) -> Any:
 def around(section: type, key: Key) -> dict[str, Any]:
     """A config into which a section can be put."""
     if section in sections(Study):
-        return {"name": "study", "subjects": [{} if key.name == "out" else {"config": "a.yaml"}, {"out": "b"}]}
+        own_folder = (section.__name__, key.name) == ("Member", "out")
+        return {"name": "study", "subjects": [{} if own_folder else {"config": "a.yaml"}, {"out": "b"}]}
     if (section.__name__, key.name) == ("Condition", "reference"):
         conditions: dict[str, Any] = {}  # the only one may be the reference
     else:

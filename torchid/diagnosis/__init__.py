@@ -1,0 +1,1 @@
+"""What the identified model gets wrong: which effects of the catalogue recordings support, and which not."""

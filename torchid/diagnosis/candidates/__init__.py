@@ -1,0 +1,1 @@
+"""What could be hidden, where, and when."""

@@ -1,0 +1,1 @@
+"""What each candidate would do to plates and markers."""

@@ -1,0 +1,1 @@
+"""What held-out motion and tests of single causes say."""

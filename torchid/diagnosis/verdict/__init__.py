@@ -1,0 +1,1 @@
+"""Causes with size, confidence and rivals, and their table."""
