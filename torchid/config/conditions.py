@@ -49,9 +49,9 @@ class GivenCycle:
     trial: Name
     """Name of the trial."""
     t0: float
-    """Its first moment in the trial's time [s]."""
+    """The first moment in the trial's time [s]."""
     t1: float
-    """Its last moment [s]."""
+    """The last moment [s]."""
     side: Literal["l", "r"] | None = None
     """Foot whose cycle it is; absent: of the whole body."""
 

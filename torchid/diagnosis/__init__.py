@@ -1,1 +1,1 @@
-"""What the identified model gets wrong: which effects of the catalogue recordings support, and which not."""
+"""This room finds what the identified model gets wrong: which effects of the catalogue recordings support."""

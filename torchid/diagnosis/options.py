@@ -157,23 +157,23 @@ class DiagnosisOptions:
     """Options of the diagnosis: one section for each question that a verdict answers."""
 
     observation: ObservationOptions = field(default_factory=ObservationOptions)
-    """Which frames of a trial are evidence, and when a plate is unloaded."""
+    """Frames of a trial that are evidence, and unloaded plates."""
     naming: NamingOptions = field(default_factory=NamingOptions)
-    """When an effect is named and told from others."""
+    """Thresholds from which an effect is named and told from others."""
     elimination: EliminationOptions = field(default_factory=EliminationOptions)
-    """When a cause is taken out again."""
+    """Thresholds by which a cause is taken out again."""
     heldout: HeldOutOptions = field(default_factory=HeldOutOptions)
-    """When held-out motion refutes a cause."""
+    """Thresholds by which held-out motion refutes a cause."""
     adequacy: AdequacyOptions = field(default_factory=AdequacyOptions)
-    """When what is left is more than noise."""
+    """Thresholds from which the residual is more than noise."""
     confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)
-    """What a verdict may claim."""
+    """Limits of what a verdict may claim."""
     missing_weight: MissingWeightOptions = field(default_factory=MissingWeightOptions)
-    """When weight is borne where no plate is."""
+    """Thresholds from which weight is borne where no plate is."""
     witnesses: WitnessOptions = field(default_factory=WitnessOptions)
-    """When model-free checks name a fault or contradict a cause."""
+    """Thresholds by which model-free checks name a fault or contradict a cause."""
     never_worse: NeverWorseOptions = field(default_factory=NeverWorseOptions)
-    """When a model that was fitted with a cause predicts worse."""
+    """Thresholds by which a model that was fitted with a cause predicts worse."""
 
 
 SECTIONS = (

@@ -1,1 +1,1 @@
-"""The catalogue of effects: each one plants itself in a recording and predicts what it does there."""
+"""Every effect of the catalogue plants itself in a recording and predicts what it does there."""

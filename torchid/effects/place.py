@@ -15,9 +15,9 @@ class Interval:
     trial: str
     """Name of the trial."""
     t0: float
-    """Its first moment in the trial's time [s]."""
+    """The first moment in the trial's time [s]."""
     t1: float
-    """Its last moment [s]."""
+    """The last moment [s]."""
 
 
 BEFORE = " before "

@@ -181,7 +181,7 @@ def _levels(forces: Forces, source: str) -> list[Note]:
             notes.append(Note("plates.sign", text, source))
         offset = baseline(vertical)
         if offset is not None and abs(offset) > SMALL_BASELINE:
-            text = f"{plate.name} reads {offset:.1f} N with nobody on it; left as it is"
+            text = f"{plate.name} reads {offset:.1f} N unloaded; left as it is"
             notes.append(Note("plates.baseline", text, source))
     return notes
 

@@ -1,1 +1,1 @@
-"""What could be hidden, where, and when."""
+"""This folder lists what could be hidden, where, and when."""

@@ -1,1 +1,1 @@
-"""What each candidate would do to plates and markers."""
+"""This folder computes what each candidate would do to plates and markers."""

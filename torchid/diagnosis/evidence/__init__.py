@@ -1,1 +1,1 @@
-"""Prior, noise, statistics and posterior: how much better a candidate explains the recordings."""
+"""This folder says how much better a candidate explains the recordings: prior, noise, statistics, posterior."""

@@ -1,1 +1,1 @@
-"""Which causes are named: a scan of all candidates, one cause a round, rivals, elimination."""
+"""This folder names causes: a scan of all candidates, one cause a round, rivals, elimination."""

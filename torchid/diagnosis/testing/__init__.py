@@ -1,1 +1,1 @@
-"""What held-out motion and tests of single causes say."""
+"""This folder tests causes on held-out motion and one by one."""

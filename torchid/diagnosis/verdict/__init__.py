@@ -1,1 +1,1 @@
-"""Causes with size, confidence and rivals, and their table."""
+"""This folder makes causes with size, confidence and rivals, and their table."""

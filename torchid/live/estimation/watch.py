@@ -106,7 +106,7 @@ class Watch:
         for k, plate in enumerate(self._plates):
             free = block.contact.plate[:, k] == -1
             if _lasts(free) and abs(mean := float(block.vertical[free, k].mean())) > OFFSET_N:
-                yield Notice("offset", plate, f"{plate} reads {mean:.0f} N while nobody is on it: set it to zero")
+                yield Notice("offset", plate, f"{plate} reads {mean:.0f} N unloaded: set it to zero")
 
     def _late(self, block: WatchedBlock) -> Iterator[Notice]:
         if (found := block.instruments) is None:
