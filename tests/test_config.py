@@ -14,7 +14,7 @@ from torchid.config.explain import MOST
 from torchid.contact.options import ContactOptions
 from torchid.errors import ConfigError
 from torchid.geometry.options import GeometryOptions
-from torchid.inertia.options import InertiaOptions
+from torchid.inertia.options import IdentifyOptions
 from torchid.simulate.options import SimulateOptions
 from torchid.storage.documents import MAX_BYTES, dump_document, parse_document
 
@@ -261,13 +261,14 @@ def test_a_sections_faults_name_its_keys(write):
         "contact.reach_m=0",
         "inertia.prior_weight_range=[3, 1]",
         "inertia.noise=estimated",
+        "device=cuda",
         "motion=fast",
         "simulate={rate_hz: 7}",
         "diagnosis={max_effect: 2}",
     )
     assert found["geometry.iterations"].message == "must be a whole number"
     assert {"geometry.groups.", "contact.reach_m"} <= set(found)
-    assert found["inertia.noise"].code == "config.unknown_value"
+    assert found["inertia.noise"].code == found["device"].code == "config.unknown_key"
     assert found["motion"].message == "must be a mapping {key: value}"
     assert (found["simulate.rate_hz"].code, found["simulate.rate_hz"].found) == ("simulate.rate_hz", "7.0")
     assert "'max_effects'" in found["diagnosis.max_effect"].remedy
@@ -284,7 +285,7 @@ def test_stages_take_their_sections_as_they_are(write):
     for section, kind in (
         (config.geometry, GeometryOptions),
         (config.contact, ContactOptions),
-        (config.inertia, InertiaOptions),
+        (config.inertia, IdentifyOptions),
         (config.simulate, SimulateOptions),
     ):
         assert isinstance(section, kind)

@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from documentation.examples import Block, all_runs, blocks, perform, runs
 from documentation.links import broken, unlinked
+from documentation.marked import Part
 from documentation.pages import anchors, pages
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -54,8 +55,7 @@ def test_configs_are_valid(tmp_path):
 
 def test_the_joint_table_is_the_models():
     """The published table is what the model prints."""
-    published = re.search(r"<!-- joints -->\n(.*?)\n<!-- /joints -->", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert published is not None and published[1] == joint_table(whole_body(None, None))
+    assert Part(PROJECT / "docs" / "conventions.md", "joints").read() == joint_table(whole_body(None, None))
 
 
 def test_links_lead_somewhere():

@@ -30,7 +30,7 @@ from torchid.dynamics.whitening import BlockSpectrum, accumulate, block_spectrum
 from torchid.errors import ConfigError, DataError
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import Identified
-from torchid.inertia.options import InertiaOptions
+from torchid.inertia.options import InertiaOptions, of_whitened_rows
 from torchid.io.trc import write_trc
 from torchid.live.estimation.estimator import Estimator
 from torchid.live.estimation.identifier import LiveSubject
@@ -185,7 +185,7 @@ def test_blocks_that_come_one_by_one_give_the_batch_solution(seed):
     while order:
         some, order = order[: (n := int(rng.integers(1, 4)))], order[n:]
         estimator.add([(float(k), blocks[k]) for k in some])
-    options = replace(who.config.inertia, noise="known", refuse=False, base_parameters=False)
+    options = replace(of_whitened_rows(who.config.inertia), refuse=False, base_parameters=False)
     batch = fit_inertia(accumulate(blocks, estimator.whitening), o.prior, names_, options, mass=who.mass)
     assert estimator.fit is not None
     assert_close(estimator.fit.phi, batch.phi, rtol=1e-8, atol=1e-8 * float(batch.phi.abs().max()))
@@ -229,7 +229,7 @@ def test_with_a_half_life_old_rows_count_less(seed):
         accumulate([one], estimator.whitening).faded(0.5 ** ((len(rows) - k - 0.5) / half_life_s))
         for k, one in enumerate(rows)
     ]
-    options = replace(who.config.inertia, noise="known", refuse=False, base_parameters=False)
+    options = replace(of_whitened_rows(who.config.inertia), refuse=False, base_parameters=False)
     batch = fit_inertia(sum(weighted[1:], weighted[0]), o.prior, names_, options)
     found = estimator.finished()
     assert_close(found.fit.phi, batch.phi, rtol=1e-8, atol=1e-8 * float(batch.phi.abs().max()))

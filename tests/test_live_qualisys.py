@@ -284,7 +284,7 @@ def test_a_server_that_is_killed_and_comes_back_goes_on(seed, caplog):
     with opened(first) as source:
         for run, laboratory in enumerate([LABORATORY, *changed]):
             if run:
-                wait(lambda run=run: count(caplog, "nobody answers") == run)
+                wait(lambda run=run: count(caplog, "no answer") == run)
             server = first if run == 0 else Server(laboratory, first.port)
             assert wait(lambda server=server: bool(server.streams)) < 2.0
             session, start = Session(rng, FRAMES, laboratory), int(rng.integers(1, 5000))
@@ -421,7 +421,7 @@ def test_nobody_who_listens_is_told():
     """With the address, and what to do."""
     server = Server(LABORATORY)
     server.close()
-    with pytest.raises(InputError, match=r"nobody answers.*live\.qualisys") as caught:
+    with pytest.raises(InputError, match=r"no answer.*live\.qualisys") as caught:
         opened(server)
     assert str(server.port) in caught.value.source and "qualisys:HOST:PORT" in caught.value.remedy
     assert threading.active_count() < 50 and not [one for one in threading.enumerate() if one.name.startswith("QTM")]

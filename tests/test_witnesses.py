@@ -21,7 +21,7 @@ from torchid.extension import verdict
 from torchid.extension.correction import extend_outcome
 from torchid.extension.diagnosing import plate_frames
 from torchid.extension.laboratory import examine, panel_of, read_right, verdict_of
-from torchid.extension.witnessed import with_witnesses
+from torchid.extension.model_free_checks import with_witnesses
 from torchid.model_free.faults import name_faults, sizes, suspects_of, without
 from torchid.model_free.panel import Panel
 from torchid.model_free.testimony import Claim, answers, hear

@@ -35,7 +35,6 @@ diagnosis:
   enabled: yes please
   max_effects: 2
   exclude: [flywheel, time_offset]
-device: cpu
 threads: 2
 out: ./results
 """.replace("yes please", "true")

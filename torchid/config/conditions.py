@@ -47,8 +47,11 @@ class GivenCycle:
     """One cycle that somebody else has found."""
 
     trial: Name
+    """Name of the trial."""
     t0: float
+    """The first moment in the trial's time [s]."""
     t1: float
+    """The last moment [s]."""
     side: Literal["l", "r"] | None = None
     """Foot whose cycle it is; absent: of the whole body."""
 
@@ -65,6 +68,7 @@ class EventCycles:
     """Cycles between equally named events of the recordings."""
 
     event: Name = "Foot Strike"
+    """Name of the event in the files."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,7 @@ class CoordinateCycles:
     """Cycles from one rest of a coordinate to the next, past an extreme: squats, lifts, bends."""
 
     coordinate: Name = "pelvis_z"
+    """Coordinate whose rests bound the cycles."""
     turn: Literal["low", "high"] = "low"
     """Whether the movement leads to low values (the pelvis in a squat) or to high ones (flexion in a lift)."""
 

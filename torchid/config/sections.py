@@ -18,7 +18,7 @@ from torchid.config.paths import UserPath, resolve_path
 from torchid.contact.options import ContactOptions
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.geometry.options import GeometryOptions
-from torchid.inertia.options import InertiaOptions
+from torchid.inertia.options import IdentifyOptions
 from torchid.io.mend import ForcesAs, PlateAs
 from torchid.model.tree_of_links import FileScatter
 from torchid.simulate.options import SimulateOptions
@@ -59,27 +59,36 @@ class Subject(ConfigSection):
     """Whom the recordings show."""
 
     name: Name
+    """Name in the report and in the files."""
     mass_kg: Annotated[float, Field(gt=0, lt=1000)] | None = None
+    """Mass on a scale; absent: a body mass index of 23 +- 4 kg/m^2, and what standing on plates says."""
     mass_sd_kg: Positive | None = None
-    """Standard deviation of the recorded mass."""
+    """Standard deviation of the recorded mass; absent: 1 %."""
     height_m: Annotated[float, Field(gt=0.3, lt=3)] | None = None
+    """Standing height, which scales the template; absent: the mean of adults."""
     sex: Literal["male", "female", "unknown"] = "unknown"
+    """Chooses the tables of proportions and inertia; unknown: the mean of both."""
 
 
 class TrialFile(ConfigSection):
     """One recording and what it is used for."""
 
     name: Name
+    """Name in all files of results."""
     file: UserPath
     """C3D, or TRC."""
     forces: UserPath | None = None
     """MOT or STO beside a TRC, or instead of the plates of a C3D."""
     role: Literal["static", "fit", "heldout"] = "fit"
+    """Standing still, used to identify the body, or held out to test predictions."""
     subject: Name | tuple[Name, ...] | None = None
     """Prefix of the labels, where a file holds several subjects; a list, where one is stored as several bodies."""
     up: Literal["y", "z"] | None = None
+    """Vertical axis of the file; absent: told from the recording."""
     units: Literal["mm", "cm", "dm", "m", "in"] | None = None
+    """Unit of the markers; absent: what the file says."""
     allow_truncated: bool = False
+    """True reads the frames of a file that ends before its header says."""
     forces_as: ForcesAs | None = None
     """What is wrong with its forces; absent: what the config says for all trials."""
     plates: dict[int, PlateAs] | None = None
@@ -98,16 +107,17 @@ class MotionOptions(ConfigSection):
     """Filter of kinematics and forces alike."""
 
     filter: Literal["spline", "butterworth"] = "spline"
+    """Smoothing spline (default), or a Butterworth filter run forwards and backwards."""
     cutoff_hz: Positive | Literal["auto"] = "auto"
+    """Frequency above which motion and forces are filtered out; auto: chosen from the recordings."""
 
 
 @dataclass(frozen=True)
-class Inertia(InertiaOptions):
+class Inertia(IdentifyOptions):
     """Fit of mass, centre of mass and inertia tensor of every segment: the stage's options and three more."""
 
-    noise: Literal["known"] = "known"
-    """The rows of a trial are whitened by the noise that they show themselves (``identify_inertia``)."""
     enabled: bool = True
+    """False ends the run after geometry and motion."""
     known_mass: bool = False
     """Hold the total mass at ``subject.mass_kg`` (within ``mass_sd_kg``, or 0.1 %)."""
     com_boxes: bool = False
@@ -126,11 +136,13 @@ class DiagnosisSection(ConfigSection):
     """What the identified model still gets wrong."""
 
     enabled: bool = True
+    """False leaves the diagnosis out: no cause is sought and no recording is corrected."""
     max_effects: Annotated[int, Field(ge=0, le=20)] = 3
     """Of each kind: on forces, on markers, of bodies, of what is recorded, all over a body."""
     include: tuple[Name, ...] = ()
     """Effects to try; empty means the whole catalogue."""
     exclude: tuple[Name, ...] = ()
+    """Effects to leave out."""
     thresholds: DiagnosisOptions = DiagnosisOptions()
     """Everything that decides a verdict; change it to see what hangs on it, not to get another verdict."""
 
@@ -139,34 +151,46 @@ class Config(ConfigSection):
     """Everything that a run does; relative paths have been resolved against the config's folder."""
 
     subject: Subject
+    """Whom the recordings show."""
     model: ModelSource = "whole_body"
+    """The built-in template, or the path of a URDF, MJCF (.xml) or OpenSim file."""
     scatter: FileScatter = FileScatter()
     """How uncertain the numbers of a model file are."""
     markers: MarkerSource
+    """Name of a built-in marker set, or the path of a YAML file {label: segment}."""
     unlisted: Literal["assign", "leave_out"] | None = None
     """Labels that the marker set does not list: assigned by how they move, or left out; absent: left out by a set of
     the user's own (a path), assigned by a built-in one."""
     trials: tuple[TrialFile, ...] = ()
+    """The recordings."""
     forces_as: ForcesAs = ForcesAs()
     """How the forces of every trial are to be read, where they are not as they should be."""
     plates: dict[int, PlateAs] = Field(default_factory=dict)
     """How single force plates of every trial are to be read, by number."""
     geometry: GeometryOptions = GeometryOptions()
+    """Fit of segment lengths, joint centres, marker places and postures."""
     motion: MotionOptions = MotionOptions()
+    """Filter of motion and forces."""
     contact: ContactOptions = ContactOptions()
+    """What counts as contact, and as contact on a plate (docs/contact.md)."""
     inertia: Inertia = Inertia()
+    """Fit of mass, centre of mass and inertia tensor of every segment."""
     torques: Torques = Torques()
+    """Standard deviations of joint torques (docs/torques.md)."""
     diagnosis: DiagnosisSection = DiagnosisSection()
+    """Search for what the identified model gets wrong (docs/diagnosis.md)."""
     conditions: dict[Name, Condition] = Field(default_factory=dict)
     """Under which trials were recorded, one of them the reference; trials with a device tell nothing of the body."""
     evaluate: EvaluateOptions = EvaluateOptions()
+    """What `torchid evaluate` compares (docs/evaluate.md)."""
     simulate: SimulateOptions | None = None
-    device: Literal["cpu", "cuda"] = "cpu"
+    """A synthetic session in place of recordings."""
     threads: Annotated[Count, Field(le=1024)] | None = None
     """Threads of torch; absent: its own choice."""
     out: UserPath = Field(default=Path("out"), validate_default=True)
     """Folder of the results."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Of all random draws."""
 
     @property
     def body(self) -> "Config":

@@ -37,7 +37,9 @@ class Study(ConfigSection):
     """A study; relative paths have been resolved against its folder."""
 
     name: Name
+    """Title of the study's report."""
     subjects: Annotated[tuple[Member, ...], Field(min_length=2)]
+    """The evaluations that are tested together, two or more."""
     level: Annotated[float, Gt(0), Lt(0.5)] = 0.05
     """Family-wise rate of false findings."""
     permutations: Annotated[int, Ge(99)] = 9999

@@ -15,7 +15,7 @@ class ContactOptions:
     height_m: Positive = 0.03
     """A point of the sole touches within this height of the lowest it gets."""
     speed_m_s: Positive = 0.4
-    """And below this speed."""
+    """A point of the sole touches below this speed."""
     leaving_m_s: Positive = 1.2
     """Once down it touches until it rises or is faster than this: when their plate unloads, the toes of a walk do
     1.0-1.3 m/s. At the speed of standing a contact would end 50 ms, and some 300 N, too early."""

@@ -44,7 +44,7 @@ class OtherContact:
     def __post_init__(self) -> None:
         if self.when == "loaded" and self.plate is None:
             raise OptionError(
-                "contact.when", "without a plate nobody tells when this contact bears", place="when",
+                "contact.when", "without a plate, when this contact bears is not defined", place="when",
                 found="no plate",
                 remedy="Give when: always, {TRIAL: [[t0, t1], ...]} or {at_m: [x, y, z]}, or its plate",
             )  # fmt: skip

@@ -157,14 +157,23 @@ class DiagnosisOptions:
     """Options of the diagnosis: one section for each question that a verdict answers."""
 
     observation: ObservationOptions = field(default_factory=ObservationOptions)
+    """Frames of a trial that are evidence, and unloaded plates."""
     naming: NamingOptions = field(default_factory=NamingOptions)
+    """Thresholds from which an effect is named and told from others."""
     elimination: EliminationOptions = field(default_factory=EliminationOptions)
+    """Thresholds by which a cause is taken out again."""
     heldout: HeldOutOptions = field(default_factory=HeldOutOptions)
+    """Thresholds by which held-out motion refutes a cause."""
     adequacy: AdequacyOptions = field(default_factory=AdequacyOptions)
+    """Thresholds from which the residual is more than noise."""
     confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)
+    """Limits of what a verdict may claim."""
     missing_weight: MissingWeightOptions = field(default_factory=MissingWeightOptions)
+    """Thresholds from which weight is borne where no plate is."""
     witnesses: WitnessOptions = field(default_factory=WitnessOptions)
+    """Thresholds by which model-free checks name a fault or contradict a cause."""
     never_worse: NeverWorseOptions = field(default_factory=NeverWorseOptions)
+    """Thresholds by which a model that was fitted with a cause predicts worse."""
 
 
 SECTIONS = (
@@ -188,10 +197,10 @@ def threshold_kinds() -> dict[str, tuple[ThresholdKind, str]]:
     Raises:
         ValueError: a field has no docstring, or one that begins with no kind.
     """
-    return {f"{one.__name__}.{name}": _kind(doc) for one in SECTIONS for name, doc in _field_docs(one).items()}
+    return {f"{one.__name__}.{name}": _kind(doc) for one in SECTIONS for name, doc in field_docs(one).items()}
 
 
-def _field_docs(section: type) -> dict[str, str]:
+def field_docs(section: type) -> dict[str, str]:
     """Return the docstring of every field of a section, empty where there is none."""
     body = ast.parse(inspect.getsource(section)).body[0]
     assert isinstance(body, ast.ClassDef)

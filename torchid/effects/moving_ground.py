@@ -41,8 +41,8 @@ class MovingGround(LoadEffect):
     grid_keys = ("frequency_hz",)
     parameters = (Parameter("sine_m_s2", 0.3, 3, source=SHAKEN), Parameter("cosine_m_s2", 0.3, 3, source=SHAKEN))
     noun = "ground that shakes"
-    advice = "a dead weight resting on a plate while nobody is in the laboratory"
-    apart = {"unmeasured_contact": "a dead weight resting on a plate while nobody is near"}
+    advice = "a dead weight resting on a plate in an empty laboratory"
+    apart = {"unmeasured_contact": "a dead weight resting on a plate with no person near"}
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return tuple(Place(("session",), grid={"frequency_hz": f}) for f in SHAKES)

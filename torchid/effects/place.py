@@ -13,8 +13,11 @@ class Interval:
     """Part of a trial [s]."""
 
     trial: str
+    """Name of the trial."""
     t0: float
+    """The first moment in the trial's time [s]."""
     t1: float
+    """The last moment [s]."""
 
 
 BEFORE = " before "

@@ -62,7 +62,7 @@ class PlateGain(ReadingEffect):
         readings = [view.reading for view in views]
         borne = {f.name for one in readings for k, f in enumerate(one.frames) if bool(one.wrench[:, k].any())}
         silent = [name for name in plates if name not in borne]
-        return f"not of {', '.join(silent)}: nobody steps there in a fit trial" if silent else ""
+        return f"not of {', '.join(silent)}: no step there in a fit trial" if silent else ""
 
     def weighs(self, place: Place) -> bool:
         return len(place.where) > 1

@@ -43,7 +43,7 @@ class SkinLag(SlidingMarkers):
     noun = "lagging skin"
     link = "of"
     advice = "the same motion slowly, and with markers on pins or tight wraps"
-    apart = {"wobbling_mass": "heel drops: soft mass rings on in the forces, flesh in the markers alone"}
+    apart = {"wobbling_mass": "heel drops: soft mass rings on in the forces, skin in the markers alone"}
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         """All segments that have markers, together."""
@@ -85,7 +85,7 @@ class SkinLag(SlidingMarkers):
             for k in dict.fromkeys((most, least))
         ]
         behind = f"where a segment is accelerated by 1 g they stay behind, by {listing(ends)}"
-        return f"the flesh under the markers gives way: {behind}"
+        return f"the soft tissue under the markers gives way: {behind}"
 
 
 def _softness(sight: Sight, place: Place, theta: Float[Tensor, " segments"]) -> Float[Tensor, " markers"]:

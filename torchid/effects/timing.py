@@ -131,7 +131,7 @@ class FilterLag(SlidingMarkers):
     apart = {
         "wobbling_mass": "a stamp with a heavy rigid tool: it has no soft mass, but passes the filter",
         "drag": "slow and quick motion: a drag shows at low speed too",
-        "skin_lag": "a stamp with markers on something rigid: it has no flesh, but passes the filter",
+        "skin_lag": "a stamp with markers on something rigid: it has no soft tissue, but passes the filter",
     }
 
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:

@@ -182,7 +182,7 @@ def _body(found: Evaluation) -> Iterator[Gap]:
             "bands from the body", "no draws were asked for: intervals hold what trials scatter, and nothing else"
         )
     elif found.identified.rows.draws is None:
-        yield Gap("bands from the body", "no inertia was identified, so nobody knows how uncertain it is")
+        yield Gap("bands from the body", "no inertia was identified, so its uncertainty is unknown")
     else:
         yield Gap("errors that are in no band", f"bands draw {SAID}; what else is wrong with the model is not in them")
     if found.outcome.base is not None and any(condition.device for condition in found.config.conditions.values()):

@@ -13,8 +13,8 @@ from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.testing.heldout import Errors, HeldOutFit
 from torchid.diagnosis.trace import Trace
 from torchid.diagnosis.verdict.causes import after_forces
-from torchid.diagnosis.verdict.found_twice import joined
 from torchid.diagnosis.verdict.laboratory import DISAGREE, NAMED, OUTDONE, causes_of_faults, refusals_of, steps_of
+from torchid.diagnosis.verdict.one_fault import joined
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.dynamics.rows import residual_rms
 from torchid.effects.scene import PlateFrame, make_scene, reading

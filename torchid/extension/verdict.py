@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from torchid.diagnosis.verdict.records import Diagnosis, Refuted
 from torchid.extension.laboratory import diagnosed, unfounded
+from torchid.extension.model_free_checks import with_witnesses
 from torchid.extension.publishing import publishable
 from torchid.extension.swapped_markers import put_right
-from torchid.extension.witnessed import with_witnesses
 from torchid.session import Outcome
 from torchid.session.fitting import OnStage
 from torchid.storage.provenance import stage_key

@@ -1,1 +1,1 @@
-"""This package identifies the geometry of a subject and the posture of all frames from markers."""
+"""Segment lengths, joint centres, marker places and postures of all frames, from markers."""

@@ -13,6 +13,7 @@ class GeometryOptions:
     """The options with which geometry and posture are fitted."""
 
     solver: Literal["arrow", "adam", "lbfgs"] = "arrow"
+    """Levenberg-Marquardt on all frames jointly (`arrow`), or a gradient method on the same cost."""
     symmetry: Literal["none", "tied"] = "none"
     """``tied`` lets left and right share every parameter."""
     groups: dict[Name, tuple[Name, ...]] = field(default_factory=dict)

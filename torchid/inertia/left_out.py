@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.dynamics.row_equations import NormalEquations
-from torchid.inertia.options import InertiaOptions
+from torchid.inertia.options import IdentifyOptions
 from torchid.inertia.problem import pose
 from torchid.inertia.spectrum import cholesky
 from torchid.model.model import InertialPrior
@@ -21,7 +21,7 @@ def leave_out_each(
     blocks: Sequence[NormalEquations],
     prior: InertialPrior,
     names: tuple[str, ...],
-    options: InertiaOptions,
+    options: IdentifyOptions,
     omega_2: float,
     mass: tuple[float, float] | None = None,
 ) -> list[Float[Tensor, " params"]]:

@@ -1,6 +1,6 @@
 """Options of the inertial fit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 from torchid.bounds import Positive, Share
@@ -8,8 +8,8 @@ from torchid.errors import OptionError
 
 
 @dataclass(frozen=True)
-class InertiaOptions:
-    """How data and prior are weighed and what the result must fulfil."""
+class IdentifyOptions:
+    """How data and prior are weighed and what the result must fulfil, of rows that are whitened by their own noise."""
 
     lmi: bool = True
     """Every pseudo-inertia positive definite."""
@@ -17,8 +17,6 @@ class InertiaOptions:
     """Distance to the prior mean: Mahalanobis, or the log-det divergence of pseudo-inertias."""
     prior_weight: Literal["evidence", "cross_validation"] | Positive = "evidence"
     """omega_2, the factor on the prior's precision: a number, or how to choose it."""
-    noise: Literal["estimated", "known"] = "estimated"
-    """omega_1: estimated from the residual, or 1 because the rows are truly whitened."""
     floor: Positive = 1e-6
     """Smallest eigenvalue of a pseudo-inertia relative to that of the prior mean (see ``relative_map``)."""
     prior_weight_range: tuple[Positive, Positive] = (1.0, 1e3)
@@ -60,3 +58,17 @@ class InertiaOptions:
                 found=found,
                 remedy="Give two positive numbers, the smaller one first",
             )
+
+
+@dataclass(frozen=True)
+class InertiaOptions(IdentifyOptions):
+    """The options of one fit, whose rows may be whitened or not."""
+
+    noise: Literal["estimated", "known"] = "estimated"
+    """omega_1: estimated from the residual, or 1 because the rows are truly whitened."""
+
+
+def of_whitened_rows(options: IdentifyOptions) -> InertiaOptions:
+    """The options of a fit of rows that their own noise has whitened."""
+    shared = {own.name: getattr(options, own.name) for own in fields(IdentifyOptions)}
+    return InertiaOptions(**shared, noise="known")

@@ -11,7 +11,7 @@ from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import ConfigError
 from torchid.inertia import entropic
 from torchid.inertia.linear import box_rows, ellipsoid_rows, total_mass_row
-from torchid.inertia.options import InertiaOptions
+from torchid.inertia.options import IdentifyOptions
 from torchid.inertia.pseudo import params_to_pseudo, relative_map
 from torchid.model.model import InertialPrior
 
@@ -61,7 +61,7 @@ def pose(
     equations: NormalEquations,
     prior: InertialPrior,
     names: tuple[str, ...],
-    options: InertiaOptions,
+    options: IdentifyOptions,
     mass: tuple[float, float] | None,
     com_box: Tensor | None,
     *,

@@ -224,7 +224,7 @@ def _refuse_sustained(plate: PlateRows, gaps: np.ndarray) -> None:
         axis = int(np.argmax(np.abs(plate.force[row])))
         raise InputError(
             "mot.force_units",
-            f"forces of {(size > MOST_FORCE).sum()} rows exceed {MOST_FORCE / 1e3:g} kN, which nobody bears",
+            f"forces of {(size > MOST_FORCE).sum()} rows exceed {MOST_FORCE / 1e3:g} kN, more than a person can bear",
             source=plate.source,
             place=f"line {plate.lines[row]}, column {plate.columns[axis]}",
             found=f"{plate.force[row, axis]:g}",

@@ -68,8 +68,11 @@ class PlateAs:
     reads: Annotated[int, Ge(1)] | None = None
     """The plate whose channels this one's corners belong to, where two are exchanged."""
     gain: float = 1.0
+    """Factor of its forces and moments."""
     moment_gain: float = 1.0
+    """Further factor of its moments alone: 0.001 for N mm."""
     lag_ms: float = 0.0
+    """How much later than the markers it was stamped."""
     shift_m: Shift = (0.0, 0.0)
     """Moves the plate, and what it reads, by this much along X and Y of W: of wrong corners."""
     origin_shift_m: Shift = (0.0, 0.0)

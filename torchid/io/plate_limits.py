@@ -49,7 +49,7 @@ def within_limits(forces: Forces, source: str) -> tuple[Forces | None, list[Note
     for k, plate in enumerate(forces.plates):
         beyond = _beyond(forces.wrench[:, k])
         if beyond.mean() > MANY:
-            text = f"{plate.name} reads what nobody bears, over {LIMITS}, in {beyond.mean():.0%} of its samples: left"
+            text = f"{plate.name} exceeds {LIMITS} in {beyond.mean():.0%} of its samples, which no person bears: left"
             remedy = f"out; if its scale is known, give plates: {{{number_of(plate, k)}: {{gain: ...}}}}"
             notes.append(Note("plates.force", f"{text} {remedy}", source))
             left_out.append(number_of(plate, k))
@@ -57,7 +57,7 @@ def within_limits(forces: Forces, source: str) -> tuple[Forces | None, list[Note
         kept.append(k)
         if beyond.any():
             forces.wrench[torch.from_numpy(beyond), k] = torch.nan
-            text = f"{plate.name}: {beyond.sum()} samples over {LIMITS}, which nobody bears; left as gaps"
+            text = f"{plate.name}: {beyond.sum()} samples over {LIMITS}, which no person bears; left as gaps"
             notes.append(Note("plates.force", text, source))
         notes += _impossible_load(forces.wrench[:, k], plate, source)
     if len(kept) == len(forces.plates):

@@ -33,7 +33,7 @@ def body_section(outcome: Outcome) -> Section:
             Figure(
                 _draw_body(outcome),
                 "Neutral posture from the front (the left side on the right). The area of a circle is its segment's "
-                "mass, its fill the share of the prior variance that the motion removed (progress); bars are ±1 "
+                "mass, its fill the share determined by the data (of the prior variance); bars are ±1 "
                 "standard deviation of the centre of mass (left out beyond 200 mm, where there is next to no mass), "
                 "the plus sign its prior. Right: masses, ±1 standard deviation.",
             ),
@@ -71,9 +71,9 @@ def in_words(outcome: Outcome) -> list[str]:
     prior = [segment(n) for n, share in entries if share <= 0.1]
     said = []
     if rest_:
-        said.append(f"Between motion and table (progress 10 to 50 %): {listing(rest_, 16)}.")
+        said.append(f"Partly determined by the data (10 to 50 %): {listing(rest_, 16)}.")
     if prior:
-        said.append(f"Practically the table's (progress up to 10 %): {listing(prior, 16)}.")
+        said.append(f"Practically the table's (share up to 10 %): {listing(prior, 16)}.")
     uneven = uneven_pairs(fit.names, fit.mass)
     if uneven:
         worst = "; ".join(
@@ -124,7 +124,10 @@ def _draw_body(outcome: Outcome) -> Markup:
         panel.set_ylabel("height [m]")
         tidy(panel)
         canvas.legend(
-            handles=_progress_steps(), loc="outside lower center", ncols=5, title="progress of a segment's mass"
+            handles=_progress_steps(),
+            loc="outside lower center",
+            ncols=5,
+            title="share of a segment's mass determined by the data",
         )
         _paint_masses(masses, outcome)
 

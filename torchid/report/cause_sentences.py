@@ -14,7 +14,7 @@ FEW = 6
 WORTH = 0.01
 """Probability below which a rival is not worth a word."""
 WORDS = ((0.99, "practically certain"), (0.9, "very likely"), (0.66, "likely"), (0.0, "more likely than not"))
-POSSIBLE = "only one of several possibilities"
+POSSIBLE = "possible, not confirmed independently"
 
 
 def told(cause: Cause) -> str:
@@ -48,9 +48,9 @@ def surely(cause: Cause) -> str:
             f"Next comes {called(others[0])} ({chance(others[0].confidence)}); to tell them apart, record {record}"
         )
     elif not twins and not cause.doubted:
-        said.append(f"No other entry of the catalogue reaches {percent(WORTH)}")
+        said.append(f"No other effect reaches {percent(WORTH)}")
     if cause.doubted:
-        said.append("The confidence is lowered by what remains unexplained or cannot be told, see below")
+        said.append("The confidence is lowered by an unexplained residual or a missing test, see below")
     return ". ".join(said) + "."
 
 

@@ -10,10 +10,10 @@ from torchid.wording import number, percent
 
 Numbers = Mapping[str, float]
 HEAD = (
-    "Each line is one decision, in the order in which they were made. One effect after the other enters as long as the "
-    "fit trials support one; rules then take out what the others made superfluous, held-out motion is asked, and what "
-    "contradicts the model lowers the confidence. Support is given as odds: so many times likelier with the effect "
-    "than without it, the search for it paid for."
+    "Each line is one decision, in the order in which they were made. Effects enter one after the other while the fit "
+    "trials support one. Rules then remove what other causes explain, and held-out trials test the rest. "
+    "Contradictions lower the confidence. Odds a : b compare how well the recordings are predicted with the effect and "
+    "without it. They are corrected for the number of candidates."
 )
 
 
@@ -38,41 +38,39 @@ def sentence(one: TraceStep) -> str:
 
 def odds(nats: float) -> str:
     """A log likelihood ratio as odds that a person can read."""
-    if abs(nats) < 0.05:
-        return "even odds"
     if nats < 0.0:
-        return f"{odds(-nats)} against"
-    return (
-        f"{number(math.exp(nats), 0 if nats > 1.0 else 1)} to one" if nats < math.log(1e6) else "over a million to one"
-    )
+        first, _, second = odds(-nats).partition(" : ")
+        return f"{second} : {first}"
+    if nats >= math.log(1e6):
+        return "over a million : 1"
+    return f"{number(math.exp(nats), 0 if nats > 1.0 else 1)} : 1"
 
 
 def _entered(noise: str) -> Callable[[Numbers], str]:
     def said(n: Numbers) -> str:
-        entered = f"enters{noise}: {odds(n['effect_nats'])} ({odds(n['least_nats'])} are asked)"
+        entered = f"is named{noise}: odds {odds(n['effect_nats'])} (required {odds(n['least_nats'])})"
         if n["crossed_nats"] == n["evidence_nats"]:
-            return f"{entered}; no other trial could be asked"
-        return f"{entered}, and each trial is predicted from the others with {odds(n['crossed_nats'])}"
+            return f"{entered}; no other trial can confirm it"
+        return f"{entered}; with each trial predicted from the others {odds(n['crossed_nats'])}"
 
     return said
 
 
 def _field(n: Numbers) -> str:
     return (
-        f"is doubted ({percent(n['factor'])} of its confidence stay): a force that changes freely with place explains "
-        f"{percent(n['field_part'])} of what is there, which this cause could not"
+        f"keeps {percent(n['factor'])} of its confidence: a force that varies with position explains "
+        f"{percent(n['field_part'])} of the residual there, which this cause cannot"
     )
 
 
 def _worse(n: Numbers) -> str:
     kinds = {"forces": n["force_growth_part"], "moments": n["moment_growth_part"], "markers": n["markers_growth_part"]}
     if not all(math.isfinite(part) for part in kinds.values()):
-        return f"is refuted: with it no body fits, where errors may grow by {percent(n['most_part'])}"
+        return f"is refuted: no body fits with it (errors may grow by at most {percent(n['most_part'])})"
     grown = ", ".join(f"{kind} {percent(part)}" for kind, part in kinds.items())
     return (
-        "is refuted: all fitted again, the errors of the model grow by it where they grow most (in held-out trials, or "
-        f"in parts of fit trials that are left out in turn): {grown}; with all causes, by "
-        f"{percent(n['base_growth_part'])} of the base model's beyond chance"
+        f"is refuted: after refitting, errors grow by {grown} (worst of held-out trials and left-out blocks); with all "
+        f"causes, by {percent(n['base_growth_part'])} of the base model's errors, more than chance"
     )
 
 
@@ -80,97 +78,93 @@ def _unproven(n: Numbers) -> str:
     kinds = {"forces": n["force_growth_part"], "moments": n["moment_growth_part"], "markers": n["markers_growth_part"]}
     changed = ", ".join(f"{kind} {percent(part)}" for kind, part in kinds.items())
     return (
-        "leaves the model, and is listed as possible: all fitted again without it, no error grows by more than "
+        "is not corrected, only listed as possible: after refitting without it, no error grows by more than "
         f"{percent(n['most_part'])} beyond chance ({changed})"
     )
 
 
 RULES: dict[str, Callable[[Numbers], str]] = {
     "evidence": _entered(""),
-    "evidence_under_its_own_noise": _entered(", judged beside the noise that it would leave itself"),
-    "restored_record": lambda n: f"enters since forces that stood for it have left: {odds(n['score_nats'])}",
+    "evidence_under_its_own_noise": _entered(", under the noise that it would leave"),
+    "restored_record": lambda n: f"is named after forces that replaced it were removed: odds {odds(n['score_nats'])}",
     "missing_weight": lambda n: (
-        f"enters before any search: up to {percent(n['missing_part'])} of the weight are borne where no plate is"
+        f"is named before the search: up to {percent(n['missing_part'])} of the weight is borne where no plate is"
     ),
     "exchanged_distances": lambda n: (
-        f"enters before any search: distances to the markers beside them are off by {number(n['misfit_mm'])} mm as "
-        f"labelled, by {number(n['undone_mm'])} mm the other way round"
+        f"is named before the search: distances to neighbouring markers are off by {number(n['misfit_mm'])} mm as "
+        f"labelled, by {number(n['undone_mm'])} mm with the labels exchanged"
     ),
     "unsupported": lambda n: (
-        f"leaves: beside the others it has {odds(n['evidence_nats'])} ({odds(n['least_nats'])} are asked)"
+        f"is removed: given the other causes its odds are {odds(n['evidence_nats'])} (required {odds(n['least_nats'])})"
     ),
     "negative": lambda n: (
-        f"leaves: it would be a negative load or spring, by {number(-n['lowest_sd'])} standard deviations"
+        f"is removed: its load or spring would be negative by {number(-n['lowest_sd'])} standard deviations"
     ),
     "opposed": lambda n: (
-        f"leaves together with another cause: the two undo each other but for {percent(n['remaining_part'])} of the "
+        f"is removed with another cause: the two cancel each other but for {percent(n['remaining_part'])} of the "
         "larger one's energy"
     ),
     "no_residual_gain": lambda n: (
-        f"leaves: it takes {percent(n['residual_part'], 1)} of the residual away, where {percent(n['least_part'])} "
-        "are asked because noise does not explain what remains"
+        f"is removed: it explains {percent(n['residual_part'], 1)} of the residual (required "
+        f"{percent(n['least_part'])}, as noise does not explain the rest)"
     ),
     "heldout_density": lambda n: (
-        f"is refuted: held-out motion has {odds(n['heldout_nats'])} of it, beyond its leeway of "
-        f"{number(n['leeway_nats'])} nats"
+        f"is refuted: held-out trials speak against it (odds {odds(-n['heldout_nats'])}, tolerance "
+        f"{number(n['leeway_nats'])} nats)"
     ),
     "heldout_errors": lambda n: (
-        f"is refuted: held-out forces and moments both err by {percent(n['error_growth_part'])} more because of it"
+        f"is refuted: held-out errors of forces and moments both grow by {percent(n['error_growth_part'])} with it"
     ),
     "never_worse": _worse,
     "no_gain": _unproven,
     "taken_back": lambda n: (
-        "leaves: what was named without a body model is taken back by what the body model finds, but for "
-        f"{number(n['size_sd'])} standard deviations ({number(n['least_size_sd'])} are asked): it stood for something"
-        " else"
+        f"is removed: what model-free checks and body model find adds up to {number(n['size_sd'])} standard deviations "
+        f"(required {number(n['least_size_sd'])}), so the checks saw something else"
     ),
     "one_fault": lambda n: (
-        "is one fault with what was named without a body model: both sizes are added up "
+        "is one fault with what model-free checks named: both sizes are added up "
         f"({number(n['size_sd'])} standard deviations)"
     ),
     "only_refined": lambda n: (
-        "leaves: it would only change the size of what was named without a body model, which stays as it is "
-        f"(confidence {percent(n['confidence'])})"
+        f"is removed: with confidence {percent(n['confidence'])} it would only change the size of what model-free "
+        "checks named, which stays as it is"
     ),
     "trials_disagree": lambda n: (
-        f"is not named: all trials together have {odds(n['evidence_nats'])}, but predicted from each other "
-        f"{odds(n['crossed_nats'])}"
+        f"is not named: odds {odds(n['evidence_nats'])} over all trials, but {odds(n['crossed_nats'])} with each trial "
+        "predicted from the others; trials disagree"
     ),
     "ordinary_everywhere": lambda n: (
-        f"is not named: it has {odds(n['evidence_nats'])}, of which what all places have some of explains "
-        f"{odds(n['background_nats'])}"
+        f"is not named: odds {odds(n['evidence_nats'])}, with similar evidence at all locations "
+        f"({odds(n['background_nats'])}): not specific"
     ),
     "search_price": lambda n: (
-        f"is not named: at this place it has {odds(n['evidence_nats'])}, with all the places that were tried "
-        f"{odds(n['effect_nats'])} ({odds(n['least_nats'])} are asked)"
+        f"is not named: odds {odds(n['evidence_nats'])} at this place, {odds(n['effect_nats'])} corrected for the "
+        f"number of places tried (required {odds(n['least_nats'])})"
     ),
-    "nothing_can_check": lambda n: (
-        f"is doubted ({percent(n['factor'])} of its confidence stay): there is too little in one trial to check it by"
-    ),
+    "nothing_can_check": lambda n: f"keeps {percent(n['factor'])} of its confidence: one trial alone cannot confirm it",
     "residual_structure": lambda n: (
-        f"is doubted ({percent(n['factor'])} of its confidence stay): more remains than the noise of plates and markers"
+        f"keeps {percent(n['factor'])} of its confidence: the residual exceeds the noise of plates and markers"
     ),
     "position_dependence": _field,
     "witnesses_name": lambda n: (
-        f"enters before any body model is asked: by what needs none it is there, or what looks like it, with a "
-        f"probability of {percent(n['probability'])} (over {percent(n['least_probability'])} are asked); alone it has "
-        f"{odds(n['witness_nats'])}"
+        f"is named from model-free checks: {percent(n['probability'])} for this fault or one they cannot tell from it "
+        f"(required {percent(n['least_probability'])}); alone its odds are {odds(n['witness_nats'])}"
     ),
     "witnesses_disagree": lambda n: (
-        f"is not named: what needs no body model says so with {odds(n['witness_nats'])}, but disagrees in itself by "
-        f"more than chance (probability {number(n['p_value'])}, {number(n['least_p_value'])} is asked)"
+        f"is not named: its odds are {odds(n['witness_nats'])}, but the model-free checks contradict each other "
+        f"(p {number(n['p_value'], 3)}, required {number(n['least_p_value'], 2)})"
     ),
     "witnesses_outdone": lambda n: (
-        f"is not named: what needs no body model says so with {odds(n['witness_nats'])}, but something without a size,"
-        f" as exchanged cables, describes it better, with {odds(n['rival_nats'])}: the body model is asked"
+        f"is not named from model-free checks (odds {odds(n['witness_nats'])}): a fault such as exchanged cables "
+        f"explains them better ({odds(n['rival_nats'])}); the body model decides"
     ),
     "witnesses_contradict": lambda n: (
-        f"is not named: of what needs no body model, it would change something by {number(n['heard_sd'], 1)} standard "
-        f"deviations, which is {odds(n['witness_nats'])}"
+        f"is not named: it would change a model-free check by {number(n['heard_sd'], 1)} standard deviations; the "
+        f"checks give it odds {odds(n['witness_nats'])}"
     ),
     "no_witness": lambda n: (
-        f"is only possible ({percent(n['factor'])} of its confidence stay): nothing that needs no body model bears it "
-        f"out ({odds(n['witness_nats'])})"
+        f"is only possible (keeps {percent(n['factor'])} of its confidence): no model-free check confirms it "
+        f"({odds(n['witness_nats'])})"
     ),
 }
 """What each rule of the diagnosis says, by its name in the trace."""

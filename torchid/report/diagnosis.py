@@ -65,15 +65,14 @@ def _would_be(cause: Cause) -> str:
 
 
 POSSIBLE = (
-    "Only possible, as likely as not at most: rivals share the odds, no witness bears it out, or something speaks "
-    "against it. The model is corrected for it only where it predicts worse without:"
+    "Possible (at most 50 %): not confirmed independently. Rivals share the odds, no model-free check confirms it, or "
+    "a test contradicts it. The model is corrected for it only where it predicts worse without:"
 )
 EXTENDED = (
-    "Every other figure of this page is of the extended model: all causes that are listed, but for those of which it "
-    "is said that nothing is corrected, are taken out of the recordings (or, as a load, kept apart from the body), "
-    "then inertia, and geometry where markers are concerned, are fitted again. "
-    "Measured forces drawn elsewhere are the corrected ones. The values before stand under “base” in inertia.json and "
-    "geometry.json, its prediction beside the extended one in the forces files."
+    "Every other figure of this page is of the extended model. The causes listed as corrected are taken out of the "
+    "recordings, or, as a load, kept apart from the body. Then inertia is fitted again, and geometry where markers are "
+    "concerned. Measured forces drawn elsewhere are the corrected ones. The values before stand under “base” in "
+    "inertia.json and geometry.json, both predictions in the forces files."
 )
 
 
@@ -83,15 +82,15 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
         return " ".join([*(told(cause) for cause in named), *_gains(outcome, found), *_refuted(found)])
     tried = len(select_effects(options.include, options.exclude))
     if found.causes:
-        silent = f"None of the {tried} effects that were tried is likely; what is only possible is listed below."
+        silent = f"No likely fault ({tried} kinds tested); possible ones are listed below."
         return " ".join([silent, *_gains(outcome, found), *_refuted(found)])
-    silent = f"None of the {tried} effects that were tried is supported by all recordings: nothing was corrected."
+    silent = f"No fault found ({tried} kinds tested): nothing was corrected."
     return " ".join([silent, *_refuted(found), *_nearest(found, options.thresholds.naming.named_nats)])
 
 
 def _refuted(found: Diagnosis) -> list[str]:
     """What was not believed."""
-    said = "Fit trials suggest {}, but {}: the model was not extended by it."
+    said = "Fit trials suggest {}, but {}: not corrected."
     return [said.format(called(one), _against(one)) for one in found.refuted]
 
 
@@ -111,7 +110,7 @@ def _times(nats: float) -> str:
 
 def _nearest(found: Diagnosis, named_nats: float) -> list[str]:
     """Of a diagnosis that names nothing, what is likelier than nothing."""
-    said = "The nearest is {}, {} times as likely as none; what is {} times as likely is named."
+    said = "The nearest is {} (odds {} : 1, required {} : 1)."
     bar = number(math.exp(named_nats), 0)
     return [
         said.format(called(near), number(math.exp(near.evidence_nats), 1), bar)
@@ -126,7 +125,7 @@ def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
         return []
     before, after = heldout_errors(outcome.base), heldout_errors(outcome)
     also = any(cause.applied for cause in found.possible)
-    said = [gained(before, after, "held-out", "that and what is only possible" if also else "that")]
+    said = [gained(before, after, "held-out", "that and the possible causes" if also else "that")]
     applied = [cause for cause in found.causes if cause.applied]
     confined = sorted({trial for cause in applied if not cause.everywhere for trial in cause.trials})
     marked = [cause for cause in found.likely if of_markers(cause) and not cause.everywhere]
@@ -219,13 +218,11 @@ def _unexplained(left: Adequacy, options: DiagnosisOptions) -> str:
         return f"Whether anything remains unexplained {clean(left.description, 400)}."
     if left.significant:
         said = clean(left.description, 400)
-        return f"Something remains that no effect of the catalogue explains: {said} (p {_p(left.p_value)})."
+        return f"The residual exceeds the noise, and no known effect explains it: {said} (p {_p(left.p_value)})."
     least = f"at most {percent(left.share_of_residual)} of a band of the residual exceeds it"
     if left.p_value < options.adequacy.p_value:
-        return (
-            f"What is left is a little more than the noise of plates and markers makes: {least} (p {_p(left.p_value)})."
-        )
-    return f"What is left is about what the noise of plates and markers makes: {least}, too little to matter."
+        return f"The residual slightly exceeds the noise of plates and markers: {least} (p {_p(left.p_value)})."
+    return f"The residual agrees with the noise of plates and markers: {least}, too little to matter."
 
 
 def _p(value: float) -> str:

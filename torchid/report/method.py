@@ -28,7 +28,7 @@ STAGES = (
     ("inertia", "Fit of the inertia"),
     ("residuals", "Residuals step by step"),
     ("diagnosis", "Diagnosis"),
-    ("witnesses", "Asking the witnesses"),
+    ("witnesses", "Model-free checks"),
     ("torques", "Joint torques"),
 )
 """Beginnings of the names of stages, and what they are."""

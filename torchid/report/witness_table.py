@@ -1,4 +1,4 @@
-"""What witnesses say of the causes, as a table: measured with hardly a model of the body, beside what would be said."""
+"""Model-free checks of the causes, as a table: what is measured beside what is expected with and without the cause."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from torchid.report.cause_sentences import name
 from torchid.wording import clean, decimals, number
 
 LISTED = 6
-"""Witnesses that are listed of a cause; all are in diagnosis.json."""
+"""Checks that are listed of a cause; all are in diagnosis.json."""
 WORDS = {
     "mass": "weight that plates bear, beyond the record",
     "gain": "weight on one plate, beyond its part of that on the other",
@@ -27,13 +27,13 @@ UNITS = {"s": (1e3, "ms"), "m": (1e3, "mm"), "part": (1e2, "%")}
 
 
 def witness_table(causes: Sequence[Cause]) -> list[Block]:
-    """Nothing where no witness hears any cause."""
+    """Nothing where no check tells of any cause."""
     rows = tuple(_row(cause, one) for cause in causes for one in cause.witnesses[:LISTED])
     if not rows:
         return []
-    head = ("Cause", "Witness", "In", "Says", "Would say, were it so", "Where nothing is wrong", "")
-    caption = "Measured with hardly any model of the body; the spread is that between sessions where nothing is wrong"
-    return [Details("What witnesses say of each cause", (Table(caption, head, rows, text=3, wrap=True),))]
+    head = ("Cause", "Model-free check", "In", "Measured", "Expected with the cause", "Expected without a fault", "")
+    caption = "Statistics that need almost no body model; the spread is that between sessions without a fault"
+    return [Details("Model-free checks of each cause", (Table(caption, head, rows, text=3, wrap=True),))]
 
 
 def _row(cause: Cause, one: CheckAnswer) -> tuple[str, ...]:
@@ -54,6 +54,6 @@ def _verdict(one: CheckAnswer) -> str:
 
 
 def _words(kind: str) -> str:
-    """Of a kind of witness, axes told apart by their letters."""
+    """Of a kind of check, axes told apart by their letters."""
     first, _, axis = kind.partition("_")
     return WORDS[kind] if kind in WORDS else f"{WORDS[first]}, {axis}"

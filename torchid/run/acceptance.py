@@ -52,7 +52,7 @@ def _mass(outcome: Outcome) -> DataError | None:
         return None
     return DataError(
         "result.mass",
-        "the plates do not carry this subject",
+        "mass from the plates contradicts the recorded mass",
         found=f"{found:.1f} kg, {recorded:.1f} kg on record",
         remedy="Most likely a plate has another gain or unit, then a part of the contact is on no plate, then "
         "subject.mass_kg is another's; run `torchid check` on the config",

@@ -183,7 +183,7 @@ def local_points(
         place: in the config.
 
     Raises:
-        ConfigError: ``contact.points`` where a marker is not one of the segment's, or nobody says where it is touched;
+        ConfigError: ``contact.points`` where a marker is not one of the segment's, or no contact points are defined;
             so where the limbs are not found from whose joints its usual place is told.
     """
     body = tree.index(one.segment)
@@ -203,7 +203,7 @@ def local_points(
         return p_BM_B.new_tensor(usual.corners) + _middle(usual, one, tree, offset, place)
     if not own:
         raise ConfigError(
-            "contact.points", f"nobody says where {one.segment} is touched: it has no markers", place=place,
+            "contact.points", f"no contact points are defined for {one.segment}, and it has no markers", place=place,
             found="no points", remedy="Give points: [[x, y, z]] in the segment's axes [m]",
         )  # fmt: skip
     return torch.stack(list(own.values())).mean(dim=0, keepdim=True)
@@ -218,7 +218,7 @@ def _middle(usual: Usual, one: OtherContact, tree: Tree, offset: Tensor, place: 
     if not limbs:
         raise ConfigError(
             "contact.points",
-            f"nobody says where {one.segment} is touched: none of {', '.join(usual.limbs)} is joined to it",
+            f"no contact points are defined for {one.segment}: none of {', '.join(usual.limbs)} is joined to it",
             place=place, found=", ".join(tree.bodies[k].name for k in own) or "no limbs",
             remedy="Give points: [[x, y, z]] in the segment's axes [m], or markers of it",
         )  # fmt: skip

@@ -16,9 +16,13 @@ class PlantedOptions:
     """An effect to hide in the session: names and parameters as in ``diagnosis.json``."""
 
     effect: Name
+    """Name of an effect of the catalogue (`torchid/effects/`)."""
     where: tuple[Name, ...] = ("session",)
+    """Segments, joints, marker labels, plates, trials, or `session`."""
     when: tuple[Interval, ...] | None = None
+    """Intervals in which it acts; absent: always."""
     parameters: dict[str, float | list] = field(default_factory=dict)
+    """Its size, by the parameters' names."""
     follows: Name | None = None
     """Coordinate whose angle a marker or joint effect follows, or the same in another order (see ``Angle``)."""
     markers: tuple[Name, ...] = ()
@@ -36,6 +40,7 @@ class SimulateOptions:
     conditions: tuple[Name, ...] = ()
     """Motions of trials that ``torchid evaluate`` records under each of the config's conditions."""
     duration_s: float = 10.0
+    """Length of every trial but the static one."""
     rate_hz: float = 100.0
     """Frames per second; plates sample ten times as often."""
     plates: int = 4
@@ -50,9 +55,11 @@ class SimulateOptions:
     gap_fraction: float = 0.0
     """Share of marker samples lost in bursts."""
     mass_kg: Positive | None = None
+    """The person's mass; absent: drawn."""
     height_m: Positive | None = None
+    """The person's height; absent: drawn."""
     sex: Literal["male", "female"] | None = None
-    """None: drawn."""
+    """Absent: drawn."""
     scatter: float = 1.0
     """How far geometry, markers and inertia are drawn from their priors' means, in prior standard deviations."""
 

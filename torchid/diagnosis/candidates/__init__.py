@@ -1,0 +1,1 @@
+"""This folder lists what could be hidden, where, and when."""

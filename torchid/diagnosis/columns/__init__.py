@@ -1,0 +1,1 @@
+"""This folder computes what each candidate would do to plates and markers."""

@@ -1,0 +1,1 @@
+"""This folder says how much better a candidate explains the recordings: prior, noise, statistics, posterior."""

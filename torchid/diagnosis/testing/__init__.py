@@ -1,0 +1,1 @@
+"""This folder tests causes on held-out motion and one by one."""

@@ -1,0 +1,1 @@
+"""This folder makes causes with size, confidence and rivals, and their table."""

@@ -1,0 +1,1 @@
+"""Work on single trials: first posture, wrapped angles, jumps, gaps."""

@@ -13,7 +13,7 @@ from torchid.dynamics.whitening import BlockSpectrum, accumulate, estimate_white
 from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.identify import Identified, determined, identify_spectra
-from torchid.inertia.options import InertiaOptions
+from torchid.inertia.options import IdentifyOptions, of_whitened_rows
 from torchid.model.model import InertialPrior
 
 log = logging.getLogger(__name__)
@@ -33,7 +33,7 @@ class Estimator:
     """
 
     def __init__(
-        self, names: tuple[str, ...], prior: InertialPrior, options: InertiaOptions, mass: tuple[float, float] | None,
+        self, names: tuple[str, ...], prior: InertialPrior, options: IdentifyOptions, mass: tuple[float, float] | None,
         com_box: Float[Tensor, "bodies 2 3"] | None = None, half_life_s: float = math.inf,
     ) -> None:  # fmt: skip
         """Begin with the prior alone.
@@ -47,7 +47,7 @@ class Estimator:
             half_life_s: time after which a row counts half, for a body that changes.
         """
         self._names, self.prior, self._mass, self._box = names, prior, mass, com_box
-        self._options = replace(options, noise="known")
+        self._options = of_whitened_rows(options)
         self._lenient = replace(self._options, refuse=False, base_parameters=False)
         self._half_life_s, self._now_s = half_life_s, 0.0
         self.blocks: list[BlockSpectrum] = []

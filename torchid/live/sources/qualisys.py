@@ -156,7 +156,7 @@ class QualisysSource:
             return (await asyncio.wait_for(connected, REPLY_S))[1]
         except OSError as error:
             raise fault(
-                self.name, "nobody answers", str(error),
+                self.name, "no answer", str(error),
                 "Start QTM, see which port it streams from (Project options, Real-time output: base port + 1) and "
                 "whether a firewall is between, and give --source qualisys:HOST:PORT",
             ) from error  # fmt: skip

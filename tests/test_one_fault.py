@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 from torchid.diagnosis.verdict.causes import parameter_table
-from torchid.diagnosis.verdict.found_twice import joined
+from torchid.diagnosis.verdict.one_fault import joined
 from torchid.diagnosis.verdict.records import Cause
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
