@@ -11,6 +11,7 @@ from walker import BODY, FOOT, MASS, walking_trial
 
 from torchid.checks.finding import InstrumentFault, record_of
 from torchid.checks.plates_against_feet.changes import Change
+from torchid.checks.plates_against_feet.feet import floor_height
 from torchid.checks.plates_against_feet.finding import BELIEVED
 from torchid.checks.plates_against_feet.judge import judge
 from torchid.checks.plates_against_feet.readings import changed
@@ -128,6 +129,18 @@ PLANTED = {
 def test_right_forces_are_not_accused(seed, draw, corners):
     """A walk whose forces are right is left alone, with corners and without."""
     assert judge(walking_trial(seed + draw, corners), MASS) == ()
+
+
+@pytest.mark.parametrize("kept", [0, 1, 2, 16])
+@pytest.mark.parametrize("seen", [0.0, 0.4, 1.0])
+def test_few_or_rarely_seen_markers_are_no_defect(seed, kept, seen):
+    """Without feet to agree with, nothing is said of forces; floors of such recordings are where their markers come."""
+    trial = walking_trial(seed)
+    position = trial.markers.position[:, :kept].clone()
+    position[torch.rand(len(position), generator=torch.Generator().manual_seed(seed)) >= seen] = torch.nan
+    markers = replace(trial.markers, labels=trial.markers.labels[:kept], position=position)
+    assert judge(replace(trial, markers=markers), MASS) == ()
+    assert (floor_height(markers) < float("inf")) == (kept > 0 and seen > 0.5)
 
 
 @pytest.mark.parametrize("fault", PLANTED)

@@ -108,6 +108,18 @@ def test_a_pelvis_without_markers_is_refused():
     assert kept[0] in caught.value.found and "marker set" in caught.value.remedy
 
 
+def test_trials_without_a_labelled_marker_are_refused_as_such():
+    """No labels at all, and labels that are hardly ever seen, are told from labels that no marker set knows."""
+    for change, said in ((lambda t: cut(t, ()), "no labelled markers"), (hidden, "no labelled marker is seen")):
+        with pytest.raises(DataError, match="markers.none") as caught:
+            assign_markers(template(), marker_set(), tuple(change(trial) for trial in trials()))
+        assert caught.value.message.startswith(said) and "Label the points" in caught.value.remedy
+
+
+def hidden(trial):
+    return replace(trial, markers=replace(trial.markers, position=torch.full_like(trial.markers.position, torch.nan)))
+
+
 def test_rarely_seen_marker_takes_no_part():
     """A marker visible in a tenth of the frames is not attached."""
     label, given = session().subject.labels[-1], []

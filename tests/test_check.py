@@ -85,15 +85,26 @@ def test_gaps_are_named() -> None:
     check = check_trial(replace(trial, markers=replace(trial.markers, position=position)))
     assert_allclose(check.gaps["D"], 60.0)
     assert_allclose(check.gap_share, 60.0 / 8)
-    assert [note for note in check.problems if note.code == "markers.gaps" and "D (60 %)" in note.message]
+    assert [note for note in check.warnings if note.code == "markers.gaps" and "D (60 %)" in note.message]
+
+
+def test_gaps_of_most_markers_are_a_problem() -> None:
+    """Few of many markers can be done without, most of them cannot."""
+    for count, problem in ((1, False), (4, False), (5, True), (8, True)):
+        trial = swaying()
+        position = trial.markers.position.clone()
+        position[:120, :count] = torch.nan
+        check = check_trial(replace(trial, markers=replace(trial.markers, position=position)))
+        assert ("markers.gaps" in {note.code for note in check.problems}) == problem, count
 
 
 def test_notes_of_reading_become_problems_with_a_cure() -> None:
-    """Held markers and reversed plates, found on reading, are problems; a choice of axes is not."""
+    """Held markers and reversed plates, found on reading, are told apart by what harms; a choice of axes is neither."""
     notes = (Note("markers.held", "held: C"), Note("plates.sign", "down"), Note("axes.up", "vertical axis Z"))
     check = check_trial(replace(swaying(), notes=notes))
-    assert [note.code for note in check.problems] == ["markers.held", "plates.sign"]
-    assert all("Cure: " in note.message for note in check.problems)
+    assert [note.code for note in check.problems] == ["plates.sign"]
+    assert [note.code for note in check.warnings] == ["markers.held"]
+    assert all("Cure: " in note.message for note in (*check.problems, *check.warnings))
     assert [note.code for note in check.notes] == ["axes.up"]
 
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from torchid.checks import report as check_report
 from torchid.checks.as_json import schema
 from torchid.cli import app
 from torchid.errors import InputError
@@ -25,12 +26,12 @@ GROUND = "nRows=2\nnColumns=4\nendheader\ntime\tground_force_vx\tground_force_vy
 ANGLES = "nRows=2\nnColumns=2\nendheader\ntime\tknee_angle_r\n0\t10\n"
 
 
-def recording(path: Path, gaps: bool = False) -> Path:
-    """A TRC of a swaying cloud of eight markers, tall along Y; with ``gaps`` one is mostly missing."""
+def recording(path: Path, gaps: int = 0) -> Path:
+    """A TRC of a swaying cloud of eight markers, tall along Y; as many as ``gaps`` are mostly missing."""
     random = np.random.default_rng(3)
     time = np.arange(60) / 100.0
     position = random.uniform([-0.2, -0.2, 0.1], [0.2, 0.2, 1.7], (8, 3)) + 1e-3 * random.normal(size=(60, 8, 3))
-    position[:40, 2] = np.nan if gaps else position[:40, 2]
+    position[:40, :gaps] = np.nan
     path.parent.mkdir(parents=True, exist_ok=True)
     write_trc(path, Markers(tuple("ABCDEFGH"), torch.from_numpy(time), torch.from_numpy(position)))
     return path
@@ -93,7 +94,7 @@ def test_problems_end_with_two(tmp_path: Path) -> None:
     """A folder without problems ends with 0; one with a problem, or with a file that cannot be read, with 2."""
     recording(tmp_path / "good" / "a.trc")
     assert runner.invoke(app, ["check", str(tmp_path)]).exit_code == 0
-    recording(tmp_path / "gaps" / "b.trc", gaps=True)
+    recording(tmp_path / "gaps" / "b.trc", gaps=6)
     result = runner.invoke(app, ["check", str(tmp_path)])
     assert result.exit_code == 2 and "markers.gaps" in result.stdout and "no problems found" in result.stdout
     (tmp_path / "bad").mkdir()
@@ -102,9 +103,43 @@ def test_problems_end_with_two(tmp_path: Path) -> None:
     assert result.exit_code == 2 and "c3d.signature" in result.stderr and "a.trc" in result.stdout
 
 
+@pytest.mark.parametrize("form", [(), ("--json",)])
+def test_a_defect_in_one_recording_leaves_the_others_to_be_checked(tmp_path: Path, monkeypatch, form) -> None:
+    """It is listed with its kind and words, the next recording is shown, and the exit code is that of a defect."""
+    for name in ("a", "b", "c"):
+        recording(tmp_path / f"{name}.trc")
+    whole = check_report.check_trial
+
+    def broken(trial, *rest):
+        if trial.name == "b":
+            raise RuntimeError("input tensor\nmust be non-empty")
+        return whole(trial, *rest)
+
+    monkeypatch.setattr(check_report, "check_trial", broken)
+    result = runner.invoke(app, ["check", *form, str(tmp_path)])
+    assert result.exit_code == 1 and "RuntimeError: input tensor must be non-empty" in result.output
+    if form:
+        found = json.loads(result.stdout)
+        assert [one["name"] for one in found["recordings"]] == ["a", "c"]
+        assert [one["code"] for one in found["refused"]] == ["torchid.defect"]
+    else:
+        assert "c.trc" in result.output
+
+
+def test_warnings_end_with_zero(tmp_path: Path) -> None:
+    """One marker that is mostly missing, and a row that lacks its end, are said and harm nothing."""
+    recording(tmp_path / "a.trc", gaps=1)
+    path = recording(tmp_path / "b.trc")
+    path.write_text(path.read_text().rstrip("\n").rsplit("\t", 2)[0])
+    result = runner.invoke(app, ["check", str(tmp_path)])
+    assert result.exit_code == 0 and result.stdout.count("no problems found") == 2, result.output
+    said = [line for line in result.stdout.splitlines() if line.startswith("~ ")]
+    assert any("markers.gaps" in line for line in said) and any("b.trc" in line for line in said)
+
+
 def test_lines_are_whole_where_nobody_watches(tmp_path: Path) -> None:
     """A file's name and a long cure stand in one line each when the text goes into a file."""
-    path = recording(tmp_path / ("deep " * 20).strip() / "b.trc", gaps=True)
+    path = recording(tmp_path / ("deep " * 20).strip() / "b.trc", gaps=6)
     lines = runner.invoke(app, ["check", str(tmp_path)]).stdout.splitlines()
     assert [line for line in lines if line.startswith("! ") and str(path) in line and line.endswith("[markers.gaps]")]
 
@@ -128,7 +163,7 @@ def fits(value, shape: dict, whole: dict) -> bool:
 
 def test_json_is_as_its_schema_says(tmp_path: Path) -> None:
     """Problems and refusals alike; numbers that are not known are null, and a wrong kind would not fit."""
-    recording(tmp_path / "b.trc", gaps=True)
+    recording(tmp_path / "b.trc", gaps=6)
     (tmp_path / "c.c3d").write_bytes(b"<html>")
     result = runner.invoke(app, ["check", "--json", str(tmp_path)])
     found = json.loads(result.stdout, parse_constant=pytest.fail)

@@ -46,6 +46,7 @@ def test_configs_are_valid(tmp_path):
     for k, block in enumerate(blocks(README, "yaml")):
         for trial in yaml.safe_load(block.code)["trials"]:
             for key in ("file", "forces"):
+                (tmp_path / trial[key]).parent.mkdir(exist_ok=True)
                 (tmp_path / trial[key]).touch()
         path = tmp_path / f"config_{k}.yaml"
         path.write_text(block.code)

@@ -293,6 +293,44 @@ def test_configs_of_subjects_are_evaluated_first(tmp_path: Path, seed: int) -> N
     assert pool(study, found, refused).gaps[0] is refused[0]
 
 
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            InputError("c3d.truncated", "the file ends early", source="/a/b.c3d", remedy="Copy it"),
+            "b.c3d: the file ends",
+        ),
+        (ValueError("no\nsuch thing"), "a defect of torchid: ValueError: no such thing"),
+        (None, "study.subject"),
+    ],
+)
+def test_one_bad_subject_is_left_out_and_the_others_go_on(tmp_path: Path, seed: int, error, said: str, caplog) -> None:
+    """A file of it is damaged, a defect shows in it, or its evaluation leaves nothing: page and JSON say which."""
+    (tmp_path / "a.c3d").write_text("")
+    document = {"subject": {"name": "a"}, "markers": "opencap", "trials": [{"name": "one", "file": "a.c3d"}]}
+    (tmp_path / "one.yaml").write_text(yaml.safe_dump(document))
+    subjects = [{"config": "one.yaml", "set": [f"subject.name=S{k}", f"out=S{k}"]} for k in range(4)]
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump({"name": "a", "subjects": subjects, "out": "study"}))
+    study, changes = load_evaluation(tmp_path / "study.yaml"), drawn(seed, 4)
+    assert isinstance(study, Study)
+
+    def make(config: Config, progress: object) -> None:
+        if config.subject.name == "S0":
+            if error is not None:
+                raise error
+            return
+        config.out.mkdir()
+        folder(config.out, config.subject.name, changes[config.subject.name])
+
+    found = evaluate_study(study, make=make)
+    assert [one.name for one in found.subjects] == ["S1", "S2", "S3"]
+    (left,) = [gap for gap in found.gaps if gap.what == "subject S0"]
+    assert said in left.why and left.why in caplog.text
+    table = json.loads((study.out / "subjects.json").read_text())
+    assert {"what": left.what, "why": left.why} in table["not_determinable"]
+    assert "subject S0" in shown_text((study.out / "subjects.html").read_text())
+
+
 def test_why_too_few_subjects_are_left_is_said(tmp_path: Path, seed: int) -> None:
     """With the reason that left the others out, however many did."""
     study = study_of(tmp_path, drawn(seed, 2))

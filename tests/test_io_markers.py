@@ -39,6 +39,9 @@ def test_unlabelled_points_are_counted_out() -> None:
     found = select_markers(["LASI", "*12", "*", "U_3", "", "S:*52", "RASI"], "x")
     assert found.labels == ("LASI", "RASI") and found.columns == (0, 6)
     assert [note for note in found.notes if note.code == "markers.unlabelled" and note.message.startswith("5 ")]
+    assert "markers.none" not in {note.code for note in found.notes}
+    alone = select_markers(["*0", "*1", "S:*2"], "x")
+    assert alone.labels == () and "markers.none" in {note.code for note in alone.notes}
 
 
 def test_one_prefix_is_stripped_and_several_ask() -> None:

@@ -23,6 +23,7 @@ from torchid.live.exercises import guidance
 from torchid.live.exercises.advice import NOTHING, Adviser, make_ledger, promises
 from torchid.live.exercises.exercises import LIBRARY, RATE_HZ, Exercise, Possibilities, allowed, perform, stand_in
 from torchid.live.exercises.guidance import GOAL, Guide, Knowledge, Rehearsal, make_guide, rehearse, rows_of
+from torchid.model.whole_body import lock_bodies
 from torchid.simulate.balance import needed_wrench
 from torchid.simulate.subject import simulate_subject
 from torchid.storage.snapshot import from_bytes, to_bytes
@@ -151,7 +152,7 @@ def test_the_account_adds_up_to_all_that_is_known(seed):
     assert all(one.nats > 0.0 and one.exercise != NOTHING for one in account.entries)
     progress = torch.stack([one.progress for one in account.entries]).sum(0)
     assert_close(progress, identified.fit.progress.segment, rtol=1e-6, atol=1e-8)
-    assert set(account.table) == {"determined", "exercises"} and json.dumps(account.table)
+    assert set(account.table) == {"determined", "exercises", "notes"} and json.dumps(account.table)
 
 
 def test_an_advice_stands_for_its_time_unless_it_has_become_useless(seed):
@@ -203,6 +204,35 @@ def test_bodies_for_which_there_is_no_exercise_are_said(monkeypatch):
     monkeypatch.setattr(guidance, "perform", lambda *_: None)
     with pytest.raises(ConfigError, match=r"guidance\.none"):
         make_guide(fit, prior, None, "male", 6.0, Possibilities())
+
+
+LACKING = {"head": ("head",), "hands": ("hand_l", "hand_r"), "both": ("head", "hand_l", "hand_r")}
+
+
+@pytest.mark.parametrize("without", LACKING)
+def test_exercises_are_rehearsed_with_the_joints_that_a_body_has(without, caplog):
+    """Marker sets without a head or hands lock their joints; every exercise of the library is gone through."""
+    fit = unfitted()
+    model, _ = lock_bodies(fit.model, LACKING[without])
+    xi = torch.cat([model.geometry.mean, fit.xi[len(fit.model.geometry.mean) :]])
+    locked = replace(fit, model=model, prior=model.geometry, xi=xi)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(guidance, "allowed", lambda chosen: tuple(map(brief, allowed(chosen))))
+        patch.setattr(guidance, "SEEDS", 1)
+        guide = make_guide(locked, fit.model.inertia, None, "male", 6.0, Possibilities())
+    names = {one.exercise.name for one in guide.rehearsals}
+    head, hands = "head" in LACKING[without], "hand_l" in LACKING[without]
+    assert {"squats", "forearms"} <= names and ("head" in names) != head
+    assert any(note.startswith("head is not asked for") for note in guide.notes) == head
+    assert any("forearms is rehearsed without a part" in note and "wrist" in note for note in guide.notes) == hands
+    assert all(note in caplog.text for note in guide.notes)
+
+
+def test_every_joint_that_an_exercise_is_for_is_one_of_the_template_and_of_its_ranges():
+    tree = unfitted().model.tree
+    for exercise in LIBRARY:
+        assert not exercise.lacking(tree), exercise.name
+        assert not exercise.ranges or all(any(x.startswith(j) for x in exercise.ranges) for j in exercise.joints)
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.segment import Segment
 from rich.text import Text
 
-from torchid.errors import ConfigError, InputError, TorchidError
+from torchid.errors import ConfigError, InputError, TorchidError, said_of_defect
 from torchid.storage.allocator import keep_memory
 from torchid.wording import visible
 
@@ -188,13 +188,15 @@ def check(
     json: Annotated[bool, typer.Option("--json", help="As JSON (docs/check.schema.json).")] = False,
     debug: Debug = False,
 ) -> None:
-    """What is wrong with the recordings, before any fit; ends with 2 where something is."""
+    """What is wrong with the recordings, before any fit; ends with 2 where there is a problem."""
     with _exit_codes(debug):
         from torchid.checks.as_json import report, to_json
 
         found = report(_findings(what) if json else _shown(_findings(what)))
         if json:
             typer.echo(to_json(found))
+        if found.defects:
+            raise typer.Exit(1)
         if not found.clean:
             raise typer.Exit(InputError.exit_code)
 
@@ -290,8 +292,7 @@ def _exit_codes(debug: bool) -> Iterator[None]:
         _complain("interrupted; the next run continues from here")
         raise typer.Exit(130) from None
     except Exception as error:
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        _complain(f"a defect of torchid: {text[:400]} (the traceback: --debug)", debug)
+        _complain(f"a defect of torchid: {said_of_defect(error)} (the traceback: --debug)", debug)
         raise typer.Exit(1) from None
 
 

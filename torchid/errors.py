@@ -64,3 +64,12 @@ class DataError(TorchidError):
     """The files are sound, but they do not support a result."""
 
     exit_code = 3
+
+
+def said_of_defect(error: Exception) -> str:
+    """Return the kind and the words of an error that is none of torchid's own, in one line of at most 400 characters.
+
+    Args:
+        error: any but a ``TorchidError``.
+    """
+    return " ".join(f"{type(error).__name__}: {error}".split())[:400]

@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 from torchid.checks.finding import Finding, FindingRecord, record_of
 from torchid.checks.plates import PlateCheck
 from torchid.checks.recording import TrialCheck
-from torchid.checks.report import CheckItem, Refusal
+from torchid.checks.report import DEFECT, CheckItem, Refusal
 from torchid.conventions import GRAVITY
 from torchid.errors import Note
 
@@ -82,6 +82,9 @@ class FileRecord:
     up: str
     events: int
     problems: tuple[FindingRecord, ...]
+    """What makes a result wrong or impossible until it is mended."""
+    warnings: tuple[FindingRecord, ...]
+    """What is at fault and harms no result."""
     notes: tuple[Note, ...]
     """What reading chose or repaired without it being a problem."""
 
@@ -95,6 +98,11 @@ class CheckReport:
     refused: tuple[Refusal, ...]
     notes: tuple[Note, ...] = ()
     """What was decided about markers and model of a config's session."""
+
+    @property
+    def defects(self) -> bool:
+        """A defect of torchid has shown in some recording."""
+        return any(one.code == DEFECT for one in self.refused)
 
     @property
     def clean(self) -> bool:
@@ -114,10 +122,10 @@ def report(findings: Iterable[CheckItem]) -> CheckReport:
 def _file(check: TrialCheck) -> FileRecord:
     markers = MarkersRecord(check.markers, check.rate, check.frames, check.duration, check.gaps)
     plates = tuple(_plate(plate, check) for plate in check.plates)
-    problems = tuple(record_of(one) for one in check.problems)
+    problems, warnings = (tuple(map(record_of, some)) for some in (check.problems, check.warnings))
     return FileRecord(
         check.name, check.source, check.subject, markers, check.force_rate, plates, check.weight, check.mass,
-        check.recorded_mass, check.units, check.up, check.events, problems, check.notes,
+        check.recorded_mass, check.units, check.up, check.events, problems, warnings, check.notes,
     )  # fmt: skip
 
 

@@ -1,14 +1,14 @@
 """What a recording holds and what is wrong with it, before any fit; nothing is repaired here."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from torchid.checks.finding import Finding, InstrumentFault
+from torchid.checks.finding import Finding, InstrumentFault, Severity
 from torchid.checks.instruments import other_weight, unloaded_reading
 from torchid.checks.marker_tracks.clusters import Clusters
 from torchid.checks.marker_tracks.session import look_at_trial
@@ -47,6 +47,7 @@ CURES = {
     "markers.duplicates": "rename them in the recording system, or leave the numbered ones out of the marker map",
     "markers.order": "export the trial again; where it was put together by hand, put those frames in order",
     "markers.repeated": "check that no frame was lost while recording; export the trial again",
+    "markers.none": "label the points in the recording system and export the trial again",
     "markers.never_seen": "leave them out of the marker map",
     "plates.sign": "reverse the plate's channels where they are recorded, or leave the plate out",
     "plates.refused": "correct FORCE_PLATFORM in the file, or leave the plate out",
@@ -71,7 +72,14 @@ CURES = {
     "mot.gaps": "export the forces without gaps; torchid leaves those frames out of the inertia",
     "plates.spikes": "look for loose cables and noise on the channels; torchid treats the samples as gaps",
 }
-"""What to do about the notes of reading that are problems."""
+"""What to do about the notes of reading that are problems or warnings."""
+HARMLESS = frozenset({
+    "markers.held", "markers.never_seen", "markers.spikes", "mot.gaps", "mot.spikes", "plates.spikes",
+    "text.last_row", "time.gaps", "trc.partial", "trial.overlap",
+})  # fmt: skip
+"""Choice. Of these, the ones after which a result is right all the same: what is at fault is a gap to torchid."""
+MOST = 0.5
+"""Choice. Share of the markers with many gaps above which the recording has a problem; few can be done without."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +106,9 @@ class TrialCheck:
     up: str
     events: int
     problems: tuple[Finding, ...]
-    """Each with its cure."""
+    """What makes a result wrong or impossible until it is mended; each with its cure."""
+    warnings: tuple[Finding, ...]
+    """What is at fault and harms no result, for torchid takes it for a gap or does without; each with its cure."""
     notes: tuple[Note, ...]
     """What reading chose or repaired without it being a problem."""
     to_sole: Mapping[str, float] = field(default_factory=dict)
@@ -132,6 +142,8 @@ def check_trial(
     weight = plate_weight(forces) if forces else None
     source = facts.get("file", trial.name)
     found = [*disagreements, *_from_notes(trial), *_gap_problems(gaps, source), *plate_problems(trial, mass, plates)]
+    harmless = HARMLESS if len(_many(gaps)) > MOST * len(gaps) else HARMLESS | {"markers.gaps"}
+    found = [replace(one, severity=Severity.WARNING) if one.code in harmless else one for one in found]
     frames = len(markers.time)
     return TrialCheck(
         name=trial.name, source=source, subject=facts.get("subject", ""), markers=len(markers.labels), frames=frames,
@@ -140,7 +152,8 @@ def check_trial(
         force_rate=forces.rate if forces and len(forces.time) > 1 else None, plates=plates, weight=weight,
         mass=moved_mass(trial),
         recorded_mass=mass, units=facts.get("units", ""), up=facts.get("up", ""), events=len(trial.events),
-        problems=tuple(found), to_sole=to_sole or {},
+        problems=tuple(one for one in found if one.severity is Severity.PROBLEM),
+        warnings=tuple(one for one in found if one.severity is Severity.WARNING), to_sole=to_sole or {},
         notes=(*(note for note in trial.notes if note.code not in CURES), *_track_notes(trial)),
     )  # fmt: skip
 
@@ -168,8 +181,13 @@ def _from_notes(trial: Trial) -> list[Finding]:
     ]
 
 
+def _many(gaps: dict[str, float]) -> list[str]:
+    """Markers with many gaps that are seen at times."""
+    return [f"{label} ({share:.0f} %)" for label, share in gaps.items() if MANY_GAPS < share < 100.0]
+
+
 def _gap_problems(gaps: dict[str, float], source: str) -> list[Finding]:
-    many = [f"{label} ({share:.0f} %)" for label, share in gaps.items() if MANY_GAPS < share < 100.0]
+    many = _many(gaps)
     if not many:
         return []
     seen = f"markers with many gaps: {', '.join(many[:12])}"
@@ -243,14 +261,19 @@ def weight_problem(trial: Trial, mass: float | None, known: str = "on record", s
 
 
 def format_check(check: TrialCheck) -> Group:
-    """The check for a terminal: facts, plates, problems with their cures, notes."""
+    """The check for a terminal: facts, plates, problems and warnings with their cures, notes."""
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, value in _facts(check):
         table.add_row(Text(key, style="dim"), Text(value))
     problems = [Text(f"! {note}", style="yellow") for note in check.problems]
+    warnings = [Text(f"~ {note}") for note in check.warnings]
     notes = [Text(f"  {note.message} [{note.code}]", style="dim") for note in check.notes]
     return Group(
-        Text(f"{check.name}", style="bold"), table, *(problems or [Text("no problems found", "green")]), *notes
+        Text(f"{check.name}", style="bold"),
+        table,
+        *(problems or [Text("no problems found", "green")]),
+        *warnings,
+        *notes,
     )
 
 

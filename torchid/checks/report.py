@@ -1,5 +1,6 @@
 """What ``torchid check`` finds, recording by recording."""
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,10 +9,14 @@ from torchid.checks.plates_against_feet.finding import ForceFinding
 from torchid.checks.plates_against_feet.readings import pressures_to_soles
 from torchid.checks.plates_against_feet.session import Recording, judge_recording, reconciled
 from torchid.checks.recording import TrialCheck, check_trial, stated_mass
-from torchid.errors import Note, TorchidError
+from torchid.errors import Note, TorchidError, said_of_defect
 from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
 from torchid.recording import Trial
+
+DEFECT = "torchid.defect"
+"""Wording. Code of what is an error of torchid's own."""
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,13 @@ class Refusal:
         """From an error."""
         return Refusal(error.source, error.place, error.code, error.message, error.found, error.remedy, str(error))
 
+    @staticmethod
+    def of_defect(source: str, error: Exception) -> "Refusal":
+        """From an error that is none of torchid's own, in one recording among others."""
+        said, remedy = said_of_defect(error), "Report it; the traceback: --debug"
+        text = f"{source}: a defect of torchid: {said} (the traceback: --debug)"
+        return Refusal(source, "", DEFECT, "a defect of torchid", said, remedy, text)
+
 
 CheckItem = TrialCheck | Refusal | Note
 
@@ -99,6 +111,10 @@ def check_recordings(
                 checked = one.checked(trial, found)
         except TorchidError as error:
             yield Refusal.of(error)
+            continue
+        except Exception as error:  # one recording's, while a folder has others
+            log.debug("%s", one.file, exc_info=error)
+            yield Refusal.of_defect(str(one.file), error)
             continue
         keep(trial)
         if one.name not in held:

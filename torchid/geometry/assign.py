@@ -54,9 +54,13 @@ def assign_markers(
         The model, its markers, and notes on labels that were assigned or left out and on bodies without markers.
 
     Raises:
-        DataError: ``markers.root``, when fewer than three markers sit on the root body.
+        DataError: ``markers.none`` without a labelled marker in any trial; ``markers.root``, when fewer than three
+            markers sit on the root body.
     """
-    match = marker_set.match(_visible_labels(trials))
+    labels = _visible_labels(trials)
+    if not labels:
+        raise _unseen(trials)
+    match = marker_set.match(labels)
     specs, notes = dict(match.assigned), []
     if match.computed:
         notes.append(Note("markers.computed", f"left out as computed points: {', '.join(match.computed)}"))
@@ -129,6 +133,19 @@ def _visible_labels(trials: tuple[Trial, ...]) -> tuple[str, ...]:
         share = torch.isfinite(trial.markers.position[..., 0]).double().mean(0)
         found.update({label: None for label, s in zip(trial.markers.labels, share.tolist(), strict=True) if s >= SEEN})
     return tuple(found)
+
+
+def _unseen(trials: tuple[Trial, ...]) -> DataError:
+    """Return the refusal of trials without a single marker, labelled and seen."""
+    some = any(trial.markers.labels for trial in trials)
+    rarely = f"no labelled marker is seen in {100.0 * SEEN:.0f} % of the frames of any trial"
+    said = [note.message for trial in trials for note in trial.notes if note.code == "markers.unlabelled"]
+    return DataError(
+        "markers.none", rarely if some else "no labelled markers",
+        source=trials[0].parameters.get("file", "") if trials else "",
+        found=listing(said, 3) if said else "",
+        remedy="Label the points in the recording system and export the trials again",
+    )  # fmt: skip
 
 
 def _most_rigid_segment(

@@ -19,6 +19,8 @@ from torchid.geometry.uncertainty import estimate_uncertainty
 from torchid.model.model import Model
 from torchid.recording import Markers
 
+ROUNDS = 3
+"""The joint problem is solved so many times, and all but the last set the weights of the next; chosen."""
 WEIGHTS_TOLERANCE = 1e-4
 """Fits whose residuals only set weights stop at this relative fall of the cost; chosen."""
 
@@ -67,7 +69,7 @@ def _fit_jointly(
     """
     problem, q, lengths = joint_problem(fit, trials, static)
     solution = _run_solver(fit, replace(problem, robust=None), q, fit.xi, WEIGHTS_TOLERANCE, progress)
-    for tolerance in (WEIGHTS_TOLERANCE, fit.options.tolerance):
+    for tolerance in (*[WEIGHTS_TOLERANCE] * (ROUNDS - 2), fit.options.tolerance):
         fit, problem = reweighted(fit, problem, solution, lengths)
         solution = _run_solver(fit, problem, solution.q, solution.xi, tolerance, progress)
     return finish_fit(fit, problem, solution)

@@ -16,6 +16,10 @@ EVENER = 0.2
 """Share of its unevenness that an exchange leaves where the two frames stood wrongly. Calibrated: of 75 public
 recordings no pair comes below 0.38, the noise of a static trial; exchanged on purpose, pairs of all but static trials
 lie below 0.1."""
+UNEVEN = 10.0
+"""Unevenness of the frames as they stand, over its median in the recording, from which an exchange is asked about: two
+exchanged frames of a path of step s are uneven by 18 s^2, and noise alone, summed over five markers or more, by less
+than twice its median. Derived."""
 LEAP = (25.0, 10.0)
 """Leap of most markers over their own median, and over their medians within ``BESIDE`` frames on either side, at which
 frames are missing. Calibrated: of 75 public recordings none leaps over 17 times its median; with a frame taken out,
@@ -63,11 +67,21 @@ def _listed(found: list[int]) -> str:
 def _exchanged(position: np.ndarray, asked: np.ndarray) -> list[int]:
     """Frames that stand in the place of the next."""
     first, last = position[:4, asked], position[:-5:-1, asked]
-    found = [0] if _wrong_at_the_start(first) else []
+    usual = _usual(position, asked)
+    found = [0] if _wrong_at_the_start(first, usual) else []
     found += [
-        k for start, part in _pieces(position, asked) for k in (start + 1 + np.flatnonzero(_wrong(part))).tolist()
+        start + 1 + k for start, part in _pieces(position, asked) for k in np.flatnonzero(_wrong(part, usual)).tolist()
     ]
-    return found + ([len(position) - 2] if _wrong_at_the_start(last) else [])
+    return found + ([len(position) - 2] if _wrong_at_the_start(last, usual) else [])
+
+
+def _usual(position: np.ndarray, asked: np.ndarray) -> float:
+    """Median unevenness of a marker in the recording's windows of four frames [m^2], 0 where there is none."""
+    parts = [np.diff(part, axis=0) for _, part in _pieces(position, asked)]
+    bends = np.concatenate([_bend(move[:-2], move[1:-1], move[2:]).sum(axis=2) for move in parts])
+    known = np.isfinite(bends).sum(axis=1)
+    each = np.nansum(bends, axis=1)[known > 0] / known[known > 0]
+    return float(np.median(each)) if len(each) else 0.0
 
 
 def _joints(position: np.ndarray, asked: np.ndarray) -> list[int]:
@@ -107,24 +121,25 @@ def _pieces(position: np.ndarray, asked: np.ndarray) -> Iterator[tuple[int, np.n
         yield start, position[start : start + PIECE + 3, asked]
 
 
-def _wrong(part: np.ndarray) -> np.ndarray:
+def _wrong(part: np.ndarray, usual: float) -> np.ndarray:
     """For every frame with one before and two after it, whether it and the next are in the wrong order."""
     move = np.diff(part, axis=0)
     before, between, after = move[:-2], move[1:-1], move[2:]
-    return _evener(_bend(before, between, after), _bend(before + between, -between, between + after))
+    return _evener(_bend(before, between, after), _bend(before + between, -between, between + after), usual)
 
 
-def _wrong_at_the_start(four: np.ndarray) -> bool:
+def _wrong_at_the_start(four: np.ndarray, usual: float) -> bool:
     """Whether the first two of four frames are in the wrong order."""
     one, two, three = np.diff(four, axis=0)[:, None]
-    return bool(_evener(_bend(one, two, three), _bend(-one, one + two, three)).all())
+    return bool(_evener(_bend(one, two, three), _bend(-one, one + two, three), usual).all())
 
 
-def _evener(as_read: np.ndarray, exchanged: np.ndarray) -> np.ndarray:
+def _evener(as_read: np.ndarray, exchanged: np.ndarray, usual: float) -> np.ndarray:
     """Whether the markers (windows, markers, 3) together move evenly after an exchange, and not before it."""
     known = np.asarray(np.isfinite(as_read).all(axis=2))
     before, after = (np.where(known[..., None], x, 0.0).sum(axis=(1, 2)) for x in (as_read, exchanged))
-    return (known.sum(axis=1) >= MARKERS[0]) & (after < EVENER * before)
+    count = known.sum(axis=1)
+    return (count >= MARKERS[0]) & (after < EVENER * before) & (before > UNEVEN * usual * count)
 
 
 def _bend(before: np.ndarray, between: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -51,6 +51,8 @@ def select_markers(
     columns = _of_subject([k for k in range(len(labels)) if k not in left], labels, subjects, subject, source, notes)
     if unlabelled:
         notes.append(Note("markers.unlabelled", f"{len(unlabelled)} unlabelled points left out", source))
+        if not columns:
+            notes.append(Note("markers.none", "no labelled markers", source))
     notes += _said(computed, plain, source)
     final, duplicates = _unique([plain[k] for k in columns])
     if duplicates:

@@ -7,13 +7,14 @@ import torch
 from torchid.checks.recording import weight_problem
 from torchid.config.sections import Inertia, Subject
 from torchid.errors import DataError
-from torchid.geometry.fit import fit_geometry
+from torchid.geometry.fit import ROUNDS, fit_geometry
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.result import GeometryFit
 from torchid.inertia.identify import Identified, identify_inertia
 from torchid.model.model import InertialPrior
 from torchid.recording import Trial
 from torchid.session import Outcome, Session
+from torchid.session.pace import Pace
 from torchid.session.standing import standing_weight
 
 OnStage = Callable[[str, float], None]
@@ -32,10 +33,10 @@ def fit_session(options: GeometryOptions, session: Session, free: bool, progress
     if not trials:
         trials = {n: t.markers for n, t in session.trials.items() if t.role == "static"}
     assignment, markers = session.assignment, None if static is None else static.markers
-
+    most = options.iterations if options.solver == "arrow" else options.gradient_iterations
     return fit_geometry(
         assignment.model, assignment.attachment, trials, markers, options, free,
-        lambda step, cost: progress("geometry", min(0.95, step / options.iterations)),
+        Pace("geometry", most, ROUNDS, progress),
     )  # fmt: skip
 
 

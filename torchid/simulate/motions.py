@@ -256,14 +256,14 @@ def _join(*tables: Mapping[str, Range]) -> dict[str, Range]:
 
 
 def _add(script: Script, subject: SimulatedSubject, more: Mapping[str, tuple[Tensor, Tensor | None]]) -> None:
-    """Add degrees to angles of a script under construction; left and right for sided ones."""
-    names = subject.model.tree.dof_names
+    """Add degrees to angles of a script under construction, left and right for sided ones, that the body has."""
+    rows = {name: row for row, name in enumerate(subject.model.tree.dof_names)}
     for stem, values in more.items():
         joint, _, tail = stem.partition("_")
         for side, value in zip(SIDES, values, strict=True):
-            name = f"{joint}_{side}_{tail}" if stem not in names else stem
-            if value is not None:
-                script.angles[:, names.index(name)] += torch.deg2rad(value)
+            row = rows.get(stem, rows.get(f"{joint}_{side}_{tail}"))
+            if value is not None and row is not None:
+                script.angles[:, row] += torch.deg2rad(value)
 
 
 def _leg_length(subject: SimulatedSubject) -> float:

@@ -67,6 +67,8 @@ def find_feet(markers: Markers, frames: Int[Tensor, " n"] | None = None) -> Feet
     spaced = torch.linspace(STRIDE, last, min(FRAMES, last - STRIDE + 1)).round().long()
     frames = spaced if frames is None else frames[(frames >= STRIDE) & (frames <= last)]
     low = _low(position[spaced])
+    if len(low) < 2:
+        return None
     foot = _outermost(position[spaced][:, low], _joined(position[spaced][:, low]))
     index = low[foot >= 0]
     if not len(index) or not len(frames) or _one_foot(position[spaced][:, index], foot[foot >= 0]):
@@ -94,19 +96,21 @@ def _low(position: Tensor) -> Tensor:
 def _lowest(position: Tensor) -> Tensor:
     """How low each marker comes, infinite for one that is rarely seen."""
     height = position[..., 2]
+    if not height.shape[1]:
+        return height.new_zeros(0)
     often_seen = torch.isfinite(height).double().mean(dim=0) > SEEN
     return torch.where(often_seen, torch.nanquantile(height, OFTEN, dim=0), torch.inf)
 
 
 def _floor(lowest: Tensor) -> Tensor:
-    return lowest.sort().values[:FLOOR_MARKERS].median()
+    return lowest.sort().values[:FLOOR_MARKERS].median() if len(lowest) else lowest.new_tensor(torch.inf)
 
 
 def floor_height(markers: Markers) -> float:
     """Height in W to which the lowest markers come [m]; infinite without markers."""
     frames = torch.linspace(0, len(markers.time) - 1, min(FRAMES, len(markers.time))).round().long()
     lowest = _lowest(markers.position[frames])
-    return float(_floor(lowest)) if len(lowest) else float("inf")
+    return float(_floor(lowest))
 
 
 def _outermost(position: Tensor, foot: Tensor) -> Tensor:
@@ -128,9 +132,9 @@ def _joined(position: Tensor) -> Tensor:
     mean = distance.nanmean(dim=0)
     bend = (distance - mean).square().nanmean(dim=0).sqrt()
     reach = ((mean < FOOT_M) & (bend < BEND_M)).double()
-    for _ in range(max(len(reach), 1).bit_length()):
+    for _ in range(len(reach).bit_length()):
         reach = ((reach @ reach) > 0).double()
-    first = torch.where(reach > 0, torch.arange(len(reach)), len(reach)).amin(dim=1) if len(reach) else reach[:, 0]
+    first = torch.where(reach > 0, torch.arange(len(reach)), len(reach)).amin(dim=1)
     found = torch.full((len(reach),), -1)
     groups = [g for g in first.unique().tolist() if int((first == g).sum()) > 1]
     for k, group in enumerate(groups):

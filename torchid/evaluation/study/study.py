@@ -1,5 +1,6 @@
 """The sequence of a study: every subject's evaluation, what they have in common, the comparisons, the files."""
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import torch
 
 from torchid.config import Config, Study, load_config
-from torchid.errors import ConfigError, DataError
+from torchid.errors import ConfigError, DataError, TorchidError, said_of_defect
 from torchid.evaluation.compared import Gap
 from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.gaps import untested
@@ -18,6 +19,8 @@ from torchid.evaluation.study.compare import compare_condition, course_of
 from torchid.evaluation.study.subject import SHARES, StudySubject, read_subject
 from torchid.session.fitting import OnStage
 from torchid.wording import listing
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,9 @@ class Pooled:
 def subjects_of(
     study: Study, progress: OnStage, make: Callable[[Config, OnStage], object] = evaluate
 ) -> tuple[tuple[StudySubject, ...], tuple[Gap, ...]]:
-    """The subjects of a study, evaluated where it lists their configs, and those whose data support no evaluation.
+    """The subjects of a study, evaluated where it lists their configs, and why others cannot be evaluated.
+
+    One subject's fault, or a defect that shows in one, leaves the others what they are.
 
     Args:
         study: whom to read.
@@ -116,7 +121,8 @@ def subjects_of(
         make: evaluates a config.
 
     Raises:
-        ConfigError: ``study.twice`` where two subjects have one folder or one name; a config is at fault.
+        ConfigError: ``study.twice`` where two subjects have one folder or one name; a config is at fault, which is said
+            before any work.
         InputError: ``study.subject`` where a folder has no evaluation.
     """
     configs = [None if one.config is None else load_config(one.config, one.set) for one in study.subjects]
@@ -125,18 +131,28 @@ def subjects_of(
     finished = {one.out: read_subject(one.out) for one in study.subjects if one.out is not None}
     _refuse_twice([own.subject.name for own in configs if own] + [one.name for one in finished.values()], "name")
     found, refused = [], []
-    for folder, config in zip(folders, configs, strict=True):
+    for k, (folder, config) in enumerate(zip(folders, configs, strict=True), 1):
         assert isinstance(folder, Path)
         if config is None:
             found.append(finished[folder])
             continue
         try:
             make(config, _named(progress, config.subject.name))
-        except DataError as error:
-            refused.append(Gap(f"subject {config.subject.name}", f"left out: {error.message} [{error.code}]"))
-            continue
-        found.append(read_subject(folder))
+            found.append(read_subject(folder))
+        except Exception as error:  # hours of the others' work are not lost for it
+            refused.append(_left_out(config.subject.name, k, error))
     return tuple(found), tuple(refused)
+
+
+def _left_out(name: str, k: int, error: Exception) -> Gap:
+    if isinstance(error, TorchidError):
+        where = ", ".join(part for part in (Path(error.source).name, error.place) if part)
+        why = f"left out: {f'{where}: ' if where else ''}{error.message} [{error.code}]"
+    else:
+        why = f"left out by a defect of torchid: {said_of_defect(error)}"
+    log.warning("subject %d of the study is %s", k, why)
+    log.debug("subject %d of the study", k, exc_info=error)
+    return Gap(f"subject {name}", why)
 
 
 def _named(progress: OnStage, name: str) -> OnStage:

@@ -19,6 +19,7 @@ from torchid.live.estimation.refining import MessagePiece
 from torchid.live.estimation.watch import Notice
 from torchid.live.sources.intake import Intake
 from torchid.live.sources.recorder import Recorder
+from torchid.live.sources.stamps import Stamps
 from torchid.live.sources.stream import Packet, Source
 from torchid.model.model import InertialPrior
 from torchid.recording import Markers
@@ -62,9 +63,11 @@ class Pipeline:
         """
         self._source, self._recorder, self._cutoff_hz = source, recorder, subject.cutoff_hz
         self._intake = Intake(source.rate_hz, source.force_rate_hz, LAG_PERIODS / subject.cutoff_hz)
+        self._stamps, self._misplaced = Stamps(source.rate_hz, source.force_rate_hz), tuple[Notice, ...]()
         self._follower, self._version = PostureFollower(subject.fit, source.labels), 0
         self._beside = Beside(subject, source.labels, source.rate_hz, source.plates, source.force_rate_hz)
         self._fit = subject.fit
+        self._newest_s = 0.0
         self._latency_s: list[float] = []
         self._parameters_s: list[float] = []
         self._arrived: dict[int, float] = {}
@@ -115,6 +118,9 @@ class Pipeline:
     def _take(self, packet: Packet, show: Callable[[Moment], None]) -> bool:
         """Work off a packet; False where nothing was new in it."""
         placed = self._intake.place(packet)
+        if len(packet.markers.time):
+            self._newest_s = float(placed.markers.time[-1]) if len(placed.index) else self._newest_s
+            self._misplaced = self._stamps.after(self._intake.counts, self._newest_s)
         if self._recorder is not None:
             self._recorder.add(placed)
         if not len(placed.index) and not len(placed.sample):
@@ -138,7 +144,8 @@ class Pipeline:
     def _notices(self) -> tuple[Notice, ...]:
         fault = None if self._recorder is None else self._recorder.fault
         said = f"Nothing more is recorded: {fault}. The estimate goes on"
-        return self._beside.notices if fault is None else (*self._beside.notices, Notice("recording", "", said))
+        found = (*self._misplaced, *self._beside.notices)
+        return found if fault is None else (*found, Notice("recording", "", said))
 
     def _poll(self) -> None:
         """Note when parameters came that know of a frame."""
@@ -167,7 +174,7 @@ class Pipeline:
             "backlog": self._beside.sent - self._beside.done,
             "notices": [
                 {"what": what, "where": where, "from_s": round(since, 2), "to_s": round(until, 2)}
-                for (what, where), (since, until) in self._beside.noted.items()
+                for (what, where), (since, until) in {**self._beside.noted, **self._stamps.noted}.items()
             ],
             **({} if self._recorder is None else {"recording": self._recorder.table}),
         }  # fmt: skip

@@ -32,7 +32,8 @@ class Notice:
     """Something that a laboratory should look at."""
 
     what: str
-    """Stable name: ``posture``, ``marker``, ``unread``, ``beside``, ``offset``, ``clock``, ``gain``, ``recording``."""
+    """Stable name: ``posture``, ``marker``, ``unread``, ``beside``, ``offset``, ``clock``, ``gain``, ``recording``,
+    ``stamps``."""
     where: str
     """Marker, foot or plate; empty where it is the whole stream."""
     text: str

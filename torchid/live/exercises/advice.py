@@ -75,6 +75,8 @@ class Account:
     """One for each interval, in order."""
     share: Float[Tensor, " bodies"]
     """How much of each body's determined parameters is known."""
+    notes: tuple[str, ...] = ()
+    """Exercises that were not asked for, or without a part, and why."""
 
     @property
     def table(self) -> dict[str, Any]:
@@ -86,6 +88,7 @@ class Account:
                  "progress": self._by_name(one.progress)}
                 for one in self.entries
             ],
+            "notes": list(self.notes),
         }  # fmt: skip
 
     def _by_name(self, values: Float[Tensor, " bodies"]) -> dict[str, float]:
@@ -165,7 +168,7 @@ class Adviser:
         begin = Knowledge.begin(estimator.prior, guide.mass, omega_2)  # of the geometry that was refined
         entries, known = make_ledger(labels, estimator.blocks, identified.whitening, begin)
         outlook = guide.outlook(guide.information(identified.whitening, self._rate_hz), omega_2)
-        return Account(guide.names, entries, outlook.share(known))
+        return Account(guide.names, entries, outlook.share(known), guide.notes)
 
     def _promises(self, estimator: Estimator) -> tuple[Promise, ...]:
         if estimator.whitening is not self._whitening:

@@ -1,5 +1,6 @@
 """Exercises that a subject may be asked for, and how they are likely to look when this subject does them."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -15,6 +16,7 @@ from torchid.geometry.result import GeometryFit
 from torchid.model.landmarks import ANKLE_FROM_HEEL
 from torchid.model.proportions import proportions
 from torchid.model.skeleton import SIDES
+from torchid.model.tree import Tree
 from torchid.motion import Motion, smooth_motion
 from torchid.simulate.balance import balance
 from torchid.simulate.legs import LEG
@@ -64,6 +66,17 @@ class Exercise:
     """Angles that go their own way between two values [deg]; sided names hold for both sides."""
     band_hz: tuple[float, float] = (0.2, 1.0)
     """Frequencies of these."""
+    joints: tuple[str, ...] = ()
+    """Joints it is for, besides those of the legs, which every body has that is advised; sided names hold for both."""
+
+    def lacking(self, tree: Tree) -> tuple[str, ...]:
+        """Return the joints it is for that do not move in a body, such as those that no marker tells of.
+
+        Args:
+            tree: of the body.
+        """
+        moving = {re.sub("_[lr]_", "_", name) for name in tree.dof_names}
+        return tuple(joint for joint in self.joints if not any(name.startswith(f"{joint}_") for name in moving))
 
 
 @dataclass(frozen=True)
@@ -90,20 +103,23 @@ LIBRARY: tuple[Exercise, ...] = (
         "arm_circles", "Swing both arms in wide circles", 10.0, "arms", ("arms",),
         {"shoulder_flexion": (-40, 150), "shoulder_adduction": (-100, -5), "shoulder_rotation": (-50, 50),
          "elbow_flexion": (5, 40)},
-        (0.3, 1.0),
+        (0.3, 1.0), ("shoulder", "elbow"),
     ),
     Exercise(
         "forearms", "Bend, stretch and turn your elbows and wrists, quickly", 10.0, "arms", ("arms",),
         {"shoulder_flexion": (10, 80), "shoulder_adduction": (-60, -10), "elbow_flexion": (10, 130),
          "elbow_pronation": (-75, 75), "wrist_flexion": (-60, 60), "wrist_deviation": (-25, 35)},
-        (0.5, 1.6),
+        (0.5, 1.6), ("elbow", "wrist"),
     ),
     Exercise(
         "head", "Nod, tilt and turn your head", 10.0, "arms", (),
         {**QUIET, **HANGING, "neck_flexion": (-35, 40), "neck_bending": (-30, 30), "neck_rotation": (-60, 60)},
-        (0.4, 1.2),
+        (0.4, 1.2), ("neck",),
     ),
-    Exercise("trunk", "Bend, twist and circle your upper body", 10.0, "trunk", (), TRUNK, (0.2, 0.8)),
+    Exercise(
+        "trunk", "Bend, twist and circle your upper body", 10.0, "trunk", (), TRUNK, (0.2, 0.8),
+        ("lower_spine", "upper_spine"),
+    ),
     Exercise("squats", "Bend your knees deeply and stand up again", 10.0, "squats", ("standing",)),
     Exercise(
         "leg_circles", "Stand on one leg, circle the other one; then change legs", 10.0, "hip_rom", ("standing",),

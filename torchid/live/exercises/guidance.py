@@ -149,6 +149,8 @@ class Guide:
     mass: tuple[float, float] | None
     """Total mass and its standard deviation [kg]."""
     rehearsals: tuple[Rehearsal, ...]
+    notes: tuple[str, ...] = ()
+    """Exercises of the library that are not asked for, or without a part, and why."""
 
     def information(self, whitening: Whitening, rate_hz: float) -> Float[Tensor, "exercises params params"]:
         """Return what a second of each exercise is expected to bring under the present noise.
@@ -212,21 +214,32 @@ def rehearse(
     Raises:
         ConfigError: ``guidance.none``, no exercise is possible for the subject.
     """
-    found = []
+    found, notes = [], []
     for exercise in allowed(possibilities):
+        lacking = exercise.lacking(who.model.tree)
+        notes += [_without(exercise, lacking)] if lacking else []
+        if lacking and lacking == exercise.joints:
+            continue
         drawn = [perform(exercise, who, possibilities, seed) for seed in range(SEEDS)]
         motions = [motion for motion in drawn if motion is not None]
         if motions:
             blocks = [block for one in motions for block in rows_of(who.model.tree, who.geometry, one, smoother)]
             found.append(Rehearsal(exercise, extremes(motions[0]), tuple(blocks)))
         else:
-            log.warning("no way was found in which this body does %s", exercise.name)
+            notes.append(f"{exercise.name} is not asked for: no way was found in which this body does it")
+    for note in notes:
+        log.warning("advice: %s", note)
     if not found:
         raise ConfigError(
             "guidance.none", "no exercise of the library is possible for this subject", place="guidance",
             found=str(possibilities), remedy="Go on without advice",
         )  # fmt: skip
-    return Guide(who.model.tree.names, prior, mass, tuple(found))
+    return Guide(who.model.tree.names, prior, mass, tuple(found), tuple(notes))
+
+
+def _without(exercise: Exercise, lacking: Sequence[str]) -> str:
+    less = "is not asked for" if tuple(lacking) == exercise.joints else "is rehearsed without a part"
+    return f"{exercise.name} {less}: no marker tells how {' and '.join(lacking)} move"
 
 
 def rows_of(

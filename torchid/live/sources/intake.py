@@ -1,6 +1,6 @@
 """Frames and samples on one uniform clock, however they come."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -41,6 +41,8 @@ class Counts:
     """Frames that came when their block was done."""
     restarts: int = 0
     """Times that the clock was set."""
+    apart: int = 0
+    """Force samples whose times are far from those of all frames."""
 
 
 class Intake:
@@ -107,7 +109,7 @@ class Intake:
         before = self.counts
         frames, set_ = before.frames + taken, before.restarts + restarts
         lost = self._newest + 1 - set_ * self._patience - frames
-        self.counts = Counts(frames, max(lost, 0), before.again + again, before.late + late, set_)
+        self.counts = Counts(frames, max(lost, 0), before.again + again, before.late + late, set_, before.apart)
 
     def _samples(self, packet: Packet) -> tuple[Int[Tensor, " samples"], Float[Tensor, "samples plates 6"]]:
         """Places of the samples near the newest frame; others belong to a clock that no frame has shown yet."""
@@ -117,6 +119,7 @@ class Intake:
             return none, torch.zeros(0, 0 if forces is None else len(forces.plates), 6, dtype=torch.float64)
         since = forces.time - self._origin
         near = (since - self._newest / self._rate).abs() <= JUMP_S
+        self.counts = replace(self.counts, apart=self.counts.apart + int((~near).sum()))
         if self._phase is None and bool(near.any()):
             first = float(since[near][0]) * self._force_rate
             self._phase = first - round(first)
