@@ -1,39 +1,92 @@
-"""What all tests share: modest threads, the real recordings where they exist, seeds that a failure shows."""
+"""What all tests share: modest threads, the real recordings where they exist, seeds that nobody chose."""
 
 import os
-import time
 from pathlib import Path
 
 import pytest
 import torch
+from draws import GIVEN, enter, pinned_ids, pins_of, seed_of
 from hypothesis import settings
+from recordings import DATA
 
 torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "2")))
-settings.register_profile("torchid", deadline=None, print_blob=True, max_examples=100)
+settings.register_profile("torchid", deadline=None, print_blob=True, max_examples=100, derandomize=GIVEN is None)
 settings.load_profile("torchid")
 
-PROJECT = Path(__file__).resolve().parents[1]
+KEEPS = "TORCHID_DRAWS" in os.environ and "PYTEST_XDIST_WORKER" not in os.environ
+"""Whether this process writes failures of a draw into the ledger."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Hypothesis draws from the seed of a draw, too."""
+    if GIVEN is not None and config.option.hypothesis_seed is None:
+        config.option.hypothesis_seed = GIVEN
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Each seed on which a test with a ``seed`` failed once is a case of its own."""
+    own = pins_of(metafunc.definition.nodeid)
+    if own and "seed" in metafunc.fixturenames:
+        ids = [pytest.HIDDEN_PARAM, *(f"seed={one}" for one in own)]
+        metafunc.parametrize("seed", [None, *own], ids=ids, indirect=True)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests whose verdict hangs on a seed are marked ``drawn``; a pinned seed is run in the case that failed alone."""
+    others = [item for item in items if "[seed=" in item.nodeid and item.nodeid not in pinned_ids()]
+    items[:] = [item for item in items if item not in others]
+    if others:
+        config.hook.pytest_deselected(items=others)
+    for item in items:
+        if is_drawn(item):
+            item.add_marker("drawn")
+
+
+def is_drawn(item: pytest.Item) -> bool:
+    """Return whether a test asks for a seed, is of Hypothesis, or is in a module that draws for all its tests.
+
+    Args:
+        item: the test.
+    """
+    own = vars(item.module) if isinstance(item, pytest.Function) else {}
+    whose = {getattr(one, "__module__", None) or getattr(one, "__name__", None) for one in own.values()}
+    asks = "seed" in getattr(item, "fixturenames", ()) or "hypothesis" in item.keywords
+    return asks or "SEED" in own or "small_session" in whose
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """A test that fails on a draw is entered in the ledger."""
+    if KEEPS and report.failed and "drawn" in report.keywords and GIVEN is not None:
+        said = getattr(getattr(report.longrepr, "reprcrash", None), "message", str(report.longrepr))
+        enter(report.nodeid, int(GIVEN), said, Path(os.environ["TORCHID_DRAWS"]))
+
+
+@pytest.fixture(autouse=True)
+def _seeded(request: pytest.FixtureRequest) -> None:
+    """What a test draws without a seed of its own does not hang on the tests before it."""
+    torch.manual_seed(seed_of(request.node.nodeid))
+
+
+@pytest.fixture
+def seed(request: pytest.FixtureRequest) -> int:
+    """Of a hash of the test's name; of a draw, ``$TORCHID_SEED``; of a pinned case, the one that failed."""
+    value = getattr(request, "param", None) or seed_of(request.node.nodeid)
+    print(f"repeat with TORCHID_SEED={value}")  # noqa: T201 - shown where it fails
+    torch.manual_seed(value)
+    return value
 
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The real recordings: ``$TORCHID_DATA``, else ``shared/data`` beside the project."""
-    folder = Path(os.environ.get("TORCHID_DATA", PROJECT.parent / "shared" / "data"))
-    if not folder.is_dir():
-        pytest.skip(f"no recordings at {folder}; set TORCHID_DATA")
-    return folder
+    if not DATA.is_dir():
+        pytest.skip(f"no recordings at {DATA}; set TORCHID_DATA")
+    return DATA
 
 
 @pytest.fixture
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs leave out the report, a quarter of a small one, where nothing is read there."""
     monkeypatch.setattr("torchid.run.sequence.write_report", lambda *_: None)
-
-
-@pytest.fixture
-def seed() -> int:
-    """A fresh seed from the clock, or ``$TORCHID_SEED``; pytest shows the printed line when the test fails."""
-    value = int(os.environ.get("TORCHID_SEED", time.time_ns() % 2**32))
-    print(f"repeat with TORCHID_SEED={value}")  # noqa: T201
-    torch.manual_seed(value)
-    return value

@@ -1,13 +1,18 @@
 """A simulated session of somebody whose body is an OpenSim model: standing on two plates, everything else moving."""
 
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 import yaml
+from draws import seed_of
+from recordings import DATA
+from small_session import SHARED, shared
 from torch import Tensor
 
+from torchid.config import load_config
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import WrenchTrial, predict
 from torchid.filters import Smoother
@@ -22,8 +27,13 @@ from torchid.model.opensim.as_model import read_osim_model
 from torchid.model.opensim.group_inertia import phi_to_pseudo
 from torchid.motion import Motion, smooth_motion
 from torchid.recording import Forces, Markers, Plate, Trial
+from torchid.run import run_experiment
+from torchid.session import Outcome
 
 RATE = 60.0
+FUNCTION_KNEES = "opensim_rajagopal_walk/subject_walk_scaled.osim"
+"""A model whose knees turn about three axes and slide along three by functions of one coordinate, with kneecaps that
+follow."""
 ASKEW = 0.06
 """How far beside the feet the ground may push [m]."""
 FIRM, LOOSE = 1e-3, 0.3
@@ -63,6 +73,15 @@ def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, sec
     }
     (folder / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
     return truth
+
+
+@shared
+def identified() -> tuple[Path, Truth, Outcome]:
+    """Folder, truth and run of somebody whose knees and kneecaps follow functions, made once for all tests."""
+    folder = (SHARED or Path(tempfile.mkdtemp())) / "osim"
+    folder.mkdir()
+    truth = write_osim_session(folder, DATA / FUNCTION_KNEES, np.random.default_rng(seed_of(__name__)))
+    return folder, truth, run_experiment(load_config(folder / "config.yaml"))
 
 
 def _truth(model: Model, rng: np.random.Generator) -> Truth:

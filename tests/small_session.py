@@ -1,21 +1,21 @@
 """One small synthetic session and its fits, made once for all the tests that need a moving person.
 
-The seed is new in every test run, or ``$TORCHID_SEED``; tests print it, so that pytest shows it when one fails. Where
-``$TORCHID_TEST_SHARED`` names a folder (``scripts/test`` makes one), all processes of a run have the same session: the
-first that asks for something keeps it there for the others.
+Its seed is that of this module (``draws.seed_of``), the same in every process. Where ``$TORCHID_TEST_SHARED`` names a
+folder (``scripts/test`` makes one), the first process that asks for something keeps it there for the others.
 """
 
 import functools
 import os
 import pickle
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
+from balance import in_balance
+from draws import seed_of
 from filelock import FileLock
 
 from torchid.config import load_config
@@ -58,13 +58,8 @@ def shared(make: Make) -> Make:
     return functools.cache(functools.wraps(make)(of_all))  # type: ignore[return-value]
 
 
-@shared
-def seed() -> int:
-    """Of the session."""
-    return int(os.environ.get("TORCHID_SEED", time.time_ns() % 2**32))
-
-
-SEED = seed()
+SEED = seed_of(__name__)
+"""Of the session."""
 OPTIONS = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=("sway_steps",), duration_s=4.0)
 GEOMETRY = GeometryOptions(max_frames=80)
 
@@ -72,7 +67,7 @@ GEOMETRY = GeometryOptions(max_frames=80)
 @shared
 def session() -> SimulatedSession:
     """A static trial, four fit trials and a held-out one, with 1 mm and 2 N of noise."""
-    return simulate_session(OPTIONS, SEED)
+    return in_balance(lambda seed: simulate_session(OPTIONS, seed), SEED)
 
 
 @functools.cache
@@ -143,14 +138,18 @@ def config() -> Path:
     return folder() / "recordings" / "config.yaml"
 
 
+def overrides(out: Path) -> list[str]:
+    """Of the config, for the experiment that all tests share.
+
+    Args:
+        out: folder of its results.
+    """
+    return [f"out={out}", f"geometry.max_frames={GEOMETRY.max_frames}", "diagnosis.enabled=false"]
+
+
 def run_again() -> Outcome:
     """The whole experiment on the written session, into ``out`` beside it."""
-    overrides = [
-        f"out={folder() / 'out'}",
-        f"geometry.max_frames={GEOMETRY.max_frames}",
-        "diagnosis.enabled=false",
-    ]
-    return run_experiment(load_config(config(), overrides))
+    return run_experiment(load_config(config(), overrides(folder() / "out")))
 
 
 @shared

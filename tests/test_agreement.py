@@ -1,12 +1,15 @@
 """Forces against feet: what is planted is named by the line that mends it, and nothing is named where nothing is."""
 
 import json
+import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 import yaml
+from rates import at_least
 from walker import BODY, FOOT, MASS, walking_trial
 
 from torchid.checks.finding import InstrumentFault, record_of
@@ -107,6 +110,10 @@ def turned(trial: Trial, matrix: list[list[float]]) -> Trial:
     return replace(trial, forces=replace(forces, wrench=torch.cat(parts, dim=-1)))
 
 
+DRAWS, RATE = 10, 0.98
+"""Walks, and the share of them in which a planted fault is named and mended, or right forces are left alone.
+
+Measured in 30 walks: 390 of 390 faults and 60 of 60 right ones."""
 PLANTED = {
     "turned by 90": (lambda t: in_other_corners(t, 1, [1, 2, 3, 0]), "plates"),
     "turned by 180": (lambda t: in_other_corners(t, 0, [2, 3, 0, 1]), "plates"),
@@ -124,11 +131,11 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize("draw", range(3))
 @pytest.mark.parametrize("corners", [True, False])
-def test_right_forces_are_not_accused(seed, draw, corners):
-    """A walk whose forces are right is left alone, with corners and without."""
-    assert judge(walking_trial(seed + draw, corners), MASS) == ()
+def test_right_forces_are_not_accused(seed, corners):
+    """Walks whose forces are right are left alone, with corners and without."""
+    found = [judge(walking_trial(seed + draw, corners), MASS) for draw in range(DRAWS)]
+    assert found.count(()) >= at_least(RATE, DRAWS), found
 
 
 @pytest.mark.parametrize("kept", [0, 1, 2, 16])
@@ -146,22 +153,26 @@ def test_few_or_rarely_seen_markers_are_no_defect(seed, kept, seen):
 @pytest.mark.parametrize("fault", PLANTED)
 def test_a_planted_fault_is_named_by_the_line_that_mends_it(seed, fault):
     """The line parses as a config's, is of the right kind, gives the right forces back, and nothing is left to say."""
-    plant, key = PLANTED[fault]
+    found = [lines_and_error(seed + draw, PLANTED[fault][0]) for draw in range(DRAWS)]
+    bound = 0.25 if fault in ("late", "early") else 0.03  # feet are a clock of 20 ms
+    right = [bool(lines) and all(line.startswith(PLANTED[fault][1]) for line in lines) and error < bound
+             for lines, error in found]  # fmt: skip
+    assert sum(right) >= at_least(RATE, DRAWS), found
+
+
+def lines_and_error(seed: int, plant: Callable[[Trial], Trial]) -> tuple[list[str], float]:
+    """What is advised for a planted fault, and the relative error of the forces that are read so; infinite where more
+    would be advised then."""
     right = walking_trial(seed)
-    faulty = plant(right)
-    found = judge(faulty, MASS)
-    assert found, fault
-    lines = [f.changes[0].line for f in found]
-    assert all(line.startswith(key) for line in lines), (fault, lines)
-    mended = faulty
+    mended = plant(right)
+    lines = [f.changes[0].line for f in judge(mended, MASS) if f.changes]
     for line in lines:
         mended = read_as(mended, options_of(line))
     assert mended.forces is not None and right.forces is not None
-    assert judge(mended, MASS) == ()
     inner = slice(40, -40)
     error = (mended.forces.wrench[inner] - right.forces.wrench[inner]).nan_to_num().square().mean().sqrt()
-    bound = 0.25 if fault in ("late", "early") else 0.03  # feet are a clock of 20 ms
-    assert float(error / right.forces.wrench[inner].square().mean().sqrt()) < bound, (fault, lines)
+    left = float(error / right.forces.wrench[inner].square().mean().sqrt())
+    return lines, left if judge(mended, MASS) == () else math.inf
 
 
 @pytest.mark.parametrize(

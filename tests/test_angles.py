@@ -1,11 +1,10 @@
 """What effects follow: a coordinate of the model, or the same angle in another order of turns."""
 
-import os
-import time as clock
 from dataclasses import replace
 
 import pytest
 import torch
+from draws import seed_of
 from torch.testing import assert_close
 
 from torchid.effects.effect import Planted
@@ -19,14 +18,13 @@ from torchid.motion import Motion
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.subject import simulate_subject
 
-SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
+SEED = seed_of(__name__)
 FLEXION = Angle("shoulder_l_flexion")
 REORDERED = Angle("shoulder_l_flexion", "shoulder_l_adduction")
 
 
 def moving(frames: int = 200, **swings: float):
     """A scene in which coordinates of the left shoulder swing by so many radians, each at its own pace."""
-    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
     subject = simulate_subject(SimulateOptions(), SEED)
     time = torch.linspace(0.0, 2.0, frames).double()
     q = torch.zeros(frames, len(subject.model.tree.dofs)).double()

@@ -40,13 +40,16 @@ def _scipy_cost(problem, q: torch.Tensor, xi: torch.Tensor) -> float:
 @pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize("case", range(2))
 def test_arrow_reaches_the_optimum_of_scipy(case: int, coupled: bool, seed: int) -> None:
-    """From a perturbed start the arrow ends where scipy's least_squares does."""
+    """From a perturbed start the arrow ends where scipy's least_squares does, and says so.
+
+    Some frames go down a narrow valley: of 500 draws, 26 took more than 60 steps, the longest 326.
+    """
     rng = np.random.default_rng([seed, case])
     problem, q, xi = random_problem(rng, frames=3, bodies=4, noise=5e-4, coupled=coupled)
     start = q + 0.01
-    solution = solve_arrow(problem, start, xi, tolerance=1e-12, iterations=60)
+    solution = solve_arrow(problem, start, xi, tolerance=1e-12, iterations=1000)
     best = _scipy_cost(problem, start, xi)
-    assert solution.cost <= best * (1 + 1e-6), (solution.cost, best)
+    assert solution.converged and solution.cost <= best * (1 + 1e-6), (solution.cost, best)
     assert list(solution.trace) == sorted(solution.trace, reverse=True)
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_session import SEED, session, template
+from small_session import session, template
 
 from torchid.errors import DataError
 from torchid.geometry.assign import Assignment, assign_markers, only
@@ -19,7 +19,6 @@ def marker_set(*left_out: str):
 
 
 def trials() -> tuple[Trial, ...]:
-    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
     return tuple(item.trial for item in session().trials)
 
 

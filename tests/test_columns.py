@@ -1,22 +1,19 @@
 """Columns of a trial in memory or in a file, some of them replaced."""
 
-import os
-import time
-
 import pytest
 import torch
+from draws import seed_of
 from torch.testing import assert_close
 
 from torchid.diagnosis.columns.design import Columns, Terms
 from torchid.storage.snapshot import swap_out
 
-SEED = int(os.environ.get("TORCHID_SEED", time.time_ns() % 2**32))
+SEED = seed_of(__name__)
 
 
 @pytest.mark.parametrize("stored", [False, True])
 def test_replaced_columns_stand_where_others_did(tmp_path, stored):
     """In place, behind all, and again in place of those; the wide ones stay as they are, wherever they lie."""
-    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
     draw = torch.Generator().manual_seed(SEED)
 
     def drawn(columns: int) -> torch.Tensor:

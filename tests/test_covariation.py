@@ -36,7 +36,6 @@ TRIED = (
 
 @pytest.fixture(scope="module")
 def observed() -> Iterator[TrialObservation]:
-    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
     with pytest.MonkeyPatch.context() as every_frame:
         every_frame.setattr(observed_trials, "OVER_CUTOFF", math.inf)
         yield next(iter(observe_outcome(small.outcome(), "fit").values()))

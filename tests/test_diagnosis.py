@@ -1,12 +1,12 @@
 """The diagnosis finds what is hidden, says nothing where nothing is, and its evidence is what it claims to be."""
 
 import dataclasses
-import os
-import time as clock
 
 import numpy as np
 import pytest
 import torch
+from balance import in_balance
+from draws import seed_of
 from torch.testing import assert_close
 
 from torchid.diagnosis.columns.assemble import make_design
@@ -46,7 +46,7 @@ from torchid.recording import Forces, Plate
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import SimulatedSession, simulate_session
 
-SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
+SEED = seed_of(__name__)
 FIT, HELDOUT = ("squats", "arms", "trunk", "sway_steps"), ("hip_rom",)
 
 
@@ -108,20 +108,10 @@ FAMILIES = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _said():
-    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
-
-
 def simulated(effects: tuple[PlantedOptions, ...], seed: int) -> SimulatedSession:
-    """Of the first subject from ``seed`` on that keeps balance in all its motions: a pull can be too much for one."""
+    """A session with these effects."""
     options = SimulateOptions(fit=FIT, heldout=HELDOUT, duration_s=6.0, effects=effects)
-    for attempt in range(seed, seed + 6):
-        try:
-            return simulate_session(options, attempt)
-        except ConfigError as refusal:
-            assert refusal.code == "simulate.balance"
-    pytest.fail("none of six subjects keeps balance")
+    return in_balance(lambda attempt: simulate_session(options, attempt), seed)
 
 
 def verdict(session: SimulatedSession) -> Diagnosis:

@@ -1,6 +1,7 @@
 """A laboratory's own OpenSim model in an evaluation and in a stream: knees of functions, the low back, names, signs."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 import xarray
 import yaml
 from device_cases import made, random_motion
-from osim_session import write_osim_session
+from osim_session import FUNCTION_KNEES, identified, write_osim_session
 from test_devices_forces import moved
 from torch.testing import assert_close
 from typer.testing import CliRunner
@@ -34,12 +35,10 @@ from torchid.motion import Motion
 from torchid.run import run_experiment
 from torchid.torque.inverse import joint_torques
 
-RAJAGOPAL = "opensim_rajagopal_walk/subject_walk_scaled.osim"
-"""Knees that turn about three axes and slide along three by functions of one coordinate, with kneecaps that follow."""
 GAIT2354 = "opensim_subject01_gait2354/reference/subject01_RRA_adjusted.osim"
 """Knees that slide by functions, and whose coordinate is negative in flexion."""
 MODELS = (
-    RAJAGOPAL, GAIT2354, "hamner2013_subject04/unscaled_generic.osim",
+    FUNCTION_KNEES, GAIT2354, "hamner2013_subject04/unscaled_generic.osim",
     "opencap_subject4/Models/optimized_scale_and_markers.osim", "arnold2013_synthetic_truth/subject01/subject01.osim",
 )  # fmt: skip
 OVER_THE_KNEE = [
@@ -176,8 +175,8 @@ def test_joints_and_devices_are_asked_for_by_either_name(data_dir: Path) -> None
 def test_an_evaluation_with_the_laboratorys_own_model(data_dir: Path, tmp_path: Path, seed: int) -> None:
     """From files: a knee spring's share is the sheet's at the file's coordinate, the other body is the model as it was
     shipped, and report, files and written model speak the file's names; another sheet is refused at once."""
-    model_of(RAJAGOPAL, data_dir)
-    write_osim_session(tmp_path, data_dir / RAJAGOPAL, np.random.default_rng(seed), 4.0)
+    model_of(FUNCTION_KNEES, data_dir)
+    write_osim_session(tmp_path, data_dir / FUNCTION_KNEES, np.random.default_rng(seed), 4.0)
     document = yaml.safe_load((tmp_path / "config.yaml").read_text())
     for trial in document["trials"][1:]:
         trial |= {"condition": {"fit": "without", "heldout": "on"}[trial["name"]], "role": "fit"}
@@ -208,13 +207,12 @@ def test_an_evaluation_with_the_laboratorys_own_model(data_dir: Path, tmp_path: 
 @pytest.mark.data
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_report")
-def test_a_stream_of_a_body_of_functions_is_identified_as_a_recording_is(
-    data_dir: Path, tmp_path: Path, seed: int
-) -> None:
+def test_a_stream_of_a_body_of_functions_is_identified_as_a_recording_is(data_dir: Path, tmp_path: Path) -> None:
     """With the geometry of the finished evaluation's run; masses agree with the run's within their deviations, and with
     the truth as the run's do. Advice, which knows the built-in joints alone, is refused before anybody moves."""
-    model_of(RAJAGOPAL, data_dir)
-    truth = write_osim_session(tmp_path, data_dir / RAJAGOPAL, np.random.default_rng(seed))
+    model_of(FUNCTION_KNEES, data_dir)
+    folder, truth, _ = identified()
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)  # the run takes up the stages
     document = yaml.safe_load((tmp_path / "config.yaml").read_text())
     document["trials"][1]["condition"], document["trials"][2]["condition"] = "without", "other"
     document["conditions"] = {"without": {"reference": True}, "other": {}}

@@ -34,6 +34,7 @@ def test_rates_have_exact_intervals() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.battery
 def test_a_real_difference_is_found_and_a_run_goes_on(
     tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

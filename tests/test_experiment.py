@@ -25,11 +25,6 @@ from torchid.session.following import legs
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(autouse=True)
-def _seed_is_shown():
-    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
-
-
 def out() -> Path:
     small.outcome()
     return small.folder() / "out"

@@ -1,12 +1,12 @@
 """A named force that changes with the place of its point as its cause does not: a magnet, and what is none."""
 
 import json
-import os
-import time as clock
 
 import numpy as np
 import pytest
 import torch
+from balance import in_balance
+from draws import seed_of
 from jaxtyping import Float
 from torch import Tensor
 
@@ -19,7 +19,7 @@ from torchid.run import run_experiment
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 from torchid.simulate.session import simulate_session
 
-SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
+SEED = seed_of(__name__)
 KNOWN = ("external_force", "tether", "drag", "payload")
 
 
@@ -37,11 +37,10 @@ class Magnet(PointForce):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_report")
-@pytest.mark.parametrize("strange", [True, False])
+@pytest.mark.parametrize("strange", [True, pytest.param(False, marks=pytest.mark.battery)])
 def test_a_force_that_goes_another_way_with_its_place_is_told(strange, tmp_path, monkeypatch):
     """Whatever a magnet is taken for is in doubt, and that nothing is named is said to be too little; a cable and a
     spring are what they are."""
-    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
     monkeypatch.setitem(CATALOGUE, "magnet", Magnet())
     rng = np.random.default_rng([SEED, 31])
     name = "magnet" if strange else str(rng.choice(["external_force", "tether"]))
@@ -59,7 +58,8 @@ def test_a_force_that_goes_another_way_with_its_place_is_told(strange, tmp_path,
         fit=("squats", "arms", "trunk"), heldout=("sway_steps",), duration_s=6.0, effects=(hidden,), skin_motion_mm=0.0
     )
     asked = [f"diagnosis.include=[{', '.join(KNOWN)}]", "geometry.max_frames=60"]
-    config = load_config(simulate_session(options, SEED, tmp_path).config, asked)
+    session = in_balance(lambda seed: simulate_session(options, seed, tmp_path), SEED)
+    config = load_config(session.config, asked)
     run_experiment(config)
     said = json.loads((config.out / "diagnosis.json").read_text())
     print([(c["effect"], c["where"], c["confidence"]) for c in said["causes"]], said["unexplained"])  # noqa: T201

@@ -27,11 +27,6 @@ from torchid.recording import Markers
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(autouse=True)
-def _seed_is_shown():
-    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
-
-
 def joint_errors(free: bool) -> torch.Tensor:
     """RMS distance of every joint centre from the true one over the held-out trial [m]."""
     fit, item = small.fit(free), small.session().trial("sway_steps")

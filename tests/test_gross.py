@@ -1,13 +1,12 @@
 """Weight that something beside the plates bears is seen by its size, where it is borne and when."""
 
-import os
-import time as clock
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import small_session as small
 import torch
+from draws import seed_of
 from torch.testing import assert_close
 
 from torchid.diagnosis.candidates.missing_weight import find_missing_weight, set_aside
@@ -20,12 +19,11 @@ from torchid.recording import Forces
 
 pytestmark = pytest.mark.slow
 
-SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
+SEED = seed_of(__name__)
 
 
 @pytest.fixture
 def trial() -> TrialObservation:
-    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
     return observe_outcome(small.outcome(), "fit")["squats"]
 
 

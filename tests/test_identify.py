@@ -18,11 +18,6 @@ from torchid.model.model import InertialPrior
 KNOWN = InertiaOptions(prior_weight=1.0, noise="known", base_parameters=False)
 
 
-@pytest.fixture(autouse=True)
-def _seed_is_shown():
-    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
-
-
 @pytest.fixture(scope="module")
 def prior() -> InertialPrior:
     """What tables say of the true joint centres."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from inertia_cases import bodies, chain_rows, draw, names, prior
+from rates import leeway
 from scipy.stats import multivariate_normal
 
 from torchid.dynamics.row_equations import NormalEquations
@@ -57,7 +58,7 @@ def test_log_evidence_slopes(seed: int) -> None:
 
 def test_evidence_finds_noise_and_scatter_and_intervals_cover(seed: int) -> None:
     """For subjects drawn from a prior twice as tight as stated, both weights are right and 95 % intervals cover."""
-    noise, tight, draws = 1.0, 4.0, 40
+    noise, tight, draws = 1.0, 4.0, 80
     Y = chain_rows(4, 60, seed)
     omega_1, omega_2, inside = [], [], []
     for _ in range(draws):
@@ -68,11 +69,13 @@ def test_evidence_finds_noise_and_scatter_and_intervals_cover(seed: int) -> None
         fit = fit_inertia(equations, stated, names(4), InertiaOptions(lmi=False, base_parameters=False))
         omega_1.append(fit.omega_1)
         omega_2.append(fit.omega_2)
-        inside.append(((fit.phi - truth).abs() < 1.96 * fit.sd.phi).double().mean())
+        inside.append(float(((fit.phi - truth).abs() < 1.96 * fit.sd.phi).double().mean()))
     np.testing.assert_allclose(np.median(omega_1) * noise**2, 1, rtol=0.1)
     # A factor of two, half of what tight is: motions that show few directions tell the scatter from few.
     assert 0.5 < np.median(omega_2) / tight < 2.0
-    assert 0.90 < float(np.mean(inside)) < 0.985
+    # Within a subject parameters are right or wrong together: subjects, not parameters, are counted.
+    allowed = leeway(inside)
+    assert 0.90 - allowed < np.mean(inside) < 0.985 + allowed
 
 
 def test_cross_validation_trusts_a_right_prior_more_than_a_wrong_one(seed: int) -> None:

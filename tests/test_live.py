@@ -6,6 +6,7 @@ import json
 import math
 import multiprocessing
 import os
+import shutil
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -197,16 +198,23 @@ def test_blocks_that_come_one_by_one_give_the_batch_solution(seed):
 @pytest.mark.slow
 def test_a_finished_run_gives_its_geometry(tmp_path):
     """As long as its files and options are the stream's; otherwise standing does, whatever lies in the folder."""
-    config = load_config(small_session.config(), [f"out={tmp_path / 'out'}", "diagnosis.enabled=false"])
-    before = run_live(config, f"replay:{MOVING}", math.inf)
-    run = run_experiment(config)
-    after = run_live(config, f"replay:{MOVING}", math.inf)
-    assert (before["geometry"], after["geometry"]) == ("static", "run")
-    with OutputFolder(config.out, beside=True) as folder:
-        found, _ = prepare_subject(config, folder, lambda stage, share: None)
+
+    def config(*more: str) -> Config:
+        return load_config(small_session.config(), [*small_session.overrides(tmp_path / "out"), *more])
+
+    def prepared(given: Config) -> LiveSubject:
+        with OutputFolder(given.out, beside=True) as folder:
+            return prepare_subject(given, folder, lambda stage, share: None)[0]
+
+    run = small_session.outcome()
+    assert run_live(config(), f"replay:{MOVING}", math.inf)["geometry"] == "static"
+    shutil.rmtree(tmp_path / "out")
+    shutil.copytree(small_session.folder() / "out", tmp_path / "out")
+    run_experiment(config())  # takes up the stages
+    assert run_live(config(), f"replay:{MOVING}", math.inf)["geometry"] == "run"
+    found = prepared(config())
     assert torch.equal(found.fit.xi, run.fit.xi) and found.static is None
-    other = load_config(small_session.config(), [f"out={tmp_path / 'out'}", "seed=1"])
-    assert run_live(other, f"replay:{MOVING}", math.inf)["geometry"] == "static"
+    assert prepared(config("seed=1")).static is not None
 
 
 @pytest.mark.slow

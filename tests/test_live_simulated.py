@@ -164,6 +164,7 @@ def test_the_script_tells_the_two_demonstrations_apart(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.battery
 def test_the_demonstration_does_what_is_asked_and_knows_more_after_it(seed, tmp_path):
     """In a process of its own, in real time, without a page."""
     words = ["--headless", "--seconds", "30", str(seed), "--out", str(tmp_path)]

@@ -224,7 +224,6 @@ def test_geometries_are_fitted_as_often_as_stated():
 
 def clean() -> Outcome:
     """The small session's, with a verdict that names nothing."""
-    print(f"repeat with TORCHID_SEED={small_session.SEED}")  # noqa: T201
     nothing = Diagnosis((), Errors(1.0, 1.0), Errors(1.0, 1.0), (), CLEAR)
     return replace(small_session.outcome(), diagnosis=nothing)
 

@@ -36,11 +36,6 @@ NOISE = 1e-3
 """Of the markers [m]."""
 
 
-@pytest.fixture(autouse=True)
-def _seed_is_shown():
-    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
-
-
 @pytest.fixture(scope="module")
 def rows() -> WrenchTrial:
     """Of the held-out trial, at its true motion."""

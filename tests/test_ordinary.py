@@ -4,11 +4,16 @@ import math
 
 import pytest
 import torch
+from rates import at_least
 
 from torchid.diagnosis.evidence.background import SCALES, background_evidence
 from torchid.diagnosis.options import NamingOptions
 
 PLACES, PRIOR = 200, 1.0
+DRAWS, SILENT, NAMED = 40, 0.99, 0.93
+"""Draws, and the shares of them in which nothing is named where nothing stands out, and in which what does is.
+
+Measured: 798 of 800 silent; named 381 of 400 without skin, 400 of 400 with."""
 PRECISE = 1e5
 """Information on each component."""
 
@@ -55,18 +60,19 @@ def test_ordinary_is_students_t():
 @pytest.mark.parametrize("scale", [0.02, 0.06])
 def test_what_is_everywhere_is_named_nowhere(seed, scale):
     """Some are far by chance. By noise alone, hundreds of nats would name the farthest."""
-    scores = [excess(scattered(scale, seed + k)) for k in range(10)]
-    assert sum(evidence(score) > NamingOptions().named_nats for score in scores) <= 1
+    scores = [excess(scattered(scale, seed + k)) for k in range(DRAWS)]
+    silent = sum(evidence(score) <= NamingOptions().named_nats for score in scores)
+    assert silent >= at_least(SILENT, DRAWS)
 
 
 @pytest.mark.parametrize(("scale", "size"), [(0.0, 0.2), (0.02, 1.5)])
 def test_what_stands_out_is_named(seed, scale, size):
     """A knocked marker among others, which drags its neighbours along; the more skin moves, the farther it must be."""
     named = 0
-    for k in range(10):
+    for k in range(DRAWS):
         found = scattered(scale, seed + k)
         found[0] += size * torch.tensor([0.6, -0.8, 0.0], dtype=torch.float64)
         found[1:10] += 0.3 * size * torch.tensor([-0.6, 0.8, 0.0], dtype=torch.float64)
         score = excess(found)
         named += int(score.argmax()) == 0 and evidence(score) > NamingOptions().named_nats
-    assert named >= 7
+    assert named >= at_least(NAMED, DRAWS)

@@ -10,7 +10,7 @@ import torch
 import yaml
 from osim_dynamics import opensim_consistency, opensim_forces
 from osim_files import NAMES, draw, joint, osim, transform
-from osim_session import write_osim_session
+from osim_session import FUNCTION_KNEES, identified
 from torch import Tensor
 from torch.testing import assert_close
 
@@ -31,11 +31,7 @@ from torchid.model.opensim.tree_of_osim import as_free, tree_of_osim
 from torchid.model.opensim.writing_back import write_back
 from torchid.model.tree_of_links import LEAST_EXTENT
 from torchid.model.whole_body import lock_bodies
-from torchid.run import run_experiment
 from torchid.session.opening import setup_of
-
-FUNCTION_KNEES = "opensim_rajagopal_walk/subject_walk_scaled.osim"
-"""A model whose knees turn about three axes by functions of one coordinate, with kneecaps that follow."""
 
 
 def _path(name: str, data_dir: Path) -> Path:
@@ -397,11 +393,11 @@ def test_bodies_without_markers_go_on_following(data_dir: Path, seed: int) -> No
 @pytest.mark.data
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_report")
-def test_a_body_of_functions_is_recovered_by_a_run(data_dir: Path, seed: int, tmp_path: Path) -> None:
+def test_a_body_of_functions_is_recovered_by_a_run(data_dir: Path) -> None:
     """Somebody whose knees and kneecaps follow functions, on two plates: masses and joint centres within their
     deviations, and the written model means the same body in OpenSim's words."""
-    truth = write_osim_session(tmp_path, _path(FUNCTION_KNEES, data_dir), np.random.default_rng(seed))
-    outcome = run_experiment(load_config(tmp_path / "config.yaml"))
+    _path(FUNCTION_KNEES, data_dir)
+    folder, truth, outcome = identified()
     assert outcome.identified is not None and outcome.fit.uncertainty is not None
     tree = outcome.fit.model.tree
     assert tree.names == truth.model.tree.names
@@ -418,7 +414,7 @@ def test_a_body_of_functions_is_recovered_by_a_run(data_dir: Path, seed: int, tm
     after, before = residual_rms(unused, outcome.phi), residual_rms(unused, outcome.prior.mean)
     # The noise of markers alone leaves 10 N and 4 N m: what the template has less of cannot be halved.
     assert after[0] * after[1] < 0.6 * before[0] * before[1] and after[0] < 1.1 * before[0], (after, before)
-    written, notes = read_osim(tmp_path / "out" / "model.osim")
+    written, notes = read_osim(folder / "out" / "model.osim")
     _, read, binding = tree_of_osim(written)
     assert_close(read.offset, outcome.fit.geometry.offset, rtol=0, atol=1e-9)
     # A body that the fit leaves thinner than a reader takes is given that extent by it, and the reader says so.

@@ -28,11 +28,6 @@ LOCAL = {name for name, one in CATALOGUE.items() if one.correction is not Correc
 """Effects that are taken out piece by piece; of records and names, nothing is as long as a recording."""
 
 
-@pytest.fixture(autouse=True)
-def _said():
-    print(f"repeat with TORCHID_SEED={small_session.SEED}")  # noqa: T201
-
-
 def test_scatter_of_a_long_recording_is_that_of_its_cosines():
     """As the matrix says, of any number of channels; for an hour, a matrix would have 80 GB."""
     draw = torch.Generator().manual_seed(small_session.SEED)

@@ -9,7 +9,6 @@ from torchid.filters import differentiate
 
 def test_noise_is_taken_for_noise_and_signal_for_signal():
     """White readings shrink to nothing; the same with a far larger signal lose next to none of it."""
-    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
     (rows,) = list(small.true_rows("heldout", 6.0))
     generator = torch.Generator().manual_seed(small.SEED)
     scatter = torch.tensor([2.0, 2.0, 2.0, 0.5, 0.5, 0.5]).double()

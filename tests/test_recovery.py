@@ -10,11 +10,6 @@ from torchid.kinematics.chain import chain_poses
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(autouse=True)
-def _seed_is_shown():
-    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
-
-
 def test_held_out_residuals_come_near_the_noise():
     """On the held-out trial the force residual falls below the scaled template's, near what the truth itself leaves."""
     found = small.outcome()

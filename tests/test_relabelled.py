@@ -31,11 +31,6 @@ def cause(effect: str, where: tuple[str, ...], when: tuple[Interval, ...] | None
     )
 
 
-@pytest.fixture(autouse=True)
-def _said():
-    print(f"repeat with TORCHID_SEED={small_session.SEED}")  # noqa: T201
-
-
 @pytest.fixture(scope="module")
 def swap() -> Cause:
     """Of two markers at random, near each other or not, within a fit trial."""

@@ -82,7 +82,7 @@ def same(a: torch.Tensor, b: torch.Tensor) -> bool:
     return bool(((a == b) | (a.isnan() & b.isnan())).all())
 
 
-@pytest.mark.parametrize("name", ["demo", "fuzz", "hour", "reliability", "test", "environment"])
+@pytest.mark.parametrize("name", ["demo", "draws", "fuzz", "hour", "reliability", "test", "environment"])
 def test_shell_scripts_parse(name):
     """bash reads them without executing; those that are called are executable."""
     subprocess.run(["bash", "-n", str(SCRIPTS / name)], check=True)

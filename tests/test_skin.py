@@ -49,7 +49,6 @@ def _slid(one: TrialObservation, place: Place, theta: torch.Tensor) -> TrialObse
 @pytest.mark.parametrize("slides", [False, True])
 def test_segments_may_slide_as_far_as_their_markers_do_against_each_other(slides):
     """From nothing, on a robot's shell, up to what a person's skin does."""
-    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
     size = slides * float(np.exp(np.random.default_rng(small.SEED).uniform(np.log(4e-4), np.log(6e-3))))
     observed = slid(list(observe_outcome(small.outcome(), "fit").values()), size)
     (scale,) = learned(observed, [SoftTissue()])

@@ -27,11 +27,6 @@ INNER = slice(40, -40)
 NONE = PlateErrors(gain=0.0, place_m=0.0)
 
 
-@pytest.fixture(autouse=True)
-def _seed_is_shown():
-    print(f"repeat with TORCHID_SEED={small.SEED}")  # noqa: T201
-
-
 @pytest.fixture(scope="module")
 def outcome():
     return small.outcome()

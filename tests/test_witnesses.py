@@ -1,14 +1,15 @@
 """Witnesses name what a laboratory did to its recordings, nothing where it did nothing, and contradict the rest."""
 
-import os
-import time as clock
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from draws import seed_of
+from rates import at_least
 from small_session import outcome
 
 from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
@@ -34,12 +35,9 @@ from torchid.session.standing import follow_each, standing_weight
 from torchid.session.tables import diagnosis_table
 from torchid.storage.results import OutputFolder
 
-SEED = int(os.environ.get("TORCHID_SEED", clock.time_ns() % 2**32))
-
-
-@pytest.fixture(autouse=True)
-def _said() -> None:
-    print(f"repeat with TORCHID_SEED={SEED}")  # noqa: T201
+SEED = seed_of(__name__)
+DRAWS, RATE = 10, 0.98
+"""Faults of a kind, and the share of them that witnesses bear out and whose opposite they contradict: 90 of 90 here."""
 
 
 def plates(base: Outcome) -> tuple[str, ...]:
@@ -74,9 +72,15 @@ def planted(base: Outcome, name: str, place: Place, theta: torch.Tensor) -> Outc
 
 
 def panel(base: Outcome) -> Panel:
-    found = panel_of(base)
+    found = undisturbed() if base is outcome() else panel_of(base)
     assert found is not None
     return found
+
+
+@cache
+def undisturbed() -> Panel | None:
+    """Of the session as it is, which most tests ask for several times."""
+    return panel_of(outcome())
 
 
 def both(base: Outcome) -> tuple[Outcome, Panel]:
@@ -252,11 +256,12 @@ def exchanged(base: Outcome) -> tuple[Place, torch.Tensor]:
 
 @pytest.mark.parametrize("name", ["time_offset", "plate_gain", "gravity_tilt"])
 def test_witnesses_bear_out_what_is_there_and_contradict_its_opposite(name: str) -> None:
-    base, rng = outcome(), np.random.default_rng(SEED)
-    place, theta = drawn(name, rng, base)
-    faulty = panel(planted(base, name, place, theta))
-    assert hear(faulty, [claim(name, place, theta)])[0].nats > 3.0, (place, theta)
-    assert hear(faulty, [claim(name, place, -theta)])[0].nats < -4.5, (place, theta)
+    base, rng, found = outcome(), np.random.default_rng(SEED), []
+    for _ in range(DRAWS):
+        place, theta = drawn(name, rng, base)
+        faulty = panel(planted(base, name, place, theta))
+        found.append([hear(faulty, [claim(name, place, way * theta)])[0].nats for way in (1.0, -1.0)])
+    assert sum(right > 3.0 and wrong < -4.5 for right, wrong in found) >= at_least(RATE, DRAWS), found
 
 
 def test_each_witness_answers_for_itself() -> None:
