@@ -6,10 +6,10 @@
 Takes forces from OpenSim's motion files; markers are read where they are.
 """
 
-import argparse
 from pathlib import Path
 
 import yaml
+from harness.command import Command
 
 from torchid.config import load_config
 
@@ -26,11 +26,7 @@ def delayed(text: str, lag_s: float) -> str:
 
 def main() -> None:
     """Write motion files and a config beside them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("config", type=Path)
-    parser.add_argument("lag_s", type=float)
-    parser.add_argument("out", type=Path)
-    arguments = parser.parse_args()
+    arguments = Command(__doc__, ("config", "lag_s", "out"), config=Path, lag_s=float, out=Path).asked()
     arguments.out.mkdir(parents=True, exist_ok=True)
     content = yaml.safe_load(arguments.config.read_text())
     for entry, trial in zip(content["trials"], load_config(arguments.config).trials, strict=True):

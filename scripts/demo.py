@@ -7,9 +7,11 @@ scripts/demo 7 simulate.duration_s=10 diagnosis.max_effects=1
 
 import json
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
+
+from harness.command import ROOT, by_lot
+from hiding import draw_hidden, judge
 
 from torchid.config import Config, load_config
 from torchid.diagnosis.verdict.records import Cause
@@ -17,16 +19,14 @@ from torchid.report.cause_sentences import chance, told
 from torchid.report.effect_words import called
 from torchid.run import run_experiment, run_simulation
 from torchid.session import Outcome
-from torchid.simulate.hiding import draw_hidden, judge
 
-CONFIG = Path(__file__).resolve().parents[1] / "configs" / "demo.yaml"
+CONFIG = ROOT / "configs" / "demo.yaml"
 
 
 def main(arguments: list[str]) -> None:
     """Simulate, run, say, and only then compare."""
-    given = arguments[:1] if arguments and arguments[0].isdecimal() else []
-    seed = int(given[0]) if given else time.time_ns() // 10**6 % 10**6
-    config = load_config(CONFIG, [f"seed={seed}", *arguments[len(given) :]])
+    seed, overrides = by_lot(arguments)
+    config = load_config(CONFIG, [f"seed={seed}", *overrides])
     config = hide(config.model_copy(update={"out": config.out / str(config.seed)}))
     print(f"Seed {config.seed} (`scripts/demo {config.seed}` repeats it). Simulating ...", flush=True)
     recordings = run_simulation(config)

@@ -7,13 +7,13 @@ scripts/demo --device 7 simulate.duration_s=6
 
 import math
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 import yaml
+from harness.command import ROOT, by_lot
 
 from torchid.config import Config, load_config
 from torchid.devices import Device, load_device
@@ -23,7 +23,7 @@ from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.simulation import simulate_conditions
 from torchid.storage.results import OutputFolder
 
-CONFIG = Path(__file__).resolve().parents[1] / "configs" / "evaluate_simulated.yaml"
+CONFIG = ROOT / "configs" / "evaluate_simulated.yaml"
 JOINTS = {"hip": ("pelvis", "thigh"), "knee": ("thigh", "shank"), "ankle": ("shank", "foot")}
 RANGES = {"hip": (15.0, 60.0), "knee": (15.0, 60.0), "ankle": (30.0, 120.0)}
 """Stiffnesses that are drawn, by joint [N m/rad]."""
@@ -31,9 +31,8 @@ RANGES = {"hip": (15.0, 60.0), "knee": (15.0, 60.0), "ankle": (30.0, 120.0)}
 
 def main(arguments: list[str]) -> None:
     """Simulate, evaluate, say, and only then compare."""
-    given = arguments[:1] if arguments and arguments[0].isdecimal() else []
-    seed = int(given[0]) if given else time.time_ns() // 10**6 % 10**6
-    config = load_config(CONFIG, [f"seed={seed}", *arguments[len(given) :]])
+    seed, overrides = by_lot(arguments)
+    config = load_config(CONFIG, [f"seed={seed}", *overrides])
     config = config.model_copy(update={"out": config.out / str(seed)})
     print(f"Seed {seed} (`scripts/demo --device {seed}` repeats it). Simulating ...", flush=True)
     recordings = record(config)

@@ -5,7 +5,6 @@ scripts/demo --live 7                          # the same subject again
 scripts/demo --live --headless --seconds 20 7  # without a page
 """
 
-import argparse
 import json
 import math
 import time
@@ -13,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from harness.command import ROOT, Command
 
 from torchid.config import load_config
 from torchid.errors import TorchidError
@@ -28,7 +29,7 @@ from torchid.simulate.session import simulate_session
 from torchid.simulate.subject import SimulatedSubject
 from torchid.storage.logs import configure_logging
 
-CONFIG = Path(__file__).resolve().parents[1] / "configs" / "demo.yaml"
+CONFIG = ROOT / "configs" / "demo.yaml"
 PLATES = 2
 """Choice. No exercise needs more."""
 
@@ -64,7 +65,12 @@ class Follow:
 
 def main(arguments: list[str] | None = None) -> None:
     """Simulate, stream, advise, and say what came of it."""
-    given = parsed(arguments)
+    given = Command(
+        __doc__, ("seed",), seed=({"nargs": "?", "type": int}, "of the subject, its motions and all noise"),
+        headless=(False, "without a page"), seconds=(math.inf, "stop after so long"),
+        out=(Path, "folder for the session; else below that of configs/demo.yaml"),
+        port=(8080, "of the page; the next free one is taken"),
+    ).asked(arguments)  # fmt: skip
     seed = given.seed if given.seed is not None else time.time_ns() // 10**6 % 10**6
     configure_logging()
     where = None if given.headless else Address(given.port, "127.0.0.1")
@@ -76,28 +82,8 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(130) from None
 
 
-def parsed(arguments: list[str] | None) -> argparse.Namespace:
-    """What was asked for."""
-    parser = argparse.ArgumentParser(
-        "scripts/demo --live", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("seed", type=int, nargs="?", help="of the subject, its motions and all noise")
-    parser.add_argument("--headless", action="store_true", help="without a page")
-    parser.add_argument("--seconds", type=float, default=math.inf, help="stop after so long")
-    parser.add_argument("--out", type=Path, help="folder for the session; else below that of configs/demo.yaml")
-    parser.add_argument("--port", type=int, default=8080, help="of the page; the next free one is taken")
-    return parser.parse_args(arguments)
-
-
 def demonstrate(seed: int, seconds: float, where: Address | None, out: Path | None) -> None:
-    """Let a subject follow the advice until it ends.
-
-    Args:
-        seed: of everything.
-        seconds: longest duration of the stream.
-        where: to open the page; None: no page.
-        out: folder for the session; None: beside that of the other demonstration.
-    """
+    """Let a subject follow the advice until it ends, in a folder or beside the other demonstration's; None: no page."""
     say(f"Seed {seed} (`scripts/demo --live {seed}` is the same subject). It stands for its static trial ...")
     config = load_config(CONFIG, [f"seed={seed}"])
     assert config.simulate is not None

@@ -8,13 +8,13 @@ metrics.jsonl, checkpoint.snapshot (the next call goes on from its q and xi; the
 at the end, geometry.snapshot.
 """
 
-import argparse
 import json
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+from harness.command import Among, Command
 from torch import Tensor
 
 from torchid.config import load_config
@@ -32,16 +32,6 @@ from torchid.storage.snapshot import from_bytes, to_bytes
 
 SHOWN = 50
 """A line of progress and a checkpoint every so many iterations."""
-
-
-def arguments(argv: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--config", required=True)
-    parser.add_argument("--solver", choices=("adam", "lbfgs", "arrow"), default="adam")
-    parser.add_argument("--iterations", type=int, default=2000)
-    parser.add_argument("--out", type=Path, default=Path("out/train"))
-    parser.add_argument("overrides", nargs="*", help="key=value")
-    return parser.parse_args(argv)
 
 
 def prepare(path: str, overrides: list[str]) -> tuple[GeometryFit, MarkerProblem, Tensor]:
@@ -63,7 +53,10 @@ def prepare(path: str, overrides: list[str]) -> tuple[GeometryFit, MarkerProblem
 
 def main(argv: list[str] | None = None) -> None:
     keep_memory()
-    args = arguments(argv)
+    args = Command(
+        __doc__, ("overrides",), config={"required": True}, solver=Among(("adam", "lbfgs", "arrow"), "adam"),
+        iterations=2000, out=Path("out/train"), overrides=({"nargs": "*"}, "key=value"),
+    ).asked(argv)  # fmt: skip
     args.out.mkdir(parents=True, exist_ok=True)
     fit, problem, q = prepare(args.config, args.overrides)
     state = load(args.out / "checkpoint.snapshot", {"iteration": 0, "solver": args.solver, "q": q, "xi": fit.xi})

@@ -7,12 +7,12 @@ Takes the geometry from geometry.snapshot in the same folder (scripts/fit_geomet
 Writes metrics.jsonl, inertia.snapshot and checkpoint_inertia.snapshot; the next call goes on from there.
 """
 
-import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+from harness.command import Command
 
 from torchid.config import load_config
 from torchid.dynamics.rows import residual_rms
@@ -30,12 +30,10 @@ from torchid.storage.snapshot import from_bytes, to_bytes
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--config", required=True)
-    parser.add_argument("--iterations", type=int, default=4)
-    parser.add_argument("--out", type=Path, default=Path("out/train"))
-    parser.add_argument("overrides", nargs="*", help="key=value")
-    args = parser.parse_args(argv)
+    args = Command(
+        __doc__, ("overrides",), config={"required": True}, iterations=4, out=Path("out/train"),
+        overrides=({"nargs": "*"}, "key=value"),
+    ).asked(argv)  # fmt: skip
     args.out.mkdir(parents=True, exist_ok=True)
 
     # 1. Follow every trial with the identified geometry; motion and forces pass the same filter.

@@ -7,21 +7,20 @@ where the data set holds coordinates made with that model, these are used. Each 
 on it. Writes out/opensim_residuals.json. Wants the extra ``test``.
 """
 
-import json
-import os
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import opensim
 import xarray
+from harness.command import DATA, ROOT
+from harness.opensim_tools import follow_markers
+from harness.rows import write_json
 from numpy.typing import NDArray
 
 from torchid.config import load_config
-from torchid.config.sections import PROJECT_DATA
 
-ROOT = Path(__file__).resolve().parents[1]
-FOLDER = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA)) / "opencap_subject4"
+FOLDER = DATA / "opencap_subject4"
 MODEL = FOLDER / "Models" / "manually_scaled.osim"
 OUT = ROOT / "out" / "opencap_subject4"
 CUTOFF_HZ = 6.0
@@ -39,22 +38,9 @@ def kinematics(name: str, markers: Path, folder: Path) -> Path:
     given = FOLDER / "IK" / f"{name}_manual_scaling_ik.mot"
     if given.exists():
         return given
-    model, found, data = opensim.Model(str(MODEL)), folder / f"{name}_ik.mot", opensim.MarkerData(str(markers))
-    tool, tasks = opensim.InverseKinematicsTool(), opensim.IKTaskSet()
-    for k in range(model.getMarkerSet().getSize()):
-        task = opensim.IKMarkerTask()
-        task.setName(model.getMarkerSet().get(k).getName())
-        task.setApply(True)
-        task.setWeight(1.0)
-        tasks.cloneAndAppend(task)
-    tool.setModel(model)
-    tool.set_IKTaskSet(tasks)
-    tool.setMarkerDataFileName(str(markers))
-    tool.setStartTime(data.getStartFrameTime())
-    tool.setEndTime(data.getLastFrameTime())
-    tool.setOutputMotionFileName(str(found))
-    tool.setResultsDir(str(folder))
-    tool.run()
+    found, data = folder / f"{name}_ik.mot", opensim.MarkerData(str(markers))
+    span = data.getStartFrameTime(), data.getLastFrameTime()
+    follow_markers(opensim.Model(str(MODEL)), markers, found, span)
     return found
 
 
@@ -125,7 +111,7 @@ def main() -> None:
         pairs = [f"{a:.1f} / {b:.1f}" for a, b in (own, other)]
         ratios = "  ".join(f"{a / b:.2f}" for a, b in zip(own, other, strict=True))
         print(f"{trial.name:12s} {trial.role:8s} {pairs[0]:>16s} {pairs[1]:>16s}  {ratios}")
-    (ROOT / "out" / "opensim_residuals.json").write_text(json.dumps(rows, indent=1))
+    write_json(ROOT / "out" / "opensim_residuals.json", rows)
 
 
 if __name__ == "__main__":

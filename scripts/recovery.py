@@ -5,55 +5,40 @@
 Prints a row per seed and the figures over all of them; writes recovery.json.
 """
 
-import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+from harness.command import Command
+from harness.pool import alone
+from harness.rows import means, write_json
+from harness.runs import each, simulated
 
-from torchid.config import load_config
 from torchid.dynamics.rows import predict, residual_rms
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
-from torchid.inertia.transform import move_frame
+from torchid.inertia.pseudo import params_to_pseudo, pseudo_to_params
 from torchid.kinematics.chain import chain_poses
-from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.session.following import Following, follow
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import SimulatedSession, simulate_session
-from torchid.storage.allocator import keep_memory
+from torchid.simulate.session import SimulatedSession
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--duration", type=float, default=10.0)
-    parser.add_argument("--skin", type=float, default=0.0, help="skin motion [mm]")
-    parser.add_argument("--out", type=Path, default=Path("out/recovery"))
-    keep_memory()
-    arguments = parser.parse_args()
-    options = SimulateOptions(duration_s=arguments.duration, skin_motion_mm=arguments.skin)
-    rows = []
-    for seed in range(arguments.first, arguments.first + arguments.seeds):
-        out = arguments.out / f"seed_{seed}"
-        session = simulate_session(options, seed, out / "recordings")
-        outcome = run_experiment(
-            load_config(session.config, [f"out={out.resolve() / 'result'}", "diagnosis.enabled=false"])
-        )
-        rows.append({"seed": seed, **score(outcome, session)})
-        print(
-            "  ".join(f"{key} {value:.3g}" for key, value in rows[-1].items() if isinstance(value, int | float)),
-            flush=True,
-        )
-    print(summary := {key: _mean(rows, key) for key in rows[0] if key != "seed"})
-    (arguments.out / "recovery.json").write_text(json.dumps({"rows": rows, "mean": summary}, indent=1))
+    asked = Command(
+        __doc__, seeds=10, first=0, duration=10.0, skin=(0.0, "skin motion [mm]"), out=Path("out/recovery")
+    ).asked()
+    options = SimulateOptions(duration_s=asked.duration, skin_motion_mm=asked.skin)
+    alone()
 
+    def row(seed: int) -> dict[str, float]:
+        session, outcome = simulated(options, seed, asked.out / f"seed_{seed}")
+        return score(outcome, session)
 
-def _mean(rows: list[dict], key: str) -> float:
-    return sum(row[key] for row in rows) / len(rows)
+    rows = list(each(range(asked.first, asked.first + asked.seeds), row))
+    print(summary := means(rows))
+    write_json(asked.out / "recovery.json", {"rows": rows, "mean": summary})
 
 
 def score(outcome: Outcome, session: SimulatedSession) -> dict[str, float]:
@@ -129,7 +114,8 @@ def true_phi(outcome: Outcome, session: SimulatedSession) -> torch.Tensor:
             relative.append(torch.linalg.inv(X_mine) @ X_true)
     X = torch.cat(relative).mean(0)
     U, _, Vh = torch.linalg.svd(X[:, :3, :3])
-    return move_frame(session.subject.phi, U @ Vh, X[:, :3, 3])
+    X[:, :3, :3] = U @ Vh
+    return pseudo_to_params(X @ params_to_pseudo(session.subject.phi) @ X.mT)
 
 
 def perfect(outcome: Outcome, session: SimulatedSession) -> list:

@@ -6,9 +6,11 @@
 It waits until somebody listens. Everybody on the network can listen (docs/live.md says how to confine it).
 """
 
-import argparse
 import time
+from argparse import Namespace
 from pathlib import Path
+
+from harness.command import Among, Command
 
 from torchid.config import load_config
 from torchid.io import ReadOptions, read_trial
@@ -21,15 +23,11 @@ CONFIGS = (".yaml", ".yml", ".json")
 
 def main(arguments: list[str] | None = None) -> None:
     """Send until the trial ends, or with --loop until Ctrl-C."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("file", type=Path, help="a config, a C3D or a TRC")
-    parser.add_argument("--trial", help="of the config")
-    parser.add_argument("--forces", type=Path, help="MOT beside a TRC or C3D")
-    parser.add_argument("--up", choices=("y", "z"), help="vertical axis, where the file leaves it open")
-    parser.add_argument("--name", default="torchid", help="of the streams")
-    parser.add_argument("--speed", type=float, default=1.0)
-    parser.add_argument("--loop", action="store_true")
-    given = parser.parse_args(arguments)
+    given = Command(
+        __doc__, ("file",), file=(Path, "a config, a C3D or a TRC"), trial=(str, "of the config"),
+        forces=(Path, "MOT beside a TRC or C3D"), name=("torchid", "of the streams"), speed=1.0, loop=False,
+        up=(Among(("y", "z")), "vertical axis, where the file leaves it open"),
+    ).asked(arguments)  # fmt: skip
     trial = read(given)
     outlets = Outlets(trial, given.name)
     print(f"{len(trial.markers.time)} frames of {trial.name} as {given.name}; waiting for a listener", flush=True)
@@ -42,7 +40,7 @@ def main(arguments: list[str] | None = None) -> None:
         print("stopped")
 
 
-def read(given: argparse.Namespace) -> Trial:
+def read(given: Namespace) -> Trial:
     """The trial that is to be sent."""
     if given.file.suffix.lower() not in CONFIGS:
         return read_trial(given.file.stem, given.file, given.forces, options=ReadOptions(up=given.up))

@@ -5,24 +5,22 @@ What OpenSim leaves on the same frames is measured by ``opensim_residuals.py``.
 
 import json
 import math
-import os
-import sys
 import xml.etree.ElementTree as ElementTree  # noqa: S405 - a file of the shared recordings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from harness.command import DATA, ROOT, Command
+from harness.pool import alone
+from harness.rows import write_json
+
 from torchid.config import load_config
-from torchid.config.sections import PROJECT_DATA
 from torchid.errors import DataError
 from torchid.run import run_experiment
 from torchid.run.sequence import contributions
 from torchid.session import Outcome
-from torchid.storage.allocator import keep_memory
 
-ROOT = Path(__file__).resolve().parents[1]
-DATA = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))
 TRUTH_GROUPS = {
     "torso": ("torso",), "pelvis": ("pelvis",), "thigh": ("femur",), "shank": ("tibia", "patella"),
     "foot": ("talus", "calcn", "toes"), "upper_arm": ("humerus",), "forearm": ("ulna", "radius"), "hand": ("hand",),
@@ -193,11 +191,11 @@ def _cell(value: Any) -> str:
     return str(value)
 
 
-def main(names: Sequence[str]) -> None:
+def main() -> None:
     """Run, print, write ``out/tables.json``."""
-    keep_memory()
+    alone()
     found: dict[str, Table] = {}
-    for name in names or TABLES:
+    for name in Command(__doc__, ("configs",), configs={"nargs": "*", "default": list(TABLES)}).asked().configs:
         try:
             outcome = run_experiment(load_config(ROOT / "configs" / f"{name}.yaml", ["diagnosis.enabled=false"]))
         except DataError as refusal:
@@ -206,9 +204,8 @@ def main(names: Sequence[str]) -> None:
             found |= TABLES.get(name, anyone)(outcome)
     for name, table in found.items():
         print(markdown(name, table))
-    finite = json.loads(json.dumps(found), parse_constant=lambda _: None)
-    (ROOT / "out" / "tables.json").write_text(json.dumps(finite, indent=1))
+    write_json(ROOT / "out" / "tables.json", json.loads(json.dumps(found), parse_constant=lambda _: None))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

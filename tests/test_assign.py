@@ -7,7 +7,7 @@ import torch
 from small_session import session, template
 
 from torchid.errors import DataError
-from torchid.geometry.assign import Assignment, assign_markers, only
+from torchid.geometry.assign import Assignment, assign_markers
 from torchid.model.marker_set import load_marker_set
 from torchid.recording import Trial
 
@@ -127,12 +127,3 @@ def test_rarely_seen_marker_takes_no_part():
         position[len(position) // 10 :, trial.markers.labels.index(label)] = torch.nan
         given.append(replace(trial, markers=replace(trial.markers, position=position)))
     assert label not in assign_markers(template(), marker_set(), tuple(given)).attachment.labels
-
-
-def test_a_mask_keeps_rows_together():
-    """``only`` selects labels, bodies and priors alike."""
-    found = assign_markers(template(), marker_set(), trials()).attachment
-    keep = torch.arange(len(found.labels)) % 3 == 0
-    part = only(found, keep)
-    torch.testing.assert_close(part.mean, found.mean[keep])
-    assert part.labels == found.labels[::3] and part.landmark == found.landmark[::3]

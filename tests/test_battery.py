@@ -16,10 +16,11 @@ pytest.importorskip("mujoco", reason="the battery's physics is MuJoCo's")
 from batteries.bound import known_else
 from batteries.gain import heldout_gains
 from batteries.judge import document, judged, kept, restored, tables
-from batteries.mujoco_session import draw_effect, simulate
 from batteries.power import draw_reliability, half_sizes, reliability
-from batteries.sizes import SIZES
 from models import model_of
+from mujoco_laboratory.draws import draw_effect
+from mujoco_laboratory.session import simulate
+from mujoco_laboratory.sizes import SIZES
 
 from torchid.config import load_config
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
@@ -113,7 +114,7 @@ def test_reliability_counts_each_verdict_once(tmp_path):
 
 
 def test_kept_rows_print_the_tables_of_whole_rows():
-    """One line a session is enough for every table; a witness's verdict has no gain, a failure is kept."""
+    """A short row a session is enough for every table; a witness's verdict has no gain, a failure is kept."""
     named = [["drag", ["pelvis"], 0.95], ["tether", ["thorax"], 0.6]]
     size = {"value": [21.0], "sd": [2.0], "true": [20.0], "right": True}
     whole = {

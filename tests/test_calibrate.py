@@ -13,7 +13,9 @@ from pydantic import BaseModel, TypeAdapter
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from batteries import calibrate
-from batteries.calibrate import RESERVED, bounded, counted, decided, document, finished, judged, plan, variants
+from batteries.calibrate import RESERVED, bounded, counted, decided, document, judged, judged_with, plan, variants
+from harness.pool import finished
+from harness.rows import read_lines
 
 from torchid.bounds import Count, NonNegative, Positive, Share
 from torchid.config.sections import DiagnosisSection
@@ -264,13 +266,14 @@ def test_a_stopped_calibration_goes_on(tmp_path):
     """A session with a row is not run again, unless its row is of other present values or lacks a threshold."""
     path, run = tmp_path / "rows.jsonl", []
 
-    def perform(job: int) -> dict:
-        run.append(job)
-        return {"seed": job, "verdict": verdict(), "variants": []}
-
     def go(jobs: range, present: dict[str, float]) -> list[str]:
+        def perform(job: int) -> dict:
+            run.append(job)
+            return {"key": f"key{job}", "seed": job, "verdict": verdict(), "variants": [], "present": present}
+
+        done = {row["key"]: row for row in read_lines(path) if judged_with(present, row)}
         with ThreadPoolExecutor(1) as pool:
-            return [r["key"] for r in finished({f"key{k}": k for k in jobs}, path, present, pool, perform)]
+            return [r["key"] for r in finished({f"key{k}": k for k in jobs}, perform, pool, path, done)]
 
     both = {NAMED: 2.5, VIBRATION: 3.0}
     assert go(range(2), both) == ["key0", "key1"]

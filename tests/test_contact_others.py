@@ -11,8 +11,8 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
+import hidden_contact
 import small_session
-from benchmarks import hidden_contact
 
 from torchid.checks.plates_against_feet.judge import judge
 from torchid.checks.report import Given

@@ -13,7 +13,7 @@ from device_cases import filled, made, person, random_motion, with_parts
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
-from benchmarks.device_mujoco import inverse, worn
+from mujoco_laboratory.device import inverse, worn
 
 from torchid.devices import Device, device_forces, told_of
 from torchid.devices.action import action

@@ -1,11 +1,15 @@
 """The harness of whole evaluations without an effect: it finds one where there is one, and counts as it should."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
 from benchmarks import evaluation_whole
 from benchmarks.evaluation_recordings import perform
 from benchmarks.evaluation_whole import Plan, evaluated, run, summary

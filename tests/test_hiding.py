@@ -1,13 +1,17 @@
 """Effects hidden by lot: repeatable, plantable, of sizes that laboratories meet, and judged fairly."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
+from hiding import LOTS, draw_hidden, judge
 from test_scripts import script
 
 from torchid.config import load_config
 from torchid.effects.catalogue import CATALOGUE
 from torchid.run import run_simulation
-from torchid.simulate.hiding import LOTS, draw_hidden, judge
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.planting import planted
 

@@ -19,13 +19,13 @@ from torch.testing import assert_close
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from batteries import real
-from batteries.real_files import Recorded, cropped, frames_kept, read_recorded, write_session
 from batteries.real_judge import differences, judged, tables
-from batteries.real_kinds import KINDS, UNPLANTED, plant
-from batteries.real_plates import plates_of
-from batteries.real_sessions import ASIDE, SESSIONS, RealSession, sessions
-from batteries.real_truth import Answer, Inapplicable, Truth, truth_from
 from batteries.remembered import remembered
+from planted_faults.real_files import Recorded, cropped, frames_kept, read_recorded, write_session
+from planted_faults.real_kinds import KINDS, UNPLANTED, plant
+from planted_faults.real_plates import plates_of
+from planted_faults.real_sessions import ASIDE, SESSIONS, RealSession, sessions
+from planted_faults.real_truth import Answer, Inapplicable, Truth, truth_from
 from small_session import SEED
 
 from torchid.conventions import GRAVITY

@@ -4,6 +4,7 @@ import importlib.util
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -15,6 +16,7 @@ from torchid.io import read_trial
 from torchid.storage.snapshot import from_bytes
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+sys.path.insert(0, str(SCRIPTS))
 FEW = ["geometry.max_frames=12", "geometry.static_frames=4"]
 
 
@@ -82,7 +84,7 @@ def same(a: torch.Tensor, b: torch.Tensor) -> bool:
     return bool(((a == b) | (a.isnan() & b.isnan())).all())
 
 
-@pytest.mark.parametrize("name", ["demo", "draws", "fuzz", "hour", "reliability", "test", "environment"])
+@pytest.mark.parametrize("name", ["demo", "draws", "fuzz", "hour", "module", "reliability", "test", "environment"])
 def test_shell_scripts_parse(name):
     """bash reads them without executing; those that are called are executable."""
     subprocess.run(["bash", "-n", str(SCRIPTS / name)], check=True)

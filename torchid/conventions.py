@@ -42,14 +42,8 @@ class Inertial(IntEnum):
 
 
 INERTIAL_NAMES = ("m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-INERTIAL_UNITS = ("kg",) + ("kg m",) * 3 + ("kg m^2",) * 6
 INERTIA_PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 """Matrix entries of the six moments of inertia, in the order of ``Inertial``."""
-
-
-def gravity(like: Tensor) -> Tensor:
-    """Gravity vector in W [m/s^2], shape (3,), dtype and device of ``like``."""
-    return like.new_tensor([0.0, 0.0, -GRAVITY])
 
 
 def y_up_to_z_up(vector: Tensor) -> Tensor:

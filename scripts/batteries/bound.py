@@ -8,33 +8,31 @@ effect's own block of the posterior's precision). What exceeds a quarter of the 
 the diagnosis has; other evidence, such as feet that stand on a plate and show its height, is left out.
 """
 
-import argparse
 import shutil
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
+from harness.command import Among, Command
+from harness.runs import ran
+from mujoco_laboratory.draws import draw_effect
+from mujoco_laboratory.session import simulate
 from torch import Tensor
 
 from batteries.judge import UNNAMED
-from batteries.mujoco_session import draw_effect, simulate
-from torchid.config import load_config
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.search.estimates import estimate, internal
 from torchid.diagnosis.search.result import SearchResult
 from torchid.diagnosis.search.stepwise import search
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.extension.diagnosing import observe_outcome
-from torchid.run import run_experiment
 
 
 def found(name: str, seed: int, out: Path) -> tuple[SearchResult, dict]:
     """What a search for this effect alone finds in a session that hides it, and the truth."""
     hidden = draw_effect(name, "medium", np.random.default_rng((seed, 7)))
-    config = load_config(simulate(out, seed, [hidden]))
-    plain = config.diagnosis.model_copy(update={"enabled": False})
-    outcome = run_experiment(config.model_copy(update={"diagnosis": plain}))
+    outcome = ran(simulate(out, seed, [hidden]), out / "out")
     identified = outcome.identified
     assert identified is not None, "the session has forces"
     observed = list(observe_outcome(outcome, "fit").values())
@@ -77,17 +75,15 @@ def told(name: str, seed: int, out: Path) -> str:
 
 def main() -> None:
     """Session by session."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     once = [name for name, one in CATALOGUE.items() if not one.per_trial]
-    parser.add_argument("--effects", nargs="+", choices=once, default=["plate_pose", "plate_crosstalk"])
-    parser.add_argument("--each", type=int, default=4, help="sessions per effect")
-    parser.add_argument("--first", type=int, default=int(time.time()) % 10**6, help="seed (default: the clock's)")
-    parser.add_argument("--out", type=Path, default=Path("out/bound"))
-    arguments = parser.parse_args()
-    for k in range(arguments.each):
-        for name in arguments.effects:
-            print(told(name, arguments.first + k, arguments.out), flush=True)
-            shutil.rmtree(arguments.out, ignore_errors=True)
+    asked = Command(
+        __doc__, effects=Among(once, ["plate_pose", "plate_crosstalk"], True), each=(4, "sessions per effect"),
+        first=(int(time.time()) % 10**6, "seed (default: the clock's)"), out=Path("out/bound"),
+    ).asked()  # fmt: skip
+    for k in range(asked.each):
+        for name in asked.effects:
+            print(told(name, asked.first + k, asked.out), flush=True)
+            shutil.rmtree(asked.out, ignore_errors=True)
 
 
 if __name__ == "__main__":

@@ -12,13 +12,10 @@ A table of what each change wins and loses, and what that says of the threshold,
 ``calibration.json``.
 """
 
-import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from operator import attrgetter, itemgetter
-from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
 from annotated_types import Ge, Gt, Le
@@ -257,21 +254,6 @@ def _told(line: Line) -> str:
     return f"{line.threshold:38s} {line.factor:>7s} {line.value:7.3g} {line.sessions:8d} {line.changed:7d} {counts}"
 
 
-def stored(path: Path, present: dict[str, float]) -> list[dict]:
-    """Rows of sessions that were judged with the same present values; of more thresholds than these, too."""
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    return [r for r in map(json.loads, lines) if present.items() <= r["present"].items()]
-
-
-def finished(
-    jobs: Mapping[str, Any], path: Path, present: dict[str, float], pool: Executor, perform: Callable[[Any], dict]
-) -> Iterator[dict]:
-    """The rows of jobs, by their keys: first those in the file, then the others, each when it has been written."""
-    done = {r["key"]: r for r in stored(path, present)}
-    yield from (done[key] for key in jobs if key in done)
-    waiting = {pool.submit(perform, job): key for key, job in jobs.items() if key not in done}
-    for one in as_completed(waiting):
-        found = one.result() | {"key": waiting[one], "present": present}
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(found) + "\n")
-        yield found
+def judged_with(present: dict[str, float], row: Mapping[str, Any]) -> bool:
+    """Whether a session was judged with these present values; with more thresholds than these, too."""
+    return present.items() <= row.get("present", {}).items()

@@ -7,30 +7,23 @@ Masses are compared with standing, frames with ``contacts.json``, which was made
 which no fit has seen.
 """
 
-import argparse
 import json
-import os
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
+from harness.command import DATA, Command
+from harness.pool import processes
+from harness.rows import write_lines
+from harness.runs import ran
+from planted_faults.real_sessions import CHILDREN, SESSIONS, of_child
 
-from torchid.config import load_config
-from torchid.config.sections import PROJECT_DATA
 from torchid.conventions import GRAVITY
 from torchid.dynamics.rows import residual_rms
 from torchid.errors import TorchidError
-from torchid.run import run_experiment
 from torchid.session.standing import standing_weight
 
-CHILDREN = {
-    "HC030A": (45.8, "01", "05", "22"), "HC031A": (27.7, "01", "06", "23"), "HC033A": (51.5, "01", "10", "22"),
-    "HC038A": (56.8, "01", "11", "27"), "HC040A": (25.0, "04", "14", "40"), "HC044A": (39.4, "01", "15", "29"),
-}  # fmt: skip
-"""Recorded mass [kg]; static, straight and turning trial."""
 SPLITS = {"both": ("fit", "fit"), "straight": ("fit", "heldout"), "turning": ("heldout", "fit")}
 """Roles of the straight and the turning walk."""
 
@@ -53,32 +46,24 @@ class Row:
     failure: str
 
 
-def run(arguments: tuple[str, str, bool, Path]) -> Row:
+def run(asked: tuple[str, str, bool]) -> Row:
     """One child, one split."""
-    child, split, diagnosis, data = arguments
-    torch.set_num_threads(1)
-    mass, *numbers = CHILDREN[child]
-    roles = ("static", *SPLITS[split])
-    trials = [
-        {"name": f"{child}{n}", "role": role, "file": str(data / f"{child}{n}.c3d")}
-        for n, role in zip(numbers, roles, strict=True)
-    ]
-    document = {
-        "subject": {"name": child, "mass_kg": mass, "mass_sd_kg": 0.5}, "markers": "plug_in_gait_oxford_foot",
-        "trials": trials, "diagnosis": {"enabled": diagnosis}, "out": "out",
-    }  # fmt: skip
+    child, split, diagnosis = asked
+    own = next(one for one in SESSIONS if one.name == child)
+    names = [Path(file.markers).stem for file, _ in own.roles("none")]
+    document = of_child(child, zip(names, ("static", *SPLITS[split]), strict=True), DATA)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "config.json"
         path.write_text(json.dumps(document))
         try:
-            outcome = run_experiment(load_config(path))
+            outcome = ran(path, Path(folder) / "out", f"diagnosis.enabled={str(diagnosis).lower()}")
         except TorchidError as error:
             return Row(child, split, np.nan, np.nan, np.nan, 0, 0, 0, str(error)[:200])
         weight = standing_weight(outcome.followed.values(), outcome.session, outcome.config.subject.mass_kg)
         held = [outcome.followed[n].wrench for n in outcome.session.part("heldout", "inertia")]
         force = residual_rms([w for w in held if w is not None], outcome.phi)[0]
         found = float(outcome.phi[:, 0].sum())
-        truth = json.loads((data / "contacts.json").read_text())
+        truth = json.loads((DATA / "biomechzoo_pig" / "contacts.json").read_text())
         counts = np.array([
             _frames(truth[name], item.contact.used.numpy()) for name, item in outcome.followed.items()
             if item.contact is not None and name in truth
@@ -97,17 +82,14 @@ def _frames(truth: dict[str, list[list[int]]], used: np.ndarray) -> tuple[int, i
 
 def main() -> None:
     """Run, print a line a run and the figures of all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--diagnosis", action="store_true")
-    parser.add_argument("--only", default="", help="children whose code contains this")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--rows", type=Path, help="write every run here, one JSON a line")
-    arguments = parser.parse_args()
-    data = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA)) / "biomechzoo_pig"
-    every = [(c, s, arguments.diagnosis, data) for c in CHILDREN if arguments.only in c for s in SPLITS]
+    arguments = Command(
+        __doc__, diagnosis=False, only=("", "children whose code contains this"), jobs=2,
+        rows=(Path, "write every run here, one JSON a line"),
+    ).asked()  # fmt: skip
+    every = [(c, s, arguments.diagnosis) for c in CHILDREN if arguments.only in c for s in SPLITS]
     rows = []
     print(f"{'child':8}{'fitted':10}{'stands':>8}{'found':>8}{'off':>8}{'held out':>10}{'wrongly':>9}{'left out':>10}")
-    with ProcessPoolExecutor(arguments.jobs) as pool:
+    with processes(arguments.jobs) as pool:
         for row in pool.map(run, every):
             rows.append(row)
             off = row.mass_kg / row.standing_kg - 1
@@ -117,7 +99,7 @@ def main() -> None:
                 flush=True,
             )
     if arguments.rows:
-        arguments.rows.write_text("".join(json.dumps(asdict(row)) + "\n" for row in rows))
+        write_lines(arguments.rows, map(asdict, rows))
     rows = [row for row in rows if not row.failure]
     held = [row.heldout for row in rows if np.isfinite(row.heldout)]
     off = [abs(row.mass_kg / row.standing_kg - 1) for row in rows]

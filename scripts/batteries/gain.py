@@ -7,7 +7,6 @@ of the verdict: recordings corrected, everything fitted again. Models are compar
 residuals of forces and markers under one noise: that which perfect knowledge leaves.
 """
 
-import argparse
 import json
 import shutil
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from harness.command import Command
 from torch import Tensor
 
 from torchid.config import load_config
@@ -35,13 +35,8 @@ COARSE_HZ = 5.0
 
 
 def heldout_gains(outcome: Outcome, truth: Sequence[dict], scratch: Path) -> tuple[float, float] | None:
-    """Nats that the verdict gains, and that the truth would; None where the truth is more than parameters tell.
-
-    Args:
-        outcome: of a run.
-        truth: effects as in ``truth.json``.
-        scratch: folder for the fits of the second.
-    """
+    """Nats that the verdict gains, and that the truth would; None where the truth is more than parameters tell. Fits of
+    the second stay in ``scratch``."""
     if any(_untold(one) for one in truth):
         return None
     base = outcome if outcome.base is None else outcome.base
@@ -125,9 +120,7 @@ def _density(outcome: Outcome, noise: Whitening, scatter: Tensor) -> float:
 
 def main() -> None:
     """A line for each folder."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path)
-    for folder in parser.parse_args().folders:
+    for folder in Command(__doc__, ("folders",), folders={"nargs": "+", "type": Path}).asked().folders:
         outcome = run_experiment(load_config(folder / "config.yaml"))
         truth = json.loads((folder / "truth" / "truth.json").read_text())["effects"]
         found = heldout_gains(outcome, truth, folder / "perfect")

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from mujoco_laboratory.sizes import SIZES
 
 from batteries.power import half_sizes, reliability
-from batteries.sizes import SIZES
 from torchid.effects.catalogue import BODILY
 
 WITHIN, SIGMAS, VAGUE = 0.15, 2.0, 0.25
@@ -257,12 +257,17 @@ def restored(values: Sequence) -> dict:
 
 
 def document(rows: Sequence[dict], date: str, first: int) -> str:
-    """JSON of the tables and of every session's kept row, one a line."""
-    table = tables([restored(kept(row)) for row in rows])
-    head = {"date": date, "first_seed": first, "tables": table["text"].splitlines(), "columns": COLUMNS}
-    lines = ",\n".join(json.dumps(kept(row), separators=(",", ":")) for row in rows)
-    figures = json.dumps(table["figures"])
-    return f'{json.dumps(head, indent=1)[:-2]},\n "figures": {figures},\n "rows": [\n{lines}\n]}}\n'
+    """JSON of the tables and of every session's kept row; those of one effect and level stand in one line."""
+    table, lines = tables([restored(kept(row)) for row in rows]), {}
+    for row in rows:
+        own = lines.setdefault((row["kind"], row["level"], *row["names"][:1]), [])
+        own.append(json.dumps(kept(row), separators=(",", ":")))
+    head = {"date": date, "first_seed": first, "tables": table["text"].splitlines()}
+    columns, figures = json.dumps(COLUMNS), json.dumps(table["figures"])
+    text = ",\n".join(",".join(own) for own in lines.values())
+    return (
+        f'{json.dumps(head, indent=1)[:-2]},\n "columns": {columns},\n "figures": {figures},\n "rows": [\n{text}\n]}}\n'
+    )
 
 
 if __name__ == "__main__":

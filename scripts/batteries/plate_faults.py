@@ -6,30 +6,29 @@
 A fault is named right if the one line advised, added to the trial and read again, gives the forces of the right file.
 """
 
-import argparse
 import glob
 import json
-import os
-import secrets
 import tempfile
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 import yaml
+from harness.command import DATA, Command, said_seed
+from harness.pool import processes
+from harness.rows import write_lines
+from planted_faults.planted_plates import C3dCopy, Fault, c3d_faults, mot_faults
 from rich.console import Console
 from rich.progress import track
 
-from batteries.planted_plates import C3dCopy, Fault, c3d_faults, mot_faults
 from torchid.checks.plates_against_feet.changes import Change
 from torchid.checks.plates_against_feet.judge import judge
 from torchid.checks.plates_against_feet.session import Recording as Again
 from torchid.checks.plates_against_feet.session import judge_recording
 from torchid.checks.recording import stated_mass
-from torchid.config.sections import PROJECT_DATA, Config
+from torchid.config.sections import Config
 from torchid.errors import TorchidError
 from torchid.io import ReadOptions, read_trial
 from torchid.io.resample import synchronise
@@ -200,10 +199,9 @@ def _near(a: Path, b: Path) -> bool:
     return a.parent == b.parent or a.parent.parent == b.parent.parent
 
 
-def _run(arguments: tuple[Path, Recording, str, int]) -> dict[str, object]:
-    root, recording, name, seed = arguments
-    torch.set_num_threads(1)
-    return outcome(recording, _faults(recording, root)[name], seed)
+def _run(case: tuple[Recording, str, int]) -> dict[str, object]:
+    recording, name, seed = case
+    return outcome(recording, _faults(recording, DATA)[name], seed)
 
 
 def accused(recording: Recording) -> str:
@@ -218,34 +216,26 @@ def accused(recording: Recording) -> str:
 
 def main() -> None:
     """Plant, judge, count."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="recordings whose name contains this")
-    parser.add_argument("--faults", default="", help="faults whose name contains this")
-    parser.add_argument("--seed", type=int, default=None)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--rows", type=Path, help="write every case here, one JSON a line")
-    arguments = parser.parse_args()
-    root = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))
-    seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
-    print(f"seed {seed}")
-    everything = [(root, *case) for case in cases(root, arguments.only, arguments.faults, seed)]
-    with ProcessPoolExecutor(arguments.jobs) as pool:
+    arguments = Command(
+        __doc__, only=("", "recordings whose name contains this"), faults=("", "faults whose name contains this"),
+        seed=int, jobs=2, rows=(Path, "write every case here, one JSON a line"),
+    ).asked()  # fmt: skip
+    everything = list(cases(DATA, arguments.only, arguments.faults, said_seed(arguments.seed)))
+    with processes(arguments.jobs) as pool:
         rows = list(track(pool.map(_run, everything), "planting", len(everything), console=Console(stderr=True)))
-        right = [r for r in recordings(root) if arguments.only in r.name]
+        right = [r for r in recordings(DATA) if arguments.only in r.name]
         wrongly = [(r.name, said) for r, said in zip(right, pool.map(accused, right), strict=True) if said]
     if arguments.rows:
-        arguments.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+        write_lines(arguments.rows, rows)
     _print(rows, right, wrongly)
 
 
 def _print(rows: list[dict[str, object]], right: list[Recording], wrongly: list[tuple[str, str]]) -> None:
     results = ("named", "among", "wrong", "unnamed", "refused", "unreadable", "silent", "small")
     print(f"{'fault':22}" + "".join(f"{r:>12}" for r in results))
-    for fault in dict.fromkeys(str(row["fault"]) for row in rows):
-        counts = [sum(row["fault"] == fault and row["result"] == r for row in rows) for r in results]
-        print(f"{fault:22}" + "".join(f"{n or '':>12}" for n in counts))
-    total = [sum(row["result"] == r for row in rows) for r in results]
-    print(f"{'all':22}" + "".join(f"{n or '':>12}" for n in total))
+    for fault in (*dict.fromkeys(str(row["fault"]) for row in rows), "all"):
+        own = [row["result"] for row in rows if fault in ("all", row["fault"])]
+        print(f"{fault:22}" + "".join(f"{own.count(r) or '':>12}" for r in results))
     print(f"unplanted: {len(right)} recordings, accused: {wrongly or 'none'}")
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from mujoco_laboratory.sizes import LEVELS, SIZES
 
-from batteries.sizes import LEVELS, SIZES
 from torchid.effects.catalogue import BODILY
 
 STEEP = 3.0

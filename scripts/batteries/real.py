@@ -15,39 +15,36 @@ with any version of torchid. ``docs/real_battery.md`` says what is planted and w
 crashed.
 """
 
-import argparse
 import json
-import os
 import random
-import secrets
 import shutil
 import sys
 import time
 import zlib
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import torch
+from harness.command import DATA, Among, Command, said_seed
+from harness.pool import performed
+from harness.rows import read_lines, write_lines
+from planted_faults.real_files import frames_kept, read_recorded, write_session
+from planted_faults.real_kinds import KINDS, UNPLANTED, plant
+from planted_faults.real_sessions import SESSIONS, RealSession, sessions
+from planted_faults.real_truth import Inapplicable, Truth
 
-from batteries.real_files import frames_kept, read_recorded, write_session
 from batteries.real_judge import differences, judged, tables
-from batteries.real_kinds import KINDS, UNPLANTED, plant
-from batteries.real_sessions import SESSIONS, RealSession, sessions
-from batteries.real_truth import Inapplicable, Truth
 from batteries.remembered import remembering
 from torchid.config import load_config
-from torchid.config.sections import PROJECT_DATA
 from torchid.diagnosis.verdict.table import cause_table, plates_table
 from torchid.errors import TorchidError
 from torchid.extension.diagnosing import plate_frames
 from torchid.extension.laboratory import examine, panel_of
 from torchid.run import run_experiment
-from torchid.storage.allocator import keep_memory
 from torchid.storage.files import plain
 
 Said = dict[str, Any]
@@ -57,8 +54,6 @@ SMALL_KINDS = (UNPLANTED, "clock20", "gain", "mass")
 """Choice. Sessions that take least, and kinds that a balance of momentum sees: about two minutes on two cores."""
 EACH = 2
 """Choice. Sessions in which each kind is planted, by lot: with all as recorded, an hour on two cores at 97 s a run."""
-TRIES = 3
-"""Choice. Times that a battery goes on after a worker was killed."""
 WITNESSED = (
     UNPLANTED, "clock12", "clock20", "gain", "all_gains", "mass", "offset", "crosstalk", "tilt", "sideways",
     "clock8", "offset_zeroed", "shift15", "turn",
@@ -97,8 +92,6 @@ def cases(some: Sequence[RealSession], kinds: Sequence[str], seed: int) -> Itera
 
 def perform(case: Case, session: RealSession, root: Path, out: Path, run: Callable[[Path], Said]) -> Said:
     """Plant, run from the files alone, and keep what was said."""
-    torch.set_num_threads(1)
-    keep_memory()
     folder, begun, spent = out / "scratch" / case.key, time.perf_counter(), time.process_time()
     kept: dict[str, Any] = {"case": case.key, **asdict(case)}
     try:
@@ -167,21 +160,16 @@ def rows(verdicts: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def read_lines(path: Path) -> list[dict[str, Any]]:
-    """The lines of a file, none where it is absent."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-
-
 def summary(out: Path) -> str:
     """Judge all that a folder keeps, write its rows, and return the tables."""
     verdicts = read_lines(out / "verdicts.jsonl")
     found = rows(verdicts)
-    (out / "rows.jsonl").write_text("".join(json.dumps(row) + "\n" for row in found))
+    write_lines(out / "rows.jsonl", found)
     left_out = [v for v in verdicts if "inapplicable" in v]
     return "\n".join([*tables(found), f"no place for the fault: {len(left_out)} cases"])
 
 
-def planned(arguments: argparse.Namespace, some: dict[str, RealSession]) -> list[Case]:
+def planned(arguments: Namespace, some: dict[str, RealSession]) -> list[Case]:
     """The cases that are asked for, in an order by lot: a battery that is stopped early has a little of everything."""
     names = arguments.sessions or (SMALL if arguments.small else tuple(some))
     every = WITNESSED if arguments.witnesses else (UNPLANTED, *KINDS)
@@ -201,66 +189,43 @@ def _each(found: Sequence[Case], number: int) -> Iterator[Case]:
 
 def main(given: Sequence[str] | None = None) -> None:
     """Run what is missing, print tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, help="of places, sizes and trials left out (default: drawn)")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--kinds", nargs="+", choices=(UNPLANTED, *KINDS), metavar="KIND", help=", ".join(KINDS))
-    parser.add_argument("--sessions", nargs="+", metavar="NAME", help="only these")
-    parser.add_argument(
-        "--each", type=int, default=EACH, help=f"sessions per kind, by lot; 0: every one (default: {EACH})"
-    )
-    parser.add_argument("--cases", type=int, help="only so many of all, by lot")
-    parser.add_argument("--out", type=Path, default=Path("out/real_battery"), help="folder of verdicts and rows")
-    parser.add_argument("--small", action="store_true", help="two short sessions and three kinds: about two minutes")
-    parser.add_argument("--witnesses", action="store_true", help="ask witnesses alone, and no body model")
-    parser.add_argument("--aside", action="store_true", help="the sets kept aside, and no others")
-    parser.add_argument(
-        "--summary",
-        nargs="+",
-        type=Path,
-        metavar="FOLDER",
-        help="only tabulate what a folder keeps; of two, differences",
-    )
-    arguments = parser.parse_args(given)
-    if arguments.summary:
-        print("\n\n".join(map(summary, arguments.summary)))
-        for other in arguments.summary[1:]:
-            first, second = (read_lines(folder / "rows.jsonl") for folder in (arguments.summary[0], other))
+    command = Command(
+        __doc__,
+        seed=(int, "of places, sizes and trials left out (default: drawn)"),
+        jobs=2,
+        kinds=(Among((UNPLANTED, *KINDS), None, True, "KIND"), ", ".join(KINDS)),
+        sessions=({"nargs": "+", "metavar": "NAME"}, "only these"),
+        each=(EACH, f"sessions per kind, by lot; 0: every one (default: {EACH})"),
+        cases=(int, "only so many of all, by lot"),
+        out=(Path("out/real_battery"), "folder of verdicts and rows"),
+        small=(False, "two short sessions and three kinds: about two minutes"),
+        witnesses=(False, "ask witnesses alone, and no body model"),
+        aside=(False, "the sets kept aside, and no others"),
+        summary=({"nargs": "+", "type": Path, "metavar": "FOLDER"},
+                 "only tabulate what a folder keeps; of two, differences"),
+    )  # fmt: skip
+    asked = command.asked(given)
+    if asked.summary:
+        print("\n\n".join(map(summary, asked.summary)))
+        for other in asked.summary[1:]:
+            first, second = (read_lines(folder / "rows.jsonl") for folder in (asked.summary[0], other))
             print("\n".join(["", *differences(first, second)]))
         return
-    root = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))
-    some = sessions(root, arguments.aside)
-    strange = [name for name in arguments.sessions or () if name not in some]
+    some = sessions(DATA, asked.aside)
+    strange = [name for name in asked.sessions or () if name not in some]
     if strange or not some:
-        parser.error(f"no such session at {root}: {', '.join(strange)}; there are {', '.join(some) or 'none'}")
-    arguments.seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
-    print(f"seed {arguments.seed}", flush=True)
-    _run(arguments, some, root)
-    print(summary(arguments.out))
-    sys.exit(any(row["result"] == "crashed" for row in read_lines(arguments.out / "rows.jsonl")))
+        command.parser.error(f"no such session at {DATA}: {', '.join(strange)}; there are {', '.join(some) or 'none'}")
+    asked.seed = said_seed(asked.seed)
+    run, every = witnesses_only if asked.witnesses else whole, {case.key: case for case in planned(asked, some)}
+    work = partial(_perform, some=some, root=DATA, out=asked.out, run=run)
+    for number, kept in enumerate(performed(every, work, asked.jobs, asked.out / "verdicts.jsonl", "case"), 1):
+        print(f"{number:4d}/{len(every)} {_in_a_line(kept)}", flush=True)
+    print(summary(asked.out))
+    sys.exit(any(row["result"] == "crashed" for row in read_lines(asked.out / "rows.jsonl")))
 
 
-def _run(arguments: argparse.Namespace, some: dict[str, RealSession], root: Path) -> None:
-    """Run what is missing; a worker that is killed, for want of memory say, does not end the battery."""
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    path, every = arguments.out / "verdicts.jsonl", planned(arguments, some)
-    run = witnesses_only if arguments.witnesses else whole
-    for left in reversed(range(TRIES)):
-        done = {verdict["case"] for verdict in read_lines(path)}
-        waiting = [case for case in every if case.key not in done]
-        try:
-            with ProcessPoolExecutor(arguments.jobs) as pool:
-                futures = [pool.submit(perform, case, some[case.session], root, arguments.out, run) for case in waiting]
-                for number, one in enumerate(as_completed(futures), len(every) - len(waiting) + 1):
-                    kept = one.result()
-                    with path.open("a") as file:
-                        file.write(json.dumps(kept) + "\n")
-                    print(f"{number:4d}/{len(every)} {_in_a_line(kept)}", flush=True)
-            return
-        except BrokenProcessPool:
-            if not left:
-                raise
-            print("a worker was killed; what it had begun is run again", flush=True)
+def _perform(case: Case, some: dict[str, RealSession], root: Path, out: Path, run: Callable[[Path], Said]) -> Said:
+    return perform(case, some[case.session], root, out, run)
 
 
 def _in_a_line(kept: dict[str, Any]) -> str:

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from planted_faults.real_kinds import KINDS, UNPLANTED
+from planted_faults.real_truth import ANYWHERE, Answer, Truth, truth_from
 
-from batteries.real_kinds import KINDS, UNPLANTED
-from batteries.real_truth import ANYWHERE, Answer, Truth, truth_from
 from torchid.effects.catalogue import BODILY
 
 PART, SIGMAS = 0.25, 2.0

@@ -30,12 +30,7 @@ def remembering(folder: Path) -> Iterator[None]:
 
 
 def remembered(function: Callable[Given, Found], folder: Path) -> Callable[Given, Found]:
-    """The function, its results kept in a folder under what it was given, callbacks and torchid's code beside.
-
-    Args:
-        function: gives the same for the same; a snapshot holds its result.
-        folder: of the results.
-    """
+    """The function, its results kept in a folder under what it was given, callbacks and torchid's code beside."""
 
     def found(*args: Given.args, **kwargs: Given.kwargs) -> Found:
         asked = [one for one in args if not callable(one)]

@@ -11,30 +11,28 @@ places and values beyond 1e-6 relative, of the verdicts that both sides have, an
 writes a folder into one file; ``verdicts.json`` holds those before the diagnosis was rebuilt.
 """
 
-import argparse
 import json
 import math
 import os
 import shutil
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 
-import torch
+from harness.command import ROOT, Among, Command
+from harness.pool import processes
 
-from batteries.run import FOREIGN, KNOWN, OWN, Job, _simulated
+from batteries.sessions import FOREIGN, KNOWN, OWN, Job, written
 from torchid.config import load_config
 from torchid.errors import TorchidError
 from torchid.run import run_experiment
-from torchid.storage.allocator import keep_memory
 
 FIRST = 310_000
 """Seed of the first session; no figure is quoted and nothing is tuned on the seeds from here on."""
 LEFT_OUT = ("body_lag", "plate_crosstalk", "flywheel", "moving_ground", "marker_scale", "plate_drift",
             "body_weight_support", "wobbling_mass")  # fmt: skip
 """Effects whose relatives stand among the twenty that are run."""
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 TOLERANCE = 1e-6
 COMPARED = ("causes", "baseline", "extended", "unexplained", "not_testable", "refuted", "nearest", "plates")
 
@@ -51,10 +49,8 @@ def sessions() -> Iterator[Job]:
 
 def _kept(key: str, source: Job | Path, out: Path) -> str:
     """Run one session or config and keep what it says; the line to print."""
-    torch.set_num_threads(1)
-    keep_memory()
     scratch = out / "scratch" / key
-    config = _simulated(source, scratch) if isinstance(source, Job) else load_config(source, (f"out={scratch}",))
+    config = written(source, scratch) if isinstance(source, Job) else load_config(source, (f"out={scratch}",))
     try:
         run_experiment(config)
     except TorchidError as failure:
@@ -73,10 +69,10 @@ def _name(cause: dict) -> str:
 def run(out: Path, workers: int) -> None:
     """Keep the verdicts that are missing under ``out``."""
     out.mkdir(parents=True, exist_ok=True)
-    jobs: dict[str, Job | Path] = {path.stem: path for path in sorted(CONFIGS.glob("*.yaml"))}
+    jobs: dict[str, Job | Path] = {path.stem: path for path in sorted((ROOT / "configs").glob("*.yaml"))}
     jobs |= {job.key: job for job in sessions()}
     jobs = {key: job for key, job in jobs.items() if not (out / f"{key}.json").exists()}
-    with ProcessPoolExecutor(workers) as pool:
+    with processes(workers) as pool:
         waiting = {pool.submit(_kept, key, job, out): key for key, job in jobs.items()}
         for done in as_completed(waiting):
             failed = done.exception()
@@ -143,18 +139,17 @@ def compare(before: Path, after: Path) -> int:
 
 
 def main() -> None:
-    """Run or compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["run", "compare", "keep"])
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
-    arguments = parser.parse_args()
-    if arguments.what == "run":
-        run(arguments.folders[0], arguments.workers)
-    elif arguments.what == "keep":
-        keep(*arguments.folders)
+    """Run, compare or keep."""
+    folders = {"nargs": "+", "type": Path}
+    workers = os.cpu_count() or 1
+    words = Among(("run", "compare", "keep"))
+    asked = Command(__doc__, ("what", "folders"), what=words, folders=folders, workers=workers).asked()
+    if asked.what == "run":
+        run(asked.folders[0], asked.workers)
+    elif asked.what == "keep":
+        keep(*asked.folders)
     else:
-        sys.exit(bool(compare(*arguments.folders)))
+        sys.exit(bool(compare(*asked.folders)))
 
 
 if __name__ == "__main__":

@@ -7,9 +7,7 @@ second group was set aside before anything was fitted to walks.
 on ``--device``.
 """
 
-import argparse
 import json
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,33 +15,29 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch
+from harness.command import ROOT, Command, said_seed
+from harness.pool import alone
+from harness.rows import write_json
+from harness.runs import ran
+from planted_faults.real_sessions import of_child
+from sharing_by_clarabel import share_by_clarabel
 from torch import Tensor
 
+from benchmarks.contact_baselines import lever_rule, smooth_transition
 from benchmarks.contact_measures import Errors, Split, errors, forward_axis, handovers, merged, table, truth_of
 from benchmarks.sharing_problem import moved, random_problem
-from torchid.config import load_config
-from torchid.contact.sharing.baselines import lever_rule, smooth_transition
-from torchid.contact.sharing.reference import share_by_clarabel
 from torchid.contact.sharing.solver import share
 from torchid.conventions import GRAVITY
-from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.session.contact_wrenches import body_needs, wrenches_under
 from torchid.session.following import Following, follow, soles
-from torchid.storage.allocator import keep_memory
 
-ROOT = Path(__file__).resolve().parents[2]
 TUNED = ("opencap_subject4", "schreiber_moissenet_2014001", "opensim_subject01_gait2354")
 RUNNING = ("hamner2013_subject04",)
 """No double support: for the case without plates only."""
 ASIDE = ("biomechzoo_hc030a", "biomechzoo_hc040a", "opensim_rajagopal_walk")
-CHILDREN = {
-    "biomechzoo_hc031a": (27.7, "HC031A", ("01", "06", "23")),
-    "biomechzoo_hc033a": (51.5, "HC033A", ("01", "10", "22")),
-    "biomechzoo_hc038a": (56.8, "HC038A", ("01", "11", "27")),
-    "biomechzoo_hc044a": (39.4, "HC044A", ("01", "15", "29")),
-}
-"""Mass [kg], prefix of files and numbers of a static trial and two walks of children without a config of their own."""
+CHILDREN = {f"biomechzoo_{code.lower()}": code for code in ("HC031A", "HC033A", "HC038A", "HC044A")}
+"""Children without a config of their own."""
 
 
 def walks(outcome: Outcome) -> Iterator[str]:
@@ -128,8 +122,7 @@ def real(names: list[str]) -> dict:
     report: dict = {"merged": {}, "no plates": {}, "cost": {}}
     for name in names:
         with TemporaryDirectory() as folder:
-            path, changes = _config(name, Path(folder)), ["diagnosis.enabled=false", f"out={folder}/out"]
-            outcome = run_experiment(load_config(path, changes))
+            outcome = ran(_config(name, Path(folder)), f"{folder}/out")
             for walk in walks(outcome):
                 key = f"{name}/{walk}"
                 both = merged_plates(outcome, walk)
@@ -143,15 +136,8 @@ def _config(name: str, folder: Path) -> Path:
     """The recording's config; of other children, one like it."""
     if name not in CHILDREN:
         return ROOT / "configs" / f"{name}.yaml"
-    mass, prefix, (static, *walks) = CHILDREN[name]
-    listed = [("static", "static", static), *((f"walk{number}", "fit", number) for number in walks)]
-    trials = [
-        {"name": n, "role": role, "file": f"${{TORCHID_DATA}}/biomechzoo_pig/{prefix}{k}.c3d"} for n, role, k in listed
-    ]
-    made = {
-        "subject": {"name": name, "mass_kg": mass, "mass_sd_kg": 0.5}, "model": "whole_body",
-        "markers": "plug_in_gait_oxford_foot", "trials": trials, "out": "out", "seed": 0,
-    }  # fmt: skip
+    names = (("static", "static"), ("walk_straight", "fit"), ("walk_turn", "fit"))
+    made = of_child(CHILDREN[name], names, "${TORCHID_DATA}", model="whole_body", seed=0)
     path = folder / f"{name}.json"
     path.write_text(json.dumps(made))
     return path
@@ -159,7 +145,6 @@ def _config(name: str, folder: Path) -> Path:
 
 def synthetic(device: str, frames: int, seed: int) -> dict:
     """The solver against Clarabel, one device against the other, and frames per second of each."""
-    print(f"seed {seed}")
     few, _ = random_problem(20, seed)
     reference, own = share_by_clarabel(few), share(few)
     found = {"against_clarabel_N": float((own.wrench - reference)[..., :3].abs().max())}
@@ -185,25 +170,21 @@ def synthetic(device: str, frames: int, seed: int) -> dict:
     return found
 
 
-def main(arguments: list[str]) -> None:
+def main() -> None:
     """Run, print, write JSON."""
-    keep_memory()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("recordings", nargs="*", default=[*TUNED, *RUNNING])
-    parser.add_argument("--aside", action="store_true", help="the recordings that nothing was tuned on")
-    parser.add_argument("--synthetic", action="store_true")
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--frames", type=int, default=8000)
-    parser.add_argument("--seed", type=int, default=torch.seed() % 10000)
-    parser.add_argument("--json", type=Path, default=ROOT / "out" / "contact.json")
-    chosen = parser.parse_args(arguments)
-    recordings = [*ASIDE, *CHILDREN] if chosen.aside else chosen.recordings
-    report = synthetic(chosen.device, chosen.frames, chosen.seed) if chosen.synthetic else real(recordings)
-    for line in table(report):
-        print(line)
-    chosen.json.parent.mkdir(parents=True, exist_ok=True)
-    chosen.json.write_text(json.dumps(report, indent=1))
+    alone()
+    asked = Command(
+        __doc__, ("recordings",), recordings={"nargs": "*", "default": [*TUNED, *RUNNING]}, synthetic=False,
+        aside=(False, "the recordings that nothing was tuned on"), device="cpu", frames=8000, seed=int,
+        json=ROOT / "out" / "contact.json",
+    ).asked()  # fmt: skip
+    if asked.synthetic:
+        report = synthetic(asked.device, asked.frames, said_seed(asked.seed, 10000))
+    else:
+        report = real([*ASIDE, *CHILDREN] if asked.aside else asked.recordings)
+    print("\n".join(table(report)))
+    write_json(asked.json, report)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -12,8 +12,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from torchid.config import load_config
-from torchid.run import run_experiment
+from harness.command import Command
+from harness.runs import ran
+
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 from torchid.storage.allocator import keep_memory
@@ -39,10 +40,10 @@ class Scanned(logging.Handler):
 
 def main() -> None:
     """Run twice and compare."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("config", nargs="?", help="of a recording; without one, a simulated subject")
-    parser.add_argument("--once", nargs=2, metavar=("OUT", "DIAGNOSIS"), help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    args = Command(
+        __doc__, ("config",), config=({"nargs": "?"}, "of a recording; without one, a simulated subject"),
+        once=({"nargs": 2, "metavar": ("OUT", "DIAGNOSIS")}, argparse.SUPPRESS),
+    ).asked()  # fmt: skip
     if args.once:
         print(json.dumps(_once(args.config, *args.once)))
         return
@@ -68,7 +69,7 @@ def _once(config: str, out: str, diagnosis: str) -> dict[str, float]:
     scanned, log = Scanned(), logging.getLogger("torchid.diagnosis.search")
     log.setLevel(logging.INFO)
     log.addHandler(scanned)
-    run_experiment(load_config(Path(config), [f"out={out}", f"diagnosis.enabled={diagnosis}"]))
+    ran(config, out, f"diagnosis.enabled={diagnosis}")
     return {"scan": scanned.times["scanned"] - scanned.times["scanning"]} if scanned.times else {}
 
 

@@ -41,14 +41,7 @@ def draw_case(
     places: dict[str, tuple[str, tuple[float, float, float]]],
     standing: dict[str, np.ndarray],
 ) -> Case:
-    """A device of a kind.
-
-    Args:
-        kind: of ``CASES``.
-        rng: of its numbers.
-        places: true places of the markers.
-        standing: where the markers are in W in the neutral pose, by which slack is drawn (3,) [m].
-    """
+    """A device of a kind; by the markers' true places, and those in W in the neutral pose, slack is drawn (3,) [m]."""
     on = {"hip": ("pelvis", "thigh_l", "thigh_r"), "back": ("thorax", "pelvis"),
           "ankle": ("shank_l", "shank_r", "foot_l", "foot_r")}[kind]  # fmt: skip
     parts, sheet = _parts(on, rng.uniform(2.0, 6.0), rng)

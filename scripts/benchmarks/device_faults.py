@@ -7,24 +7,22 @@ with a sheet that is right, and with one fault at a time: a spring weaker than i
 two trials, a part on another segment than the sheet says, a late command. Seeds decide everything.
 """
 
-import argparse
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
+from harness.command import Among, Command
+from harness.pool import alone
 
 from benchmarks.device_cases import CASES, NOISE
-from benchmarks.device_subject import Recorded, record
-from torchid.config import load_config
+from benchmarks.device_subject import Recorded, identified
 from torchid.devices import BodyBelief, Device, DeviceOptions, Part, SheetFinding, SheetValue, device_findings, placed
 from torchid.devices.device import Element
 from torchid.devices.places import neighbours
 from torchid.dynamics.rows import WrenchTrial
-from torchid.run import run_experiment
 from torchid.simulate.options import SimulateOptions
-from torchid.storage.allocator import keep_memory
 
 Channels = dict[str, dict[str, torch.Tensor]]
 FAULTS = {"hip": ("stiffness", "strap_slides", "carried_elsewhere"),
@@ -57,14 +55,9 @@ class Told:
 
 def main() -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--subjects", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=900)
-    parser.add_argument("--case", choices=CASES, default="hip")
-    parser.add_argument("--duration", type=float, default=10.0)
-    parser.add_argument("--out", type=Path, default=Path("out/device_faults"))
-    arguments = parser.parse_args()
-    keep_memory()
+    case = Among(CASES, "hip")
+    arguments = Command(__doc__, subjects=10, seed=900, case=case, duration=10.0, out=Path("out/device_faults")).asked()
+    alone()
     options = SimulateOptions(duration_s=arguments.duration, skin_motion_mm=5.0, force_noise_n=2.0)
     every: list[Told] = []
     for seed in range(arguments.seed, arguments.seed + arguments.subjects):
@@ -81,10 +74,7 @@ def main() -> None:
 
 def session(kind: str, seed: int, out: Path, options: SimulateOptions) -> list[Told]:
     """Simulate one session, identify the body, and look at each sheet."""
-    folder = out / f"{kind}_{seed}"
-    recorded = record(kind, seed, folder / "recordings", options)
-    settings = [f"out={(folder / 'result').resolve()}", "diagnosis.enabled=false"]
-    outcome = run_experiment(load_config(recorded.session.config, settings))
+    recorded, outcome = identified(kind, seed, out, options)
     assert outcome.identified is not None
     fit = outcome.identified.fit
     rows = [outcome.followed[name].wrench for name in recorded.truth]

@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from harness.runs import ran
+from mujoco_laboratory.device import Truth, inverse, worn
 
 from benchmarks.device_cases import NOISE, OFF, ON, Case, command, draw_case
-from benchmarks.device_mujoco import Truth, inverse, worn
 from torchid.conventions import INERTIA_PAIRS
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import points, poses
+from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import SimulatedSession, write_session
 from torchid.simulate.subject import SimulatedSubject, simulate_subject
@@ -48,6 +50,13 @@ def record(kind: str, seed: int, out: Path, options: SimulateOptions) -> Recorde
     for item in loaded:
         channels[item.trial.name], truth[item.trial.name] = _device_side(subject, case, item, rng)
     return Recorded(session, case, channels, truth)
+
+
+def identified(kind: str, seed: int, out: Path, options: SimulateOptions) -> tuple[Recorded, Outcome]:
+    """One subject's recordings, and what a run that knows of no device makes of them."""
+    folder = out / f"{kind}_{seed}"
+    recorded = record(kind, seed, folder / "recordings", options)
+    return recorded, ran(recorded.session.config, folder / "result")
 
 
 def standing(subject: SimulatedSubject) -> dict[str, np.ndarray]:

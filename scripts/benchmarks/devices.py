@@ -6,17 +6,18 @@ The body comes from the trials without the device, the device from those with it
 figures over all; ``--blind`` takes the sensors away.
 """
 
-import argparse
 import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from harness.command import Among, Command
+from harness.pool import alone
+from harness.rows import figures
 
 from benchmarks.device_cases import CASES
-from benchmarks.device_subject import Recorded, record
-from torchid.config import load_config
+from benchmarks.device_subject import Recorded, identified
 from torchid.devices import (
     BodyBelief,
     Determined,
@@ -26,11 +27,9 @@ from torchid.devices import (
     identify_device,
     placed,
 )
-from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.session.following import torques
 from torchid.simulate.options import SimulateOptions
-from torchid.storage.allocator import keep_memory
 
 
 @dataclass(frozen=True)
@@ -45,23 +44,17 @@ class Row:
 
 def main() -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--subjects", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=350)
-    parser.add_argument("--case", choices=CASES, default="hip")
-    parser.add_argument("--duration", type=float, default=10.0)
-    parser.add_argument("--skin", type=float, default=5.0, help="skin motion at the thigh [mm per radian]")
-    parser.add_argument("--out", type=Path, default=Path("out/devices"))
-    parser.add_argument("--blind", action="store_true", help="without sensors: only that nothing is claimed")
-    arguments = parser.parse_args()
-    keep_memory()
-    options = SimulateOptions(duration_s=arguments.duration, skin_motion_mm=arguments.skin, force_noise_n=2.0)
-    rows = []
-    for seed in range(arguments.seed, arguments.seed + arguments.subjects):
-        rows.append(subject(arguments.case, seed, arguments.out, options, arguments.blind))
-        print(seed, "  ".join(f"{k} {v:.3g}" for k, v in rows[-1].figures.items()),
-              {k: round(v, 2) for k, v in rows[-1].z.items()}, flush=True)  # fmt: skip
-    _print_summary(arguments.case, rows)
+    asked = Command(
+        __doc__, subjects=10, seed=350, case=Among(CASES, "hip"), duration=10.0, out=Path("out/devices"),
+        skin=(5.0, "skin motion at the thigh [mm per radian]"),
+        blind=(False, "without sensors: only that nothing is claimed"),
+    ).asked()  # fmt: skip
+    alone()
+    options, rows = SimulateOptions(duration_s=asked.duration, skin_motion_mm=asked.skin, force_noise_n=2.0), []
+    for seed in range(asked.seed, asked.seed + asked.subjects):
+        rows.append(subject(asked.case, seed, asked.out, options, asked.blind))
+        print(seed, figures(rows[-1].figures), {k: round(v, 2) for k, v in rows[-1].z.items()}, flush=True)
+    _print_summary(asked.case, rows)
 
 
 def _print_summary(case: str, rows: list[Row]) -> None:
@@ -76,10 +69,7 @@ def _print_summary(case: str, rows: list[Row]) -> None:
 
 def subject(kind: str, seed: int, out: Path, options: SimulateOptions, blind: bool) -> Row:
     """One subject: simulate, run, identify the device, compare."""
-    folder = out / f"{kind}_{seed}"
-    recorded = record(kind, seed, folder / "recordings", options)
-    settings = [f"out={(folder / 'result').resolve()}", "diagnosis.enabled=false"]
-    outcome = run_experiment(load_config(recorded.session.config, settings))
+    recorded, outcome = identified(kind, seed, out, options)
     assert outcome.identified is not None
     fit = outcome.identified.fit
     sheet = placed(recorded.case.sheet, outcome.fit.places)

@@ -14,7 +14,6 @@ Cycles of one trial scatter about the trial's own mean as much as trials do, wit
 next; the walks, of one stride each, do not tell that.
 """
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import xarray
+from harness.command import Among, Command
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -209,20 +209,10 @@ def plot(rows: list[dict], path: Path) -> None:
 
 def main() -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--learn", type=Path)
-    parser.add_argument("--null", type=int)
-    parser.add_argument("--power", action="store_true")
-    parser.add_argument("--evaluations", type=int, default=200)
-    parser.add_argument("--whole", type=int)
-    parser.add_argument("--body", choices=("apart", "reference"), default="reference")
-    parser.add_argument("--trials", type=int)
-    parser.add_argument("--cycles", type=int, default=5)
-    parser.add_argument("--units", choices=("trials", "blocks"), default="trials")
-    parser.add_argument("--permutations", type=int, default=999)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path)
-    given = parser.parse_args()
+    given = Command(
+        __doc__, learn=Path, null=int, power=False, evaluations=200, whole=int, trials=int, cycles=5, seed=0, out=Path,
+        body=Among(("apart", "reference"), "reference"), units=Among(("trials", "blocks"), "trials"), permutations=999,
+    ).asked()  # fmt: skip
     options = replace(EvaluateOptions(), permutations=given.permutations, units=given.units)
     if given.learn:
         learn(given.learn)

@@ -29,14 +29,7 @@ EASIER, ATTEMPTS = 0.07, 12
 def perform(
     subject: SimulatedSubject, movement: str, options: SimulateOptions, key: tuple[int, ...], name: str
 ) -> SimulatedTrial:
-    """One trial as the person does it this time, and as cameras and plates read it this time.
-
-    Args:
-        subject: who moves.
-        movement: what.
-        options: how long, and how well it is recorded.
-        key: of chance.
-        name: of the trial.
+    """One trial as the person does it this time, and as cameras and plates read it this time; ``key`` is of chance.
 
     Raises:
         RuntimeError: no attempt was in balance.

@@ -13,7 +13,6 @@ import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import yaml
+from harness.rows import add_line, read_lines
 from scipy.stats import binomtest
 
 from benchmarks.evaluation_recordings import perform
@@ -82,36 +82,20 @@ class Plan:
 
 
 def run(plan: Plan, evaluations: int, folder: Path) -> dict:
-    """Make the evaluations that the file of results lacks, and say what all in it have found.
-
-    Args:
-        plan: of all.
-        evaluations: with the plan's seed, those of earlier runs included.
-        folder: of the file of results.
-    """
+    """Make the evaluations that the file of results lacks, and say what all in it have found."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / plan.file
-    path.touch()
-    done = {(line["seed"], line["number"]) for line in _lines(path)}
+    done = {(line["seed"], line["number"]) for line in read_lines(path)}
     with tempfile.TemporaryDirectory(prefix="torchid-") as work:
         for number in (k for k in range(evaluations) if (plan.seed, k) not in done):
-            line = json.dumps({"seed": plan.seed, "number": number, **evaluation(plan, number, Path(work))})
-            with path.open("a") as file:
-                file.write(line + "\n")
-            print(line, flush=True)
-    return summary(list(_lines(path)))
-
-
-def _lines(path: Path) -> Iterator[dict]:
-    return (json.loads(line) for line in path.read_text().splitlines())
+            line = {"seed": plan.seed, "number": number, **evaluation(plan, number, Path(work))}
+            add_line(path, line)
+            print(json.dumps(line), flush=True)
+    return summary(read_lines(path))
 
 
 def summary(lines: list[dict]) -> dict:
-    """The rate of evaluations with a finding, its exact 95 % interval (Clopper & Pearson 1934), and what was found.
-
-    Args:
-        lines: of the file of results.
-    """
+    """The rate of evaluations with a finding, its exact 95 % interval (Clopper & Pearson 1934), and what was found."""
     good = [line for line in lines if "failed" not in line]
     said: dict = {
         "evaluations": len(good), "failed": [line["failed"] for line in lines if "failed" in line],
@@ -135,13 +119,7 @@ def summary(lines: list[dict]) -> dict:
 
 
 def evaluation(plan: Plan, number: int, work: Path) -> dict:
-    """One evaluation as a line of results.
-
-    Args:
-        plan: of all.
-        number: of this one.
-        work: folder for files; bodies that are known already stay in it.
-    """
+    """One evaluation as a line of results; bodies that are known already stay in ``work``."""
     began = time.perf_counter()
     with tempfile.TemporaryDirectory(dir=work) as folder:
         try:
@@ -169,14 +147,7 @@ def _said(answer: BodyAnswer, found: Evaluation) -> dict:
 
 
 def evaluated(plan: Plan, number: int, folder: Path, work: Path) -> Evaluation:
-    """Record, identify the body where it is not known already, follow and judge.
-
-    Args:
-        plan: of all.
-        number: of the evaluation.
-        folder: for its files.
-        work: for bodies that other evaluations know as well.
-    """
+    """Record, identify the body where it is not known already, follow and judge."""
     person = 1000 * plan.seed + number // PER_BODY
     session = calibration(plan, person)
     conditions = {f"{name}_{k}": name for name in ("without", "with") for k in range(plan.trials)}

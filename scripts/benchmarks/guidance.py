@@ -8,13 +8,14 @@ the estimator of a stream, and the guide knows nothing but what it finds. The be
 very subjects it is tried on, with all that their rows will tell: no one could know it beforehand.
 """
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from harness.command import Command, said_seed
+from harness.pool import alone
 from torch import Tensor
 
 from torchid.dynamics.whitening import BlockSpectrum, accumulate
@@ -264,10 +265,6 @@ def _table(found: dict[str, list[Result]], names: tuple[str, ...]) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--subjects", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
-    torch.set_num_threads(1)
-    given = parser.parse_args()
-    print(f"seed {given.seed}")
-    bench_guidance(given.subjects, given.seed)
+    alone()
+    given = Command(__doc__, subjects=10, seed=int).asked()
+    bench_guidance(given.subjects, said_seed(given.seed, 10**6))

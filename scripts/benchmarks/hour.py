@@ -5,7 +5,6 @@ minute is played forwards and backwards until the trial is long enough. Reversed
 forces, so the recording stays one that a person could have made; it turns where the subject is slowest.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -15,6 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from harness.command import Command
 
 from torchid.effects.place import Interval
 from torchid.io.c3d_header import C3dHeader, read_header
@@ -37,22 +37,14 @@ WITH = {"beside": (False, True), "alone": (True,)}
 
 def main() -> None:
     """Make the session, run it, and print what it cost."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--against", type=float, help="a shorter length too [min], to tell the slope")
-    parser.add_argument("--trial", default="squats", help="the trial that is made long: squats, arms, sway_steps, ...")
-    parser.add_argument("--folder", help="keep recordings and results here")
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument(
-        "--diagnosis",
-        nargs="?",
-        const="beside",
-        choices=tuple(WITH),
-        help="with the diagnosis and the extended model too",
-    )
-    args = parser.parse_args()
+    args = Command(
+        __doc__, minutes=60.0, against=(float, "a shorter length too [min], to tell the slope"), threads=1,
+        trial=("squats", "the trial that is made long: squats, arms, sway_steps, ..."),
+        folder=(Path, "keep recordings and results here"),
+        diagnosis=({"nargs": "?", "const": "beside", "choices": tuple(WITH)}, "with it and the extended model too"),
+    ).asked()  # fmt: skip
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(args.folder or temporary)
+        folder = args.folder or Path(temporary)
         config = make_session(folder)
         lengths = [x for x in (args.against, args.minutes) if x]
         for diagnosis in WITH.get(args.diagnosis, (False,)):
@@ -134,16 +126,8 @@ def without_count(head: bytes, header: C3dHeader) -> bytes:
 
 def run_child(config: Path, out: Path, threads: int, diagnosis: bool) -> dict[str, float]:
     """``torchid run`` as a process of its own: peak resident memory [MiB], wall and CPU time [s]."""
-    line = [
-        sys.executable,
-        "-m",
-        "torchid.cli",
-        "run",
-        str(config),
-        f"out={out}",
-        f"threads={threads}",
-        f"diagnosis.enabled={str(diagnosis).lower()}",
-    ]
+    asked = [f"out={out}", f"threads={threads}", f"diagnosis.enabled={str(diagnosis).lower()}"]
+    line = [sys.executable, "-m", "torchid.cli", "run", str(config), *asked]
     environment = os.environ | {"OMP_NUM_THREADS": str(threads)}
     start, peak = time.perf_counter(), 0.0
     child = subprocess.Popen(line, env=environment)  # noqa: S603

@@ -2,20 +2,21 @@
 
 import subprocess
 import tempfile
-import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
 import opensim
 import torch
+from harness.command import ROOT
+from harness.opensim_tools import follow_markers
 from scipy.spatial.transform import Rotation
 
 from benchmarks.subject import RATE, Session, by_turns, make_session
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 
-PEER_PYTHON = Path(__file__).resolve().parents[2] / ".venv-bench" / "bin" / "python"
+PEER_PYTHON = ROOT / ".venv-bench" / "bin" / "python"
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
@@ -85,23 +86,7 @@ def _opensim(folder: Path) -> float:
     """CPU seconds of OpenSim's IK tool, loading of the model left out."""
     opensim.Logger.setLevelString("Off")
     model = opensim.Model(str(folder / "model.osim"))
-    tool = opensim.InverseKinematicsTool()
-    tool.setModel(model)
-    for k in range(model.getMarkerSet().getSize()):
-        task = opensim.IKMarkerTask()
-        task.setName(f"m{k}")
-        task.setApply(True)
-        task.setWeight(1.0)
-        tool.getIKTaskSet().cloneAndAppend(task)
-    tool.set_marker_file(str(folder / "markers.trc"))
-    tool.set_report_errors(False)
-    tool.set_report_marker_locations(False)
-    tool.setStartTime(0.0)
-    tool.setEndTime(1e3)
-    tool.set_output_motion_file(str(folder / "ik.mot"))
-    start = time.process_time()
-    tool.run()
-    return time.process_time() - start
+    return follow_markers(model, folder / "markers.trc", folder / "ik.mot", (0.0, 1e3))
 
 
 def _read_motion(path: Path, session: Session) -> torch.Tensor:

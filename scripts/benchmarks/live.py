@@ -6,7 +6,6 @@ PYTHONPATH=.:scripts python -m benchmarks.live --config configs/opencap_subject4
 PYTHONPATH=.:scripts python -m benchmarks.live --standing --config configs/btk_flatfoot.yaml    # from standing alone
 """
 
-import argparse
 import math
 import tempfile
 import time
@@ -15,6 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from harness.command import Command, said_seed
+from harness.pool import alone
+from harness.rows import listed
+from harness.runs import ran, simulated
 from torch import Tensor
 
 from torchid.config import load_config
@@ -36,7 +39,6 @@ from torchid.session import Outcome
 from torchid.session.fitting import given_mass
 from torchid.session.standing import standing_weight
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import simulate_session
 from torchid.storage.results import OutputFolder
 
 SESSION = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=(), duration_s=4.0)
@@ -47,8 +49,7 @@ WARM, LONG = 500, 6000
 def bench_live(seed: int, batches: tuple[int, ...] = (1, 2, 8, 32)) -> dict[str, float]:
     """CPU time of a posture by batch, of a step by its two ways, and distances of masses from those of a run."""
     with tempfile.TemporaryDirectory() as place:
-        written = simulate_session(SESSION, seed, Path(place) / "recordings").config
-        outcome = run_experiment(load_config(written, [f"out={place}/out", "diagnosis.enabled=false"]))
+        _, outcome = simulated(SESSION, seed, place)
     markers = _told(outcome)[0].markers
     found: dict[str, float] = {f"posture in {n} [ms]": _posture_ms(outcome, markers, n) for n in batches}
     for name, most in (("whole block", 1), ("limb by limb", 0)):
@@ -61,7 +62,7 @@ def bench_live(seed: int, batches: tuple[int, ...] = (1, 2, 8, 32)) -> dict[str,
 def bench_recording(config: Path, overrides: list[str]) -> dict[str, float]:
     """Distances of a stream's masses from those of the run on the same recordings, and of held-out forces."""
     with tempfile.TemporaryDirectory() as place:
-        outcome = run_experiment(load_config(config, [f"out={place}/out", "diagnosis.enabled=false", *overrides]))
+        outcome = ran(config, f"{place}/out", *overrides)
     return _two_processes(outcome) | _against_run(outcome)
 
 
@@ -184,18 +185,20 @@ def _identifier(subject: LiveSubject, trial: Trial, estimator: Estimator | None)
     return own, known
 
 
+def main() -> None:
+    """Run from the command line."""
+    alone()
+    asked = Command(
+        __doc__, ("overrides",), seed=int, config=(Path, "a real session instead"),
+        standing=(False, "geometry of the real session from its standing trial"),
+        overrides=({"nargs": "*"}, "key=value of the config"),
+    ).asked()  # fmt: skip
+    if asked.config is None:
+        listed(bench_live(said_seed(asked.seed, 10**6)), 45)
+        return
+    print(asked.config)
+    listed((bench_standing if asked.standing else bench_recording)(asked.config, asked.overrides), 45)
+
+
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
-    parser.add_argument("--config", type=Path, help="a real session instead")
-    parser.add_argument("overrides", nargs="*", help="key=value of the config")
-    parser.add_argument("--standing", action="store_true", help="geometry of the real session from its standing trial")
-    torch.set_num_threads(1)
-    arguments = parser.parse_args()
-    print(arguments.config or f"seed {arguments.seed}")
-    if arguments.config is None:
-        found = bench_live(arguments.seed)
-    else:
-        found = (bench_standing if arguments.standing else bench_recording)(Path(arguments.config), arguments.overrides)
-    for what, value in found.items():
-        print(f"{what:45s} {value:8.3g}")
+    main()

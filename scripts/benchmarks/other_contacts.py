@@ -4,14 +4,14 @@ For every seed a session is simulated and run, and a hand holds on during two of
 are held by a seat. Each is without a plate, on a plate of its own, and the seat on the plate that the feet stand on.
 """
 
-import argparse
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch
-
-from benchmarks.hidden_contact import (
+from harness.command import Command
+from harness.runs import simulated
+from hidden_contact import (
     Hidden,
     answers,
     draw_hand,
@@ -24,22 +24,14 @@ from benchmarks.hidden_contact import (
     with_plate,
     without,
 )
-from torchid.config import load_config
+
 from torchid.errors import ConfigError
-from torchid.run import run_experiment
 from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import SimulatedSession, simulate_session
+from torchid.simulate.session import SimulatedSession
 
 OPTIONS = SimulateOptions(fit=("squats", "hip_rom", "arms", "trunk"), heldout=("sway_steps",), duration_s=4.0)
-OVERRIDES = ("geometry.max_frames=80", "diagnosis.enabled=false")
-
-
-def session_of(seed: int, folder: Path, options: SimulateOptions = OPTIONS) -> tuple[SimulatedSession, Outcome]:
-    """A simulated session and its run, in which nothing is said of other contacts."""
-    session = simulate_session(options, seed, folder / "recordings")
-    assert session.config is not None
-    return session, run_experiment(load_config(session.config, [f"out={folder / 'out'}", *OVERRIDES]))
+FEW = "geometry.max_frames=80"
 
 
 def report(label: str, outcome: Outcome, found: Outcome, session: SimulatedSession, hidden: Hidden) -> None:
@@ -54,7 +46,7 @@ def hands(seed: int) -> None:
     """A hand that holds on in two trials of a person who balances alone."""
     generator = torch.Generator().manual_seed(seed)
     with TemporaryDirectory() as folder:
-        session, outcome = session_of(seed, Path(folder))
+        session, outcome = simulated(OPTIONS, seed, folder, FEW)
     for trial in ("arms", "trunk"):
         hidden = draw_hand(session, trial, generator)
         recording = outcome.session.trials[trial]
@@ -73,7 +65,7 @@ def seated_session(seed: int, folder: Path, generator: torch.Generator) -> tuple
     """A session with squats that a seat holds; seats with which the person cannot keep balance are drawn again."""
     while True:
         try:
-            return session_of(seed, folder, seated_options(OPTIONS, generator))
+            return simulated(seated_options(OPTIONS, generator), seed, folder, FEW)
         except ConfigError as error:
             if error.code != "simulate.balance":
                 raise
@@ -97,8 +89,6 @@ def seats(seed: int) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seeds", nargs="*", type=int, default=[1])
-    for seed in parser.parse_args().seeds:
-        hands(seed)
-        seats(seed)
+    for one in Command(__doc__, ("seeds",), seeds={"nargs": "*", "type": int, "default": [1]}).asked().seeds:
+        hands(one)
+        seats(one)

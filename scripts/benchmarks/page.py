@@ -5,7 +5,6 @@ PYTHONPATH=.:scripts python -m benchmarks.page --seconds 60 --viewers 50
 PYTHONPATH=.:scripts python -m benchmarks.page --garbage 10000               # instead: messages that are none
 """
 
-import argparse
 import asyncio
 import multiprocessing
 import tempfile
@@ -16,14 +15,16 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-import torch
 import viser
 import zstandard
+from harness.command import Command, said_seed
+from harness.pool import alone
+from harness.rows import listed
+from harness.runs import simulated
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
-from torchid.config import load_config
 from torchid.live.display.page import Address, Page
 from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Pipeline
@@ -31,11 +32,9 @@ from torchid.live.sources.recorder import Recorder
 from torchid.live.sources.replay import Replay
 from torchid.live.sources.stream import Packet
 from torchid.recording import Trial
-from torchid.run import run_experiment
 from torchid.session.fitting import given_mass
 from torchid.session.standing import standing_weight
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import simulate_session
 
 RATE_HZ = 200.0
 SESSION = SimulateOptions(fit=("squats", "arms"), heldout=(), duration_s=6.0, rate_hz=RATE_HZ)
@@ -70,9 +69,7 @@ class Endless:
 
 def prepared(seed: int, folder: Path) -> tuple[LiveSubject, Trial]:
     """A simulated subject, and a trial."""
-    written = simulate_session(SESSION, seed, folder / "recordings").config
-    assert written is not None
-    outcome = run_experiment(load_config(written, [f"out={folder}/out", "diagnosis.enabled=false"]))
+    _, outcome = simulated(SESSION, seed, folder)
     weight = standing_weight(outcome.followed.values(), outcome.session, outcome.config.subject.mass_kg)
     mass = given_mass(outcome.config.inertia, outcome.config.subject, outcome)
     subject = LiveSubject(outcome.config, outcome.fit, outcome.prior, mass, weight, outcome.cutoff_hz)
@@ -174,17 +171,7 @@ async def _alive(address: str) -> bool:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=time.time_ns() % 10**6)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--viewers", type=int, default=1)
-    parser.add_argument("--garbage", type=int, default=0)
-    torch.set_num_threads(1)
-    arguments = parser.parse_args()
-    print(f"seed {arguments.seed}")
-    made = (
-        bench_garbage(arguments.seed, arguments.garbage) if arguments.garbage
-        else bench_page(arguments.seed, arguments.seconds, arguments.viewers)
-    )  # fmt: skip
-    for what, value in made.items():
-        print(f"{what:50s} {value:8.3g}")
+    alone()
+    asked = Command(__doc__, seed=int, seconds=60.0, viewers=1, garbage=0).asked()
+    own = said_seed(asked.seed, 10**6)
+    listed(bench_garbage(own, asked.garbage) if asked.garbage else bench_page(own, asked.seconds, asked.viewers), 50)

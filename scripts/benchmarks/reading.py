@@ -1,13 +1,12 @@
 """Reading every C3D of the shared recordings, by turns with ezc3d: seconds of each, and their ratios."""
 
 import contextlib
-import os
 import time
 from pathlib import Path
 
 import ezc3d
+from harness.command import DATA
 
-from torchid.config.sections import PROJECT_DATA
 from torchid.errors import InputError
 from torchid.io import read_trial
 
@@ -24,8 +23,7 @@ def bench_reading(repeats: int) -> dict[str, float]:
 
     A file that one of them refuses is left out of all sums.
     """
-    folder = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))
-    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() == ".c3d") if folder.is_dir() else []
+    files = sorted(path for path in DATA.rglob("*") if path.suffix.lower() == ".c3d") if DATA.is_dir() else []
     sums = dict.fromkeys(READERS, 0.0) if files else {}
     for path in files:
         with contextlib.suppress(InputError, RuntimeError, ValueError):

@@ -1,15 +1,15 @@
 """All comparisons in one run: prints a table and writes bench.json."""
 
-import argparse
 import datetime
-import json
 import platform
 import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
 
-import torch
+from harness.command import Command
+from harness.pool import alone
+from harness.rows import write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -19,7 +19,6 @@ from benchmarks.kinematics import bench_ik
 from benchmarks.reading import bench_reading
 from benchmarks.regressor import bench_regressor
 from benchmarks.sharing import bench_sharing
-from torchid.storage.allocator import keep_memory
 
 PACKAGES = ("torch", "numpy", "scipy", "pin", "opensim", "ezc3d")
 Row = tuple[str, float | None, str, str]
@@ -28,12 +27,10 @@ Row = tuple[str, float | None, str, str]
 
 def main() -> None:
     """Run everything, or a tiny size with --quick."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="few frames, no slow peers, no compiler: a smoke test")
-    parser.add_argument("--out", default="bench.json")
-    args = parser.parse_args()
-    torch.set_num_threads(1)
-    keep_memory()
+    args = Command(
+        __doc__, quick=(False, "few frames, no slow peers, no compiler: a smoke test"), out=Path("bench.json")
+    ).asked()
+    alone()
     quick = args.quick
     fit = bench_fit(200 if quick else 1000, 1 if quick else 5, peers=not quick)
     ik = bench_ik(300 if quick else 2000, 20 if quick else 200, 1 if quick else 3)
@@ -43,22 +40,11 @@ def main() -> None:
     reading = bench_reading(1 if quick else 5)
     sharing = bench_sharing(300 if quick else 4000, 20 if quick else 200, 1 if quick else 3)
     rows = _rows(fit, ik, regressor, inertia, memory, reading) + _sharing(sharing)
-    about = {
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "cpu": _cpu(),
-        "versions": {name: metadata.version(name) for name in PACKAGES},
-    }
-    results = {
-        "about": about,
-        "fit": fit,
-        "ik": ik,
-        "regressor": regressor,
-        "inertia": inertia,
-        "hour_memory_MiB": memory,
-        "reading": reading,
-        "sharing": sharing,
-    }
-    Path(args.out).write_text(json.dumps(results, indent=1))
+    about = {"date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), "cpu": _cpu(),
+             "versions": {name: metadata.version(name) for name in PACKAGES}}  # fmt: skip
+    results = {"about": about, "fit": fit, "ik": ik, "regressor": regressor, "inertia": inertia,
+               "hour_memory_MiB": memory, "reading": reading, "sharing": sharing}  # fmt: skip
+    write_json(args.out, results)
     _print(rows)
 
 
@@ -67,7 +53,8 @@ def _ratio(a: object, b: object) -> float | None:
 
 
 def _rows(fit: dict, ik: dict, regressor: dict, inertia: dict, memory: float, reading: dict) -> list[Row]:
-    speed, gap = ik["frames_per_s"], ik["gap"]
+    speed, gap, peer = ik["frames_per_s"], ik["gap"], regressor["pinocchio_us"]
+    given = regressor.get("compiled_without_kinematics_us")
     return [
         ("fit to 0.01 %, 62 unknowns", fit["few_s"], "s", "<= 0.35"),
         ("fit, all marker places free / few", _ratio(fit["all_s"], fit["few_s"]), "x", "<= 4"),
@@ -78,19 +65,9 @@ def _rows(fit: dict, ik: dict, regressor: dict, inertia: dict, memory: float, re
         ("  gap to the optimum", gap["torchid"], "", f"< OpenSim's {gap['opensim']:.1e}"),
         ("  torchid / OpenSim's tool", speed["torchid"] / speed["opensim"], "x", ">= 60"),
         ("  torchid / nimblephysics", speed["torchid"] / speed["nimblephysics"], "x", ">= 20"),
-        ("Pinocchio / regressor, eager", _ratio(regressor["pinocchio_us"], regressor["eager_us"]), "x", ">= 1.5"),
-        (
-            "Pinocchio / regressor, compiled",
-            _ratio(regressor["pinocchio_us"], regressor.get("compiled_us")),
-            "x",
-            ">= 7",
-        ),
-        (
-            "  poses and accelerations given",
-            _ratio(regressor["pinocchio_us"], regressor.get("compiled_without_kinematics_us")),
-            "x",
-            ">= 7",
-        ),
+        ("Pinocchio / regressor, eager", _ratio(peer, regressor["eager_us"]), "x", ">= 1.5"),
+        ("Pinocchio / regressor, compiled", _ratio(peer, regressor.get("compiled_us")), "x", ">= 7"),
+        ("  poses and accelerations given", _ratio(peer, given), "x", ">= 7"),
         ("  largest difference", regressor["difference"], "", "<= 1e-12"),
         ("100 000 frames to normal equations", regressor["normal_equations_100k_s"], "s", "<= 0.9"),
         ("  compiled", regressor.get("normal_equations_100k_compiled_s"), "s", "<= 0.9"),
@@ -118,9 +95,8 @@ def _memory(minutes: int) -> float:
 
 def _cpu() -> str:
     info = Path("/proc/cpuinfo")
-    names = (
-        [x.split(":")[1].strip() for x in info.read_text().splitlines() if "model name" in x] if info.exists() else []
-    )
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [x.split(":")[1].strip() for x in lines if "model name" in x]
     return names[0] if names else platform.processor()
 
 

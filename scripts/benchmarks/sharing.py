@@ -1,21 +1,16 @@
 """Shared contact: the batched solver beside Clarabel on the same problem, and its throughput."""
 
+from sharing_by_clarabel import share_by_clarabel
+
 from benchmarks.sharing_problem import random_problem
 from benchmarks.subject import by_turns
-from torchid.contact.sharing.reference import share_by_clarabel
 from torchid.contact.sharing.solver import share
 
 SEED = 4
 
 
 def bench_sharing(frames: int, few: int, rounds: int) -> dict[str, float]:
-    """CPU seconds by turns: frames per second of many frames, and Clarabel's time over ours on few, set-up included.
-
-    Args:
-        frames: of the throughput.
-        few: frames that Clarabel solves too.
-        rounds: of each.
-    """
+    """CPU seconds by turns: frames per second of many frames, and Clarabel's time over ours on few, set-up included."""
     many, _ = random_problem(frames, SEED)
     both, _ = random_problem(few, SEED)
     spent = by_turns({"torchid": lambda: share(both), "clarabel": lambda: share_by_clarabel(both)}, rounds)

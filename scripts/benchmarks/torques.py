@@ -6,25 +6,21 @@ Of each subject the recordings alone are read; then the truth is opened. Plates 
 that no error of theirs is drawn. Torques are compared where contacts are measured. Writes ``out/torques.json``.
 """
 
-import argparse
-import json
 import tempfile
 import time
-from pathlib import Path
 
 import torch
+from harness.command import ROOT, Command
+from harness.rows import figures, means, write_json
+from harness.runs import each, simulated
 
-from torchid.config import load_config
-from torchid.errors import TorchidError
-from torchid.run import run_experiment
 from torchid.run.torque_bands import outcome_draws
 from torchid.session import Outcome
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.session import SimulatedSession, simulate_session
+from torchid.simulate.session import SimulatedSession
 from torchid.torque.draws import PlateErrors
 from torchid.torque.inverse import Load, joint_torques
 
-ROOT = Path(__file__).resolve().parents[2]
 WITHIN = 1.959964
 """Standard deviations of a 95 % band."""
 
@@ -69,35 +65,19 @@ def compare(session: SimulatedSession, outcome: Outcome, draws: int, seed: int) 
     }  # fmt: skip
 
 
-def one_subject(seed: int, skin_mm: float, draws: int) -> dict[str, float]:
-    """Simulate, identify from the recordings, compare with the truth."""
-    with tempfile.TemporaryDirectory() as folder:
-        session = simulate_session(SimulateOptions(duration_s=6.0, skin_motion_mm=skin_mm), seed, folder)
-        over = ["diagnosis.enabled=false", f"out={folder}/out"]
-        outcome = run_experiment(load_config(Path(folder) / "config.yaml", over))
-        return compare(session, outcome, draws, seed)
-
-
 def main() -> None:
-    """Print a row for each subject, then the means."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--subjects", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=700)
-    parser.add_argument("--skin-mm", type=float, default=0.0)
-    parser.add_argument("--draws", type=int, default=48)
-    wanted = parser.parse_args()
-    rows: list[dict[str, float]] = []
-    for seed in range(wanted.seed, wanted.seed + wanted.subjects):
-        try:
-            rows.append({"seed": seed} | one_subject(seed, wanted.skin_mm, wanted.draws))
-        except TorchidError as error:  # who cannot walk in balance, or whose feet and plates are said to disagree
-            print(f"seed {seed}  left out: {error}", flush=True)
-            continue
-        print("  ".join(f"{k} {v:.3g}" for k, v in rows[-1].items()), flush=True)
-    means = {key: sum(row[key] for row in rows) / len(rows) for key in rows[0] if key != "seed"}
-    print("mean  " + "  ".join(f"{k} {v:.3g}" for k, v in means.items()))
-    (ROOT / "out").mkdir(exist_ok=True)
-    (ROOT / "out" / "torques.json").write_text(json.dumps({"subjects": rows, "mean": means}, indent=1))
+    """Print a row for each subject, then the means; who cannot walk in balance, or whose feet and plates are said to
+    disagree, is left out."""
+    wanted = Command(__doc__, subjects=10, seed=700, skin_mm=0.0, draws=48).asked()
+    options = SimulateOptions(duration_s=6.0, skin_motion_mm=wanted.skin_mm)
+
+    def row(seed: int) -> dict[str, float]:
+        with tempfile.TemporaryDirectory() as folder:
+            return compare(*simulated(options, seed, folder), wanted.draws, seed)
+
+    rows = list(each(range(wanted.seed, wanted.seed + wanted.subjects), row, skip=True))
+    print("mean  " + figures(means(rows)))
+    write_json(ROOT / "out" / "torques.json", {"subjects": rows, "mean": means(rows)})
 
 
 if __name__ == "__main__":

@@ -24,8 +24,6 @@ from torchid.kinematics.tables import Joints, make_joints
 from torchid.model.model import Geometry
 from torchid.model.tree import Tree
 
-CHUNK = 512
-"""Frames per batch; fixed, since sums of other sizes differ in the last digit."""
 BLOCKS = 4
 """Of rows in a Gram matrix, of which only the lower half is worked out: more of them make the products too thin."""
 

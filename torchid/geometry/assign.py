@@ -181,21 +181,3 @@ def _attach(model: Model, specs: dict[str, MarkerSpec]) -> Attachment:
     mean, sd = marker_prior(model, specs.values())
     body = torch.tensor([model.tree.index(spec.segment) for spec in specs.values()])
     return Attachment(tuple(specs), body, mean, sd, tuple(spec.landmark for spec in specs.values()))
-
-
-def only(attachment: Attachment, keep: torch.Tensor) -> Attachment:
-    """Return the attachment of some of the markers.
-
-    Args:
-        attachment: all markers.
-        keep: mask of the markers that remain, shape (markers,).
-    """
-    index = keep.nonzero()[:, 0].tolist()
-    return replace(
-        attachment,
-        labels=tuple(attachment.labels[k] for k in index),
-        body=attachment.body[index],
-        mean=attachment.mean[index],
-        sd=attachment.sd[index],
-        landmark=tuple(attachment.landmark[k] for k in index),
-    )

@@ -47,28 +47,22 @@ def curvature_covariance(
     return torch.block_diag(*(T @ T.mT / weights[:, None, None]))
 
 
-def divergence(x: Float[Tensor, "bodies 10"]) -> Float[Tensor, " bodies"]:
-    """2 D of each body, from relative parameters."""
-    W = untriangle(x)
-    return 2 * (W.diagonal(dim1=-2, dim2=-1).sum(-1) - torch.logdet(W) - 4)
-
-
 def divergence_slope(x: Float[Tensor, "bodies 10"]) -> Float[Tensor, "bodies 10"]:
-    """Gradient of ``divergence`` with respect to the relative parameters."""
+    """Gradient of 2 D with respect to the relative parameters."""
     W = untriangle(x)
     eye = torch.eye(4, dtype=x.dtype, device=x.device)
     return 2 * triangle(eye - torch.linalg.inv(W))
 
 
 def _curvature(x: np.ndarray) -> np.ndarray:
-    """Hessian (bodies, 10, 10) of ``divergence``: 2 W^-1 dW W^-1."""
+    """Hessian (bodies, 10, 10) of 2 D: 2 W^-1 dW W^-1."""
     inverse = torch.linalg.inv(untriangle(torch.from_numpy(x)))[:, None]
     units = untriangle(torch.eye(10, dtype=torch.float64))
     return 2 * triangle(inverse @ units @ inverse).mT.numpy()
 
 
 def divergence_terms(x: cp.Expression, weights: np.ndarray) -> cp.Expression:
-    """Sum of weights * ``divergence`` up to a constant, for CVXPY."""
+    """Sum of weights times 2 D up to a constant, for CVXPY."""
     terms = [2 * k * (cp.trace(W) - cp.log_det(W)) for k, W in zip(weights, squares(x, len(weights)), strict=True)]
     total = cp.sum(cp.hstack(terms))
     assert isinstance(total, cp.Expression)

@@ -18,7 +18,6 @@ class LabelSelection:
     labels: tuple[str, ...]
     columns: tuple[int, ...]
     notes: tuple[Note, ...]
-    duplicates: tuple[str, ...] = ()
     subjects: tuple[str, ...] = ()
 
 
@@ -58,7 +57,7 @@ def select_markers(
     if duplicates:
         text = f"labels occur more than once, later ones are numbered: {_listed(duplicates)}"
         notes.append(Note("markers.duplicates", text, source))
-    return LabelSelection(final, tuple(columns), tuple(notes), tuple(duplicates), tuple(subjects))
+    return LabelSelection(final, tuple(columns), tuple(notes), tuple(subjects))
 
 
 def _outputs(labels: list[str], plain: list[str], listed: frozenset[str], wanted: frozenset[str]) -> dict[int, str]:

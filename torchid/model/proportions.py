@@ -54,11 +54,6 @@ class Proportions:
         """Hip centre above the sole."""
         return self.thigh_length + self.shank_length + self.ankle_height
 
-    @property
-    def neck_height(self) -> float:
-        """Neck joint (C7/T1) above the hip axis."""
-        return self.lower_spine_z + self.upper_spine_z + self.neck_z
-
 
 MALE = Proportions(
     pelvis_width=0.101,

@@ -24,7 +24,6 @@ class Shares:
 
     demand: Float[Tensor, "frames dofs"]
     device: Float[Tensor, "frames dofs"]
-    device_power: Float[Tensor, " frames"]
     q: Float[Tensor, "frames dofs"]
     v: Float[Tensor, "frames dofs"]
     back: LowBack | None
@@ -63,4 +62,4 @@ def shares(
     demand = torques(followed, tree, geometry, both, trial.recording, under)
     action = acting(worn, tree, geometry, motion, recorded)
     back = low_back(tree, geometry, both, motion, contact_loads(followed, trial.recording, under))
-    return Shares(demand, action.torque, action.power, motion.q, motion.v, back)
+    return Shares(demand, action.torque, motion.q, motion.v, back)

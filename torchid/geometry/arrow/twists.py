@@ -13,9 +13,6 @@ from torch import Tensor
 from torchid.geometry.arrow.index_tables import ArrowLayout
 from torchid.kinematics.recursion import Poses, cross
 
-PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Order of the six second moments."""
-
 
 @dataclass(frozen=True)
 class Twists:

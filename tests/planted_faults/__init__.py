@@ -1,0 +1,1 @@
+"""Faults planted into real recordings: which sessions there are, what is planted where, and the truth about it."""
