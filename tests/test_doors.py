@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from batteries.planted_plates import Fault, c3d_faults
+from planted_faults.planted_plates import Fault, c3d_faults
 
 from torchid.config import Config, load_config, load_evaluation
 from torchid.config.study import Study
