@@ -13,13 +13,14 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from torchid import check_report, experiment
+from torchid import run
+from torchid.checks import report as check_report
 from torchid.cli import app
 from torchid.evaluation import evaluate
 from torchid.evaluation.study import write
 from torchid.live import run as live
-from torchid.run import checking
 from torchid.scene import finished
+from torchid.session import checking
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
@@ -86,8 +87,9 @@ def test_a_command_of_a_page_reaches_its_work(command, tmp_path, monkeypatch):
                 (tmp_path / "data" / name).parent.mkdir(parents=True, exist_ok=True)
                 (tmp_path / "data" / name).touch()
     for where, name in (
-        (experiment, "run_experiment"), (experiment, "run_simulation"), (evaluate, "evaluate"),
-        (live, "prepare_subject"), (finished.FinishedRun, "__init__"), (check_report, "check_recordings"),
+        (run, "run_experiment"), (run, "run_simulation"), (evaluate, "evaluate"),
+        (live, "prepare_subject"), (live, "open_as_recorded"), (finished.FinishedRun, "__init__"),
+        (check_report, "check_recordings"),
         (checking, "check_recordings"),
     ):  # fmt: skip
         monkeypatch.setattr(where, name, begin)
