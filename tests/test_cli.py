@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -16,6 +17,7 @@ from torchid.config import load_config
 from torchid.errors import DataError, InputError
 from torchid.io.trc import write_trc
 from torchid.recording import Markers
+from torchid.session.quality import Criterion, Level, Quality
 from torchid.storage.logs import configure_logging
 
 runner = CliRunner()
@@ -36,11 +38,13 @@ def experiment(monkeypatch):
     module = type(sys)("torchid.run")
     outcome: list[BaseException] = []
 
-    def run_experiment(loaded, progress) -> None:
+    def run_experiment(loaded, progress) -> SimpleNamespace:
         seen.append(loaded)
         progress("geometry", 0.5)
         if outcome:
             raise outcome[0]
+        verdict = Criterion("force", Level.CARE, 0.11, 0.05, "held-out force residual 11 % of peak", "norm 5 %", "")
+        return SimpleNamespace(quality=Quality((verdict,)))
 
     module.run_experiment = run_experiment
     monkeypatch.setitem(sys.modules, "torchid.run", module)
@@ -68,12 +72,13 @@ def test_the_command_line_imports_nothing_heavy():
 
 
 def test_a_run_gets_the_config_with_its_overrides(config, experiment):
-    """Extra ``key=value`` arguments reach the run; the end says where the results are."""
+    """Extra ``key=value`` arguments reach the run; the end says where the results are and what they are worth."""
     result = runner.invoke(app, ["run", config, "geometry.solver=adam"])
     assert result.exit_code == 0, result.output
     (loaded,), _ = experiment
     assert loaded == load_config(config, ["geometry.solver=adam"])
-    assert str(loaded.out) in result.stdout
+    verdict = "usable with care: held-out force residual 11 % of peak (norm 5 %)"
+    assert result.stdout == f"Done: {loaded.out}, {verdict}\n"
 
 
 @pytest.mark.parametrize(

@@ -74,8 +74,9 @@ def run(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -
 
         keep_memory()
         with _progress() as progress:
-            run_experiment(loaded, progress)
-        _Terminal().print(f"Done: {loaded.out}", soft_wrap=True, highlight=False, markup=False)
+            quality = run_experiment(loaded, progress).quality
+        said = "" if quality is None else f", {quality.line}"
+        _Terminal().print(f"Done: {loaded.out}{said}", soft_wrap=True, highlight=False, markup=False)
 
 
 @app.command()

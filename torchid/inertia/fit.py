@@ -115,7 +115,8 @@ def fit_inertia(
         log_evidence=weights.log_evidence, sd=uncertainty(phi, covariance),
         progress=progress(spectrum, covariance, weights.omega_2),
         base=base_parameters(data, names, phi, covariance) if with_base else None,
-        certificate=certificate, status=status, notes=weights.notes + _notes(certificate, solution),
+        certificate=certificate, status=status,
+        notes=weights.notes + _notes(certificate, solution, float(prior.mean[:, 0].sum())),
     )  # fmt: skip
 
 
@@ -130,14 +131,17 @@ def _refusal(status: InertiaStatus, certificate: Certificate) -> DataError:
     return DataError(f"inertia.{status}", message, found=found, remedy=remedy)
 
 
-def _notes(certificate: Certificate, solution: ConeSolution) -> tuple[Note, ...]:
+def _notes(certificate: Certificate, solution: ConeSolution, expected: float) -> tuple[Note, ...]:
     notes = []
     if certificate.active:
         bodies = ", ".join(certificate.active)
         notes.append(Note("inertia.lmi_active", f"at the limit of what is physical: {bodies}"))
     if abs(certificate.conflict.mass_z) > 5:
         conflict = certificate.conflict
-        text = f"the forces ask for {conflict.mass_ratio:.3f} of the expected total mass ({conflict.mass_z:+.1f} sd)"
+        text = (
+            f"the forces alone ask for {conflict.mass_ratio * expected:.1f} kg in all, {abs(conflict.mass_z):.1f} sd "
+            f"from the {expected:.1f} kg expected"
+        )
         notes.append(Note("inertia.mass_conflict", text))
     if solution.attempts > 1 or solution.status != "Solved":
         text = f"Clarabel needed {solution.attempts} settings and ended with {solution.status}"

@@ -84,3 +84,5 @@ class Section:
     title: str
     finding: str
     blocks: tuple[Block, ...] = field(default=())
+    level: str = ""
+    """Class that colours the finding: good, care or unusable; none by default."""

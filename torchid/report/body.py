@@ -13,13 +13,12 @@ from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Tabl
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
 from torchid.report.stick_figure import rest, stick_points, tips
 from torchid.session import Outcome
+from torchid.session.judging import ASYMMETRY, uneven
 from torchid.session.tables import identified_table, segment_lengths
 from torchid.wording import ABSENT, clean, listing, number, percent, plural, segment, spread
 
 DETERMINED = 0.5
 """Progress of a mass above which the motion, not the table, decided it."""
-ASYMMETRY = 0.15
-"""Difference of left and right masses, relative to their mean, that is pointed out."""
 LONGEST = 0.2
 """Longest error bar of a centre of mass that is drawn [m]."""
 PROGRESS = LinearSegmentedColormap.from_list("progress", ["#ffffff", "#a9c6e3", "#0b3d6e"])
@@ -48,11 +47,24 @@ def _finding(outcome: Outcome) -> str:
         total = number(outcome.prior.mean[:, 0].sum())
         return f"No inertia was identified: the {total} kg of the body are shared out by anthropometric tables."
     fit = outcome.identified.fit
-    known = determined(outcome)
-    said = f"The motion determines {len(known)} of {len(fit.names)} segment masses for the most part ({listing(known)})"
+    if outcome.quality is not None and not outcome.quality.usable:
+        return f"The {len(fit.names)} segment masses below are not to be used: see the verdict in the summary."
+    pairs = [one for one in uneven(outcome) if one[3] > ASYMMETRY]
+    if pairs:
+        part, left, right, share = pairs[0]
+        return (
+            f"The {part} is {number(left)} kg left and {number(right)} kg right, {percent(share)} apart. Few people "
+            "are that uneven: do not use the masses of single segments."
+        )
+    return f"{spread(fit.mass.sum(), fit.sd.total_mass, 2)} kg in all. {_determined_words(outcome)}"
+
+
+def _determined_words(outcome: Outcome) -> str:
+    assert outcome.identified is not None
+    known, count = determined(outcome), len(outcome.identified.fit.names)
     if not known:
-        said = f"The motion determines none of the {len(fit.names)} segment masses for the most part"
-    return f"{said} and the total mass to {spread(fit.mass.sum(), fit.sd.total_mass, 2)} kg."
+        return f"The data determine none of the {count} segment masses by more than half."
+    return f"The data determine {len(known)} of {count} segment masses by more than half: {listing(known, 16)}."
 
 
 def determined(outcome: Outcome) -> list[str]:
@@ -70,19 +82,21 @@ def in_words(outcome: Outcome) -> list[str]:
     rest_ = [segment(n) for n, share in entries if 0.1 < share <= DETERMINED]
     prior = [segment(n) for n, share in entries if share <= 0.1]
     said = []
+    if _determined_words(outcome) not in _finding(outcome):
+        said.append(_determined_words(outcome))
     if rest_:
         said.append(f"Partly determined by the data (10 to 50 %): {listing(rest_, 16)}.")
     if prior:
         said.append(f"Practically the table's (share up to 10 %): {listing(prior, 16)}.")
-    uneven = uneven_pairs(fit.names, fit.mass)
-    if uneven:
+    pairs = [one for one in uneven(outcome) if one[3] > ASYMMETRY]
+    if pairs:
         worst = "; ".join(
-            f"{part.replace('_', ' ')} {number(left, 2)} kg left, {number(right, 2)} kg right"
-            for part, left, right in uneven
+            f"{part} {number(left, 2)} kg left, {number(right, 2)} kg right" for part, left, right, _ in pairs
         )
         said.append(
-            f"Left and right differ by more than {percent(ASYMMETRY)} in {plural(len(uneven), 'pair')} of segments "
-            f"({worst}). Few people are that uneven: more often the motion or the plates cannot tell the sides apart."
+            f"Left and right differ by more than {percent(ASYMMETRY)}, beyond chance, in "
+            f"{plural(len(pairs), 'pair')} of segments ({worst}). Usually the motion or the plates cannot "
+            "tell the sides apart."
         )
     if fit.certificate.active:
         names = listing([segment(name) for name in fit.certificate.active])
@@ -90,13 +104,6 @@ def in_words(outcome: Outcome) -> list[str]:
             f"At the limit of what is physical, which usually means that errors elsewhere ended up there: {names}."
         )
     return said
-
-
-def uneven_pairs(names: tuple[str, ...], mass: Tensor) -> list[tuple[str, float, float]]:
-    """Segments whose masses differ between the sides: name, left, right [kg]."""
-    of = dict(zip(names, mass.tolist(), strict=True))
-    pairs = [(n[:-2], of[n], of[f"{n[:-2]}_r"]) for n in names if n.endswith("_l") and f"{n[:-2]}_r" in of]
-    return [(part, left, right) for part, left, right in pairs if abs(left - right) > ASYMMETRY * 0.5 * (left + right)]
 
 
 def _draw_body(outcome: Outcome) -> Markup:

@@ -1,4 +1,4 @@
-"""Figures that several sections state: which trials judge, how large their residuals are, what the subject weighs."""
+"""Figures that several sections state: how large the residuals of trials are, what the subject weighs."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -11,27 +11,10 @@ from torch import Tensor
 from torchid.conventions import GRAVITY
 from torchid.dynamics.rows import measured, predict
 from torchid.session import Outcome
+from torchid.session.judges import Judges as Judges
+from torchid.session.judges import judges as judges
 from torchid.session.tables import rms
 from torchid.storage.snapshot import release
-
-
-@dataclass(frozen=True)
-class Judges:
-    """Trials on which the model is judged."""
-
-    names: tuple[str, ...]
-    words: str
-    """``held-out trials``, or what stands in for them."""
-    heldout: bool
-
-
-def judges(outcome: Outcome, stage: str = "geometry") -> Judges:
-    """Held-out trials that ``stage`` is judged on; where there are none, the fit trials, and without these all."""
-    for role, words in (("heldout", "held-out trials"), ("fit", "fit trials")):
-        names = tuple(outcome.session.part(role, stage))
-        if names:
-            return Judges(names, words, role == "heldout")
-    return Judges(tuple(outcome.session.trials), "trials", False)
 
 
 @dataclass(frozen=True)
@@ -88,8 +71,8 @@ def force_rms(trials: dict[str, Wrenches], which: str) -> tuple[float, float]:
 
 
 def improved(trials: dict[str, Wrenches]) -> tuple[list[str], list[str]]:
-    """Trials whose force the identified inertia predicts better than the tabulated one, and the others."""
-    better = [n for n, t in trials.items() if force_rms({n: t}, "identified")[0] < force_rms({n: t}, "prior")[0]]
+    """Trials whose force the identified model predicts better than the scaled template, and the others."""
+    better = [n for n, t in trials.items() if force_rms({n: t}, "identified")[0] < force_rms({n: t}, "scaled")[0]]
     return better, [name for name in trials if name not in better]
 
 

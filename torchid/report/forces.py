@@ -72,11 +72,12 @@ def _finding(outcome: Outcome, judge: Judges, tested: dict[str, Wrenches]) -> st
     )
     if outcome.identified is None:
         return f"{said}."
-    prior_force, prior_moment = force_rms(tested, "prior")
+    scaled_force, scaled_moment = force_rms(tested, "scaled")
     gained = improved(tested)[0]
     return (
-        f"{said}: {change(prior_force, force)} and {change(prior_moment, moment)} against tabulated inertia, whose "
-        f"force residual it undercuts in {len(gained)} of {plural(len(tested), 'trial')}."
+        f"{said}. That is {change(scaled_force, force)} and {change(scaled_moment, moment)} against the scaled "
+        f"template with tabulated inertia. The force residual is lower in {len(gained)} of "
+        f"{plural(len(tested), 'trial')}."
     )
 
 

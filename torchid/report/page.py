@@ -1,6 +1,7 @@
 """Sections into one HTML file without anything from outside, and without scripts but those of a replay."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from torchid.report.skeleton import skeleton_section
 from torchid.report.summary import head_section
 from torchid.scene.embedded import OPENER, EmbeddedPage
 from torchid.session import Outcome
+from torchid.session.judging import quality_of
 from torchid.storage.files import write_text
 from torchid.storage.provenance import versions
 from torchid.wording import bind, clean
@@ -27,11 +29,15 @@ from torchid.wording import bind, clean
 INERT = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 """Policy of a page without scripts; with a replay only scripts with its hashes run, whoever writes others into it."""
 
+STOPPED, REFUSED = "Not everything could be identified.", "No body could give this result."
+"""What is said above a failure."""
+
 
 def sections(
     outcome: Outcome, failure: DataError | None = None, replay: EmbeddedPage | None = None
 ) -> list[Section]:  # fmt: skip
     """All sections that the outcome has data for, in the order in which they are read."""
+    outcome = outcome if outcome.quality else replace(outcome, quality=quality_of(outcome, failure))
     forces = wrenches(outcome)
     found = [
         head_section(outcome, forces, failure),
@@ -89,6 +95,7 @@ def render_page(
         opener=None if replay is None else Markup(OPENER),  # noqa: S704 - the package's own
         policy=Markup(INERT if replay is None else replay.policy),  # noqa: S704 - quotes it needs, of our own making
         failure=None if failure is None else clean(str(failure), 1000),
+        alarm=REFUSED if failure is not None and failure.code.startswith("result.") else STOPPED,
         maker=_maker(),
     )
 

@@ -3,6 +3,7 @@
 import math
 
 from torchid.diagnosis.verdict.records import Diagnosis
+from torchid.effects.catalogue import CATALOGUE
 from torchid.errors import DataError
 from torchid.report.blocks import Block, Items, Paragraph, Section, Table
 from torchid.report.cause_sentences import likely, told
@@ -10,9 +11,14 @@ from torchid.report.data_handling import grouped
 from torchid.report.effect_words import called
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
 from torchid.session import Outcome
+from torchid.session.judging import quality_of
+from torchid.session.masses import Mass, Masses, masses
+from torchid.session.quality import ORDER, Level, Quality
 from torchid.session.tables import largest
 from torchid.wording import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
 
+COLOURS = {Level.GOOD: "good", Level.CARE: "care", Level.UNUSABLE: "unusable"}
+"""Class of the section by its level."""
 READING = (
     "axes.",
     "units.",
@@ -29,68 +35,89 @@ READING = (
 """Notes about files that were read as they should be; the section on data handling has them all."""
 FAR_SD = 3.0
 """An identified mass this many prior standard deviations from the table is pointed out."""
+FEWEST_ROWS = 10
+"""Derived. Equations beyond the quantities that they determine below which the noise is known to no better than 24 %
+(1 / sqrt(2 x 9)), and chi-square says nothing."""
+CONFLICT = 1e-3
+"""Derived. Chance of a chi-square that is pointed out."""
 LARGE_MM = 80.0
 """A marker this far from the model was probably swapped or mislabelled [mm]."""
 
 
 def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataError | None) -> Section:
-    """The head of the page."""
+    """The head of the page: the verdict, what it rests on, and what to know before using the results."""
     tested = some(forces, judges(outcome, "inertia").names)
-    blocks: list[Block] = [_subject(outcome), Table(
-        "How well the model predicts what it has not seen" if judges(outcome).heldout
-        else "How well the model fits (no trial was held out: these figures are no test)",
-        ("", "Scaled template, tabulated inertia", "Identified geometry, tabulated inertia", "Identified", "Change"),
-        verdict_rows(outcome, tested),
-    )]  # fmt: skip
-    blocks = [*([] if failure else _named(outcome.diagnosis)), *blocks]
+    quality = outcome.quality or quality_of(outcome, failure)
+    blocks: list[Block] = [
+        *(Paragraph(text) for text in (_lead(outcome, tested, failure), *_named(outcome.diagnosis, quality.usable))),
+        criteria_table(quality),
+        _subject(outcome, quality),
+        Table(
+            "Residuals on held-out trials" if judges(outcome).heldout
+            else "Residuals on the trials of the fit (no trial was held out: these figures are no test)",
+            ("", "Scaled template, tabulated inertia", "Identified geometry, tabulated inertia", "Identified",
+             "Change against the scaled template"),
+            verdict_rows(outcome, tested),
+        ),
+    ]  # fmt: skip
     warnings = tuple(warning_lines(outcome, tested))
     if warnings:
         blocks += [Paragraph("Worth knowing before using these results:"), Items(warnings)]
     blocks.append(_trials(outcome))
-    return Section("summary", "Summary", _finding(outcome, tested, failure), tuple(blocks))
+    line = quality.line[0].upper() + quality.line[1:]
+    return Section("summary", "Summary", f"{line}.", tuple(blocks), COLOURS[quality.level])
 
 
-def _named(found: Diagnosis | None) -> list[Block]:
+def criteria_table(quality: Quality) -> Table:
+    """Every figure beside its norm, those that decide first."""
+    order = sorted(quality.criteria, key=lambda one: -ORDER.index(one.level))
+    rows = tuple((one.shown[0].upper() + one.shown[1:], one.bound or ABSENT, one.level.value, one.source)
+                 for one in order)  # fmt: skip
+    return Table("What the verdict rests on", ("Figure", "Norm", "Verdict", "Source of the norm"), rows, 4, wrap=True)
+
+
+def _named(found: Diagnosis | None, usable: bool) -> list[str]:
     """What the diagnosis says, in a sentence or two; its section has the rest."""
     if found is None:
         return []
     sure = found.likely
     more, possible = max(len(sure) - 1, 0), len(found.possible)
+    said = []
     if sure:
         twins = " or ".join(map(called, sure[0].indistinguishable))
         apart = f"; it may as well be {twins}, which the recordings do not tell apart" if twins else ""
         said = [told(sure[0]), f"That is {likely(sure[0])}{apart}."]
-    elif found.causes or found.refuted:
-        said = ["Nothing that the catalogue knows is shown to be wrong with the recordings."]
-    else:
-        said = ["Nothing that the catalogue knows was found wrong with the recordings."]
+    elif usable:
+        kinds = f"({len(CATALOGUE)} kinds tested)"
+        said = [f"No fault confirmed {kinds}." if found.causes or found.refuted else f"No fault found {kinds}."]
+    elif not possible:
+        said = [f"None of the {len(CATALOGUE)} kinds of fault that were tested explains it."]
     others = [plural(count, f"{kind} cause") for count, kind in ((more, "more"), (possible, "possible")) if count]
     if others:
         said.append(f"{listing(others)} and all rivals: see “What the model gets wrong”.")
     if found.unexplained.significant:
         said.append("More remains in the forces than noise makes, and no named cause explains it.")
-    return [Paragraph(" ".join(said))]
+    return [" ".join(said)] if said else []
 
 
-def _finding(outcome: Outcome, tested: dict[str, Wrenches], failure: DataError | None) -> str:
-    if failure is not None and failure.code.startswith("result."):
-        return f"No body could give this result, so do not use it: {failure.message} ({failure.found})."
+def _lead(outcome: Outcome, tested: dict[str, Wrenches], failure: DataError | None) -> str:
+    """Markers, force and moment on the judging trials, each against the scaled template's."""
     judge = judges(outcome)
     identified, scaled = marker_rms(outcome, judge.names)
     said = (
-        f"On the {judge.words} the identified model follows the markers to {number(identified)} mm RMS, "
-        f"{better(scaled, identified)} the scaled template's {number(scaled)} mm"
+        f"On the {judge.words} the markers are {number(identified)} mm RMS from the identified model "
+        f"({number(scaled)} mm from the scaled template)."
     )
     if outcome.identified is None:
-        why = "the inertial fit was not possible" if failure else "no inertia was identified"
-        return f"{said}; {why}, so masses and moments below rest on anthropometric tables."
+        why = "The inertial fit was not possible" if failure else "No inertia was identified"
+        return f"{said} {why}, so masses and moments below rest on anthropometric tables."
     if not tested:
-        return f"{said}; none of these trials has forces, so the identified inertia is untested."
-    (force, moment), (force_0, moment_0) = (force_rms(tested, which) for which in ("identified", "prior"))
+        return f"{said} None of these trials has forces, so the identified inertia is untested."
+    (force, moment), (force_0, moment_0) = (force_rms(tested, which) for which in ("identified", "scaled"))
     return (
-        f"{said}; its residual force is {number(force)} N ({percent(force / body_weight(outcome), 1)} of body weight), "
-        f"{better(force_0, force)} the {number(force_0)} N of tabulated inertia, and its residual moment "
-        f"{number(moment)} N m, {better(moment_0, moment)} {number(moment_0)} N m."
+        f"{said} The residual force is {number(force)} N ({percent(force / body_weight(outcome), 1)} of body weight), "
+        f"{better(force_0, force)} the {number(force_0)} N of the scaled template with tabulated inertia. "
+        f"The residual moment is {number(moment)} N m, {better(moment_0, moment)} its {number(moment_0)} N m."
     )
 
 
@@ -114,27 +141,45 @@ def verdict_rows(outcome: Outcome, tested: dict[str, Wrenches]) -> tuple[tuple[s
     return tuple(rows)
 
 
-def _subject(outcome: Outcome) -> Table:
+def _subject(outcome: Outcome, quality: Quality) -> Table:
     who, fit = outcome.config.subject, outcome.fit
-    recorded = spread(who.mass_kg, who.mass_sd_kg) if who.mass_sd_kg else number(who.mass_kg)
     rows = [
         ("Subject", clean(who.name)),
-        ("Mass", f"{recorded} kg recorded" if who.mass_kg else "not recorded"),
+        ("Mass", mass_words(masses(outcome), quality.usable)),
         ("Height, sex", f"{f'{number(who.height_m, 2)} m' if who.height_m else 'not recorded'}, {who.sex}"),
         ("Model", f"{clean(str(outcome.config.model))}: {len(fit.model.tree.bodies)} segments, "
                   f"{len(fit.model.tree.dofs)} coordinates, {len(fit.attachment.labels)} markers"),
     ]  # fmt: skip
-    if outcome.identified is not None:
-        found = outcome.identified.fit
-        text = f"{spread(found.mass.sum(), found.sd.total_mass, 2)} kg"
-        if who.mass_kg:
-            text += f" ({change(who.mass_kg, float(found.mass.sum()))} against the recorded mass)"
-        rows.insert(2, ("Mass found", text))
     if outcome.config.inertia.enabled:
         names = list(outcome.session.fit("inertia"))
         used, frames = used_frames(outcome, names)
         rows.append(("Frames for inertia", f"{used} of {frames} in {plural(len(names), 'fit trial')}"))
     return Table("", ("", ""), tuple(rows), text=2, wrap=True)
+
+
+def mass_words(said: Masses, usable: bool) -> str:
+    """Identified, recorded and standing mass in one sentence, with what lies between them.
+
+    Args:
+        said: all statements of the mass.
+        usable: False where the identified mass is not to be used: it is not stated then.
+    """
+    found = said.identified if usable else None
+    words = [] if found is None else [f"{spread(found.value, found.sd, 2)} kg identified"]
+    where = f"standing in {listing(said.trials)}"
+    for other, how in ((said.recorded, "recorded"), (said.standing, where)):
+        if other is not None:
+            away = "" if found is None else f" (identified {change(other.value, found.value)}, {_sds(found, other)})"
+            words.append(f"{spread(other.value, other.sd)} kg {how}{away}")
+    if said.recorded is None:
+        words.append("not recorded")
+    if found is None and said.identified is not None:
+        words.append("the identified mass is not to be used")
+    return "; ".join(words)
+
+
+def _sds(one: Mass, other: Mass) -> str:
+    return f"{number(abs(one.apart(other)))} sd"
 
 
 def _trials(outcome: Outcome) -> Table:
@@ -184,15 +229,37 @@ def _cautions(outcome: Outcome, tested: dict[str, Wrenches]) -> list[str]:
             f"Masses more than {FAR_SD:.0f} prior standard deviations from the table, more likely errors of motion or "
             f"plates than the person: {listing(odd)}."
         )
-    if outcome.identified is not None and tested:
-        (force, _), (prior, _) = (force_rms(tested, which) for which in ("identified", "prior"))
-        if force > 1.02 * prior:
-            lines.append(
-                f"The identified inertia predicts the force of the {judge.words} worse than tabulated inertia "
-                f"({number(force)} N against {number(prior)} N): worse in {listing(improved(tested)[1])}, better in "
-                f"{listing(improved(tested)[0])}."
-            )
+    worse = improved(tested)[1] if outcome.identified is not None else []
+    if worse:
+        lines.append(
+            f"Force residual higher than the scaled template's in {len(worse)} of {plural(len(tested), 'trial')}: "
+            f"{listing(worse)}."
+        )
+    spare = _spare_rows(outcome)
+    if spare:
+        lines.append(spare)
     return lines
+
+
+def _spare_rows(outcome: Outcome) -> str:
+    """What the scatter of the rows says of the stated standard deviations; empty where they agree."""
+    if outcome.identified is None:
+        return ""
+    fit, conflict = outcome.identified.fit, outcome.identified.fit.certificate.conflict
+    left = outcome.identified.rows - fit.rank
+    if left < FEWEST_ROWS:
+        return (
+            f"Standard deviations of masses cannot be tested: the forces give {outcome.identified.rows} independent "
+            f"equations for {fit.rank} quantities. Record more motion on the plates."
+        )
+    factor = math.sqrt(conflict.chi_square / max(conflict.dof, 1))
+    if conflict.p_value < CONFLICT and factor > 1.0:
+        return (
+            f"Data and tables differ {number(factor)} times as much as their standard deviations say (chi-square "
+            f"{number(conflict.chi_square, 0)} at {conflict.dof} degrees of freedom): take the stated deviations times "
+            f"{number(factor)}."
+        )
+    return ""
 
 
 def odd_masses(outcome: Outcome) -> list[str]:

@@ -6,23 +6,31 @@ from torchid.conventions import GRAVITY
 from torchid.dynamics.rows import residual_rms
 from torchid.errors import DataError
 from torchid.session import Outcome
+from torchid.session.masses import masses
+from torchid.session.standing import carried
+from torchid.wording import clean
 
 MARKER_M = 0.05
-"""Root mean square distance of a trial's markers from the model beyond which they are not that body's: 6 to 25 mm on
-public recordings, skin and clothes included."""
+"""Calibrated. Root mean square distance of a trial's markers from the model beyond which they are not that body's: 6 to
+25 mm on public recordings, skin and clothes included."""
 FORCE_SHARE = 0.4
-"""Residual force of the fit trials as a share of the weight: 0.03 to 0.2 there, a run at 5 m/s included."""
+"""Calibrated. Residual force of the fit trials as a share of the weight: 0.03 to 0.2 there, a run at 5 m/s included."""
 MOMENT_SHARE = 0.12
-"""Residual moment as a share of weight times height: 0.01 to 0.05 there; a plate turned by 180 degrees gives 0.2."""
+"""Calibrated. Residual moment as a share of weight times height: 0.01 to 0.05 there; a plate turned by 180 degrees
+gives 0.2."""
 MASS_RATIO = 0.6, 1.6
-"""Total mass over the recorded one: a wrong record is a matter of kilograms, twice the mass is a wrong unit or gain."""
+"""Derived. Total mass over the recorded one: a wrong record is a matter of kilograms, twice the mass is a wrong unit or
+gain."""
+STANDING_RATIO = 0.75, 1.33
+"""Derived. Total mass over what the same plates read in standing, where unit and gain cancel: a quarter of the weight
+is a load of 18 kg on 70 kg that came or went between the trials. One plate of two that reads half does the same."""
 STATURE_M = 1.7
 """Where no height is on record."""
 
 
 def impossible(outcome: Outcome) -> DataError | None:
     """Why a result cannot be that of a body, None where it can be."""
-    return _markers(outcome) or _mass(outcome) or _residuals(outcome)
+    return _markers(outcome) or _mass(outcome) or _standing(outcome) or _residuals(outcome)
 
 
 def _markers(outcome: Outcome) -> DataError | None:
@@ -35,9 +43,9 @@ def _markers(outcome: Outcome) -> DataError | None:
         return None
     return DataError(
         "result.markers",
-        "no pose of the body brings it to these markers",
+        "the markers are too far from the model for any pose of the body",
         place=f"trials {', '.join(wrong)}",
-        found=f"markers {1e3 * max(wrong.values()):.0f} mm from the model (root mean square)",
+        found=f"{1e3 * max(wrong.values()):.0f} mm RMS, limit {1e3 * MARKER_M:.0f} mm",
         remedy="Most likely labels are exchanged or belong to another marker set (markers:), then another unit "
         "(units:), then a trial of somebody else; look at the trial's markers in the report",
     )
@@ -53,9 +61,30 @@ def _mass(outcome: Outcome) -> DataError | None:
     return DataError(
         "result.mass",
         "mass from the plates contradicts the recorded mass",
-        found=f"{found:.1f} kg, {recorded:.1f} kg on record",
+        found=f"{found:.1f} kg identified, {recorded:.1f} kg recorded",
         remedy="Most likely a plate has another gain or unit, then a part of the contact is on no plate, then "
         "subject.mass_kg is another's; run `torchid check` on the config",
+    )
+
+
+def _standing(outcome: Outcome) -> DataError | None:
+    """The same plates weigh the subject in standing: what contradicts it is in the other trials, or in that one."""
+    said = masses(outcome)
+    if said.identified is None or said.standing is None:
+        return None
+    found, standing = said.identified.value, said.standing.value
+    if STANDING_RATIO[0] < found / standing < STANDING_RATIO[1]:
+        return None
+    moving = {name: carried(outcome.followed[name].wrench, outcome.phi) for name in outcome.session.fit("inertia")}
+    each = ", ".join(f"{mass:.1f} kg in {clean(name)}" for name, mass in moving.items() if mass is not None)
+    return DataError(
+        "result.standing",
+        "mass in motion contradicts the mass in standing",
+        place=f"trials {', '.join(map(clean, said.trials))} against {', '.join(map(clean, moving))}",
+        found=f"{found:.1f} kg identified, {standing:.1f} kg standing; the plates bear {each}",
+        remedy="Most likely a load or a pull acts in one of the trials only, then a plate's gain or zero changed "
+        "between them, then the subject does not stand on the plates with the whole weight; run `torchid check` on "
+        "the config, and set inertia: false for a trial that is not to count",
     )
 
 
@@ -71,7 +100,8 @@ def _residuals(outcome: Outcome) -> DataError | None:
     return DataError(
         "result.residuals",
         "the motion and the plates are not those of one body",
-        found=f"{force:.0f} N ({force / weight:.0%} of the weight) and {moment:.0f} N m remain in the fit trials",
+        found=f"{force:.0f} N ({force / weight:.0%} of the weight, limit {FORCE_SHARE:.0%}) and {moment:.0f} N m "
+        f"(limit {MOMENT_SHARE * weight * height:.0f} N m) remain in the fit trials",
         remedy="Most likely the forces are those of another trial or late, then a plate lies elsewhere than the file "
         "says, then a contact is on no plate; run `torchid check` on the config",
     )

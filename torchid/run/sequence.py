@@ -16,7 +16,6 @@ from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
 from torchid.motion.impossible_rates import frames_of, impossible_steps
 from torchid.report import write_report
-from torchid.report.facts import judges
 from torchid.run.acceptance import impossible
 from torchid.run.simulation import with_recordings
 from torchid.run.torque_bands import outcome_draws
@@ -26,6 +25,8 @@ from torchid.session import Followed, Outcome, Residual, Session
 from torchid.session.contact_wrenches import sharing_notes, wrenches_under
 from torchid.session.fitting import OnStage, fit_session, identify
 from torchid.session.following import Following, cutoff, follow, subject_prior, torques
+from torchid.session.judges import judges
+from torchid.session.judging import quality_of
 from torchid.session.opening import open_session, read_each, setup_of
 from torchid.session.other_contacts import refuse_unknown_plates
 from torchid.session.standing import follow_session
@@ -67,7 +68,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
         progress("read", 1.0)
         outcome, failure = compute_outcome(config, session, folder, progress)
         failure = failure or impossible(outcome)
-        outcome = replace(outcome, times=dict(folder.times))
+        outcome = replace(outcome, quality=quality_of(outcome, failure), times=dict(folder.times))
         progress("write", 0.0)
         with folder.timed("write"):
             write_outcome(outcome, folder, failure)

@@ -16,6 +16,7 @@ from torchid.geometry.tracking import Tracked
 from torchid.inertia.identify import Identified
 from torchid.model.model import InertialPrior
 from torchid.motion import Motion
+from torchid.session.quality import Quality
 from torchid.session.session import Session
 from torchid.storage.provenance import StageTime
 
@@ -78,6 +79,8 @@ class Outcome:
     """Wrenches under the feet with the identified body, by trial; trials whose feet nobody tells are left out."""
     residuals: tuple[Residual, ...] = ()
     notes: tuple[Note, ...] = ()
+    quality: Quality | None = None
+    """What it is worth; None until it was judged."""
     times: dict[str, StageTime] = field(default_factory=dict)
     """Cost of each stage up to here; the only part that two equal runs do not share."""
 

@@ -79,6 +79,19 @@ def standing_weight(followed: Iterable[Followed], session: Session, recorded_kg:
     return _weight({name: level for name, level in levels.items() if level is not None})
 
 
+def carried(trial: WrenchTrial | None, phi: Float[Tensor, "bodies 10"]) -> float | None:
+    """Mass [kg] that the plates bear in the used frames of a trial, None where there are none.
+
+    Args:
+        trial: its motion and what the plates read.
+        phi: how the mass is shared out, of which the total does not matter.
+    """
+    if trial is None or not bool(trial.used.any()):
+        return None
+    one = predict(trial, phi)[trial.used, 2] / phi[:, 0].sum()
+    return float(trial.wrench[trial.used, 2] @ one / (one @ one))
+
+
 def _weight(levels: dict[str, float]) -> Weight | None:
     mass = sum(levels.values()) / max(len(levels), 1)
     return Weight(mass, PLATE_GAIN * mass, tuple(levels)) if levels else None

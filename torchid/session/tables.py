@@ -16,6 +16,7 @@ from torchid.geometry.result import GeometryFit
 from torchid.inertia.fit import InertiaFit
 from torchid.model.model import InertialPrior
 from torchid.session.outcome import Outcome
+from torchid.session.quality import Quality
 
 PIECE = 1 << 15
 """Frames whose errors are looked at together."""
@@ -138,11 +139,23 @@ def inertia_table(outcome: Outcome) -> dict[str, Any]:
     """Content of ``inertia.json``."""
     base = {} if outcome.base is None else {"base": identified_table(outcome.base)}
     return {
+        **({} if outcome.quality is None else {"quality": quality_table(outcome.quality)}),
         **identified_table(outcome),
         "attachments": attachments(outcome),
         "residuals": outcome.residuals,
         "trials": {name: _trial_residual(outcome, name) for name in outcome.session.trials},
         **base,
+    }
+
+
+def quality_table(quality: Quality) -> dict[str, Any]:
+    """Verdict of a run, the number that decides, and every figure beside its norm."""
+    deciding = quality.deciding
+    return {
+        "level": quality.level.value,
+        "line": quality.line,
+        "deciding": None if deciding is None else deciding.name,
+        "criteria": quality.criteria,
     }
 
 

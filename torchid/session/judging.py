@@ -1,0 +1,192 @@
+"""A finished run held against published norms, figure by figure."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from torchid.dynamics.rows import WrenchTrial, residual_rms
+from torchid.errors import DataError
+from torchid.inertia.certificate import InertiaStatus
+from torchid.session.judges import judges
+from torchid.session.masses import Mass, masses
+from torchid.session.outcome import Outcome
+from torchid.session.quality import Criterion, Level, Quality, graded
+from torchid.session.tables import largest, rms
+from torchid.wording import change, clean, number, percent, plural, segment
+
+OPENSIM = "OpenSim, checklist for evaluating a simulation (simtk.org)"
+HICKS = "Hicks et al., J Biomech Eng 137:020905 (2015)"
+OWN = "torchid, docs/reading.md"
+MARKER_RMS_MM, MARKER_MAX_MM = 20.0, 40.0
+"""Cited. Distance of markers from the model, RMS and largest (OpenSim's checklist for inverse kinematics)."""
+FORCE_SHARE, MOMENT_SHARE = 0.05, 0.01
+"""Cited. Residual force over the peak of the measured force, and residual moment over that peak times the height of
+the centre of mass (Hicks et al., J Biomech Eng 137:020905 (2015))."""
+FORCE_LIMIT, MOMENT_LIMIT = 0.2, 0.08
+"""Calibrated. The largest shares on sound public recordings, a run at 5 m/s included: 20 % of the weight, and 5 % of
+weight times height, which is 8 % of the norm's measure in walking."""
+CENTRE_HEIGHT = 0.56
+"""Cited. Height of a standing person's centre of mass over stature (Croskey et al., Am J Physiol 61:171 (1922))."""
+STATURE_M = 1.7
+"""Cited. Stature where none is recorded: mean of women and men (Gordon et al., ANSUR II (2014))."""
+WORSE = 0.08
+"""Derived. Growth of a held-out residual over the scaled template's: what is called worse of a single block
+(``NeverWorseOptions.prior_blocks``)."""
+FAR_SD = 3.0
+"""Derived. Standard deviations that chance reaches in one of 370 comparisons."""
+ASYMMETRY = 0.15
+"""A choice. Difference of left and right masses over their mean beyond which few people are."""
+REFUSED = tuple(f"inertia.{status}" for status in InertiaStatus)
+"""Codes of an inertial fit that was not accepted."""
+
+
+def quality_of(outcome: Outcome, failure: DataError | None = None) -> Quality:
+    """What a run is worth, by its held-out trials where there are some, with the figures that weigh most first.
+
+    Args:
+        outcome: what was found.
+        failure: what kept the rest from being found, or why no body could give it.
+    """
+    found = [*_failed(failure), *_residuals(outcome), *_markers(outcome), *_masses(outcome), *_segments(outcome)]
+    return Quality((*found, *_unsure(outcome)))
+
+
+def _failed(failure: DataError | None) -> list[Criterion]:
+    if failure is None:
+        return []
+    level = Level.UNUSABLE if failure.code.startswith("result.") or failure.code in REFUSED else Level.CARE
+    shown = f"{failure.message}: {failure.found}" if failure.found else failure.message
+    return [Criterion(failure.code, level, math.nan, math.nan, shown, "", OWN)]
+
+
+def _residuals(outcome: Outcome) -> list[Criterion]:
+    """Of the identified inertia, in the frames and through the filter that the template's are taken in."""
+    judge = judges(outcome, "inertia")
+    trials = [own for name in judge.names if (own := outcome.followed[name].wrench) is not None and own.used.any()]
+    if outcome.identified is None or not trials:
+        return []
+    force, moment = residual_rms(trials, outcome.phi)
+    peak = max(float(own.wrench[own.used, :3].norm(dim=1).max()) for own in trials)
+    lever = CENTRE_HEIGHT * (outcome.config.subject.height_m or STATURE_M)
+    which = "held-out" if judge.heldout else "fit"
+    shares = force / peak, moment / (peak * lever)
+    found = [
+        Criterion("force", graded(shares[0], FORCE_SHARE, FORCE_LIMIT), shares[0], FORCE_SHARE,
+                  f"{which} force residual {percent(shares[0], _digits(shares[0]))} of peak",
+                  f"norm {percent(FORCE_SHARE)}", HICKS),
+        Criterion("moment", graded(shares[1], MOMENT_SHARE, MOMENT_LIMIT), shares[1], MOMENT_SHARE,
+                  f"{which} moment residual {percent(shares[1], 1)} of peak force × height of the centre of mass",
+                  f"norm {percent(MOMENT_SHARE)}", HICKS),
+    ]  # fmt: skip
+    return found + (_against_template(outcome, trials, (force, moment), found) if judge.heldout else [])
+
+
+def _digits(share: float) -> int:
+    return 0 if share >= 0.1 else 1
+
+
+def _against_template(
+    outcome: Outcome, trials: Sequence[WrenchTrial], found: tuple[float, float], beside: Sequence[Criterion]
+) -> list[Criterion]:
+    """Held-out residuals beyond those of the template: not to be used where they are beyond the norm too."""
+    others = [(own.used, outcome.followed_scaled[own.name].wrench) for own in trials]
+    scaled = residual_rms(
+        [replace(one, used=used) for used, one in others if one is not None], outcome.prior_scaled.mean
+    )
+    criteria = []
+    for after, before, own, word in zip(found, scaled, beside, ("force", "moment"), strict=True):
+        growth = after / before - 1.0
+        level = graded(growth, WORSE)
+        if level is Level.CARE and own.level is not Level.GOOD:
+            level = Level.UNUSABLE
+        said = f"held-out {word} residual {change(before, after)} against the scaled template"
+        bound = f"norm +{percent(WORSE)}" + ("" if own.level is Level.GOOD else f"; {own.words}")
+        criteria.append(Criterion(f"{word}_template", level, growth, WORSE, said, bound, OWN))
+    return criteria
+
+
+def _markers(outcome: Outcome) -> list[Criterion]:
+    judge = judges(outcome)
+    errors = [outcome.followed[name].tracked.error for name in judge.names]
+    typical, most = 1e3 * rms(*errors), 1e3 * largest(*errors)
+    which = "held-out" if judge.heldout else "fit"
+    return [
+        Criterion("markers", graded(typical, MARKER_RMS_MM), typical, MARKER_RMS_MM,
+                  f"{which} markers {number(typical)} mm RMS from the model", f"norm {number(MARKER_RMS_MM, 0)} mm",
+                  OPENSIM),
+        Criterion("marker_max", graded(most, MARKER_MAX_MM), most, MARKER_MAX_MM,
+                  f"one {which} marker {number(most, 0)} mm from the model", f"norm {number(MARKER_MAX_MM, 0)} mm",
+                  OPENSIM),
+    ]  # fmt: skip
+
+
+def _masses(outcome: Outcome) -> list[Criterion]:
+    """The identified mass against what standing and the record say."""
+    said = masses(outcome)
+    if said.identified is None:
+        return []
+    others = (
+        ("mass_standing", said.standing, f"standing in {', '.join(map(clean, said.trials))}"),
+        ("mass_recorded", said.recorded, "on record"),
+    )
+    return [_mass(name, said.identified, other, words) for name, other, words in others if other is not None]
+
+
+def _mass(name: str, found: Mass, other: Mass, words: str) -> Criterion:
+    away = abs(found.apart(other))
+    shown = f"mass {number(found.value)} kg identified, {number(other.value)} kg {words}, {number(away)} sd apart"
+    return Criterion(name, graded(away, FAR_SD), away, FAR_SD, shown, f"norm {number(FAR_SD, 0)} sd", OWN)
+
+
+def _segments(outcome: Outcome) -> list[Criterion]:
+    """The least even pair of segments, and the segment whose mass lies farthest from the table."""
+    if outcome.identified is None:
+        return []
+    fit, prior = outcome.identified.fit, outcome.prior
+    found = []
+    pairs = uneven(outcome)
+    if pairs:
+        part, left, right, share = pairs[0]
+        said = f"{part} {number(left)} kg left and {number(right)} kg right, {percent(share)} apart"
+        found.append(Criterion("symmetry", graded(share, ASYMMETRY), share, ASYMMETRY, said,
+                               f"norm {percent(ASYMMETRY)}", OWN))  # fmt: skip
+    away = (fit.mass - prior.mean[:, 0]) / prior.covariance.diagonal().sqrt().reshape(-1, 10)[:, 0]
+    worst = int(away.abs().argmax())
+    size = float(away[worst].abs())
+    said = f"{segment(fit.names[worst])} {number(fit.mass[worst])} kg, table {number(prior.mean[worst, 0])} kg, "
+    return [*found, Criterion("segment_mass", graded(size, FAR_SD), size, FAR_SD, f"{said}{number(size)} sd apart",
+                              f"norm {number(FAR_SD, 0)} sd", OWN)]  # fmt: skip
+
+
+def uneven(outcome: Outcome) -> list[tuple[str, float, float, float]]:
+    """Segments whose sides differ beyond chance: name, left and right [kg], difference over mean; the worst first."""
+    if outcome.identified is None:
+        return []
+    fit, found = outcome.identified.fit, []
+    at = {name: k for k, name in enumerate(fit.names)}
+    for name, k in at.items():
+        other = at.get(f"{name[:-2]}_r") if name.endswith("_l") else None
+        if other is None:
+            continue
+        pair = torch.tensor([10 * k, 10 * other])
+        of = fit.covariance[pair][:, pair]
+        sd = math.sqrt(max(float(of[0, 0] + of[1, 1] - 2.0 * of[0, 1]), 0.0))
+        left, right = float(fit.mass[k]), float(fit.mass[other])
+        if abs(left - right) > FAR_SD * sd:
+            found.append((name[:-2].replace("_", " "), left, right, 2.0 * abs(left - right) / (left + right)))
+    return sorted(found, key=lambda one: -one[3])
+
+
+def _unsure(outcome: Outcome) -> list[Criterion]:
+    """What keeps a run from being good whatever its figures say."""
+    found = []
+    solution, count = outcome.fit.solution, len(outcome.session.part("heldout", "geometry"))
+    if solution is not None and not solution.converged:
+        said = f"geometry stopped after {plural(solution.iterations, 'iteration')} before it converged"
+        found.append(Criterion("converged", Level.CARE, math.nan, math.nan, said, "", OWN))
+    if not count:
+        said = "no trial was held out, so nothing tests the model on other motion"
+        found.append(Criterion("heldout", Level.CARE, 0.0, 1.0, said, "norm 1 trial", OWN))
+    return found
