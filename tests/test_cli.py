@@ -17,7 +17,7 @@ from torchid.config import load_config
 from torchid.errors import DataError, InputError
 from torchid.io.trc import write_trc
 from torchid.recording import Markers
-from torchid.session.quality import Criterion, Level, Quality
+from torchid.session.quality import Criterion, Quality, QualityLevel
 from torchid.storage.logs import configure_logging
 
 runner = CliRunner()
@@ -43,7 +43,9 @@ def experiment(monkeypatch):
         progress("geometry", 0.5)
         if outcome:
             raise outcome[0]
-        verdict = Criterion("force", Level.CARE, 0.11, 0.05, "held-out force residual 11 % of peak", "norm 5 %", "")
+        verdict = Criterion(
+            "force", QualityLevel.CARE, 0.11, 0.05, "held-out force residual 11 % of peak", "norm 5 %", ""
+        )
         return SimpleNamespace(quality=Quality((verdict,)))
 
     module.run_experiment = run_experiment

@@ -27,7 +27,7 @@ from torchid.devices import Device, SheetFinding, load_device
 from torchid.devices.values import SheetValue
 from torchid.dynamics.equations_of_motion import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
-from torchid.evaluation.corrections import Correction
+from torchid.evaluation.corrections import AppliedCorrection
 from torchid.evaluation.evaluate import evaluate, gather, judge
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.foreseen import foreseen
@@ -193,7 +193,7 @@ def test_the_page_begins_with_whether_it_helps(found: Evaluation) -> None:
 
 def test_what_the_diagnosis_corrected_is_listed(found: Evaluation, tmp_path: Path) -> None:
     """On the first page by name, behind it in full, and in the JSON."""
-    gain = Correction(
+    gain = AppliedCorrection(
         "Gain of plate 1", "Plate 1 reads 0.936 times the force.", "plate_gain", ("1",), 0.97, ("squats",)
     )
     rests = replace(found, corrections=(gain,))

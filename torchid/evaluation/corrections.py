@@ -7,7 +7,7 @@ from torchid.session import Outcome
 
 
 @dataclass(frozen=True)
-class Correction:
+class AppliedCorrection:
     """A cause that the body's run has corrected for."""
 
     label: str
@@ -21,7 +21,7 @@ class Correction:
     """Trials in which it acts."""
 
 
-def corrections_of(outcome: Outcome) -> tuple[Correction, ...]:
+def corrections_of(outcome: Outcome) -> tuple[AppliedCorrection, ...]:
     """Causes of a run's diagnosis that were applied.
 
     Args:
@@ -30,7 +30,7 @@ def corrections_of(outcome: Outcome) -> tuple[Correction, ...]:
     if outcome.diagnosis is None or outcome.base is None:
         return ()
     return tuple(
-        Correction(name(cause), told(cause), cause.effect, cause.where, cause.confidence, cause.trials)
+        AppliedCorrection(name(cause), told(cause), cause.effect, cause.where, cause.confidence, cause.trials)
         for cause in outcome.diagnosis.causes
         if cause.applied
     )

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.evaluation.compared import Gap
-from torchid.evaluation.corrections import Correction
+from torchid.evaluation.corrections import AppliedCorrection
 from torchid.evaluation.cycle_measures.cycles import Cycle
 from torchid.evaluation.cycle_measures.layout import MeasureLayout, from_file, usual_body
 from torchid.evaluation.statistics.answers import BodyAnswer, sided_courses
@@ -54,7 +54,7 @@ class Evaluation:
     gaps: tuple[Gap, ...]
     per_mass_kg: float | None
     """Mass by which torques are divided, None where they are not."""
-    corrections: tuple[Correction, ...] = ()
+    corrections: tuple[AppliedCorrection, ...] = ()
     """What the diagnosis corrected before anything was compared."""
 
     @property

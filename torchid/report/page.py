@@ -37,7 +37,7 @@ def sections(
     outcome: Outcome, failure: DataError | None = None, replay: EmbeddedPage | None = None
 ) -> list[Section]:  # fmt: skip
     """All sections that the outcome has data for, in the order in which they are read."""
-    outcome = outcome if outcome.quality else replace(outcome, quality=quality_of(outcome, failure))
+    outcome = replace(outcome, quality=quality_of(outcome, failure))
     forces = wrenches(outcome)
     found = [
         head_section(outcome, forces, failure),

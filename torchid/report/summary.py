@@ -13,11 +13,11 @@ from torchid.report.facts import Wrenches, body_weight, force_rms, improved, jud
 from torchid.session import Outcome
 from torchid.session.judging import quality_of
 from torchid.session.masses import Mass, Masses, masses
-from torchid.session.quality import ORDER, Level, Quality
+from torchid.session.quality import ORDER, Quality, QualityLevel
 from torchid.session.tables import largest
 from torchid.wording import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
 
-COLOURS = {Level.GOOD: "good", Level.CARE: "care", Level.UNUSABLE: "unusable"}
+COLOURS = {QualityLevel.GOOD: "good", QualityLevel.CARE: "care", QualityLevel.UNUSABLE: "unusable"}
 """Class of the section by its level."""
 READING = (
     "axes.",
@@ -47,7 +47,7 @@ LARGE_MM = 80.0
 def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataError | None) -> Section:
     """The head of the page: the verdict, what it rests on, and what to know before using the results."""
     tested = some(forces, judges(outcome, "inertia").names)
-    quality = outcome.quality or quality_of(outcome, failure)
+    quality = quality_of(outcome, failure)
     blocks: list[Block] = [
         *(Paragraph(text) for text in (_lead(outcome, tested, failure), *_named(outcome.diagnosis, quality.usable))),
         criteria_table(quality),

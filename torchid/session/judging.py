@@ -12,7 +12,7 @@ from torchid.inertia.certificate import InertiaStatus
 from torchid.session.judges import judges
 from torchid.session.masses import Mass, masses
 from torchid.session.outcome import Outcome
-from torchid.session.quality import Criterion, Level, Quality, graded
+from torchid.session.quality import Criterion, Quality, QualityLevel, graded
 from torchid.session.tables import largest, rms
 from torchid.wording import change, clean, number, percent, plural, segment
 
@@ -56,7 +56,9 @@ def quality_of(outcome: Outcome, failure: DataError | None = None) -> Quality:
 def _failed(failure: DataError | None) -> list[Criterion]:
     if failure is None:
         return []
-    level = Level.UNUSABLE if failure.code.startswith("result.") or failure.code in REFUSED else Level.CARE
+    level = (
+        QualityLevel.UNUSABLE if failure.code.startswith("result.") or failure.code in REFUSED else QualityLevel.CARE
+    )
     shown = f"{failure.message}: {failure.found}" if failure.found else failure.message
     return [Criterion(failure.code, level, math.nan, math.nan, shown, "", OWN)]
 
@@ -99,10 +101,10 @@ def _against_template(
     for after, before, own, word in zip(found, scaled, beside, ("force", "moment"), strict=True):
         growth = after / before - 1.0
         level = graded(growth, WORSE)
-        if level is Level.CARE and own.level is not Level.GOOD:
-            level = Level.UNUSABLE
+        if level is QualityLevel.CARE and own.level is not QualityLevel.GOOD:
+            level = QualityLevel.UNUSABLE
         said = f"held-out {word} residual {change(before, after)} against the scaled template"
-        bound = f"norm +{percent(WORSE)}" + ("" if own.level is Level.GOOD else f"; {own.words}")
+        bound = f"norm +{percent(WORSE)}" + ("" if own.level is QualityLevel.GOOD else f"; {own.words}")
         criteria.append(Criterion(f"{word}_template", level, growth, WORSE, said, bound, OWN))
     return criteria
 
@@ -185,8 +187,8 @@ def _unsure(outcome: Outcome) -> list[Criterion]:
     solution, count = outcome.fit.solution, len(outcome.session.part("heldout", "geometry"))
     if solution is not None and not solution.converged:
         said = f"geometry stopped after {plural(solution.iterations, 'iteration')} before it converged"
-        found.append(Criterion("converged", Level.CARE, math.nan, math.nan, said, "", OWN))
+        found.append(Criterion("converged", QualityLevel.CARE, math.nan, math.nan, said, "", OWN))
     if not count:
         said = "no trial was held out, so nothing tests the model on other motion"
-        found.append(Criterion("heldout", Level.CARE, 0.0, 1.0, said, "norm 1 trial", OWN))
+        found.append(Criterion("heldout", QualityLevel.CARE, 0.0, 1.0, said, "norm 1 trial", OWN))
     return found

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Level(StrEnum):
+class QualityLevel(StrEnum):
     """What a reader may do with a result."""
 
     GOOD = "good"
@@ -12,7 +12,7 @@ class Level(StrEnum):
     UNUSABLE = "do not use"
 
 
-ORDER = (Level.GOOD, Level.CARE, Level.UNUSABLE)
+ORDER = (QualityLevel.GOOD, QualityLevel.CARE, QualityLevel.UNUSABLE)
 """From the best to the worst."""
 
 
@@ -22,7 +22,7 @@ class Criterion:
 
     name: str
     """Key of files, such as ``force``."""
-    level: Level
+    level: QualityLevel
     value: float
     norm: float
     """Up to which the figure is good; NaN where there is no figure."""
@@ -46,9 +46,9 @@ class Quality:
     criteria: tuple[Criterion, ...]
 
     @property
-    def level(self) -> Level:
+    def level(self) -> QualityLevel:
         """The worst of all."""
-        return max((one.level for one in self.criteria), key=ORDER.index, default=Level.CARE)
+        return max((one.level for one in self.criteria), key=ORDER.index, default=QualityLevel.CARE)
 
     @property
     def deciding(self) -> Criterion | None:
@@ -58,7 +58,7 @@ class Quality:
     @property
     def usable(self) -> bool:
         """False where the result is not to be used."""
-        return self.level is not Level.UNUSABLE
+        return self.level is not QualityLevel.UNUSABLE
 
     @property
     def line(self) -> str:
@@ -66,7 +66,7 @@ class Quality:
         return self.level.value if self.deciding is None else f"{self.level.value}: {self.deciding.words}"
 
 
-def graded(value: float, norm: float, limit: float = float("inf")) -> Level:
+def graded(value: float, norm: float, limit: float = float("inf")) -> QualityLevel:
     """The level of a figure that should be small; a figure that is not known cannot be good.
 
     Args:
@@ -75,5 +75,5 @@ def graded(value: float, norm: float, limit: float = float("inf")) -> Level:
         limit: not to be used beyond.
     """
     if value <= norm:
-        return Level.GOOD
-    return Level.UNUSABLE if value > limit else Level.CARE
+        return QualityLevel.GOOD
+    return QualityLevel.UNUSABLE if value > limit else QualityLevel.CARE

@@ -17,7 +17,7 @@ from torchid.config.conditions import EvaluateOptions
 from torchid.evaluation.statistics.arrangements import Arrangements, deal, flip
 from torchid.evaluation.statistics.effects import Estimate, difference_of, hedges, hedges_paired, mean_of
 from torchid.evaluation.statistics.permutation import Tested, counted_as_many, step_down
-from torchid.evaluation.statistics.units import Needed, Units, choose_units, needed_for, unit_means
+from torchid.evaluation.statistics.units import LeastUnits, Units, choose_units, needed_for, unit_means
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Comparison:
     """Smallest p-value that these units can give, before the number of comparisons multiplies it."""
     complete: bool
     """Whether all arrangements were tried."""
-    needed: Needed
+    needed: LeastUnits
     """What a finding would need; nothing where one is possible."""
     difference: Estimate
     effect: Estimate

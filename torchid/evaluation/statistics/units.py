@@ -58,7 +58,7 @@ class Units:
 
 
 @dataclass(frozen=True)
-class Needed:
+class LeastUnits:
     """What a comparison would need for any finding to be possible."""
 
     units: int
@@ -71,7 +71,7 @@ class Needed:
     """That least alone."""
 
 
-def needed_for(units: Units, least_p: float, permutations: int, level: float) -> Needed:
+def needed_for(units: Units, least_p: float, permutations: int, level: float) -> LeastUnits:
     """What a finding needs at a level.
 
     Args:
@@ -84,7 +84,7 @@ def needed_for(units: Units, least_p: float, permutations: int, level: float) ->
     tries = math.ceil(1.0 / level - 1e-9)
     smaller = min(units.counts)
     if least_p <= level + 1e-12 and smaller >= 2:
-        return Needed(wanted, tries)
+        return LeastUnits(wanted, tries)
     few = permutations < tries
     own = f"{units.counts[0]} subjects" if units.paired else f"{units.counts[0]} against {units.counts[1]} {units.kind}"
     many = f"{wanted} subjects" if units.paired else f"{wanted} {units.kind} of each condition"
@@ -93,7 +93,7 @@ def needed_for(units: Units, least_p: float, permutations: int, level: float) ->
         f"{own}{f' with permutations: {permutations}' if few else ''} cannot show anything at a level of {level:g}: no "
         f"p-value is below {least_p:.3g}; {least} are the least that can"
     )
-    return Needed(wanted, tries, said, least)
+    return LeastUnits(wanted, tries, said, least)
 
 
 def choose_units(
