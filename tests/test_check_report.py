@@ -120,7 +120,7 @@ def test_a_defect_in_one_recording_leaves_the_others_to_be_checked(tmp_path: Pat
     assert result.exit_code == 1 and "RuntimeError: input tensor must be non-empty" in result.output
     if form:
         found = json.loads(result.stdout)
-        assert [one["name"] for one in found["recordings"]] == ["a", "c"]
+        assert [one["name"] for one in found["files"]] == ["a", "c"]
         assert [one["code"] for one in found["refused"]] == ["torchid.defect"]
     else:
         assert "c.trc" in result.output

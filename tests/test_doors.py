@@ -29,7 +29,7 @@ LOADED = [0, 1]
 """Plates that every walk of the simulation loads."""
 
 
-class Read(Exception):  # noqa: N818 - no failure: a door that let its recordings in
+class Read(BaseException):  # noqa: N818 - no failure: a door that let its recordings in
     """Everything was read and nothing refused."""
 
 

@@ -38,7 +38,10 @@ def test_a_verdict_gives_the_line_that_mends(seed):
     """A gain and a place that the verdict names, read again with its lines, are undone; a pull on the body is none."""
     random, forces = np.random.default_rng(seed), walking_trial(seed).forces
     assert forces is not None
-    gain, shift = float(random.uniform(0.9, 1.1)), [*random.uniform(-0.05, 0.05, 2).round(4).tolist(), 0.0]
+    gain, shift = (
+        float(1.0 + random.choice([-1, 1]) * random.uniform(0.02, 0.1)),
+        [*random.uniform(-0.05, 0.05, 2).round(4).tolist(), 0.0],
+    )
     plates, _ = recognise({"walk": forces})
     one, two = (plate.frame.name for plate in plates)
     causes = (

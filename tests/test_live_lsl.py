@@ -454,7 +454,7 @@ def test_a_subject_is_identified_from_a_stream(tmp_path):
 def test_a_package_that_is_missing_is_named(tmp_path, monkeypatch, package, source):
     config = load_config(small_session.config(), [f"out={tmp_path / 'out'}"])
     for name in ("lsl", "feed", "xdf"):
-        monkeypatch.delitem(sys.modules, f"torchid.live.{name}")
+        monkeypatch.delitem(sys.modules, f"torchid.live.sources.{name}")
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ConfigError, match=r"torchid\[live\].*live\.extra"):
         run_live(config, source.format(small_session.config()))

@@ -476,7 +476,7 @@ def test_the_command_names_what_is_missing(tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match=r"qualisys:HOST:PORT.*live\.source"):
         run_live(config, "qualysis")
     for name in ("qualisys", "qtm_run", "qtm_link"):
-        monkeypatch.delitem(sys.modules, f"torchid.live.{name}")
+        monkeypatch.delitem(sys.modules, f"torchid.live.sources.{name}")
     for name in [one for one in sys.modules if one.split(".")[0] == "qtm_rt"]:
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ConfigError, match=r"torchid\[live\].*live\.extra"):

@@ -297,12 +297,14 @@ def test_a_verdict_says_levels_witnesses_and_what_is_published() -> None:
     name, (a, b, c) = next(iter(base.session.role("fit"))), base.fit.attachment.labels[:3]
     shift = {"shift_seg_m": {"value": torch.tensor([0.03, 0.0, 0.04]).double(), "sd": torch.zeros(3).double()}}
 
+    smoothed = {"cutoff_hz": {"value": torch.tensor([8.0]).double(), "sd": torch.ones(1).double()}}
+
     def named(kind: str, where: tuple[str, ...], confidence: float, values: dict) -> Cause:
         when, theta, gain = (Interval(name, 0.0, 1e3),), torch.zeros(1, 3).double(), {"heldout_log_likelihood": 0.0}
         return Cause(kind, where, when, values, confidence, (), (), gain, Place(where, when), theta, (name,), False)
 
     causes = named("marker_shift", (a,), 0.5, shift), named("marker_swap", (b, c), 0.995, {})
-    found = verdict_of((*causes, named("filter_lag", ("session",), 0.6, {})))
+    found = verdict_of((*causes, named("filter_lag", ("session",), 0.6, smoothed)))
     known = (
         TrackStatement(TrackFault.MOVED, name, (a,), (), 47.0, 5.0),
         TrackStatement(TrackFault.MOVED, name, (a, c), (), 47.0, 5.0),

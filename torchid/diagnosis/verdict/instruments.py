@@ -6,29 +6,16 @@ They are of the type of those of a check before any fit, with config lines of th
 import re
 from collections.abc import Sequence
 
-from torchid.checks.finding import Cure, Finding, InstrumentFault, Severity
+from torchid.checks.finding import Cure, Finding, Severity
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
 from torchid.effects.catalogue import effect
+from torchid.effects.instrument_faults import FAULTS
 from torchid.effects.place import SESSION
+from torchid.effects.plates import PlateGain, PlatePose
 from torchid.effects.quantities import of
+from torchid.effects.timing import TimeOffset
 from torchid.io.mend import ForcesAs, PlateAs, in_words
 from torchid.observation.plate_registry import SessionPlate
-
-FAULTS = {
-    "time_offset": InstrumentFault.CLOCK,
-    "filter_lag": InstrumentFault.CLOCK,
-    "plate_gain": InstrumentFault.GAIN,
-    "plate_offset": InstrumentFault.ZERO,
-    "plate_drift": InstrumentFault.DRIFT,
-    "plate_pose": InstrumentFault.PLACE,
-    "plate_crosstalk": InstrumentFault.CROSSTALK,
-    "plate_assignment": InstrumentFault.EXCHANGE,
-    "gravity_tilt": InstrumentFault.TILT,
-    "marker_shift": InstrumentFault.MOVED,
-    "marker_swap": InstrumentFault.EXCHANGE,
-    "marker_scale": InstrumentFault.UNIT,
-}
-"""Effects that are faults of instruments."""
 
 
 def instrument_findings(diagnosis: Diagnosis) -> tuple[Finding, ...]:
@@ -67,21 +54,23 @@ def _unit(key: str) -> str:
 
 def _cure(cause: Cause, plates: Sequence[SessionPlate]) -> tuple[Cure, ...]:
     """Return the config line that does what the verdict says, where a config has a key for it."""
-    if cause.effect == "time_offset":
+    if cause.effect == TimeOffset.name:
         lag = round(1e3 * float(of(cause, "lag_s")[0][0]), 1)
         return (Cure("their clock is off by that", f"forces_as: {in_words(ForcesAs(lag_ms=lag))}", f"lag_ms={lag}"),)
     numbers = [number for name in cause.where if (number := _number(name, plates)) is not None]
     if not numbers or len(numbers) < len(cause.where):
         return ()
-    if cause.effect == "plate_gain":
+    if cause.effect == PlateGain.name:
         change = PlateAs(gain=float(f"{1.0 / float(of(cause, 'gain')[0][0]):.4g}"))
-    elif cause.effect == "plate_pose":
+    elif cause.effect == PlatePose.name:
         x, y = (round(float(v), 4) for v in of(cause, "shift_m")[0][:2])
         turn, sd = of(cause, "rotation_rad")
         if bool((turn.abs() > 2.0 * sd).any()):
             return ()  # a config has no key for a turn by any angle
         change = PlateAs(shift_m=(x, y))
     else:
+        return ()
+    if change == PlateAs():
         return ()
     entries = ", ".join(f"{n}: {in_words(change)}" for n in numbers)
     names = " and ".join(f"plate {n}" for n in numbers)

@@ -62,7 +62,7 @@ def joint_elements(document: OsimDocument, frames: Frames, bodies: Mapping[str, 
     return [
         _in_body(joint, name, document, frames)
         for name, body in bodies.items()
-        for holder in body.findall("OsimJoint")
+        for holder in body.findall("Joint")
         for joint in holder
     ]
 

@@ -114,7 +114,7 @@ def _refuse_elsewhere(parts: Parts) -> None:
     looked_at |= {one.element for one in parts.joints}
     for element in document.model.iterdescendants():
         tag = str(element.tag)
-        moves = tag in ("Body", "Marker") or tag != "OsimJoint" and tag.endswith(("OsimJoint", "Constraint"))
+        moves = tag in ("Body", "Marker") or tag != "Joint" and tag.endswith(("Joint", "Constraint"))
         changes = element.getparent().tag == "defaults" and tag in WORDS
         if changes or moves and element not in looked_at:
             remedy = f"Put it into {', '.join(LOOKED_AT)}; write defaults out: saving with OpenSim 4 does."
