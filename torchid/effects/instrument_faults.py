@@ -1,4 +1,4 @@
-"""The effects of the catalogue that are faults of an instrument, by the names that checks before any fit have for them."""
+"""The effects that are faults of an instrument, by the names that checks before any fit have for them."""
 
 from torchid.checks.finding import InstrumentFault
 

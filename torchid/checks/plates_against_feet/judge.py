@@ -40,8 +40,16 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
     if scene is None or lying:
         return together((*lying, *refused)) or together(scale_findings(trial, scene))
     units = unit_findings(trial, mass_kg)
-    scales = () if units else scale_findings(trial, scene)
-    return units or together((*scales, *refused) if scales else (*_axes_or_clock(scene, trial, reread), *refused))
+    return units or together((*_scales_or_axes(scene, trial, reread), *refused))
+
+
+def _scales_or_axes(scene: FeetScene, trial: Trial, reread: Reread | None) -> tuple[ForceFinding, ...]:
+    """What has been scaled away, unless a line mends what looks so: of exchanged channels one may be too small."""
+    scales = scale_findings(trial, scene)
+    if any(one.changes for one in scales):
+        return scales
+    axes = _axes_or_clock(scene, trial, reread)
+    return scales if scales and not any(one.changes for one in axes) else axes
 
 
 def _lying(trial: Trial, reread: Reread | None) -> tuple[ForceFinding, ...]:
