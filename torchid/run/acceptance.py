@@ -6,6 +6,7 @@ from torchid.conventions import GRAVITY
 from torchid.dynamics.rows import residual_rms
 from torchid.errors import DataError
 from torchid.session import Outcome
+from torchid.session.judging import STATURE_M
 from torchid.session.masses import masses
 from torchid.session.standing import carried
 from torchid.wording import clean
@@ -22,10 +23,8 @@ MASS_RATIO = 0.6, 1.6
 """Derived. Total mass over the recorded one: a wrong record is a matter of kilograms, twice the mass is a wrong unit or
 gain."""
 STANDING_RATIO = 0.75, 1.33
-"""Derived. Total mass over what the same plates read in standing, where unit and gain cancel: a quarter of the weight
+"""A choice. Total mass over what the same plates read in standing, where unit and gain cancel: a quarter of the weight
 is a load of 18 kg on 70 kg that came or went between the trials. One plate of two that reads half does the same."""
-STATURE_M = 1.7
-"""Where no height is on record."""
 
 
 def impossible(outcome: Outcome) -> DataError | None:

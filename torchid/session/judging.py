@@ -190,5 +190,5 @@ def _unsure(outcome: Outcome) -> list[Criterion]:
         found.append(Criterion("converged", QualityLevel.CARE, math.nan, math.nan, said, "", OWN))
     if not count:
         said = "no trial was held out, so nothing tests the model on other motion"
-        found.append(Criterion("heldout", QualityLevel.CARE, 0.0, 1.0, said, "norm 1 trial", OWN))
+        found.append(Criterion("heldout", QualityLevel.CARE, math.nan, math.nan, said, "", OWN))
     return found
