@@ -117,6 +117,8 @@ DOORS: dict[str, tuple[str, tuple[str, ...], Callable[[Config, Path], object]]] 
     "check": (WORN, (WORN,), _check),
 }
 """The trial in which a fault is planted, those that stand in the config beside standing, and what is called."""
+MAY_GO_UNSAID = ("channels exchanged", "origin's sign", "origin's z missing", "plate late", "all late")
+"""Faults whose size or channels are drawn, or that move a pressure by less than feet tell: sizes in docs/reading.md."""
 OF_ITS_OWN = ("run", "evaluate, reference", "evaluate, condition")
 """Doors that have a trial of their own to mend."""
 
@@ -166,7 +168,7 @@ def test_a_fault_of_a_plate_is_said_alike_behind_every_door(session, tmp_path, f
     """A fault that one door refuses is refused by all, and the line that each advises opens it."""
     said = {door: _said(door, fault, session, tmp_path) for door in DOORS}
     refused = {door for door, text in said.items() if "forces.feet" in text}
-    assert refused in (set(), set(DOORS)), said
+    assert refused == set(DOORS) or (not refused and fault.name in MAY_GO_UNSAID), said
     lines = {door: _line(text) for door, text in said.items()}
     assert len({lines[door] for door in DOORS if DOORS[door][0] == WORN}) == 1, lines
     for door in filter(lines.get, OF_ITS_OWN):
