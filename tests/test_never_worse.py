@@ -267,7 +267,9 @@ def named(outcome: Outcome, one: Planted, confidence: float = 0.9) -> Outcome:
     """With that as the verdict."""
     trials = tuple(outcome.session.trials)
     gain = {"heldout_log_likelihood": 9.0}
-    own = Cause(one.effect.name, one.place.where, None, {}, confidence, (), (), gain, one.place, one.theta[None],
+    sizes = one.effect.named(one.place, one.theta).items()
+    sure = {key: {"value": value.reshape(-1), "sd": torch.zeros_like(value).reshape(-1)} for key, value in sizes}
+    own = Cause(one.effect.name, one.place.where, None, sure, confidence, (), (), gain, one.place, one.theta[None],
                 trials, True)  # fmt: skip
     assert outcome.diagnosis is not None
     return replace(outcome, diagnosis=replace(outcome.diagnosis, causes=(own,)))

@@ -145,11 +145,8 @@ def subjects_of(
 
 
 def _left_out(name: str, k: int, error: Exception) -> Gap:
-    if isinstance(error, TorchidError):
-        where = ", ".join(part for part in (Path(error.source).name, error.place) if part)
-        why = f"left out: {f'{where}: ' if where else ''}{error.message} [{error.code}]"
-    else:
-        why = f"left out by a defect of torchid: {said_of_defect(error)}"
+    known = isinstance(error, TorchidError)
+    why = f"left out: {error}" if known else f"left out by a defect of torchid: {said_of_defect(error)}"
     log.warning("subject %d of the study is %s", k, why)
     log.debug("subject %d of the study", k, exc_info=error)
     return Gap(f"subject {name}", why)
