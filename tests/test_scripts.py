@@ -96,3 +96,22 @@ def test_delayed_forces_are_the_same_later():
     text = "forces\nversion=1\nendheader\ntime\tvx\tvy\n0.000\t1.5\t-2\n0.010\t2.5\t-3\n"
     found = script("delay_forces").delayed(text, 0.0125).splitlines()
     assert found == ["forces", "version=1", "endheader", "time\tvx\tvy", "0.012500\t1.5\t-2", "0.022500\t2.5\t-3"]
+
+
+def test_runs_are_compared_by_every_number(tmp_path, capsys):
+    """The same results are the same; one number that is off by more than 1e-6, a lost key or another cause is told."""
+    compare = script("compare_runs").main
+    causes = [{"effect": "drag", "where": ["thorax"], "level": "likely", "applied": True}]
+
+    def write(folder: str, value: float, warnings: list[str], named: list[dict], **more: float) -> None:
+        out = tmp_path / folder / "S01"
+        out.mkdir(parents=True)
+        (out / "inertia.json").write_text(json.dumps({"mass": value, "warnings": warnings, **more}))
+        (out / "diagnosis.json").write_text(json.dumps({"causes": named}))
+
+    write("old", 70.0, ["said"], causes)
+    write("same", 70.0 + 1e-6, ["said", "in other words"], causes, quality=1.0)
+    write("off", 70.1, [], causes)
+    write("lost", 70.0, [], [])
+    assert [compare([str(tmp_path / "old"), str(tmp_path / name)]) for name in ("same", "off", "lost")] == [0, 1, 1]
+    assert "inertia.json/mass" in capsys.readouterr().out
