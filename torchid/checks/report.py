@@ -43,9 +43,12 @@ class Given:
 
     def to_judge(self, trial: Trial) -> tuple[Trial, Recording]:
         """The trial as its forces are judged, and how to read it again."""
+        return self.on_feet(synchronise(trial)), self.again(trial)
+
+    def again(self, trial: Trial) -> Recording:
+        """How to read the trial in other ways; what its file states of the mass holds where none is on record."""
         mass = self.mass_kg if self.mass_kg is not None else stated_mass(trial)
-        again = Recording(lambda options: self.on_feet(self.read(options)), self.options, mass)
-        return self.on_feet(synchronise(trial)), again
+        return Recording(lambda options: self.on_feet(self.read(options)), self.options, mass)
 
     def checked(self, trial: Trial, found: tuple[ForceFinding, ...]) -> TrialCheck:
         """All about the trial, with what is wrong with its forces."""

@@ -3,12 +3,12 @@
 from collections.abc import Iterator
 
 from torchid.checks.marker_tracks.statement import TrackFault, notes_of
-from torchid.checks.report import CheckItem, Given, Refusal, check_recordings
+from torchid.checks.report import CheckItem, Refusal, check_recordings
 from torchid.config import Config
 from torchid.errors import TorchidError
 from torchid.geometry.assign import assign_markers
 from torchid.recording import Trial
-from torchid.session.opening import on_feet, setup_of
+from torchid.session.opening import given_of, setup_of
 from torchid.session.other_contacts import check_others, refuse_unknown_plates
 from torchid.session.tracks import look_at_session
 
@@ -20,18 +20,7 @@ def check_session(config: Config) -> Iterator[CheckItem]:
         TorchidError: the model or the marker set is at fault.
     """
     setup = setup_of(config)
-    given = [
-        Given(
-            file.name,
-            file.file,
-            file.forces,
-            file.role,
-            setup.reading(file),
-            setup.mass_kg,
-            lambda trial: on_feet(trial, setup.contact),
-        )
-        for file in config.trials
-    ]
+    given = [given_of(file, setup) for file in config.trials]
     trials: list[Trial] = []
     yield from check_recordings(given, trials.append, one_session=True)
     if len(trials) < len(given) or not trials:

@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from torchid.checks.marker_tracks.statement import notes_of
-from torchid.checks.plates_against_feet.session import Recording, refuse_disagreement
+from torchid.checks.plates_against_feet.session import refuse_disagreement
 from torchid.checks.recording import plate_problems, stated_mass
+from torchid.checks.report import Given, judged
 from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.contact.options import ContactOptions
 from torchid.contact.others import feet_alone
 from torchid.errors import ConfigError, DataError, Note
 from torchid.geometry.assign import Assignment, assign_markers
-from torchid.io import ReadOptions, read_trial
+from torchid.io import ReadOptions
 from torchid.io.mend import ForcesAs, PlateAs
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
@@ -173,8 +174,8 @@ def open_as_recorded(setup: Setup, file: TrialFile, keep: Callable[[Trial], Tria
 
 def _refuse_forces(setup: Setup, files: Sequence[TrialFile], trials: Mapping[str, Trial], everywhere: bool) -> None:
     """Refuse forces that do not agree with the feet, of trials whose forces are on the clock of the markers."""
-    judged = {f.name: (on_feet(trials[f.name], setup.contact), _recording(f, setup)) for f in files}
-    refuse_disagreement(judged, everywhere)
+    each = [(given_of(file, setup), trials[file.name]) for file in files if judged(trials[file.name])]
+    refuse_disagreement({one.name: (one.on_feet(trial), one.again(trial)) for one, trial in each}, everywhere)
 
 
 def _tracked(
@@ -225,7 +226,21 @@ def _own_markers(model: Model, config: Config) -> MarkerSet:
 
 def read_recording(file: TrialFile, setup: Setup) -> Trial:
     """One trial, markers and forces each on their own clock. Errors as ``read_trial``."""
-    return read_trial(file.name, file.file, file.forces, file.role, setup.reading(file))
+    return given_of(file, setup).read(setup.reading(file))
+
+
+def given_of(file: TrialFile, setup: Setup) -> Given:
+    """A trial of a session as checks read and judge it, whoever asks.
+
+    Args:
+        file: of the trial.
+        setup: what it is opened with.
+    """
+    options = setup.reading(file)
+    return Given(
+        file.name, file.file, file.forces, file.role, options, setup.mass_kg,
+        lambda trial: on_feet(trial, setup.contact),
+    )  # fmt: skip
 
 
 def read_each(setup: Setup, files: Iterable[TrialFile]) -> Iterator[Trial]:
@@ -240,13 +255,6 @@ def read_each(setup: Setup, files: Iterable[TrialFile]) -> Iterator[Trial]:
     """
     for file in files:
         yield read_recording(file, setup)
-
-
-def _recording(file: TrialFile, setup: Setup) -> Recording:
-    def read(options: ReadOptions) -> Trial:
-        return on_feet(read_trial(file.name, file.file, file.forces, file.role, options), setup.contact)
-
-    return Recording(read, setup.reading(file), setup.mass_kg)
 
 
 def on_feet(trial: Trial, contact: ContactOptions) -> Trial:
