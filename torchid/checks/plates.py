@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
 
 from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
 from torchid.io.plates import baseline
@@ -12,6 +14,9 @@ from torchid.recording import Forces, Trial
 
 MARGIN = 0.02
 """How far [m] beside the plate still counts as on it."""
+FALLING = 0.5
+"""Choice. Downward acceleration, part of g, beyond which a body without load on plates flies: halfway from one that
+stands beside them."""
 RAIL_SAMPLES = 3
 RAIL_SECONDS = 0.01
 """A plateau at the peak is suspect from so many samples on, where channels are coarsely quantised from so long on."""
@@ -90,34 +95,68 @@ def _longest(mask: np.ndarray) -> int:
     return int((ends[1::2] - ends[::2]).max()) if len(ends) else 0
 
 
-def plate_weight(forces: Forces) -> float | None:
+def plate_weight(trial: Trial) -> float | None:
     """Mean total vertical force while loaded, as a mass [kg]; None where nobody stands on the plates.
 
     Loaded are the samples above half of the median of those above ``SAMPLE_LOADED_N``: steps onto and off the plates
-    would otherwise lower the mean.
+    would otherwise lower the mean. Who runs or hops is weighed over whole cycles, flights included, whose momentum
+    comes back.
     """
-    loaded = _mean_loaded(forces.total[:, 2])
+    if trial.forces is None:
+        return None
+    cycles = None if (course := _course(trial)) is None else flight_cycles(*course)
+    if course is not None and cycles is not None:
+        return float(course[0][cycles].mean()) / GRAVITY
+    loaded = _mean_loaded(trial.forces.total[:, 2])
     return None if loaded is None else loaded / GRAVITY
 
 
 def moved_mass(trial: Trial) -> float | None:
-    """Mass [kg] that the vertical force moves: its mean over the mean of g + a while loaded.
+    """Mass [kg] that the vertical force moves: its mean over the mean of g + a while loaded, or over whole cycles.
 
     a is the vertical acceleration of the markers' mean, so that a flight phase or a push-off does not pass for a wrong
     weight. None without enough markers or loaded frames.
     """
+    course = _course(trial)
+    if course is None:
+        return None
+    vertical, acceleration = course
+    loaded = vertical > SAMPLE_LOADED_N
+    if int(loaded.sum()) < 5:
+        return None
+    cycles = flight_cycles(vertical, acceleration)
+    counted = vertical > 0.5 * vertical[loaded].median() if cycles is None else cycles
+    return float(vertical[counted].mean() / (GRAVITY + acceleration[counted].mean()))
+
+
+def flight_cycles(
+    vertical: Float[Tensor, " frames"], acceleration: Float[Tensor, " frames"]
+) -> Bool[Tensor, " frames"] | None:
+    """Frames from the first take-off to the last, where all between them is contact and flight; None where it is not.
+
+    Args:
+        vertical: force of all plates together [N].
+        acceleration: of the body, upwards [m/s2].
+    """
+    loaded = vertical > SAMPLE_LOADED_N
+    edges = torch.nonzero(loaded[1:] != loaded[:-1])[:, 0] + 1
+    off = edges[~loaded[edges]]  # first frame of each time without load
+    if len(off) < 2:
+        return None
+    cycles = torch.zeros_like(loaded)
+    cycles[int(off[0]) : int(off[-1])] = True
+    falling = acceleration[cycles & ~loaded]
+    return cycles if float(falling.mean()) < -FALLING * GRAVITY else None
+
+
+def _course(trial: Trial) -> tuple[Float[Tensor, " frames"], Float[Tensor, " frames"]] | None:
+    """Vertical force [N] and vertical acceleration of the markers' mean [m/s2], frame by frame."""
     if trial.forces is None or len(trial.forces.time) < 2 or len(trial.markers.time) < 5:
         return None
     height = trial.markers.position[..., 2]
     height = height[:, height.isfinite().all(dim=0)]
     if height.shape[1] < 3:
         return None
-    rate = trial.markers.rate
     mean = height.mean(dim=1)
-    acceleration = (mean[4:] - 2 * mean[2:-2] + mean[:-4]) * (rate / 2) ** 2
-    vertical = to_clock(trial.forces, trial.markers.time).total[2:-2, 2].nan_to_num()
-    loaded = vertical > SAMPLE_LOADED_N
-    if int(loaded.sum()) < 5:
-        return None
-    loaded = vertical > 0.5 * vertical[loaded].median()
-    return float(vertical[loaded].mean() / (GRAVITY + acceleration[loaded].mean()))
+    acceleration = (mean[4:] - 2 * mean[2:-2] + mean[:-4]) * (trial.markers.rate / 2) ** 2
+    return to_clock(trial.forces, trial.markers.time).total[2:-2, 2].nan_to_num(), acceleration

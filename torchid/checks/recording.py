@@ -139,7 +139,7 @@ def check_trial(
     missing = 100.0 * markers.position.isnan().any(dim=-1).double().mean(dim=0)
     gaps = {label: float(share) for label, share in zip(markers.labels, missing, strict=True)}
     plates = _plates(trial)
-    weight = plate_weight(forces) if forces else None
+    weight = plate_weight(trial)
     source = facts.get("file", trial.name)
     found = [*disagreements, *_from_notes(trial), *_gap_problems(gaps, source), *plate_problems(trial, mass, plates)]
     harmless = HARMLESS if len(_many(gaps)) > MOST * len(gaps) else HARMLESS | {"markers.gaps"}
