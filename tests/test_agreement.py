@@ -312,6 +312,28 @@ def test_channels_that_overload_a_plate_are_named(seed, force):
     assert float(error / right.forces.wrench.square().mean().sqrt()) < 0.03, finding.lines()
 
 
+def test_moments_about_origins_beside_pressures_are_told(seed):
+    """Of a MOT whose points are pressures and whose moments are about the plates' origins, 0.4 m off or more."""
+    right = walking_trial(seed)
+    p_WP_W = right.forces.centre_of_pressure().nan_to_num()
+    force, moment = right.forces.wrench[..., :3], right.forces.wrench[..., 3:]
+    random = np.random.default_rng(seed)
+    away = random.choice([-1, 1], (2, 3)) * random.uniform(0.3, 0.6, (2, 3)) * [1, 1, 0]
+    origin = torch.stack([plate.corners.mean(dim=0) for plate in right.forces.plates]) + torch.from_numpy(away)
+    about_origin = moment - torch.linalg.cross(origin.expand_as(force), force)
+    bare = tuple(replace(plate, corners=None) for plate in right.forces.plates)
+
+    def read(options: ReadOptions) -> Trial:
+        own = torch.linalg.cross(p_WP_W, force) + options.forces_as.moment_gain * about_origin
+        forces = Forces(right.forces.time, torch.cat([force, own], dim=-1), bare)
+        return replace(right, forces=forces, parameters={"forces": "walk.mot"})
+
+    (finding,) = judge_recording(read(ReadOptions()), Recording(read, ReadOptions(), MASS))
+    assert finding.lines() == ["forces_as: {moment_gain: 0}"]
+    mended = options_of(finding.lines()[0])
+    assert judge_recording(read(mended), Recording(read, mended, MASS)) == ()
+
+
 def test_a_wrong_word_of_the_user_is_taken_back(seed):
     """A config that turns a plate which was right is told so."""
     found = judge_recording(*recording(walking_trial(seed), options_of("plates: {1: {turn_deg: 180}}")))

@@ -14,7 +14,13 @@ from torchid.checks.plates_against_feet.place import FoundPlace, find_place, pla
 from torchid.checks.plates_against_feet.readings import FeetScene, Tried, scene_of, shared_changes, tried
 from torchid.checks.plates_against_feet.scales import scale_findings
 from torchid.checks.plates_against_feet.units import unit_findings
-from torchid.checks.plates_against_feet.worlds import off_the_floor, other_size, other_up, upside_down
+from torchid.checks.plates_against_feet.worlds import (
+    moments_of_origins,
+    off_the_floor,
+    other_size,
+    other_up,
+    upside_down,
+)
 from torchid.io.mend import mend, number_of
 from torchid.io.resample import to_clock
 from torchid.recording import Trial
@@ -92,9 +98,9 @@ def _axes(scene: FeetScene, trial: Trial, reread: Reread | None) -> tuple[ForceF
     if shared and (len(bad) > 1 or not single[bad[0]].right):
         return (ForceFinding(seen, tuple(shared)),)
     if reread is not None and own_axes and not all(single[k].right for k in bad):
-        turned = other_up(reread)
-        if turned is not None:
-            return (ForceFinding(seen, (turned,)),)
+        change = other_up(reread) or moments_of_origins(reread)
+        if change is not None:
+            return (ForceFinding(seen, (change,)),)
     size = None if any(single[k].right for k in bad) else other_size(trial)
     if size is not None:
         said = f"{seen}, and would if the markers were {size:g} times as large: check their unit and calibration"

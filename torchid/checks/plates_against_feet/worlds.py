@@ -1,4 +1,4 @@
-"""What else than a plate may be wrong: the vertical of one of two files, a recording on its head, markers of a size."""
+"""What else than a plate may be wrong: a file's vertical or moments, a recording on its head, markers of a size."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,6 +33,18 @@ def other_up(reread: Callable[[Change], Trial | None]) -> Change | None:
             both = replace(turned[0].forces_as, up=forces)
             return replace(turned[0], up=markers, forces_as=both, what=f"{what}, and {turned[0].what}")
     return None
+
+
+def moments_of_origins(reread: Callable[[Change], Trial | None]) -> Change | None:
+    """The change that drops a file's moments, if forces at its points then agree; None where they do not.
+
+    A point that is the pressure leaves no moment but the free one. Horizontal moments beside a point that moves with
+    the foot are those about the plate's origin, and would count twice.
+    """
+    what = "its moments are about the plates' origins, while its points are the pressures"
+    change = Change(what, ForcesAs(moment_gain=0.0))
+    other = reread(change)
+    return change if other is not None and _all_agree(other) else None
 
 
 def off_the_floor(trial: Trial) -> bool:
