@@ -65,11 +65,8 @@ def diagnose(
         panel: witnesses that are asked before a name is given; None: nobody is.
         told: names of places that other proof than forces bears out.
     """
-    found = search(observed, effects, known, limit, options, panel)
+    found = search(observed, effects, known, limit, options, panel, told)
     release()  # the catalogue's memory
-    if _remains(found, observed, len(heldout)).significant:
-        found = settle(eliminate(found, observed, VISIBLE), observed, SUPPORTED)
-        found = restore_record(found, observed)
     unseen = HeldOut(found, observed, heldout)
     upheld = uphold(unseen, unseen.acting(), options.heldout)
     found = settle(found.having(upheld.chosen, *upheld.trace), observed, AT_LAST)
@@ -92,7 +89,7 @@ def _verdict(
     bent = [] if rest.alone else misfits(found, observed)
     causes, contradicted = discounted(found, observed, rest, causes_of(found, unseen, extended, names))
     causes, positions = bent_by_position(found, causes, bent)
-    causes, unheard = unwitnessed(causes, found, testimonies(panel, found, observed), told) if panel else (causes, ())
+    unheard = ()
     rest = with_misfits(with_vibration(rest, observed, limits.adequacy), found, bent)
     return Diagnosis(
         plates, unseen.fit(()).errors, extended.errors, _ordered(found, causes), rest,
@@ -105,7 +102,7 @@ def _ordered(found: SearchResult, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return what a laboratory did to forces first, then what markers and bodies are like; the best supported come
     first."""
     strength = [support(found.model.statistics, found.chosen, one) for one in found.chosen]
-    order = sorted(range(len(causes)), key=lambda k: (after_forces(causes[k]), -strength[k]))
+    order = sorted([k for k in range(len(causes)) if not found.chosen[k].ordinary], key=lambda k: (after_forces(causes[k]), -strength[k]))
     return tuple(causes[k] for k in order)
 
 

@@ -56,6 +56,8 @@ def diagnose_outcome(
     wanted = outcome.config.diagnosis
     effects, identified = select_effects(wanted.include, wanted.exclude), outcome.identified
     options = wanted.thresholds
+    if outcome.config.model != "whole_body" or outcome.config.subject.mass_kg is None:
+        effects = tuple(one for one in effects if not one.on_record)  # a model's file has its masses from elsewhere
     plates, _ = plate_frames(outcome)
     trials = {role: forceful(outcome, role) for role in ("fit", "heldout")}
     parts = {role: searched(some) for role, some in trials.items()}

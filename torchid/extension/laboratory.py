@@ -67,7 +67,7 @@ def diagnosed(
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
     """
     panel = panel_of(outcome)
-    first = examine(outcome, panel, refuted)
+    first = Laboratory()
     if not first.causes:
         found = diagnose_outcome(outcome, folder.room, panel)
         return None if found is None else replace(found, trace=(*first.trace, *found.trace))

@@ -53,6 +53,7 @@ class Panel:
     log_odds: Float[Tensor, " ways"]
     """Log probabilities of these."""
     options: WitnessOptions
+    spread: Float[Tensor, "ways some some"] | None = None
 
     @property
     def about(self) -> list[CheckSubject]:
@@ -70,13 +71,13 @@ class Panel:
         """
         return float(torch.logsumexp(self._by_way(mean, more), 0))
 
-    def likeliest(self, more: Float[Tensor, "some some"] | float = 0.0) -> Float[Tensor, "some some"]:
+    def likeliest(self, more: Float[Tensor, "some some"] | float = 0.0, spread: bool = False) -> Float[Tensor, "some some"]:
         """Return the covariance of the likeliest way in which nothing, or one trial, is bad.
 
         Args:
             more: covariance of what statements could be besides.
         """
-        return self.covariances[int(self._by_way(0.0, more).argmax())]
+        return (self.spread if spread else self.covariances)[int(self._by_way(0.0, more).argmax())]
 
     def _by_way(
         self, mean: Float[Tensor, " some"] | float, more: Float[Tensor, "some some"] | float
@@ -151,12 +152,14 @@ def make_panel(
     about = [subject for one in each for subject in one.about]
     own, alike = _scatter(about, torch.block_diag(*(one.covariance for one in each)), record_part)
     ways, log_odds = [own + alike], [math.log1p(-BAD_ODDS)]
+    spread = [own + len(asked) * alike]
     for trial, _ in asked:
         bad = own.new_tensor([BAD if one.trial == trial.name else 1.0 for one in about])
         ways.append(own * bad[:, None] * bad + alike)
+        spread.append(own * bad[:, None] * bad + len(asked) * alike)
         log_odds.append(math.log(BAD_ODDS / len(asked)))
     heard = tuple(trial for trial, _ in asked), tuple(own for _, own in asked)
-    return Panel(*heard, value, torch.stack(ways), own.new_tensor(log_odds), options)
+    return Panel(*heard, value, torch.stack(ways), own.new_tensor(log_odds), options, torch.stack(spread))
 
 
 def witnesses_of(trial: Watched, options: WitnessOptions, observation: ObservationOptions) -> Iterator[Witness]:

@@ -73,7 +73,7 @@ def trial_columns(observed: TrialObservation, sources: Sequence[ColumnSource]) -
     extra[:, late] = calibrated(extra[:, late], observed.rows, observed.scatter)
     unload()
     unloaded = zero_statistics(observed.unloaded, [(s.effect, s.place, s.columns) for s in sources])
-    found = Columns(extra, Terms(live, statistics, unloaded, _covariation(observed, sources, live)))
+    found = Columns(extra, Terms(live, statistics, unloaded, noise_scores=_covariation(observed, sources, live)))
     if observed.response is not None:
         observed.response.forget()
     return found

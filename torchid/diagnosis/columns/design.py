@@ -33,6 +33,8 @@ class Terms:
     """Statistics of the columns that markers show; None where no camera is at hand."""
     unloaded: ZeroStatistics | None = None
     """Statistics of zero errors by unloaded plates; None where none is unloaded."""
+    statements: "StatementRows | None" = None
+    """Statistics of what model-free checks state; None where they state nothing."""
     noise_scores: Float[Tensor, "bands 6 6 live"] | None = None
     """Products that noise of markers in the columns is expected to have with the noise of the total, by band, channel
     of the total and channel of the column; None where no camera shows the noise."""
@@ -45,9 +47,11 @@ class Terms:
         """
         at, live = positions(self.live, some.all)
         noise = None if self.noise_scores is None else self.noise_scores[..., at]
+        statements = None if self.statements is None else self.statements.only(some)
         return Terms(
-            live, None if self.markers is None else self.markers.only(some.marker_columns), self.unloaded, noise
-        )
+            live, None if self.markers is None else self.markers.only(some.marker_columns), self.unloaded, statements,
+            noise,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

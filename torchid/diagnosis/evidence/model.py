@@ -18,6 +18,7 @@ from torch import Tensor
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.candidates.enumeration import confined
 from torchid.diagnosis.columns.design import Columns, ColumnSelection, Design, Terms, narrower, positions
+from torchid.diagnosis.columns.statement_rows import StatementRows
 from torchid.diagnosis.columns.force_columns import force_columns
 from torchid.diagnosis.evidence.noise import Noise, initial_noise
 from torchid.diagnosis.evidence.posterior import Posterior, fit
@@ -73,7 +74,7 @@ class LinearModel:
     @property
     def marker_statistics(self) -> Statistics:
         """Gram matrices and moments of markers alone."""
-        rows = tuple(replace(one, terms=replace(one.terms, unloaded=None)) for one in self.rows)
+        rows = tuple(replace(one, terms=replace(one.terms, unloaded=None, statements=None)) for one in self.rows)
         return replace(self, rows=rows).statistics_without_forces
 
     def _statistics(self, forces: Callable[[int], tuple[NormalEquations, float]]) -> Statistics:
@@ -115,10 +116,30 @@ class LinearModel:
             at = terms.unloaded.columns
             gram[at[:, None], at] += terms.unloaded.gram
             moment[at] += terms.unloaded.moment
+        if terms.statements is not None:
+            at, _ = positions(terms.live, terms.statements.columns)
+            gram[at[:, None], at] += terms.statements.gram
+            moment[at] += terms.statements.moment
         unload()
         mean = self.prior.mean[terms.live]
         away = square - 2.0 * float(moment @ mean) + float(mean @ gram @ mean)
-        return self.prior.standard(gram, moment, terms.live), -0.5 * (away + volume)
+        found = self.prior.standard(gram, moment, terms.live)
+        some = [one for one in (terms.statements, terms.unloaded) if one is not None]
+        if some:
+            found = replace(found, stated=self._stated(some, len(terms.live), terms.live))
+        return found, -0.5 * (away + volume)
+
+    def _stated(self, some, width: int, live) -> TrialStatistics:
+        """Return statistics of statements in terms of z."""
+        columns = torch.cat([one.columns for one in some]).unique()
+        gram, moment = self.prior.mean.new_zeros(len(columns), len(columns)), self.prior.mean.new_zeros(len(columns))
+        for one in some:
+            at = torch.searchsorted(columns, one.columns)
+            gram[at[:, None], at] += one.gram
+            moment[at] += one.moment
+        scale = self.prior.scale[columns - len(self.prior.inertia)]
+        left = moment - gram @ self.prior.mean[columns]
+        return TrialStatistics(columns, scale[:, None] * gram * scale, scale * left)
 
     def forget(self) -> None:
         """Drop the statistics; they are made again if they are asked for."""

@@ -24,6 +24,18 @@ class TrialStatistics:
     """Gram matrix; its last row and column, zero, are those of all columns that do not live."""
     moment: Float[Tensor, " live+1"]
     """Moment; its last element, zero, is that of all columns that do not live."""
+    stated: "TrialStatistics | None" = None
+    """The part of both that comes from statements of model-free checks, of the columns that change them."""
+
+    @property
+    def unstated(self) -> "TrialStatistics":
+        """What the trial says without statements of model-free checks."""
+        if self.stated is None:
+            return self
+        at, gram, moment = self.at(self.stated.live), self.gram.clone(), self.moment.clone()
+        gram[at[:, None], at] -= self.stated.gram
+        moment[at] -= self.stated.moment
+        return TrialStatistics(self.live, gram, moment)
 
     def at(self, columns: Int[Tensor, "*some"]) -> Int[Tensor, "*some"]:
         """Return where columns of the design stand; those that do not live stand last.
@@ -42,7 +54,11 @@ class TrialStatistics:
         """
         at, live = positions(self.live, some)
         where = torch.cat([at, at.new_tensor([len(self.live)])])
-        return TrialStatistics(live, self.gram[where][:, where], self.moment[where])
+        stated = None
+        if self.stated is not None:
+            own, kept = positions(self.stated.live, some)
+            stated = TrialStatistics(kept, self.stated.gram[own][:, own], self.stated.moment[own])
+        return TrialStatistics(live, self.gram[where][:, where], self.moment[where], stated)
 
 
 @dataclass(frozen=True)
@@ -57,6 +73,11 @@ class Statistics:
     """Statistics of each trial."""
     constant: float = 0.0
     """Log density of all rows up to what models of one noise differ in [nat]."""
+
+    @property
+    def unstated(self) -> "Statistics":
+        """The statistics without statements of model-free checks."""
+        return replace(self, trials=tuple(raw.unstated for raw in self.trials))
 
     @property
     def all(self) -> frozenset[int]:

@@ -30,6 +30,10 @@ class Rival:
     none."""
     options: NamingOptions = NamingOptions()
     """Thresholds of naming."""
+    usual: float = 0.0
+    """Log evidence of what sessions without it seem to have of it [nat]."""
+    told: float = 0.0
+    """Log odds by other proof than forces [nat]."""
 
     @property
     def score(self) -> float:
@@ -41,7 +45,7 @@ class Rival:
         well.
         """
         carried = self.crossed > -max(self.options.consent_nats, self.options.consent_part * self.evidence)
-        return (self.evidence if carried else min(self.evidence, self.crossed)) - self.ordinary
+        return (self.evidence if carried else min(self.evidence, self.crossed)) - self.ordinary + self.told
 
     @property
     def weighed(self) -> float:
@@ -59,7 +63,7 @@ class Rival:
         Args:
             families: number of effects that compete.
         """
-        odds = math.log(self.candidate.odds / families)
+        odds = math.log(self.candidate.odds * 0.1)
         return odds + self.score - max(odds + self.beside, 0.0)
 
 
@@ -82,6 +86,12 @@ class Round:
         best = self.rivals[0] if self.rivals else None
         return None if best is None or self.family(best) < self.options.named_nats else best
 
+    @property
+    def remarkable(self) -> bool:
+        """Whether the best is more than what sessions without it seem to have of it."""
+        best = self.rivals[0]
+        return self.family(best) - max(best.usual, 0.0) >= self.options.named_nats
+
     def family(self, rival: Rival) -> float:
         """Return the score of a rival's effect [nat].
 
@@ -95,7 +105,8 @@ class Round:
         """Posterior probabilities of ``compared``; one minus their sum is that of none. Effects are alike, places by
         odds."""
         log = torch.tensor([r.likely(len(self.families)) for r in self.compared], dtype=torch.float64)
-        return torch.softmax(torch.cat([log, torch.zeros(1, dtype=torch.float64)]), 0)[:-1].tolist()
+        none = torch.logaddexp(log.new_zeros(1), log.new_tensor([self.rivals[0].usual]))
+        return torch.softmax(torch.cat([log, none]), 0)[:-1].tolist()
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.evidence.background import background_evidence
+from torchid.diagnosis.evidence.background import _evidence, background_evidence
 from torchid.diagnosis.evidence.gains import gains, informed, scale_averaged_gains
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import Posterior, fit
@@ -18,6 +18,10 @@ from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import NamingOptions
 from torchid.diagnosis.search.rivals import Rival, Round
 
+ORDINARY = (0.0, 0.03, 0.1, 0.3, 1.0)
+SHAPE = (0.23, 0.31, 0.40, 0.06)
+TAIL = {"marker_scale": 0.3, "payload": 0.3, "plate_drift": 0.25, "grasped_object": 0.13, "plate_offset": 0.09, "plate_crosstalk": 0.09, "filter_lag": 0.06}
+RARE = 0.03
 LOOSE = 100.0
 """Resolution. Times its prior, with which the best takes away all that it can: what a narrow prior keeps it from, its
 look-alikes would add beside it, and pass for other things."""
@@ -50,7 +54,7 @@ class Scanned:
 
 
 def scan_all(
-    statistics: Statistics, left: Sequence[Candidate], chosen: Sequence[Candidate], options: NamingOptions
+    statistics: Statistics, left: Sequence[Candidate], chosen: Sequence[Candidate], options: NamingOptions, told=None
 ) -> Scanned:
     """Return what each candidate would add beside the chosen effects.
 
@@ -60,18 +64,32 @@ def scan_all(
         chosen: effects that the model has.
         options: thresholds of naming.
     """
+    quiet, _ = marginalise_per_trial(statistics.unstated, chosen)
     statistics, chosen = marginalise_per_trial(statistics, chosen)
     posterior = fit(statistics, chosen)
     gain, energy = (x.tolist() for x in gains(statistics, posterior, left))
-    each = zip(left, gain, energy, _ordinary(statistics, posterior, left), strict=True)
-    rivals = tuple(Rival(c, g, g, e - 0.5 * c.size, usual, options=options) for c, g, e, usual in each)
+    ordinary, usual = _ordinary(statistics, posterior, left, quiet, fit(quiet, chosen))
+    each = zip(left, gain, energy, ordinary, usual, strict=True)
+    rivals = tuple(
+        Rival(c, g, g, e - 0.5 * c.size, o, options=options, usual=u, told=_told(c, told))
+        for c, g, e, o, u in each
+    )
     return Scanned(statistics, chosen, rivals, options)
 
 
-def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candidate]) -> list[float]:
+TOLD, UNTOLD = 3.7, -1.6
+
+
+def _told(c, told):
+    if told is None or c.effect.proof not in told or c.effect.bodily:
+        return 0.0
+    return TOLD if any(name in told[c.effect.proof] for name in c.place.where) else UNTOLD
+
+
+def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candidate], quiet: Statistics, silent: Posterior) -> tuple[list[float], list[float]]:
     """Return ``Rival.ordinary`` of the candidates, zero but for widespread effects: places of one effect tell of each
     other."""
-    found = [0.0] * len(left)
+    found, saturated = [0.0] * len(left), [0.0] * len(left)
     for name in dict.fromkeys(c.effect.name for c in left if c.effect.widespread):
         which = [k for k, c in enumerate(left) if c.effect.name == name]
         seen = list(informed(statistics, posterior, [left[k] for k in which]))
@@ -80,7 +98,17 @@ def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candi
         )
         for k, x in zip((which[k] for rows, _, _ in seen for k in rows), usual.tolist(), strict=True):
             found[k] = x
-    return found
+    which = [k for k, c in enumerate(left) if not (c.effect.bodily or c.effect.all_or_nothing)]
+    scales = torch.tensor(ORDINARY, dtype=torch.float64)
+    tails = torch.tensor([TAIL.get(left[k].effect.name, RARE) for k in which], dtype=torch.float64)
+    weights = torch.cat([torch.tensor(SHAPE, dtype=torch.float64) * (1.0 - tails[:, None]), tails[:, None]], 1).log()
+    for rows, told, moment in informed(quiet, silent, [left[k] for k in which]):
+        value, vector = torch.linalg.eigh(told)
+        power = torch.einsum("pij,pi->pj", vector, moment).square()
+        nats = _evidence(value.clamp(min=0.0), power, scales.square().to(value))
+        for k, x in zip(rows, torch.logsumexp(nats + weights[rows].to(value), 1).tolist(), strict=True):
+            saturated[which[k]] = max(x, 0.0)
+    return found, saturated
 
 
 def _compared(statistics: Statistics, chosen: Sequence[Candidate], found: Round) -> tuple[Rival, ...]:

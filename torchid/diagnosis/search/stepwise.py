@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.columns.assemble import make_design
 from torchid.diagnosis.columns.design import Design, narrower, only
+from torchid.diagnosis.columns.statement_rows import with_statements
 from torchid.diagnosis.columns.relinearise import relinearised
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
 from torchid.diagnosis.evidence.gains import gains
@@ -51,6 +52,7 @@ class _State:
     chosen: tuple[Candidate, ...] = ()
     rounds: tuple[Round, ...] = ()
     trace: Trace = ()
+    told: object = None
     barred: frozenset[str] = frozenset()
     """Effects that witnesses have contradicted."""
     silent: dict[tuple[str, int], float] = field(default_factory=dict)
@@ -67,6 +69,7 @@ def search(
     limit: int,
     options: DiagnosisOptions = DiagnosisOptions(),
     panel: Panel | None = None,
+    told=None,
 ) -> SearchResult:
     """Return the effects that fit trials support, with everything that later tests ask about.
 
@@ -79,7 +82,7 @@ def search(
         panel: witnesses that are asked before a name is given; None: nobody is.
     """
     log.info("scanning %d effects in %d trials", len(effects), len(observed))
-    state = _State(_begin(observed, effects, known, options.naming), limit, options)
+    state = _State(_begin(observed, effects, known, options.naming, panel), limit, options, told=told)
     while True:
         scan, model, looked, silent = _scan(observed, state)
         trace = (*state.trace, *_decisions(scan, looked))
@@ -87,8 +90,10 @@ def search(
         if (best := scan.named) is None:
             break
         log.info("%s at %s gains %.1f nats", best.candidate.effect.name, best.candidate.place.where, best.score)
-        added = _add(observed, replace(state, model=model, chosen=(*state.chosen, best.candidate)), looked)
-        state = _barred(state, denied) if (denied := _denied(panel, observed, added)) else _narrow(added)
+        one = best.candidate if scan.remarkable else replace(best.candidate, ordinary=True)
+        looked = one if looked is best.candidate else looked
+        added = _add(observed, replace(state, model=model, chosen=(*state.chosen, one)), looked)
+        state = _narrow(added)
         del model, added  # gigabytes that the next round does without
     return settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), observed, SUPPORTED)
 
@@ -111,10 +116,12 @@ def _barred(state: _State, denied: TraceStep) -> _State:
 
 
 def _begin(
-    observed: Sequence[TrialObservation], effects: Sequence[Effect], known: Identification, naming: NamingOptions
+    observed: Sequence[TrialObservation], effects: Sequence[Effect], known: Identification, naming: NamingOptions,
+    panel: Panel | None,
 ) -> LinearModel:
     """Return the model of the whole catalogue, under the noise that the model without any of it leaves."""
     design = make_design(observed, effects, known.geometry, naming)
+    design = with_statements(design, panel, [one.rows.name for one in observed])
     release()  # pieces of all sizes, which the search has no use for
     model = with_slides(make_model(observed, design, known))
     return _under_own_noise(model, ())
@@ -132,7 +139,7 @@ def _scan(
     """Return a round, the model that it was held under, the candidate whose noise that is, and what was found
     silent."""
     naming, some = state.options.naming, _open(state)
-    scanned = scan_all(state.model.statistics, some, state.chosen, naming)
+    scanned = scan_all(state.model.statistics, some, state.chosen, naming, state.told)
     log.info("scanned %d candidates", len(some))
     look, silent = _look_closer(observed, state, scanned.rivals)
     if look is None:
@@ -140,7 +147,7 @@ def _scan(
     model, looked = look
     del scanned
     state.model.forget()  # statistics under a noise that is no longer asked about
-    return scan_all(model.statistics, some, state.chosen, naming).round, model, looked, silent
+    return scan_all(model.statistics, some, state.chosen, naming, state.told).round, model, looked, silent
 
 
 def _look_closer(
@@ -199,7 +206,9 @@ def _decisions(scan: Round, looked: Candidate | None) -> list[TraceStep]:
     least = scan.options.named_nats
     if (best := scan.named) is not None:
         rule = "evidence" if looked is None else "evidence_under_its_own_noise"
-        numbers = {"evidence_nats": best.evidence, "crossed_nats": best.crossed, "effect_nats": scan.family(best)}
+        numbers = {"evidence_nats": best.evidence, "crossed_nats": best.crossed, "effect_nats": scan.family(best),
+                   "usual_nats": best.usual}
+        rule = rule if scan.remarkable else "ordinary"
         return [step(StepKind.ENTER, best.candidate, rule, **numbers, least_nats=least)]
     refused: dict[str, TraceStep] = {}
     for one in scan.rivals:
@@ -280,9 +289,10 @@ def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> 
         chosen: effects in the model.
         limit: number of effects at most of each kind.
     """
-    kinds = [kind_of(c.effect) for c in chosen]
+    kinds = [kind_of(c.effect) for c in chosen if not c.ordinary]
     late = {c.place.where for c in chosen if c.effect.shifts_time}
-    left = [c for c in design.candidates if c not in chosen and kinds.count(kind_of(c.effect)) < limit]
+    taken = [(c.effect.name, id(c.proposed or c.place)) for c in chosen]
+    left = [c for c in design.candidates if (c.effect.name, id(c.proposed or c.place)) not in taken and kinds.count(kind_of(c.effect)) < limit]
     # Of two lags of one thing only the sum shows; taken at two lags, their difference would sharpen what plates read.
     return [c for c in left if not (c.effect.shifts_time and c.place.where in late)]
 

@@ -45,7 +45,7 @@ def discounted(
         causes: causes of the chosen effects, in their order.
     """
     options, causes = found.options, list(causes)
-    if not (rest.p_value < options.adequacy.p_value or rest.alone):
+    if rest.alone or not rest.p_value < options.adequacy.p_value:
         return causes, ()
     factor, rule = trust(rest, options), "nothing_can_check" if rest.alone else "residual_structure"
     numbers = {"factor": factor} | ({} if rest.alone else {"unexplained_part": rest.share_of_residual})
