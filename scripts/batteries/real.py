@@ -4,8 +4,6 @@
     scripts/battery --real --each 0                     # every kind in every session
     scripts/battery --real --cases 20 --kinds gain mass # a random part of it
     scripts/battery --real --aside                      # the sets that nothing is tuned on
-    scripts/battery --real --witnesses                  # what witnesses name before any body model is asked, of the
-                                                        # kinds that they can see
     scripts/battery --real --summary out/real_battery   # tables of what was run
 
 Every session is run as recorded, with each trial left out in turn, and with one fault of a kind; the trial that is then
@@ -22,7 +20,7 @@ import sys
 import time
 import zlib
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -40,12 +38,8 @@ from planted_faults.real_truth import Inapplicable, Truth
 from batteries.real_judge import differences, judged, tables
 from batteries.remembered import remembering
 from torchid.config import load_config
-from torchid.diagnosis.verdict.table import cause_table, plates_table
 from torchid.errors import TorchidError
-from torchid.extension.diagnosing import plate_frames
-from torchid.extension.laboratory import examine, panel_of
 from torchid.run import run_experiment
-from torchid.storage.files import plain
 
 Said = dict[str, Any]
 """What is kept of a run."""
@@ -54,11 +48,6 @@ SMALL_KINDS = (UNPLANTED, "clock20", "gain", "mass")
 """Choice. Sessions that take least, and kinds that a balance of momentum sees: about two minutes on two cores."""
 EACH = 2
 """Choice. Sessions in which each kind is planted, by lot: with all as recorded, an hour on two cores at 97 s a run."""
-WITNESSED = (
-    UNPLANTED, "clock12", "clock20", "gain", "all_gains", "mass", "offset", "crosstalk", "tilt", "sideways",
-    "clock8", "offset_zeroed", "shift15", "turn",
-)  # fmt: skip
-"""Kinds that ``--witnesses`` plants: what readings of plates and the record of a mass get wrong."""
 KEPT = ("causes", "plates", "baseline", "extended", "unexplained", "refuted", "nearest")
 """Parts of ``diagnosis.json`` that are kept."""
 
@@ -90,7 +79,7 @@ def cases(some: Sequence[RealSession], kinds: Sequence[str], seed: int) -> Itera
                 yield Case(session.name, random.Random(own).choice(session.ways), kind, own)  # noqa: S311 - a lot
 
 
-def perform(case: Case, session: RealSession, root: Path, out: Path, run: Callable[[Path], Said]) -> Said:
+def perform(case: Case, session: RealSession, root: Path, out: Path) -> Said:
     """Plant, run from the files alone, and keep what was said."""
     folder, begun, spent = out / "scratch" / case.key, time.perf_counter(), time.process_time()
     kept: dict[str, Any] = {"case": case.key, **asdict(case)}
@@ -102,7 +91,7 @@ def perform(case: Case, session: RealSession, root: Path, out: Path, run: Callab
     try:
         # Nobody reads the reports, which are a fifth of a run.
         with patch("torchid.run.sequence.write_report"), remembering(out / "fits"):
-            kept |= run(path)
+            run_experiment(load_config(path))
     except TorchidError as error:
         kept |= {"exit": error.exit_code, "message": f"{error.code}: {error.message}; {error.remedy}"[:400]}
     except Exception as error:  # a defect of torchid; the battery goes on, and the row says it
@@ -123,19 +112,6 @@ def planted(case: Case, session: RealSession, root: Path, folder: Path) -> tuple
     faulty, truth = plant(case.kind, recorded, session, kept, case.seed)
     shutil.rmtree(folder, ignore_errors=True)
     return truth, write_session(faulty, session, folder, kept)
-
-
-def whole(config: Path) -> Said:
-    """All that a user would run; its files say what was found."""
-    run_experiment(load_config(config))
-    return {}
-
-
-def witnesses_only(config: Path) -> Said:
-    """What witnesses name, and no body model is asked."""
-    outcome = run_experiment(load_config(config, ["inertia.enabled=false", "diagnosis.enabled=false"]))
-    causes = [cause_table(cause) for cause in examine(outcome, panel_of(outcome)).causes]
-    return {"diagnosis": plain({"causes": causes, "plates": plates_table(plate_frames(outcome)[0])})}
 
 
 def _said(out: Path) -> Said:
@@ -172,8 +148,7 @@ def summary(out: Path) -> str:
 def planned(arguments: Namespace, some: dict[str, RealSession]) -> list[Case]:
     """The cases that are asked for, in an order by lot: a battery that is stopped early has a little of everything."""
     names = arguments.sessions or (SMALL if arguments.small else tuple(some))
-    every = WITNESSED if arguments.witnesses else (UNPLANTED, *KINDS)
-    kinds = arguments.kinds or (SMALL_KINDS if arguments.small else every)
+    kinds = arguments.kinds or (SMALL_KINDS if arguments.small else (UNPLANTED, *KINDS))
     found = list(cases([some[name] for name in names if name in some], kinds, arguments.seed))
     found = found if arguments.sessions or arguments.each == 0 else list(_each(found, arguments.each))
     random.Random(arguments.seed).shuffle(found)  # noqa: S311 - a lot
@@ -199,7 +174,6 @@ def main(given: Sequence[str] | None = None) -> None:
         cases=(int, "only so many of all, by lot"),
         out=(Path("out/real_battery"), "folder of verdicts and rows"),
         small=(False, "two short sessions and three kinds: about two minutes"),
-        witnesses=(False, "ask witnesses alone, and no body model"),
         aside=(False, "the sets kept aside, and no others"),
         summary=({"nargs": "+", "type": Path, "metavar": "FOLDER"},
                  "only tabulate what a folder keeps; of two, differences"),
@@ -216,16 +190,16 @@ def main(given: Sequence[str] | None = None) -> None:
     if strange or not some:
         command.parser.error(f"no such session at {DATA}: {', '.join(strange)}; there are {', '.join(some) or 'none'}")
     asked.seed = said_seed(asked.seed)
-    run, every = witnesses_only if asked.witnesses else whole, {case.key: case for case in planned(asked, some)}
-    work = partial(_perform, some=some, root=DATA, out=asked.out, run=run)
+    every = {case.key: case for case in planned(asked, some)}
+    work = partial(_perform, some=some, root=DATA, out=asked.out)
     for number, kept in enumerate(performed(every, work, asked.jobs, asked.out / "verdicts.jsonl", "case"), 1):
         print(f"{number:4d}/{len(every)} {_in_a_line(kept)}", flush=True)
     print(summary(asked.out))
     sys.exit(any(row["result"] == "crashed" for row in read_lines(asked.out / "rows.jsonl")))
 
 
-def _perform(case: Case, some: dict[str, RealSession], root: Path, out: Path, run: Callable[[Path], Said]) -> Said:
-    return perform(case, some[case.session], root, out, run)
+def _perform(case: Case, some: dict[str, RealSession], root: Path, out: Path) -> Said:
+    return perform(case, some[case.session], root, out)
 
 
 def _in_a_line(kept: dict[str, Any]) -> str:

@@ -1,14 +1,14 @@
 """The sequence of the diagnosis: search, eliminate, test on held-out motion, and assess what remains."""
 
-from collections.abc import Collection, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 
+from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.model import Identification
+from torchid.diagnosis.evidence.other_proof import NOTHING_TOLD, Told
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.options import DiagnosisOptions
-from torchid.diagnosis.search.elimination import AT_LAST, SUPPORTED, VISIBLE, eliminate, restore_record, settle
-from torchid.diagnosis.search.hearing import testimonies
+from torchid.diagnosis.search.elimination import AT_LAST, settle
 from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.search.stepwise import search
 from torchid.diagnosis.testing.heldout import HeldOut
@@ -16,11 +16,10 @@ from torchid.diagnosis.testing.position_dependence import misfits, with_misfits
 from torchid.diagnosis.testing.refutation import Upheld, uphold
 from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.verdict.causes import after_forces, causes_of, nearest, untested
-from torchid.diagnosis.verdict.confidence import bent_by_position, discounted, unwitnessed
+from torchid.diagnosis.verdict.confidence import bent_by_position, discounted
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
-from torchid.effects.traits import Proof
 from torchid.model_free.panel import Panel
 from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
@@ -50,7 +49,7 @@ def diagnose(
     limit: int,
     options: DiagnosisOptions = DiagnosisOptions(),
     panel: Panel | None = None,
-    told: Mapping[Proof, Collection[str]] = MappingProxyType({}),
+    told: Told = NOTHING_TOLD,
 ) -> Diagnosis:
     """Return the causes of what the identified model gets wrong, with what remains and the trace of all decisions.
 
@@ -62,15 +61,15 @@ def diagnose(
         known: what the inertial fit knew and found.
         limit: number of causes at most of each kind (``stepwise.kind_of``).
         options: every threshold that decides.
-        panel: witnesses that are asked before a name is given; None: nobody is.
-        told: names of places that other proof than forces bears out.
+        panel: what model-free checks state; None: nothing.
+        told: what other proof than forces says.
     """
     found = search(observed, effects, known, limit, options, panel, told)
     release()  # the catalogue's memory
     unseen = HeldOut(found, observed, heldout)
     upheld = uphold(unseen, unseen.acting(), options.heldout)
-    found = settle(found.having(upheld.chosen, *upheld.trace), observed, AT_LAST)
-    return _verdict(found, unseen, upheld, observed, plates, panel, told)
+    found = settle(found.having(upheld.chosen, *upheld.trace), AT_LAST)
+    return _verdict(found.having(sorted(found.chosen, key=lambda one: one.ordinary)), unseen, upheld, observed, plates)
 
 
 def _verdict(
@@ -79,30 +78,28 @@ def _verdict(
     upheld: Upheld,
     observed: Sequence[TrialObservation],
     plates: tuple[SessionPlate, ...],
-    panel: Panel | None,
-    told: Mapping[Proof, Collection[str]],
 ) -> Diagnosis:
-    """Return the diagnosis that the chosen effects amount to."""
-    rest, limits = _remains(found, observed, len(unseen.trials)), found.options
-    extended = unseen.fit(found.chosen)
+    """Return the diagnosis that the chosen effects amount to, of which those that are ordinary stand last."""
+    limits, extended = found.options, unseen.fit(found.named)
     names = [w.rows.name for w in (*observed, *unseen.trials)]
-    bent = [] if rest.alone else misfits(found, observed)
-    causes, contradicted = discounted(found, observed, rest, causes_of(found, unseen, extended, names))
+    bent = misfits(found, observed)
+    searched = _remains(found, found.chosen, observed)
+    causes, contradicted = discounted(found, observed, searched, causes_of(found, unseen, extended, names))
     causes, positions = bent_by_position(found, causes, bent)
-    unheard = ()
+    rest = _remains(found, found.named, observed)
     rest = with_misfits(with_vibration(rest, observed, limits.adequacy), found, bent)
     return Diagnosis(
         plates, unseen.fit(()).errors, extended.errors, _ordered(found, causes), rest,
         untested(observed, plates), nearest(found.rounds[-1], limits.confidence.rivals),
-        _refuted(upheld), (*found.trace, *contradicted, *positions, *unheard),
+        _refuted(upheld), (*found.trace, *contradicted, *positions),
     )  # fmt: skip
 
 
 def _ordered(found: SearchResult, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return what a laboratory did to forces first, then what markers and bodies are like; the best supported come
     first."""
-    strength = [support(found.model.statistics, found.chosen, one) for one in found.chosen]
-    order = sorted([k for k in range(len(causes)) if not found.chosen[k].ordinary], key=lambda k: (after_forces(causes[k]), -strength[k]))
+    strength = [support(found.model.statistics, found.chosen, one) for one in found.named]
+    order = sorted(range(len(causes)), key=lambda k: (after_forces(causes[k]), -strength[k]))
     return tuple(causes[k] for k in order)
 
 
@@ -114,7 +111,7 @@ def _refuted(upheld: Upheld) -> tuple[Refuted, ...]:
     )  # fmt: skip
 
 
-def _remains(found: SearchResult, observed: Sequence[TrialObservation], others: int) -> Adequacy:
-    """Return the adequacy of the model with the chosen effects."""
-    left = residuals(observed, found.model, found.posterior)
-    return assess_adequacy(observed, left, found.options.adequacy, others)
+def _remains(found: SearchResult, chosen: Sequence[Candidate], observed: Sequence[TrialObservation]) -> Adequacy:
+    """Return the adequacy of the model with some of the chosen effects."""
+    left = residuals(observed, found.model, found.model.fit(chosen))
+    return assess_adequacy(observed, left, found.options.adequacy)

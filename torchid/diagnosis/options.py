@@ -25,6 +25,8 @@ class NamingOptions:
     named_nats: Positive = 2.5
     """Calibrated. Log odds from which an effect is named, 12 to one: above the best score of any effect in sessions
     that hide nothing (``scripts/battery --calibrate``)."""
+    effect_odds: Share = 0.1
+    """Derived. Odds before any data that a session has an effect of one kind: one session in ten."""
     alike_nats: Positive = 3.0
     """Cited. Log odds within which a rival cannot be told from the best: below 20 to one, evidence is not strong
     (Kass & Raftery, JASA 90:773 (1995))."""
@@ -55,11 +57,8 @@ class EliminationOptions:
     """Thresholds by which a cause leaves that evidence alone would keep."""
 
     residual_part: Share = 0.05
-    """Calibrated. Part of the residual force or moment that a cause must take away where noise does not explain the
-    residual; what takes away more by itself is not doubted for a residual that is barely more than noise."""
-    opposed_part: Share = 0.5
-    """Calibrated. Part of the energy of the larger of two causes below which both together undo each other. Set on a
-    runner, whose trunk moves less than its markers."""
+    """Calibrated. Part of the residual force or moment that a cause takes away by itself from which on it is not
+    doubted for a residual that is barely more than noise."""
     negative_sd: Positive = 3.0
     """Calibrated. Standard deviations below zero that refute one of several parameters that are never negative. Set on
     three recordings; of true ones one in 700 is so low by chance."""

@@ -165,10 +165,6 @@ class Effect(Traits, Described, ABC):
         """Return the number of internal parameters that are never negative; they are the first ones."""
         return self.parameters[0].size if self.parameters[0].positive else 0
 
-    def weighs(self, place: Place) -> bool:
-        """Return whether all weight is wrong by a factor there, which inertia takes on."""
-        return self.on_record
-
     def part_of(self, own: Place, effect: "Effect", place: Place) -> Float[Tensor, "params own"] | None:
         """Return the matrix from its parameters to those of another effect, if it is part of that."""
         return None

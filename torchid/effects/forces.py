@@ -79,7 +79,6 @@ class BodyWeightSupport(PointForce):
     """A harness that carries part of the weight, whatever the body does."""
 
     name = "body_weight_support"
-    lifts = True
     parameters = (
         Parameter("force_N", 100.0, positive=True, source="a choice: 15 % of the weight of 70 kg, a harness that "
                   "carries little"),

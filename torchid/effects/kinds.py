@@ -31,7 +31,6 @@ class RecordEffect(LoadEffect):
 
     origin = Origin.RECORD
     correction = Correction.RECORD
-    witnessed = True
 
     @abstractmethod
     def entries(self, finding: NamedEffect) -> Mapping[str, float]:
@@ -42,7 +41,6 @@ class ReadingEffect(Effect):
     """A map from what plates bear to what they read."""
 
     correction = Correction.READING
-    witnessed = True
 
     @abstractmethod
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:

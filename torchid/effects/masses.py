@@ -84,6 +84,7 @@ class Payload(PointMass):
     """A load that a segment carries throughout."""
 
     name = "payload"
+    mistaken = 0.3
     response = Response.NONLINEAR
     parameters = LOAD
     noun = "a load"
@@ -106,6 +107,7 @@ class GraspedObject(PointMass):
     """A payload of a hand that comes and goes."""
 
     name = "grasped_object"
+    mistaken = 0.13
     occurrence = Occurrence.INTERVALS
     parameters = LOAD
     noun = "an object in the hand"

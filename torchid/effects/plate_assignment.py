@@ -27,7 +27,6 @@ class PlateAssignment(ReadingEffect):
 
     name = "plate_assignment"
     response = Response.ALL_OR_NOTHING
-    witnessed = False
     site = Site.PLATE
     link = "of"
     parameters = (Parameter("share", 1.0, positive=True, source="by construction: one where cables are swapped"),)

@@ -64,9 +64,6 @@ class PlateGain(ReadingEffect):
         silent = [name for name in plates if name not in borne]
         return f"not of {', '.join(silent)}: no step there in a fit trial" if silent else ""
 
-    def weighs(self, place: Place) -> bool:
-        return len(place.where) > 1
-
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         """The plates' wrenches times the gain.
 
@@ -134,6 +131,7 @@ class PlateCrosstalk(PlateMap):
     """One channel of a plate leaks into another: bent sensors, a wrong or missing calibration matrix."""
 
     name = "plate_crosstalk"
+    mistaken = 0.09
     parameters = (
         Parameter("matrix_plate", 0.02, 30, source="two parts in a hundred, the most that makers of plates state of "
                   "any pair of channels; times the lever of a fifth of a metre, see ``scale``"),

@@ -28,7 +28,6 @@ class GravityTilt(LoadEffect):
     """
 
     name = "gravity_tilt"
-    witnessed = True
     parameters = (Parameter("roll_rad", 0.02, source=TILT), Parameter("pitch_rad", 0.02, source=TILT))
     noun = "a tilted vertical"
     advice = "a plumb line with two markers, or a spirit level on the calibration frame"
@@ -61,6 +60,7 @@ class MarkerScale(SlidingMarkers):
     """The cameras were calibrated with a wand of another length: all lengths and accelerations err by one factor."""
 
     name = "marker_scale"
+    mistaken = 0.3
     proof = Proof.NOTHING
     parameters = (
         Parameter("excess", 0.02, source="a choice: a wand of another make, or its length typed wrong by a digit; a "

@@ -87,8 +87,6 @@ class BodyLag(LateReading):
 
     name = "body_lag"
     origin = Origin.BODY
-    witnessed = False
-    """Witnesses hold clocks against what they usually say, of which this is a part."""
     parameters = (
         Parameter("lag_s", math.hypot(*USUAL_LAG_S.values()), positive=True, source="root mean square over seven "
                   "sessions of four laboratories, of vertical and horizontal together (`USUAL_LAG_S`)"),
@@ -118,6 +116,7 @@ class FilterLag(SlidingMarkers):
     """
 
     name = "filter_lag"
+    mistaken = 0.06
     proof = Proof.SMOOTHNESS
     correction = Correction.WRENCH
     """No marker gives back what a filter took away."""

@@ -105,10 +105,9 @@ class Traits:
     response: ClassVar[Response] = Response.LINEAR
     column_noise: ClassVar[ColumnNoise] = ColumnNoise.NEGLECTED
     proof: ClassVar[Proof] = Proof.FORCES
-    witnessed: ClassVar[bool] = False
-    """True if it is an error of measuring that acts throughout, which witnesses may name before any model is asked."""
-    lifts: ClassVar[bool] = False
-    """True if it bears part of the weight throughout: to witnesses, plates or a record that are as much off."""
+    mistaken: ClassVar[float] = 0.03
+    """Estimator. Share of sound sessions that seem to have as much of it as one that has it, by a body model alone, see
+    ``torchid.diagnosis.evidence.apparent``; this is where none of twelve public ones does."""
     correction: ClassVar[Correction] = Correction.WRENCH
 
     @final

@@ -103,10 +103,9 @@ def assess_outcome(outcome: Outcome) -> Adequacy:
         outcome: of any model, as it is fitted.
     """
     limits = outcome.config.diagnosis.thresholds.adequacy
-    fits, heldout = (searched(forceful(outcome, role)) for role in ("fit", "heldout"))
-    observed = list(observe_outcome(outcome, "fit", fits).values())
+    observed = list(observe_outcome(outcome, "fit", searched(forceful(outcome, "fit"))).values())
     left = [measured(one.rows) - one.identified for one in observed]
-    return with_vibration(assess_adequacy(observed, left, limits, len(heldout)), observed, limits)
+    return with_vibration(assess_adequacy(observed, left, limits), observed, limits)
 
 
 def _missing_weight(

@@ -10,7 +10,7 @@ from torchid.diagnosis.verdict.records import Cause, Diagnosis
 from torchid.effects.catalogue import effect
 from torchid.effects.traits import Correction, Proof
 from torchid.extension.correction import correction
-from torchid.extension.laboratory import panel_of
+from torchid.extension.statements import panel_of
 from torchid.model_free.smoothness import MOVING_MM, RECORDED_MM, SMOOTH_MM, quickness
 from torchid.model_free.testimony import CONTRADICTS_SD, CheckAnswer, Claim, answers
 from torchid.session import Outcome

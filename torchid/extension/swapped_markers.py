@@ -121,12 +121,12 @@ def merged(before: Diagnosis, after: Diagnosis, causes: Sequence[Cause], options
         causes: the swaps.
         options: thresholds.
     """
-    doubted = after.unexplained.alone or (after.unexplained.significant and not after.unexplained.beyond)
+    doubted = after.unexplained.significant and not after.unexplained.beyond
     factor, steps = trust(after.unexplained, options) if doubted else 1.0, []
     own = [_doubted(cause, trust(before.unexplained, options), factor, doubted) for cause in causes]
     if doubted:
-        rule = "nothing_can_check" if after.unexplained.alone else "residual_structure"
-        steps = [TraceStep(StepKind.DISCOUNT, c.effect, c.where, rule, {"factor": factor}) for c in causes]
+        numbers = {"factor": factor}
+        steps = [TraceStep(StepKind.DISCOUNT, c.effect, c.where, "residual_structure", numbers) for c in causes]
     found = tuple(sorted((*own, *after.causes), key=after_forces))
     return replace(after, baseline=before.baseline, causes=found, trace=(*before.trace, *after.trace, *steps))
 

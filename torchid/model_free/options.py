@@ -2,29 +2,13 @@
 
 from dataclasses import dataclass
 
-from torchid.bounds import Count, Positive, Share
+from torchid.bounds import Positive, Share
 
 
 @dataclass(frozen=True)
 class WitnessOptions:
-    """Thresholds by which witnesses name faults and contradict causes."""
+    """Contacts, windows and plates that model-free checks ask."""
 
-    odds: Share = 0.1
-    """Derived. Odds before any data that a session has a fault of one kind: one session in ten."""
-    named_probability: Share = 0.5
-    """Derived. Probability from which a fault is named, with all that cannot be told from it: that it is there is
-    likelier than that it is not. What is said of it is how likely."""
-    alike_nats: Positive = 3.0
-    """Cited. Log odds within which a rival cannot be told from the best: below 20 to one, evidence is not strong
-    (Kass & Raftery, JASA 90:773 (1995))."""
-    most: Count = 6
-    """Derived. Number of faults at most: more are no laboratory."""
-    p_value: Share = 0.01
-    """Calibrated. Chance of what the statements say beyond the faults below which none is named: planted faults left
-    0.97 and more, what several faults had to explain together 0.005 and less."""
-    contradicted_nats: Positive = 4.5
-    """Derived. Log likelihood by which statements must speak against a cause to refute it: three standard deviations,
-    3^2 / 2."""
     shortest_contact_s: Positive = 0.3
     """Calibrated. Least time that a foot must bear a plate for its pressure to count [s]."""
     shortest_s: Positive = 0.5

@@ -1,11 +1,10 @@
-"""All statements of a session side by side, what a cause would have them say, and how likely they are with causes.
+"""All statements of a session side by side, what a cause would have them say, and what they scatter by without any.
 
-With causes of parameters theta_k ~ N(0, P_k) the statements are r ~ N(0, S + sum_k J_k P_k J_k'), where J_k is what a
-unit of each parameter makes them say: each cause is put into the recordings and the witnesses are asked again. Causes
-that look alike to one witness are told apart by the others, and what looks alike to all is said to.
+Each cause is put into the recordings and the checks are asked again: what then changes is its signature. Causes that
+look alike to one check are told apart by the others.
 
 One trial may be bad, by markers that were lost or a foot beside a plate: then its statements scatter ``BAD`` times as
-much. Whether one is, and which, is averaged over (a mixture, as for outliers: Box & Tiao, Biometrika 55:119 (1968)).
+much. The likeliest of none and each is taken (Box & Tiao, Biometrika 55:119 (1968), average over them).
 """
 
 import math
@@ -13,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.effects.effect import Effect
@@ -47,46 +46,31 @@ class Panel:
     """Witnesses of each."""
     value: Float[Tensor, " some"]
     """What they say, beyond what they say of any body."""
-    covariances: Float[Tensor, "ways some some"]
-    """Of the statements where nothing is wrong: within trials, between sessions and between laboratories; and where one
-    trial is bad."""
-    log_odds: Float[Tensor, " ways"]
-    """Log probabilities of these."""
-    options: WitnessOptions
-    spread: Float[Tensor, "ways some some"] | None = None
+    own: Float[Tensor, "some some"]
+    """Covariance of each by itself where nothing is wrong: within its trial and between sessions."""
+    alike: Float[Tensor, "some some"]
+    """Covariance of what all of a kind share in a session, by bodies and tables of inertia."""
 
     @property
     def about(self) -> list[CheckSubject]:
         """What each statement is about."""
         return [subject for some in self.witnesses for one in some for subject in one.about]
 
-    def log_density(
-        self, mean: Float[Tensor, " some"] | float = 0.0, more: Float[Tensor, "some some"] | float = 0.0
-    ) -> float:
-        """Return the log density of the statements, up to the constant of their number [nat].
+    @property
+    def sd(self) -> Float[Tensor, " some"]:
+        """Standard deviation of each where nothing is wrong."""
+        return (self.own + self.alike).diagonal().sqrt()
+
+    def covariance_of(self, some: Int[Tensor, " few"]) -> Float[Tensor, "few few"]:
+        """Return the covariance with which statements of one trial count beside those of the others.
+
+        What all of a kind share counts in each of T trials with T times its variance, so that all together know no more
+        of it than one could: exact where trials are alike, and cautious where they are not.
 
         Args:
-            mean: what they should be.
-            more: covariance of what they could be besides.
+            some: indices of the trial's statements.
         """
-        return float(torch.logsumexp(self._by_way(mean, more), 0))
-
-    def likeliest(self, more: Float[Tensor, "some some"] | float = 0.0, spread: bool = False) -> Float[Tensor, "some some"]:
-        """Return the covariance of the likeliest way in which nothing, or one trial, is bad.
-
-        Args:
-            more: covariance of what statements could be besides.
-        """
-        return (self.spread if spread else self.covariances)[int(self._by_way(0.0, more).argmax())]
-
-    def _by_way(
-        self, mean: Float[Tensor, " some"] | float, more: Float[Tensor, "some some"] | float
-    ) -> Float[Tensor, " ways"]:
-        """Return the log density of the statements and each way."""
-        L = torch.linalg.cholesky(self.covariances + more)
-        off = (self.value - mean)[:, None].expand(len(L), -1, 1)
-        white = torch.linalg.solve_triangular(L, off, upper=False)[..., 0]
-        return self.log_odds - 0.5 * white.square().sum(1) - L.diagonal(dim1=1, dim2=2).log().sum(1)
+        return (self.own + len(self.trials) * self.alike)[some][:, some]
 
     def signature(self, effect: Effect, place: Place) -> Float[Tensor, "some params"]:
         """Return what a unit of each parameter makes the witnesses say.
@@ -95,6 +79,9 @@ class Panel:
             effect: one that acts on loads or readings.
             place: where it sits.
         """
+        if effect.all_or_nothing:
+            whole = self.value.new_ones(1)
+            return -self.change([one.without(effect, place, whole) for one in self.trials])[:, None]
         found = []
         for k, scale in enumerate(effect.scale(place)):
             theta = self.value.new_zeros(effect.size(place))
@@ -151,15 +138,26 @@ def make_panel(
     each = [one for _, own in asked for one in own]
     about = [subject for one in each for subject in one.about]
     own, alike = _scatter(about, torch.block_diag(*(one.covariance for one in each)), record_part)
-    ways, log_odds = [own + alike], [math.log1p(-BAD_ODDS)]
-    spread = [own + len(asked) * alike]
-    for trial, _ in asked:
-        bad = own.new_tensor([BAD if one.trial == trial.name else 1.0 for one in about])
-        ways.append(own * bad[:, None] * bad + alike)
-        spread.append(own * bad[:, None] * bad + len(asked) * alike)
-        log_odds.append(math.log(BAD_ODDS / len(asked)))
     heard = tuple(trial for trial, _ in asked), tuple(own for _, own in asked)
-    return Panel(*heard, value, torch.stack(ways), own.new_tensor(log_odds), options, torch.stack(spread))
+    return Panel(*heard, value, _with_bad_trial(value, own, alike, [one.trial for one in about]), alike)
+
+
+def _with_bad_trial(
+    value: Float[Tensor, " some"],
+    own: Float[Tensor, "some some"],
+    alike: Float[Tensor, "some some"],
+    trials: Sequence[str],
+) -> Float[Tensor, "some some"]:
+    """Return the covariance of statements by themselves, larger for the trial that is likely to be bad, if one is."""
+    each, log_odds = [own], [math.log1p(-BAD_ODDS)]
+    for name in dict.fromkeys(trials):
+        bad = own.new_tensor([BAD if one == name else 1.0 for one in trials])
+        each.append(own * bad[:, None] * bad)
+        log_odds.append(math.log(BAD_ODDS / len(set(trials))))
+    L = torch.linalg.cholesky(torch.stack(each) + alike)
+    white = torch.linalg.solve_triangular(L, value[:, None].expand(len(L), -1, 1), upper=False)[..., 0]
+    density = own.new_tensor(log_odds) - 0.5 * white.square().sum(1) - L.diagonal(dim1=1, dim2=2).log().sum(1)
+    return each[int(density.argmax())]
 
 
 def witnesses_of(trial: Watched, options: WitnessOptions, observation: ObservationOptions) -> Iterator[Witness]:

@@ -1,4 +1,4 @@
-"""What witnesses say of causes that other evidence names."""
+"""What each model-free check says of the causes of a verdict."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,16 +27,6 @@ class Claim:
     place: Place
     theta: Callable[[str], Float[Tensor, " params"] | None]
     """Internal parameters in a trial; None where it does not act."""
-
-
-@dataclass(frozen=True)
-class Testimony:
-    """What the statements of a session say of one claim, beside all others."""
-
-    nats: float
-    """Log likelihood of the statements with the claim over that without it [nat]."""
-    loudness_sd: float
-    """What the claim would have witnesses say, in standard deviations of theirs: below about three nobody hears it."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +74,7 @@ def answers(panel: Panel, claims: Sequence[Claim]) -> list[tuple[CheckAnswer, ..
     """
     said = [_said(panel, one) for one in claims]
     together = sum(said, start=torch.zeros_like(panel.value))
-    sd = panel.covariances[0].diagonal().sqrt()  # where no trial is bad
+    sd = panel.sd
     usual = panel.value.new_tensor([SCATTER[one.kind].usual for one in panel.about])
     found = []
     for own in said:
@@ -100,24 +90,6 @@ def _answer(about: CheckSubject, value: Tensor, sd: Tensor, expected: Tensor) ->
     return CheckAnswer(
         about.kind, about.trial, about.plate, float(value), float(sd), float(expected), of.usual, of.unit
     )  # fmt: skip
-
-
-def hear(panel: Panel, claims: Sequence[Claim]) -> list[Testimony]:
-    """Return what the witnesses say of each claim.
-
-    Args:
-        panel: the statements.
-        claims: all that are made at once.
-    """
-    said = [_said(panel, one) for one in claims]
-    together = sum(said, start=torch.zeros_like(panel.value))
-    whole = panel.log_density(together)
-    L = torch.linalg.cholesky(panel.likeliest())
-    found = []
-    for own in said:
-        loud = float(torch.linalg.solve_triangular(L, own[:, None], upper=False).norm())
-        found.append(Testimony(whole - panel.log_density(together - own), loud))
-    return found
 
 
 def _said(panel: Panel, one: Claim) -> Float[Tensor, " some"]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.conventions import LOADED_N
@@ -16,6 +16,7 @@ from torchid.effects.place import Place
 from torchid.effects.plate_map import ZeroError, to_plate
 from torchid.effects.scene import Reading
 from torchid.observation.options import ObservationOptions
+from torchid.observation.stated import Stated
 
 LOWEST = 0.02
 """Estimator. Part of the frames that lie below the lowest value that counts."""
@@ -32,18 +33,6 @@ class UnloadedPlates:
     """Reading of the trial's plates on its clock, with all wrenches zero."""
     runs: tuple[tuple[int, slice, Float[Tensor, " 6"], Float[Tensor, " 6"]], ...]
     """Number of the plate, frames of the run, mean reading and its standard deviation [N, N m]."""
-
-
-@dataclass(frozen=True)
-class ZeroStatistics:
-    """Gram matrix and moment of zero errors by unloaded plates, both dimensionless for unit parameters."""
-
-    columns: Int[Tensor, " some"]
-    """Columns of the design that belong to zero errors."""
-    gram: Float[Tensor, "some some"]
-    """Products of these columns with each other."""
-    moment: Float[Tensor, " some"]
-    """Products of these columns with the mean readings."""
 
 
 def find_unloaded(raw: Reading, rate: float, options: ObservationOptions = ObservationOptions()) -> UnloadedPlates:
@@ -91,8 +80,8 @@ def _sudden(foot: Bool[Tensor, " frames"], *ends: int) -> bool:
     return all(0 <= k < len(foot) and bool(foot[k]) for k in ends)
 
 
-def zero_statistics(unloaded: UnloadedPlates, sources: Sequence[tuple[Effect, Place, slice]]) -> ZeroStatistics | None:
-    """Return Gram matrix and moment of the columns of zero errors; None where no plate is unloaded.
+def zero_statistics(unloaded: UnloadedPlates, sources: Sequence[tuple[Effect, Place, slice]]) -> Stated | None:
+    """Return what unloaded plates state of zero errors; None where no plate is unloaded.
 
     Args:
         unloaded: readings of a trial's plates while they bear nothing.
@@ -109,7 +98,7 @@ def zero_statistics(unloaded: UnloadedPlates, sources: Sequence[tuple[Effect, Pl
         X.append(own / error[:, None])
         y.append(mean / error)
     rows = torch.cat(X)
-    return ZeroStatistics(columns, rows.T @ rows, rows.T @ torch.cat(y))
+    return Stated(columns, rows.T @ rows, rows.T @ torch.cat(y))
 
 
 def _responses(nothing: Reading, effect: Effect, place: Place) -> list[Reading]:

@@ -1,6 +1,6 @@
 """Effects at places as candidates, and the columns that they have in a design."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float, Int
@@ -47,8 +47,8 @@ class Candidate:
     """Odds of the place among all places of the effect."""
     proposed: Place | None = None
     """Place before the ends of its interval were moved; None if they were not."""
-    ordinary: bool = False
-    """True if it is no more than what sessions without it seem to have of it: a nuisance, which is never named."""
+    ordinary: bool = field(default=False, compare=False)
+    """True if it is no more than what sessions without it seem to have of it: one more nuisance, never named."""
     widened: float = 1.0
     """Factor on the standard deviations of the effect's prior."""
 

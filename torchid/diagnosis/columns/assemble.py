@@ -11,7 +11,7 @@ from torch import Tensor
 from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.diagnosis.candidates.enumeration import enumerate_candidates
 from torchid.diagnosis.columns.corrected_scores import noise_scores
-from torchid.diagnosis.columns.design import Columns, Design, Terms, marker_columns, positions
+from torchid.diagnosis.columns.design import Columns, Design, Terms, marker_columns
 from torchid.diagnosis.columns.force_columns import about_root, plate_columns
 from torchid.diagnosis.columns.marker_columns import response_of
 from torchid.diagnosis.columns.rate_calibration import calibrated
@@ -21,6 +21,7 @@ from torchid.geometry.result import GeometryFit
 from torchid.observation.marker_bands import MarkerStatistics, marker_statistics, retaken_statistics
 from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.response_cache import ResponseCache
+from torchid.observation.stated import positions
 from torchid.observation.trial import TrialObservation
 from torchid.observation.unloaded_plates import zero_statistics
 from torchid.storage.snapshot import unload
@@ -73,7 +74,7 @@ def trial_columns(observed: TrialObservation, sources: Sequence[ColumnSource]) -
     extra[:, late] = calibrated(extra[:, late], observed.rows, observed.scatter)
     unload()
     unloaded = zero_statistics(observed.unloaded, [(s.effect, s.place, s.columns) for s in sources])
-    found = Columns(extra, Terms(live, statistics, unloaded, noise_scores=_covariation(observed, sources, live)))
+    found = Columns(extra, Terms(live, statistics, unloaded, _covariation(observed, sources, live)))
     if observed.response is not None:
         observed.response.forget()
     return found

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.observation.marker_bands import MarkerStatistics
-from torchid.observation.unloaded_plates import ZeroStatistics
+from torchid.observation.stated import Stated, positions
 from torchid.storage.snapshot import unload
 
 
@@ -31,10 +31,8 @@ class Terms:
     """Columns of the design that the trial has: those of the inertia, and of sources that could act in it."""
     markers: MarkerStatistics | None
     """Statistics of the columns that markers show; None where no camera is at hand."""
-    unloaded: ZeroStatistics | None = None
-    """Statistics of zero errors by unloaded plates; None where none is unloaded."""
-    statements: "StatementRows | None" = None
-    """Statistics of what model-free checks state; None where they state nothing."""
+    stated: Stated | None = None
+    """What unloaded plates and model-free checks state without a body model; None where they state nothing."""
     noise_scores: Float[Tensor, "bands 6 6 live"] | None = None
     """Products that noise of markers in the columns is expected to have with the noise of the total, by band, channel
     of the total and channel of the column; None where no camera shows the noise."""
@@ -47,11 +45,8 @@ class Terms:
         """
         at, live = positions(self.live, some.all)
         noise = None if self.noise_scores is None else self.noise_scores[..., at]
-        statements = None if self.statements is None else self.statements.only(some)
-        return Terms(
-            live, None if self.markers is None else self.markers.only(some.marker_columns), self.unloaded, statements,
-            noise,
-        )  # fmt: skip
+        markers = None if self.markers is None else self.markers.only(some.marker_columns)
+        return Terms(live, markers, None if self.stated is None else self.stated.only(some.all), noise)
 
 
 @dataclass(frozen=True)
@@ -219,17 +214,3 @@ def only(design: Design, some: Sequence[Candidate]) -> tuple[Design, tuple[Candi
     """
     small, own, which = narrower(design, some)
     return replace(small, trials=tuple(one.only(which, design.inertia) for one in design.trials)), own, which.all
-
-
-def positions(
-    live: Int[Tensor, " live"], some: Int[Tensor, " some"]
-) -> tuple[Int[Tensor, " kept"], Int[Tensor, " kept"]]:
-    """Return where those of some columns that live stand among all that do, and which of the some they are.
-
-    Args:
-        live: columns that a trial has, ascending.
-        some: columns to find.
-    """
-    at = torch.searchsorted(live, some).clamp(max=len(live) - 1)
-    there = (live[at] == some).nonzero()[:, 0]
-    return at[there], there

@@ -1,84 +1,71 @@
 """What model-free checks state of a session, as rows of the linear model beside those of the same trial's forces.
 
 A statement is a number that plates and the way of the centre of mass give without a body model: an apparent mass, a
-clock, a zero. Each effect changes it by its *signature*; what it scatters by where nothing is wrong was measured on
-public sessions (``torchid.model_free.scatter``). Statements of one trial are whitened together. What all of a kind share
-in a session counts in each of its T trials with T times its variance, so that all trials together know no more than one
-of them could: exact where trials are alike.
+clock, a leaning force. Each effect changes it by its *signature*. What a trial's plates read in the air is no statement
+here, as it is a row already (``torchid.observation.unloaded_plates``).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import ColumnSource
-from torchid.diagnosis.columns.design import ColumnSelection, Design, positions
+from torchid.diagnosis.columns.design import Columns, Design
 from torchid.model_free.panel import Panel
-
-
-@dataclass(frozen=True)
-class StatementRows:
-    """Gram matrix and moment of one trial's whitened statements."""
-
-    columns: Int[Tensor, " some"]
-    """Columns of the design that change them."""
-    gram: Float[Tensor, "some some"]
-    moment: Float[Tensor, " some"]
-
-    def only(self, some: ColumnSelection) -> "StatementRows":
-        """Return the rows of a narrower design.
-
-        Args:
-            some: columns that it has.
-        """
-        at, which = positions(self.columns, some.all)
-        return StatementRows(which, self.gram[at][:, at], self.moment[at])
+from torchid.observation.stated import Stated
 
 
 def with_statements(design: Design, panel: Panel | None, names: Sequence[str]) -> Design:
-    """Return the design with rows of statements in the terms of its trials.
+    """Return the design with what the checks state in the terms of its trials.
 
-    Statements of trials that have no rows of forces, standing above all, go with the first that has.
+    Statements about trials without rows of forces, standing above all, go with the first that has some.
 
     Args:
         design: columns of all trials.
         panel: the statements; None: there are none.
         names: of the trials, in their order.
     """
-    if panel is None:
-        return design
+    # What comes and goes has proposals by the hundred, of which a second's balance says little.
     sources = [s for s in design.sources if not s.effect.moves_markers and s.place.when is None]
-    if not sources:
+    if panel is None or not sources:
         return design
     columns = torch.cat([torch.arange(s.columns.start, s.columns.stop) for s in sources])
-    J = torch.cat([_signature(panel, source) for source in sources], 1)
-    # What plates read in the air is in the rows already (``Terms.unloaded``).
-    where = [-1 if one.kind.startswith("zero") else names.index(one.trial) if one.trial in names else 0
-             for one in panel.about]
-    own = panel.likeliest(spread=True)
+    signature = torch.cat([_signature(panel, source) for source in sources], 1)
+    trial = torch.tensor([names.index(one.trial) if one.trial in names else 0 for one in panel.about])
+    own = torch.tensor([not one.kind.startswith("zero") for one in panel.about])
     trials = []
-    for k, trial in enumerate(design.trials):
-        some = torch.tensor([j for j, at in enumerate(where) if at == k], dtype=torch.long)
-        L = torch.linalg.cholesky(own[some][:, some])
-        both = torch.cat([J[some], panel.value[some, None]], 1)
-        white = torch.linalg.solve_triangular(L, both, upper=False)
-        heard = white[:, :-1].abs().sum(0) > 0.0
-        X, at = white[:, :-1][:, heard], columns[heard]
-        rows = StatementRows(at, X.T @ X, X.T @ white[:, -1])
-        trials.append(replace(trial, terms=replace(trial.terms, statements=rows if len(some) else None)))
+    for k, one in enumerate(design.trials):
+        here = (own & (trial == k)).nonzero()[:, 0]
+        stated = _stated(panel.covariance_of(here), signature[here], panel.value[here], columns)
+        before = one.terms.stated
+        trials.append(_having(one, stated if before is None else before + stated))
     return replace(design, trials=tuple(trials))
 
 
+def _stated(
+    covariance: Float[Tensor, "own own"],
+    signature: Float[Tensor, "own params"],
+    value: Float[Tensor, " own"],
+    columns: Tensor,
+) -> Stated:
+    """Return the whitened statements of one trial, of the columns that change them."""
+    heard = (signature != 0.0).any(0)
+    L = torch.linalg.cholesky(covariance)
+    white = torch.linalg.solve_triangular(L, torch.cat([signature[:, heard], value[:, None]], 1), upper=False)
+    X, y = white[:, :-1], white[:, -1]
+    return Stated(columns[heard], X.T @ X, X.T @ y)
+
+
 def _signature(panel: Panel, source: ColumnSource) -> Float[Tensor, "statements params"]:
-    """Return what a unit of each parameter changes in the statements."""
-    if source.effect.all_or_nothing:
-        whole = panel.value.new_ones(1)
-        return -panel.change([one.without(source.effect, source.place, whole) for one in panel.trials])[:, None]
+    """Return what a unit of each parameter changes in the statements, in the trial that has its columns or in all."""
     found = panel.signature(source.effect, source.place)
-    if source.trial is not None:
-        here = torch.tensor([one.trial == source.trial for one in panel.about])
-        found = found * here[:, None]
-    return found
+    if source.trial is None:
+        return found
+    return found * torch.tensor([one.trial == source.trial for one in panel.about])[:, None]
+
+
+def _having(columns: Columns, stated: Stated) -> Columns:
+    return replace(columns, terms=replace(columns.terms, stated=stated))

@@ -39,8 +39,6 @@ class Adequacy:
     beyond: bool = False
     """True if it lies where forces were not asked for causes: above the filter, or in what one named force leaves of
     itself."""
-    alone: bool = False
-    """True if there is too little to tell, and no other trial that could agree."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,6 @@ def assess_adequacy(
     observed: Sequence[TrialObservation],
     left: Sequence[Float[Tensor, "frames 6"]],
     options: AdequacyOptions = AdequacyOptions(),
-    others: int = 0,
 ) -> Adequacy:
     """Return the assessment of the residuals of the extended model.
 
@@ -74,7 +71,6 @@ def assess_adequacy(
         observed: trials.
         left: residual of each about the root's origin [N, N m].
         options: thresholds from which on a residual is structure.
-        others: number of trials beside them that could agree.
     """
     found = [_energy(w, w.noise_budget, r) for w, r in zip(observed, left, strict=True) if w.noise_budget is not None]
     if not found:
@@ -95,19 +91,10 @@ def assess_adequacy(
             if worst is None or share > worst[1]:
                 worst = p, share, kind, b
     if worst is None:
-        return _untold(len(observed) + others)
+        return Adequacy(False, float("nan"), float("nan"), "cannot be told: too few seconds on plates")
     p, share, kind, b = min(1.0, worst[0] * tried), *worst[1:]
     significant = p < options.p_value and share > options.band_part
     return Adequacy(significant, p, share, _described(found, kind, b, share) if significant else "")
-
-
-def _untold(trials: int) -> Adequacy:
-    """Return the assessment of trials with too few frames for any band; a single one may be certain of what is
-    wrong."""
-    said = "cannot be told: too few seconds on plates"
-    if trials == 1:
-        said += ", and no other trial could agree with what forces tell"
-    return Adequacy(False, float("nan"), float("nan"), said, alone=trials == 1)
 
 
 def _described(found: Sequence[Energy], kind: str, b: int, share: float) -> str:

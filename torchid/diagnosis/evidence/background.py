@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.diagnosis.evidence.spread import eigen_powers, evidence_of_variances
+
 FREEDOM = 3.0
 """Estimator. Degrees of freedom of Student's t: the least whole number whose variance is finite, a choice."""
 OUTLIERS = 0.2
@@ -32,28 +34,17 @@ def background_evidence(told: Float[Tensor, "places n n"], left: Float[Tensor, "
         told: information that the data hold of the parameters at each place, in units of their priors.
         left: moment of the same: the parameters would be estimated as told^-1 left.
     """
-    value, vector = torch.linalg.eigh(told)
-    power = torch.einsum("pij,pi->pj", vector, left).square()
-    value, widths = value.clamp(min=0.0), WIDTHS.to(told)
+    (value, power), widths = eigen_powers(told, left), WIDTHS.to(told)
     scale = _scale(value, power)
     # Inverse gamma in the logarithm of the width, on a grid.
     weight = torch.log_softmax(-0.5 * FREEDOM * (widths.log() + 1.0 / widths), 0)
-    return torch.logsumexp(_evidence(value, power, scale.square() * widths) + weight, 1).clamp(min=0.0)
+    return torch.logsumexp(evidence_of_variances(value, power, scale.square() * widths) + weight, 1).clamp(min=0.0)
 
 
 def _scale(value: Float[Tensor, "places n"], power: Float[Tensor, "places n"]) -> Float[Tensor, ""]:
     """Return the scale that is likeliest for most places: what stands out, and all that it drags along, is none of
     it."""
     scales = SCALES.to(value)
-    most = math.log(1.0 - OUTLIERS) + _evidence(value, power, scales.square())
-    out = math.log(OUTLIERS) + _evidence(value, power, scales.new_ones(1))
+    most = math.log(1.0 - OUTLIERS) + evidence_of_variances(value, power, scales.square())
+    out = math.log(OUTLIERS) + evidence_of_variances(value, power, scales.new_ones(1))
     return scales[torch.logaddexp(most, out).sum(0).argmax()]
-
-
-def _evidence(
-    value: Float[Tensor, "places n"], power: Float[Tensor, "places n"], variance: Float[Tensor, " tried"]
-) -> Float[Tensor, "places tried"]:
-    """Return the log evidence of parameters with such variances, against their priors, over none [nat]."""
-    variance = variance[:, None]
-    grown = variance * value[:, None] + 1.0
-    return 0.5 * (power[:, None] * variance / grown - grown.log()).sum(2)

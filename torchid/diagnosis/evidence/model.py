@@ -17,8 +17,7 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.candidates.enumeration import confined
-from torchid.diagnosis.columns.design import Columns, ColumnSelection, Design, Terms, narrower, positions
-from torchid.diagnosis.columns.statement_rows import StatementRows
+from torchid.diagnosis.columns.design import Columns, ColumnSelection, Design, Terms, narrower
 from torchid.diagnosis.columns.force_columns import force_columns
 from torchid.diagnosis.evidence.noise import Noise, initial_noise
 from torchid.diagnosis.evidence.posterior import Posterior, fit
@@ -30,6 +29,7 @@ from torchid.dynamics.whitening import BlockSpectrum, Whitening, accumulate
 from torchid.effects.place import Place
 from torchid.geometry.result import GeometryFit
 from torchid.model.model import InertialPrior
+from torchid.observation.stated import positions
 from torchid.observation.trial import TrialObservation
 from torchid.storage.snapshot import unload
 
@@ -63,23 +63,23 @@ class LinearModel:
 
     @cached_property
     def statistics(self) -> Statistics:
-        """Gram matrices and moments of z of forces, markers and unloaded plates, trial by trial."""
+        """Gram matrices and moments of z of forces, markers and statements, trial by trial."""
         return self._statistics(self._forces)
 
     @property
     def statistics_without_forces(self) -> Statistics:
-        """Gram matrices and moments of markers and unloaded plates alone."""
+        """Gram matrices and moments of markers and statements alone."""
         return self._statistics(self._no_forces)
 
     @property
     def marker_statistics(self) -> Statistics:
         """Gram matrices and moments of markers alone."""
-        rows = tuple(replace(one, terms=replace(one.terms, unloaded=None, statements=None)) for one in self.rows)
+        rows = tuple(replace(one, terms=replace(one.terms, stated=None)) for one in self.rows)
         return replace(self, rows=rows).statistics_without_forces
 
     def _statistics(self, forces: Callable[[int], tuple[NormalEquations, float]]) -> Statistics:
-        """Return statistics with the forces that a function gives for each trial, beside markers and unloaded
-        plates."""
+        """Return statistics with the forces that a function gives for each trial, beside markers and
+        statements."""
         found = [self._standardised(k, *forces(k)) for k in range(len(self.rows))]
         constant = sum((density for _, density in found), start=0.0)
         return Statistics(self.design.base, self.design.shared, tuple(raw for raw, _ in found), constant)
@@ -102,7 +102,7 @@ class LinearModel:
         """Return one trial's statistics in terms of z, and the log density of its rows up to what models of one noise
         differ in.
 
-        Markers and unloaded plates are added to the Gram matrix and moment of the forces, which are used up.
+        Markers and statements are added to the Gram matrix and moment of the forces, which are used up.
         """
         terms = self.rows[trial].terms
         gram, moment, k, square = forces.gram, forces.moment, self.design.marker_columns, forces.square
@@ -112,34 +112,17 @@ class LinearModel:
             moment[k] += weight @ markers.moment
             square += float(weight @ markers.energy)
             volume += float(markers.count @ self.noise.markers.log())
-        if terms.unloaded is not None:
-            at = terms.unloaded.columns
-            gram[at[:, None], at] += terms.unloaded.gram
-            moment[at] += terms.unloaded.moment
-        if terms.statements is not None:
-            at, _ = positions(terms.live, terms.statements.columns)
-            gram[at[:, None], at] += terms.statements.gram
-            moment[at] += terms.statements.moment
+        if terms.stated is not None:
+            at, _ = positions(terms.live, terms.stated.columns)
+            gram[at[:, None], at] += terms.stated.gram
+            moment[at] += terms.stated.moment
         unload()
         mean = self.prior.mean[terms.live]
         away = square - 2.0 * float(moment @ mean) + float(mean @ gram @ mean)
         found = self.prior.standard(gram, moment, terms.live)
-        some = [one for one in (terms.statements, terms.unloaded) if one is not None]
-        if some:
-            found = replace(found, stated=self._stated(some, len(terms.live), terms.live))
+        if terms.stated is not None:
+            found = replace(found, stated=self.prior.standard_statements(terms.stated))
         return found, -0.5 * (away + volume)
-
-    def _stated(self, some, width: int, live) -> TrialStatistics:
-        """Return statistics of statements in terms of z."""
-        columns = torch.cat([one.columns for one in some]).unique()
-        gram, moment = self.prior.mean.new_zeros(len(columns), len(columns)), self.prior.mean.new_zeros(len(columns))
-        for one in some:
-            at = torch.searchsorted(columns, one.columns)
-            gram[at[:, None], at] += one.gram
-            moment[at] += one.moment
-        scale = self.prior.scale[columns - len(self.prior.inertia)]
-        left = moment - gram @ self.prior.mean[columns]
-        return TrialStatistics(columns, scale[:, None] * gram * scale, scale * left)
 
     def forget(self) -> None:
         """Drop the statistics; they are made again if they are asked for."""

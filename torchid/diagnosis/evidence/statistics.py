@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.columns.design import positions
+from torchid.observation.stated import Stated, positions
 
 
 @dataclass(frozen=True)
@@ -24,15 +24,15 @@ class TrialStatistics:
     """Gram matrix; its last row and column, zero, are those of all columns that do not live."""
     moment: Float[Tensor, " live+1"]
     """Moment; its last element, zero, is that of all columns that do not live."""
-    stated: "TrialStatistics | None" = None
-    """The part of both that comes from statements of model-free checks, of the columns that change them."""
+    stated: Stated | None = None
+    """The part of both that is stated without a body model."""
 
     @property
     def unstated(self) -> "TrialStatistics":
-        """What the trial says without statements of model-free checks."""
+        """The statistics without what is stated without a body model."""
         if self.stated is None:
             return self
-        at, gram, moment = self.at(self.stated.live), self.gram.clone(), self.moment.clone()
+        at, gram, moment = self.at(self.stated.columns), self.gram.clone(), self.moment.clone()
         gram[at[:, None], at] -= self.stated.gram
         moment[at] -= self.stated.moment
         return TrialStatistics(self.live, gram, moment)
@@ -54,10 +54,7 @@ class TrialStatistics:
         """
         at, live = positions(self.live, some)
         where = torch.cat([at, at.new_tensor([len(self.live)])])
-        stated = None
-        if self.stated is not None:
-            own, kept = positions(self.stated.live, some)
-            stated = TrialStatistics(kept, self.stated.gram[own][:, own], self.stated.moment[own])
+        stated = None if self.stated is None else self.stated.only(some)
         return TrialStatistics(live, self.gram[where][:, where], self.moment[where], stated)
 
 
@@ -76,7 +73,7 @@ class Statistics:
 
     @property
     def unstated(self) -> "Statistics":
-        """The statistics without statements of model-free checks."""
+        """The statistics without what is stated without a body model."""
         return replace(self, trials=tuple(raw.unstated for raw in self.trials))
 
     @property

@@ -1,13 +1,10 @@
 """Rules that take causes out again, each a pure function from a result to a result with the step that it took.
 
-Evidence names causes one after the other. A later one may make an earlier one superfluous, and where noise does not
-explain the residual, evidence is cheap: then a cause must also be seen to gain.
+Evidence names causes one after the other, and a later one may make an earlier one superfluous.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from itertools import combinations
 
 import torch
 from jaxtyping import Float
@@ -17,56 +14,60 @@ from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.search.estimates import parameter_map
 from torchid.diagnosis.search.result import SearchResult, support, without
-from torchid.diagnosis.search.scan import scan_all
-from torchid.diagnosis.trace import StepKind, step
+from torchid.diagnosis.trace import StepKind, TraceStep, step
 from torchid.observation.trial import TrialObservation
 
-Rule = Callable[[SearchResult, Sequence[TrialObservation]], SearchResult]
-"""A function of a result and the fit trials that returns the result without the causes that it takes out."""
+Rule = Callable[[SearchResult], SearchResult]
+"""A function of a result that returns the result without the causes that it takes out."""
 
 
-def drop_unsupported(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
+def drop_unsupported(found: SearchResult) -> SearchResult:
     """Return the result without causes that the others make superfluous, or that stood by others which have left.
 
     The last ones that entered, which explain least, are asked first.
 
     Args:
         found: result so far.
-        observed: fit trials; not asked.
     """
-    del observed
     least, kept, steps = found.options.naming.named_nats, list(found.chosen), []
     for one in reversed(found.chosen):
         nats = support(found.model.statistics, kept, one)
         if nats < least:
             kept.remove(one)
-            steps.append(step(StepKind.LEAVE, one, "unsupported", evidence_nats=nats, least_nats=least))
-    return found.having(kept, *steps) if steps else found
+            steps += left(one, "unsupported", evidence_nats=nats, least_nats=least)
+    return found.having(kept, *steps) if len(kept) < len(found.chosen) else found
 
 
-def drop_negative(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
+def left(one: Candidate, rule: str, **numbers: float) -> list[TraceStep]:
+    """Return the step of a cause that leaves; none of what is ordinary, which was never named.
+
+    Args:
+        one: the cause.
+        rule: that takes it out.
+        numbers: that the rule compared.
+    """
+    return [] if one.ordinary else [step(StepKind.LEAVE, one, rule, **numbers)]
+
+
+def drop_negative(found: SearchResult) -> SearchResult:
     """Return the result without causes all of whose loads or springs are negative.
 
     An effect says that something is there; its negative says that something is taken away, which has another name.
 
     Args:
         found: result so far.
-        observed: fit trials; not asked.
     """
-    del observed
     return _without_negative(found, math.inf)
 
 
-def drop_surely_negative(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
+def drop_surely_negative(found: SearchResult) -> SearchResult:
     """Return the result without causes of which one load or spring of several is surely negative.
 
     The rule is for the end only: other causes that leave later may be what makes it negative.
 
     Args:
         found: result so far.
-        observed: fit trials; not asked.
     """
-    del observed
     return _without_negative(found, found.options.elimination.negative_sd)
 
 
@@ -77,8 +78,8 @@ def _without_negative(found: SearchResult, sd: float) -> SearchResult:
         theta, spread = _positive_parameters(found, k)
         if len(theta) and bool((theta < 0.0).all() or (theta < -sd * spread).any()):
             numbers = {"lowest_sd": float((theta / spread).min())} | ({"least_sd": -sd} if math.isfinite(sd) else {})
-            left = step(StepKind.LEAVE, one, "negative", **numbers)
-            return _without_negative(found.having(without(found.chosen, one), left), sd)
+            steps = left(one, "negative", **numbers)
+            return _without_negative(found.having(without(found.chosen, one), *steps), sd)
     return found
 
 
@@ -90,125 +91,33 @@ def _positive_parameters(found: SearchResult, k: int) -> tuple[Float[Tensor, " s
     return theta, (factor @ found.posterior.covariance @ factor.T).diagonal()[:n].sqrt()
 
 
-def drop_opposed(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
-    """Return the result without causes on forces that mostly undo each other: what is left of a pair has another name,
-    or none.
-
-    Args:
-        found: result so far.
-        observed: fit trials; not asked.
-    """
-    del observed
-    energy, limit = _energies(found), found.options.elimination.opposed_part
-    own = [k for k, one in enumerate(found.chosen) if not one.effect.moves_markers]
-    left: dict[int, float] = {}
-    for i, k in combinations(own, 2):
-        both = float(energy[[i, k]][:, [i, k]].sum() / max(energy[i, i], energy[k, k]))
-        if both < limit:
-            left |= {j: min(both, left.get(j, both)) for j in (i, k)}
-    steps = [
-        step(StepKind.LEAVE, found.chosen[k], "opposed", remaining_part=both, least_part=limit)
-        for k, both in sorted(left.items())
-    ]
-    kept = [one for k, one in enumerate(found.chosen) if k not in left]
-    return found.having(kept, *steps) if steps else found
-
-
-def _energies(found: SearchResult) -> Float[Tensor, "chosen chosen"]:
-    """Return products of what the chosen effects do to the whitened rows."""
-    columns = len(found.model.prior.mean)
-    total = found.model.prior.mean.new_zeros(len(found.chosen), len(found.chosen))
-    for trial, raw in enumerate(found.model.statistics.trials):
-        share = found.posterior.shares(columns, trial)[:, raw.live]
-        total += share @ raw.gram[:-1, :-1] @ share.T
-    return total
-
-
-def drop_without_residual_gain(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
-    """Return the result without causes on forces that take too little of the residual away.
-
-    They are judged without effects that have parameters of their own in every trial, beside which a plate's error can
-    go unseen. A wrong record is spared: inertia takes it on, so that it leaves nothing in the residual.
-
-    Args:
-        found: result so far.
-        observed: fit trials.
-    """
-    least, kept, steps = found.options.elimination.residual_part, list(found.chosen), []
-    for one in reversed(found.chosen):
-        if one.effect.moves_markers or one.effect.intermittent or one.effect.on_record:
-            continue
-        part = _takes_away(found, observed, kept, one)
-        if part < least:
-            kept.remove(one)
-            steps.append(step(StepKind.LEAVE, one, "no_residual_gain", residual_part=part, least_part=least))
-    return found.having(kept, *steps) if steps else found
-
-
-def _takes_away(
-    found: SearchResult, observed: Sequence[TrialObservation], chosen: Sequence[Candidate], one: Candidate
-) -> float:
-    """Return the part of the residual force or moment, whichever is more, that an effect takes away beside the
-    others."""
-    others = [c for c in without(chosen, one) if not c.effect.per_trial]
-    with_, less = (
-        sizes(observed, residuals(observed, found.model, found.model.fit(some))) for some in ([*others, one], others)
-    )
-    return 1.0 - float((with_ - less).exp().min())
-
-
-def restore_record(found: SearchResult, observed: Sequence[TrialObservation]) -> SearchResult:
-    """Return the result with a wrong record or a common gain, if forces that have left had stood for it.
-
-    Args:
-        found: result so far.
-        observed: fit trials; not asked.
-    """
-    del observed
-    barred = {one.effect for one in found.trace if one.rule == "witnesses_contradict"}
-    left = [c for c in found.scales if c not in found.chosen and c.effect.name not in barred]
-    if not left or not any(one.rule in ("opposed", "no_residual_gain") for one in found.trace):
-        return found
-    scan = scan_all(found.model.statistics, left, found.chosen, found.options.naming).round
-    if scan.named is None:
-        return found
-    one = scan.named.candidate
-    enter = step(StepKind.ENTER, one, "restored_record", score_nats=scan.named.score)
-    rounds = (*found.rounds[:-1], scan, found.rounds[-1])
-    return replace(found.having((*found.chosen, one), enter), rounds=rounds)
-
-
 SUPPORTED: tuple[Rule, ...] = (drop_unsupported, drop_negative)
 """Rules that every result must pass."""
-VISIBLE: tuple[Rule, ...] = (drop_opposed, drop_without_residual_gain)
-"""Rules for results whose residual noise does not explain."""
 AT_LAST: tuple[Rule, ...] = (drop_unsupported, drop_surely_negative)
 """Rules for the end, when nothing else changes any more."""
 
 
-def eliminate(found: SearchResult, observed: Sequence[TrialObservation], rules: Sequence[Rule]) -> SearchResult:
+def eliminate(found: SearchResult, rules: Sequence[Rule]) -> SearchResult:
     """Return the result after each rule in turn.
 
     Args:
         found: result so far.
-        observed: fit trials.
         rules: the rules, in order.
     """
     for rule in rules:
-        found = rule(found, observed)
+        found = rule(found)
     return found
 
 
-def settle(found: SearchResult, observed: Sequence[TrialObservation], rules: Sequence[Rule]) -> SearchResult:
+def settle(found: SearchResult, rules: Sequence[Rule]) -> SearchResult:
     """Return the result after the rules, applied in turn until none takes out a cause.
 
     Args:
         found: result so far.
-        observed: fit trials.
         rules: the rules, in order.
     """
-    after = eliminate(found, observed, rules)
-    return after if len(after.chosen) == len(found.chosen) else settle(after, observed, rules)
+    after = eliminate(found, rules)
+    return after if len(after.chosen) == len(found.chosen) else settle(after, rules)
 
 
 def stands_out(found: SearchResult, observed: Sequence[TrialObservation], k: int) -> float:

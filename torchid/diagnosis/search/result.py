@@ -20,7 +20,7 @@ class SearchResult:
     """Effects that a model has, the scans that named them, and what may stand for them."""
 
     model: LinearModel
-    """Model with the columns of chosen effects, of what cannot be told from them, and of what weighs."""
+    """Model with the columns of chosen effects and of what cannot be told from them."""
     chosen: tuple[Candidate, ...]
     """Effects in the model."""
     rounds: tuple[Round, ...]
@@ -29,12 +29,15 @@ class SearchResult:
     """Posterior of the model with the chosen effects."""
     options: DiagnosisOptions = DiagnosisOptions()
     """Thresholds of the diagnosis."""
-    scales: tuple[Candidate, ...] = ()
-    """Candidates that make all weight wrong by a factor, chosen or not."""
     twins: tuple[Candidate, ...] = ()
     """Candidates that cannot be told from chosen effects."""
     trace: Trace = ()
     """Every decision so far."""
+
+    @property
+    def named(self) -> list[Candidate]:
+        """Chosen effects that are more than sessions without them seem to have of them."""
+        return [one for one in self.chosen if not one.ordinary]
 
     def having(self, chosen: Sequence[Candidate], *steps: TraceStep) -> "SearchResult":
         """Return the result with other effects chosen, fitted again.
@@ -59,21 +62,19 @@ def reduced(
         trace: decisions so far.
     """
     design = model.design
-    weigh, alike = scales(design), list(_twins(design, chosen, rounds, options))
-    some = list({id(c): c for c in (*chosen, *weigh, *alike)}.values())
+    alike = list(twins_of(design, chosen, rounds, options))
+    some = list({id(c): c for c in (*chosen, *alike)}.values())
     small, cut = model.restrict(some)
     own = {id(old): new for old, new in zip(some, cut, strict=True)}
     kept = tuple(own[id(c)] for c in chosen)
-    return SearchResult(
-        small, kept, tuple(rounds), small.fit(kept), options,
-        tuple(own[id(c)] for c in weigh), tuple(own[id(c)] for c in alike), trace,
-    )  # fmt: skip
+    alike = tuple(own[id(c)] for c in alike)
+    return SearchResult(small, kept, tuple(rounds), small.fit(kept), options, alike, trace)
 
 
-def asked_later(
+def twins_of(
     design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
-) -> list[Candidate]:
-    """Return the candidates that are asked about when the search has ended, beside the chosen ones.
+) -> Iterator[Candidate]:
+    """Yield candidates that cannot be told from chosen effects by the scan; intervals are not searched again.
 
     Args:
         design: design of all candidates.
@@ -81,22 +82,6 @@ def asked_later(
         rounds: scans, in order.
         options: thresholds.
     """
-    return [*scales(design), *_twins(design, chosen, rounds, options)]
-
-
-def scales(design: Design) -> list[Candidate]:
-    """Return the candidates that make all weight wrong by a factor.
-
-    Args:
-        design: design of all candidates.
-    """
-    return [c for c in design.candidates if c.effect.weighs(c.place)]
-
-
-def _twins(
-    design: Design, chosen: Sequence[Candidate], rounds: Sequence[Round], options: DiagnosisOptions
-) -> Iterator[Candidate]:
-    """Yield candidates that cannot be told from chosen effects by the scan; intervals are not searched again."""
     for one in chosen:
         others = twins(shares(named_in(rounds, one), one)[1], options.confidence.twins)
         for twin in (share.rival.candidate for share in others):

@@ -30,15 +30,15 @@ class Rival:
     none."""
     options: NamingOptions = NamingOptions()
     """Thresholds of naming."""
-    usual: float = 0.0
-    """Log evidence of what sessions without it seem to have of it [nat]."""
+    apparent: float = 0.0
+    """Log evidence of what sessions without it seem to have of it, over nothing; at least zero [nat]."""
     told: float = 0.0
-    """Log odds by other proof than forces [nat]."""
+    """What other proof than forces says for it [nat]."""
 
     @property
     def score(self) -> float:
         """Evidence that counts [nat]: the lesser of evidence and crossed, or the evidence if trials consent, less the
-        ordinary.
+        ordinary, with what other proof says.
 
         Consent means that trials are predicted hardly worse for it. The lesser of both alone would refuse what only the
         prior contradicts, such as a wrong recorded mass: each trial predicts it from the others without the effect as
@@ -57,13 +57,10 @@ class Rival:
         """Score of standing for the best, not beside it [nat]."""
         return self.score - max(self.beside, 0.0)
 
-    def likely(self, families: int) -> float:
-        """Return the log odds that it is there in place of the best; what is there too makes no name doubtful.
-
-        Args:
-            families: number of effects that compete.
-        """
-        odds = math.log(self.candidate.odds * 0.1)
+    @property
+    def likely(self) -> float:
+        """Log odds that it is there in place of the best; what is there too makes no name doubtful."""
+        odds = math.log(self.candidate.odds * self.options.effect_odds)
         return odds + self.score - max(odds + self.beside, 0.0)
 
 
@@ -75,6 +72,8 @@ class Round:
     """Candidates, best first."""
     families: dict[str, float]
     """Score of each effect [nat], averaged over its places: what was searched is paid for."""
+    appearances: dict[str, float]
+    """Log evidence of what sessions without each effect seem to have of it [nat], averaged over its places."""
     options: NamingOptions = NamingOptions()
     """Thresholds of naming."""
     compared: tuple[Rival, ...] = ()
@@ -87,10 +86,10 @@ class Round:
         return None if best is None or self.family(best) < self.options.named_nats else best
 
     @property
-    def remarkable(self) -> bool:
-        """Whether the best is more than what sessions without it seem to have of it."""
-        best = self.rivals[0]
-        return self.family(best) - max(best.usual, 0.0) >= self.options.named_nats
+    def ordinary(self) -> bool:
+        """True if the best is no more than what sessions without it seem to have of it."""
+        best, options = self.rivals[0], self.options
+        return self.family(best) - self.appearances[best.candidate.effect.name] < options.named_nats
 
     def family(self, rival: Rival) -> float:
         """Return the score of a rival's effect [nat].
@@ -102,10 +101,10 @@ class Round:
 
     @property
     def weights(self) -> list[float]:
-        """Posterior probabilities of ``compared``; one minus their sum is that of none. Effects are alike, places by
-        odds."""
-        log = torch.tensor([r.likely(len(self.families)) for r in self.compared], dtype=torch.float64)
-        none = torch.logaddexp(log.new_zeros(1), log.new_tensor([self.rivals[0].usual]))
+        """Posterior probabilities of ``compared``; one minus their sum is that of none, or of what the best seems to
+        be in sessions without it. Effects are alike, places by odds."""
+        log = torch.tensor([r.likely for r in self.compared], dtype=torch.float64)
+        none = log.new_tensor([max(self.appearances[self.rivals[0].candidate.effect.name], 0.0)])
         return torch.softmax(torch.cat([log, none]), 0)[:-1].tolist()
 
 

@@ -10,18 +10,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.evidence.background import _evidence, background_evidence
+from torchid.diagnosis.evidence.apparent import apparent_evidence
+from torchid.diagnosis.evidence.background import background_evidence
 from torchid.diagnosis.evidence.gains import gains, informed, scale_averaged_gains
+from torchid.diagnosis.evidence.other_proof import NOTHING_TOLD, Told, told_nats
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import Posterior, fit
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import NamingOptions
 from torchid.diagnosis.search.rivals import Rival, Round
 
-ORDINARY = (0.0, 0.03, 0.1, 0.3, 1.0)
-SHAPE = (0.23, 0.31, 0.40, 0.06)
-TAIL = {"marker_scale": 0.3, "payload": 0.3, "plate_drift": 0.25, "grasped_object": 0.13, "plate_offset": 0.09, "plate_crosstalk": 0.09, "filter_lag": 0.06}
-RARE = 0.03
 LOOSE = 100.0
 """Resolution. Times its prior, with which the best takes away all that it can: what a narrow prior keeps it from, its
 look-alikes would add beside it, and pass for other things."""
@@ -48,13 +46,19 @@ class Scanned:
             rivals = _consented(self.statistics, self.chosen, rivals, self.options.out_of_sight_nats)
         rivals = sorted(rivals, key=lambda rival: -rival.weighed)
         names = dict.fromkeys(one.candidate.effect.name for one in self.rivals)
-        families = {n: _mean([r for r in rivals if r.candidate.effect.name == n]) for n in names}
-        found = Round(tuple(rivals), families, self.options)
+        places = {n: [r for r in rivals if r.candidate.effect.name == n] for n in names}
+        families = {n: _mean([r.weighed for r in some]) for n, some in places.items()}
+        appearances = {n: _mean([r.apparent + math.log(r.candidate.odds) for r in some]) for n, some in places.items()}
+        found = Round(tuple(rivals), families, appearances, self.options)
         return found if found.named is None else replace(found, compared=_compared(self.statistics, self.chosen, found))
 
 
 def scan_all(
-    statistics: Statistics, left: Sequence[Candidate], chosen: Sequence[Candidate], options: NamingOptions, told=None
+    statistics: Statistics,
+    left: Sequence[Candidate],
+    chosen: Sequence[Candidate],
+    options: NamingOptions,
+    told: Told = NOTHING_TOLD,
 ) -> Scanned:
     """Return what each candidate would add beside the chosen effects.
 
@@ -63,33 +67,25 @@ def scan_all(
         left: candidates.
         chosen: effects that the model has.
         options: thresholds of naming.
+        told: what other proof than forces says.
     """
-    quiet, _ = marginalise_per_trial(statistics.unstated, chosen)
+    bare, _ = marginalise_per_trial(statistics.unstated, chosen)
     statistics, chosen = marginalise_per_trial(statistics, chosen)
     posterior = fit(statistics, chosen)
     gain, energy = (x.tolist() for x in gains(statistics, posterior, left))
-    ordinary, usual = _ordinary(statistics, posterior, left, quiet, fit(quiet, chosen))
-    each = zip(left, gain, energy, ordinary, usual, strict=True)
+    apparent = apparent_evidence(bare, fit(bare, chosen), left)
+    each = zip(left, gain, energy, _ordinary(statistics, posterior, left), apparent, strict=True)
     rivals = tuple(
-        Rival(c, g, g, e - 0.5 * c.size, o, options=options, usual=u, told=_told(c, told))
-        for c, g, e, o, u in each
+        Rival(c, g, g, e - 0.5 * c.size, usual, options=options, apparent=seeming, told=told_nats(told, c))
+        for c, g, e, usual, seeming in each
     )
     return Scanned(statistics, chosen, rivals, options)
 
 
-TOLD, UNTOLD = 3.7, -1.6
-
-
-def _told(c, told):
-    if told is None or c.effect.proof not in told or c.effect.bodily:
-        return 0.0
-    return TOLD if any(name in told[c.effect.proof] for name in c.place.where) else UNTOLD
-
-
-def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candidate], quiet: Statistics, silent: Posterior) -> tuple[list[float], list[float]]:
+def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candidate]) -> list[float]:
     """Return ``Rival.ordinary`` of the candidates, zero but for widespread effects: places of one effect tell of each
     other."""
-    found, saturated = [0.0] * len(left), [0.0] * len(left)
+    found = [0.0] * len(left)
     for name in dict.fromkeys(c.effect.name for c in left if c.effect.widespread):
         which = [k for k, c in enumerate(left) if c.effect.name == name]
         seen = list(informed(statistics, posterior, [left[k] for k in which]))
@@ -98,17 +94,7 @@ def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candi
         )
         for k, x in zip((which[k] for rows, _, _ in seen for k in rows), usual.tolist(), strict=True):
             found[k] = x
-    which = [k for k, c in enumerate(left) if not (c.effect.bodily or c.effect.all_or_nothing)]
-    scales = torch.tensor(ORDINARY, dtype=torch.float64)
-    tails = torch.tensor([TAIL.get(left[k].effect.name, RARE) for k in which], dtype=torch.float64)
-    weights = torch.cat([torch.tensor(SHAPE, dtype=torch.float64) * (1.0 - tails[:, None]), tails[:, None]], 1).log()
-    for rows, told, moment in informed(quiet, silent, [left[k] for k in which]):
-        value, vector = torch.linalg.eigh(told)
-        power = torch.einsum("pij,pi->pj", vector, moment).square()
-        nats = _evidence(value.clamp(min=0.0), power, scales.square().to(value))
-        for k, x in zip(rows, torch.logsumexp(nats + weights[rows].to(value), 1).tolist(), strict=True):
-            saturated[which[k]] = max(x, 0.0)
-    return found, saturated
+    return found
 
 
 def _compared(statistics: Statistics, chosen: Sequence[Candidate], found: Round) -> tuple[Rival, ...]:
@@ -164,6 +150,6 @@ def _crossed(
     return sum((whole - gained(without) for without in base), start=torch.zeros_like(whole))
 
 
-def _mean(rivals: Sequence[Rival]) -> float:
-    """Return the logarithm of the mean of exponentials, places weighed by their odds."""
-    return float(torch.logsumexp(torch.tensor([r.weighed for r in rivals], dtype=torch.float64), 0))
+def _mean(weighed: Sequence[float]) -> float:
+    """Return the logarithm of the mean of exponentials of evidence whose places are weighed by their odds."""
+    return float(torch.logsumexp(torch.tensor(weighed, dtype=torch.float64), 0))

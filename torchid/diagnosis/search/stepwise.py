@@ -12,22 +12,22 @@ from dataclasses import dataclass, field, replace
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.columns.assemble import make_design
 from torchid.diagnosis.columns.design import Design, narrower, only
-from torchid.diagnosis.columns.statement_rows import with_statements
 from torchid.diagnosis.columns.relinearise import relinearised
+from torchid.diagnosis.columns.statement_rows import with_statements
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
 from torchid.diagnosis.evidence.gains import gains
 from torchid.diagnosis.evidence.model import Identification, LinearModel, make_model, spectra_of
 from torchid.diagnosis.evidence.noise import Noise
 from torchid.diagnosis.evidence.noise_estimation import estimate_noise
+from torchid.diagnosis.evidence.other_proof import NOTHING_TOLD, Told
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.evidence.skin_prior import with_slides
 from torchid.diagnosis.options import DiagnosisOptions, NamingOptions
 from torchid.diagnosis.search.elimination import SUPPORTED, settle
-from torchid.diagnosis.search.hearing import testimonies
 from torchid.diagnosis.search.interval_refinement import refine_interval
-from torchid.diagnosis.search.result import SearchResult, asked_later, reduced
+from torchid.diagnosis.search.result import SearchResult, reduced, twins_of
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import StepKind, Trace, TraceStep, step
@@ -49,12 +49,11 @@ class _State:
     model: LinearModel
     limit: int
     options: DiagnosisOptions
+    told: Told
+    """What other proof than forces says."""
     chosen: tuple[Candidate, ...] = ()
     rounds: tuple[Round, ...] = ()
     trace: Trace = ()
-    told: object = None
-    barred: frozenset[str] = frozenset()
-    """Effects that witnesses have contradicted."""
     silent: dict[tuple[str, int], float] = field(default_factory=dict)
     """Energy that effects would explain at places where the noise that they leave did not support them [nat].
 
@@ -69,7 +68,7 @@ def search(
     limit: int,
     options: DiagnosisOptions = DiagnosisOptions(),
     panel: Panel | None = None,
-    told=None,
+    told: Told = NOTHING_TOLD,
 ) -> SearchResult:
     """Return the effects that fit trials support, with everything that later tests ask about.
 
@@ -79,10 +78,11 @@ def search(
         known: what the inertial fit knew and found.
         limit: number of effects at most of each kind (``kind_of``).
         options: thresholds.
-        panel: witnesses that are asked before a name is given; None: nobody is.
+        panel: what model-free checks state; None: nothing.
+        told: what other proof than forces says.
     """
     log.info("scanning %d effects in %d trials", len(effects), len(observed))
-    state = _State(_begin(observed, effects, known, options.naming, panel), limit, options, told=told)
+    state = _State(_begin(observed, effects, known, options.naming, panel), limit, options, told)
     while True:
         scan, model, looked, silent = _scan(observed, state)
         trace = (*state.trace, *_decisions(scan, looked))
@@ -90,33 +90,19 @@ def search(
         if (best := scan.named) is None:
             break
         log.info("%s at %s gains %.1f nats", best.candidate.effect.name, best.candidate.place.where, best.score)
-        one = best.candidate if scan.remarkable else replace(best.candidate, ordinary=True)
-        looked = one if looked is best.candidate else looked
-        added = _add(observed, replace(state, model=model, chosen=(*state.chosen, one)), looked)
+        one = replace(best.candidate, ordinary=scan.ordinary)
+        added = replace(state, model=model, chosen=(*state.chosen, one))
+        added = _add(observed, added, again=looked is not best.candidate)
         state = _narrow(added)
         del model, added  # gigabytes that the next round does without
-    return settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), observed, SUPPORTED)
-
-
-def _denied(panel: Panel | None, observed: Sequence[TrialObservation], state: _State) -> TraceStep | None:
-    """Return the refusal of the last effect, if witnesses contradict it beside the others; else None."""
-    found = SearchResult(state.model, state.chosen, state.rounds, state.model.fit(state.chosen), state.options)
-    said, least = testimonies(panel, found, observed)[-1], state.options.witnesses.contradicted_nats
-    if said is None or not said.nats <= -least:  # also of what is no number
-        return None
-    numbers = {"witness_nats": said.nats, "least_nats": -least, "heard_sd": said.loudness_sd}
-    return step(StepKind.REFUSE, state.chosen[-1], "witnesses_contradict", **numbers)
-
-
-def _barred(state: _State, denied: TraceStep) -> _State:
-    """Return the state before an effect was added, without that effect at any place."""
-    log.info("witnesses contradict %s at %s", denied.effect, denied.where)
-    trace = (*state.trace[:-1], denied)  # in place of its entry
-    return replace(state, barred=state.barred | {denied.effect}, rounds=state.rounds[:-1], trace=trace)
+    return settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), SUPPORTED)
 
 
 def _begin(
-    observed: Sequence[TrialObservation], effects: Sequence[Effect], known: Identification, naming: NamingOptions,
+    observed: Sequence[TrialObservation],
+    effects: Sequence[Effect],
+    known: Identification,
+    naming: NamingOptions,
     panel: Panel | None,
 ) -> LinearModel:
     """Return the model of the whole catalogue, under the noise that the model without any of it leaves."""
@@ -206,9 +192,14 @@ def _decisions(scan: Round, looked: Candidate | None) -> list[TraceStep]:
     least = scan.options.named_nats
     if (best := scan.named) is not None:
         rule = "evidence" if looked is None else "evidence_under_its_own_noise"
-        numbers = {"evidence_nats": best.evidence, "crossed_nats": best.crossed, "effect_nats": scan.family(best),
-                   "usual_nats": best.usual}
-        rule = rule if scan.remarkable else "ordinary"
+        numbers = {
+            "evidence_nats": best.evidence,
+            "crossed_nats": best.crossed,
+            "effect_nats": scan.family(best),
+            "apparent_nats": scan.appearances[best.candidate.effect.name],
+        }
+        if scan.ordinary:
+            return [step(StepKind.REFUSE, best.candidate, "ordinary", **numbers, least_nats=least)]
         return [step(StepKind.ENTER, best.candidate, rule, **numbers, least_nats=least)]
     refused: dict[str, TraceStep] = {}
     for one in scan.rivals:
@@ -224,18 +215,19 @@ def _refusal(one: Rival) -> str:
     more."""
     if one.score < one.evidence - one.ordinary:
         return "trials_disagree"
-    return "ordinary_everywhere" if one.ordinary > 0.0 else "search_price"
+    return "ordinary" if one.ordinary > 0.0 else "search_price"
 
 
-def _add(observed: Sequence[TrialObservation], state: _State, looked: Candidate | None) -> _State:
-    """Return the state with the last effect as it is best, under the noise that all chosen ones leave."""
+def _add(observed: Sequence[TrialObservation], state: _State, again: bool) -> _State:
+    """Return the state with the last effect as it is best, under the noise that all chosen ones leave, estimated again
+    unless the model has it."""
     model, chosen, effect = state.model, state.chosen, state.chosen[-1].effect
     if effect.shifts_time or effect.nonlinear:
         model = _relinearise(observed, model, chosen)
     elif effect.intermittent and not effect.moves_markers:
         refined, last = refine_interval(observed, _under_own_noise(model, chosen), chosen)
         model, chosen = refined.with_noise(model.noise), (*chosen[:-1], last)
-    elif chosen[-1] is looked:
+    elif not again:
         return state
     return replace(state, model=_under_own_noise(model, chosen), chosen=chosen)
 
@@ -265,7 +257,7 @@ def _narrow(state: _State) -> _State:
     later."""
     design, chosen = state.model.design, state.chosen
     some = [*chosen, *_open(state)]
-    some += [c for c in asked_later(design, chosen, state.rounds, state.options) if c not in some]
+    some += [c for c in twins_of(design, chosen, state.rounds, state.options) if c not in some]
     if narrower(design, some)[0].width == design.width:
         return state
     model, own = state.model.restrict(some)
@@ -274,8 +266,7 @@ def _narrow(state: _State) -> _State:
 
 def _open(state: _State) -> list[Candidate]:
     """Return the candidates that may still be named."""
-    some = open_candidates(state.model.design, state.chosen, state.limit)
-    return [c for c in some if c.effect.name not in state.barred]
+    return open_candidates(state.model.design, state.chosen, state.limit)
 
 
 def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
@@ -291,8 +282,7 @@ def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> 
     """
     kinds = [kind_of(c.effect) for c in chosen if not c.ordinary]
     late = {c.place.where for c in chosen if c.effect.shifts_time}
-    taken = [(c.effect.name, id(c.proposed or c.place)) for c in chosen]
-    left = [c for c in design.candidates if (c.effect.name, id(c.proposed or c.place)) not in taken and kinds.count(kind_of(c.effect)) < limit]
+    left = [c for c in design.candidates if c not in chosen and kinds.count(kind_of(c.effect)) < limit]
     # Of two lags of one thing only the sum shows; taken at two lags, their difference would sharpen what plates read.
     return [c for c in left if not (c.effect.shifts_time and c.place.where in late)]
 

@@ -67,7 +67,7 @@ def misfits(found: SearchResult, observed: Sequence[TrialObservation]) -> list[F
         found: result of the search.
         observed: fit trials.
     """
-    which = [k for k, c in enumerate(found.chosen) if isinstance(c.effect, PointForce) and not c.effect.intermittent]
+    which = [k for k, c in enumerate(found.named) if isinstance(c.effect, PointForce) and not c.effect.intermittent]
     looked = (_misfit(found, observed, k, len(which)) for k in which)
     limits = found.options.adequacy
     return [one for one in looked if one.p_value < limits.p_value and one.share > limits.position_part]

@@ -86,8 +86,9 @@ def uphold(unseen: HeldOut, chosen: Sequence[Candidate], options: HeldOutOptions
         if decision is None:
             break
         gone = kept.pop(decision.index)
-        refuted.append((gone, decision))
-        trace.append(step(StepKind.REFUSE, gone, decision.rule, **decision.numbers))
+        if not gone.ordinary:
+            refuted.append((gone, decision))
+            trace.append(step(StepKind.REFUSE, gone, decision.rule, **decision.numbers))
     return Upheld(tuple(kept), tuple(refuted), tuple(trace))
 
 

@@ -111,16 +111,16 @@ def nearest(scan: Round, most: int) -> tuple[NearestEffect, ...]:
 
 
 def causes_of(found: SearchResult, unseen: HeldOut, extended: HeldOutFit, names: Sequence[str]) -> Iterator[Cause]:
-    """Yield the chosen effects as causes, each with what it gains on top of the others.
+    """Yield the chosen effects that are named as causes, each with what it gains on top of the others.
 
     Args:
         found: result of the search, without refuted effects.
         unseen: the held-out trials.
-        extended: fit of the model with all chosen effects to these.
+        extended: fit of the model with all of these effects to them.
         names: names of the fit trials and, behind them, of the held-out ones.
     """
-    for k, one in enumerate(found.chosen):
-        gain = extended.over(unseen.fit(without(found.chosen, one)))
+    for k, one in enumerate(found.named):
+        gain = extended.over(unseen.fit(without(found.named, one)))
         yield cause_of(found, k, gain, names)
 
 
