@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from torchid.conventions import SAMPLE_LOADED_N
+from torchid.conventions import SAMPLE_LOADED_N, ZERO_NOTED_N
 from torchid.errors import InputError, Note
 from torchid.io.computed import left_out_as_computed
 from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
@@ -19,10 +19,6 @@ from torchid.io.plates import baseline
 from torchid.io.repeats import frame_repeats
 from torchid.io.spikes import marker_spikes, plate_spikes
 from torchid.recording import Event, Forces, Markers, Trial
-
-SMALL_BASELINE = 1.0
-"""An unloaded reading [N] below this is not worth a note."""
-
 
 Measured = tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]
 """Forces of a file of their own, its notes and facts."""
@@ -180,7 +176,7 @@ def _levels(forces: Forces, source: str) -> list[Note]:
             text = f"{plate.name} pulls the subject down ({loaded.mean():.0f} N while loaded): its sign is reversed"
             notes.append(Note("plates.sign", text, source))
         offset = baseline(vertical)
-        if offset is not None and abs(offset) > SMALL_BASELINE:
+        if offset is not None and abs(offset) > ZERO_NOTED_N:
             text = f"{plate.name} reads {offset:.1f} N while nobody is on it; left as it is"
             notes.append(Note("plates.baseline", text, source))
     return notes

@@ -10,12 +10,11 @@ from torch import Tensor
 from torchid.checks.finding import Finding, InstrumentFault, Severity
 from torchid.checks.instruments import late_forces, unlike_gains, unloaded_reading
 from torchid.contact.contact import Contact
+from torchid.conventions import ZERO_WRONG_N
 from torchid.live.estimation.instruments import Instruments
 
 SHARE = 0.5
 """Choice. Part of a block for which something must last before it is said: a stance, and no foot that grazes."""
-OFFSET_N = 4.0
-"""Choice. Mean vertical reading of a plate that nobody is on: less is what drift and cables do."""
 CLOCK_S = 0.02
 """Choice. How late forces may come: those of living bodies come up to 15 ms late by themselves (``body_lag``)."""
 CLOCK_SD = 3.0
@@ -126,7 +125,7 @@ class Watch:
             return
         for k, plate in enumerate(self._plates):
             free = block.contact.plate[:, k] == -1
-            if _lasts(free) and abs(mean := float(block.vertical[free, k].mean())) > OFFSET_N:
+            if _lasts(free) and abs(mean := float(block.vertical[free, k].mean())) > ZERO_WRONG_N:
                 yield Notice.of(unloaded_reading(plate, mean, "live.offset", severity=Severity.WARNING))
 
     def _late(self, block: WatchedBlock) -> Iterator[Notice]:
