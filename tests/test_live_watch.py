@@ -5,14 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import small_session
 import torch
 from test_live import RATE, long, moving, subject
 
 from torchid.live.estimation.identifier import Identifier
 from torchid.live.estimation.pose import PostureFollower
+from torchid.live.exercises.clips import make_standing, stand_still
 from torchid.live.sources.intake import Intake
 from torchid.live.sources.replay import Replay
 from torchid.recording import Trial
+from torchid.simulate.trial import measure
 
 Said = list[tuple[float, tuple[tuple[str, str], ...]]]
 
@@ -108,6 +111,25 @@ def test_how_late_forces_come_is_said(seed: int):
     found = identifier.instruments.found()
     assert found is not None and abs(found.late_s - late_s) < 0.005 + abs(late_s) / 3.0, (late_s, found)
     assert found.late_sd_s < 0.005
+
+
+def standing(rng: np.random.Generator, seconds: float) -> Trial:
+    """Somebody who stands still: all that markers and plates show of it is noise."""
+    stance = make_standing(small_session.session().subject, int(rng.integers(1000)), RATE)
+    still = stand_still(stance, seconds, small_session.OPTIONS)
+    return measure(stance.who, still, small_session.OPTIONS, rng).trial
+
+
+@pytest.mark.slow
+def test_standing_still_tells_nothing_of_a_clock_or_a_gain(seed: int):
+    """Not in 2 x 12 s, whatever the noise looks like; the standard deviation says why."""
+    rng = np.random.default_rng(seed)
+    for _ in range(2):
+        said, identifier = told(standing(rng, 12.0))
+        assert len(said) > 10
+        assert not [(end, one) for end, names in said for one in names if one[0] in ("clock", "gain")], said
+        found = identifier.instruments.found()
+        assert found is not None and found.late_sd_s > 0.005, found
 
 
 @pytest.mark.slow

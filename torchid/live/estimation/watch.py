@@ -18,7 +18,8 @@ SHARE = 0.5
 CLOCK_S = 0.02
 """Choice. How late forces may come: those of living bodies come up to 15 ms late by themselves (``body_lag``)."""
 CLOCK_SD = 3.0
-"""Choice. Standard deviations by which a clock must be off by more than that."""
+"""Choice. Standard deviations by which a clock must be off by more than that, and which must be less than that: who
+stands still tells a clock to some 50 ms, and to 10 where chance would have it; a step tells it to 2."""
 GAIN_SD = 6.0
 """Choice. Standard deviations by which plates must disagree: motion that is modelled wrongly is no noise."""
 GAIN = 0.05
@@ -131,9 +132,9 @@ class Watch:
     def _late(self, block: WatchedBlock) -> Iterator[Notice]:
         if (found := block.instruments) is None:
             return
-        late_s = found.late_s
-        if abs(late_s) - CLOCK_SD * found.late_sd_s > CLOCK_S:
-            yield Notice.of(late_forces(late_s, found.late_sd_s, "live.clock"))
+        unsure_s = CLOCK_SD * found.late_sd_s
+        if unsure_s < CLOCK_S < abs(found.late_s) - unsure_s:
+            yield Notice.of(late_forces(found.late_s, found.late_sd_s, "live.clock"))
 
     def _gains(self, block: WatchedBlock) -> Iterator[Notice]:
         if block.instruments is None or len(self._plates) < 2:
