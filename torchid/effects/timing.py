@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.checks.clocks import USUAL_LAG_S
 from torchid.effects.kinds import ReadingEffect, SlidingMarkers
 from torchid.effects.marker_scene import Sight, Slid, View
 from torchid.effects.parameter import Parameter, value_of
@@ -21,11 +22,6 @@ from torchid.effects.scene import Reading
 from torchid.effects.traits import Correction, Origin, Proof, Response, Site
 from torchid.filters import Smoother
 from torchid.wording import stated
-
-USUAL_LAG_S = {"vertical": 0.004, "horizontal": 0.005}
-"""Estimator. Mean over sessions, and as large its standard deviation, of the lag of forces behind the bones of living
-bodies, whose soft parts follow late: of seven sessions of four laboratories six lay at 1 to 8 ms in the vertical and
-at 3 to 13 ms in the horizontal, one at -6 and -3 ms (`docs/decisions.md`)."""
 
 
 def delayed(

@@ -22,6 +22,7 @@ from jaxtyping import Float
 from numpy.polynomial import chebyshev
 from torch import Tensor
 
+from torchid.checks.clocks import Lateness
 from torchid.conventions import LOADED_N, ZERO_SD_N, ZERO_SD_NM
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.row_equations import NormalEquations
@@ -52,10 +53,8 @@ MARGIN = 8
 class Instruments:
     """What rows say of clock and gains."""
 
-    late_s: float
-    """By how much forces come late."""
-    late_sd_s: float
-    """Its standard deviation, over all lateness that is tried."""
+    late: Lateness
+    """By how much forces come late, with its deviation over all that is tried."""
     gain: Float[Tensor, " plates"]
     """By which part of itself each plate reads too much, beside all of them: what they have in common is the mass."""
     gain_covariance: Float[Tensor, "2 plates plates"]
@@ -146,7 +145,7 @@ class InstrumentRows:
         pulls = each[:, :size] @ apart @ C
         own = apart[self._body :]
         C = own @ torch.stack([C, pulls.T @ pulls]) @ own.T
-        return Instruments(float(late[k]), sd, own @ best, C)
+        return Instruments(Lateness(float(late[k]), sd), own @ best, C)
 
     def _joined(self) -> tuple[NormalEquations, Float[Tensor, "some some"], Float[Tensor, "some some"]]:
         """Return all blocks together, the precision before them of body, zeros and gains, and the matrix that takes

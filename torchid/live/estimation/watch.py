@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.checks.clocks import BY_BODY
 from torchid.checks.finding import Finding, InstrumentFault, Severity
 from torchid.checks.instruments import late_forces, unlike_gains, unloaded_reading
 from torchid.contact.contact import Contact
@@ -15,11 +16,6 @@ from torchid.live.estimation.instruments import Instruments
 
 SHARE = 0.5
 """Choice. Part of a block for which something must last before it is said: a stance, and no foot that grazes."""
-CLOCK_S = 0.02
-"""Choice. How late forces may come: those of living bodies come up to 15 ms late by themselves (``body_lag``)."""
-CLOCK_SD = 3.0
-"""Choice. Standard deviations by which a clock must be off by more than that, and which must be less than that: who
-stands still tells a clock to some 50 ms, and to 10 where chance would have it; a step tells it to 2."""
 GAIN_SD = 6.0
 """Choice. Standard deviations by which plates must disagree: motion that is modelled wrongly is no noise."""
 GAIN = 0.05
@@ -132,9 +128,8 @@ class Watch:
     def _late(self, block: WatchedBlock) -> Iterator[Notice]:
         if (found := block.instruments) is None:
             return
-        unsure_s = CLOCK_SD * found.late_sd_s
-        if unsure_s < CLOCK_S < abs(found.late_s) - unsure_s:
-            yield Notice.of(late_forces(found.late_s, found.late_sd_s, "live.clock"))
+        if found.late.wrong(BY_BODY):
+            yield Notice.of(late_forces(found.late, "live.clock"))
 
     def _gains(self, block: WatchedBlock) -> Iterator[Notice]:
         if block.instruments is None or len(self._plates) < 2:
