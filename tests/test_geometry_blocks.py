@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import torch
+from benchmarks.first_order import make_gradient
 from marker_problems import random_problem, retracted
 from torch.testing import assert_close
 
 from torchid.geometry.arrow.elimination import back_substitute, eliminate, reduce_shared
 from torchid.geometry.arrow.index_tables import make_layout
 from torchid.geometry.arrow.limb_partition import make_partition
-from torchid.geometry.arrow.normal_blocks import assemble, make_gradient, make_pieces, shared_block, shared_curve
+from torchid.geometry.arrow.normal_blocks import assemble, make_pieces, shared_block, shared_curve
 from torchid.geometry.problem import retract
 from torchid.kinematics.plan import plan_tree
 from torchid.model.whole_body import whole_body

@@ -18,6 +18,7 @@ import torch
 from inertia_cases import bodies, names, prior
 from test_live_stream import limited
 from torch.testing import assert_close
+from trc_files import write_trc
 from typer.testing import CliRunner
 
 from torchid.cli import app
@@ -32,7 +33,6 @@ from torchid.errors import ConfigError, DataError
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import Identified
 from torchid.inertia.options import InertiaOptions, of_whitened_rows
-from torchid.io.trc import write_trc
 from torchid.live.estimation.estimator import Estimator
 from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Moment, Pipeline

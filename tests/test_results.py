@@ -18,10 +18,10 @@ import torch
 import xarray
 from hypothesis import given
 from hypothesis import strategies as st
+from trc_files import write_trc
 
 from torchid.errors import DataError, InputError, Note
 from torchid.io.storage import write_storage
-from torchid.io.trc import write_trc
 from torchid.recording import Event, Markers, Trial
 from torchid.storage import files, results, snapshot
 from torchid.storage.files import TEMPORARY, atomic_write, file_sha256, nameless_file, safe_name, write_json, write_text

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from torchid.contact.sharing.records import WrenchSource
 from torchid.dynamics.equations_of_motion import wrench_about
-from torchid.dynamics.opensim_coordinates import file_forces
 from torchid.dynamics.rows import predict
 from torchid.errors import DataError
 from torchid.geometry.tracking import modelled
@@ -105,7 +104,7 @@ def opensim_tables(
     kind = {
         one.name: "moment" if one.motion is CoordinateKind.ROTATIONAL else "force" for one in binding.model.coordinates
     }
-    found = file_forces(binding, tree, q, torque)
+    found = binding.forces(tree.dof_names, values, torque)
     table = dict(zip(binding.model.coordinate_names, values.unbind(1), strict=True))
     return table, {f"{name}_{kind[name]}": value for name, value in found.items()}
 

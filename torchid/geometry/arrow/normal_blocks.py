@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchid.geometry.arrow.index_tables import ArrowLayout
-from torchid.geometry.arrow.twists import Twists, column_gradient, column_twists, moments, with_markers
+from torchid.geometry.arrow.twists import Twists, column_twists, moments, with_markers
 from torchid.geometry.problem import MarkerProblem, ProblemPoint
 
 
@@ -101,36 +101,6 @@ def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: ProblemPoint,
         columns = with_markers(columns, R, p[free], weight[free], pull[free])
     pull, curvature = (x.to(dtype).index_select(0, layout.dof_rows).T for x in (seen.pull, seen.curvature))
     return BlockPieces(seen.cost, columns, pull, curvature, total, fold_matrix(layout, seen.at.q, dtype))
-
-
-def make_gradient(
-    problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the cost and its gradient alone, without any block.
-
-    Args:
-        problem: markers, weights and posture prior.
-        layout: index tables of the problem.
-        q: coordinates (dofs, frames).
-        xi: geometry and marker places.
-        shared: False leaves the entries out.
-
-    Returns:
-        Cost (frames,), gradient in motion (motion, frames), and gradient in the entries (entries, frames).
-    """
-    seen = problem.evaluate(q, problem.shape(xi))
-    at, pull = seen.at.about_root(q.dtype), seen.weight[:, None] * seen.residual
-    columns = column_gradient(layout, at, seen.p - seen.at.p[:1], pull, shared)
-    g_q = columns.index_select(0, layout.motion if shared else layout.motion_alone)
-    fold = fold_matrix(layout, q, q.dtype)
-    g_q = g_q if fold is None else torch.einsum("tcd,ct->dt", fold, g_q)
-    g_q += seen.pull.index_select(0, layout.dof_rows)
-    if not shared:
-        return seen.cost, g_q, columns[:0]
-    free = problem.free
-    R = at.R.index_select(0, problem.body[free])
-    places = (R * pull[free, None]).sum(2).flatten(0, 1)
-    return seen.cost, g_q, torch.cat([columns[layout.entries[: layout.geometric]], places])
 
 
 def assemble(problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool) -> NormalBlocks:

@@ -60,7 +60,7 @@ def column_twists(layout: ArrowLayout, at: Poses, sums: Tensor, shared: bool) ->
         sums: from ``moments``.
         shared: False leaves geometry out.
     """
-    z, t = _column_axes(layout, at, shared)
+    z, t = column_axes(layout, at, shared)
     turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
     twist = z.new_empty(6 + len(z) + len(t), 6, z.shape[2])
     wrench = torch.empty_like(twist)
@@ -74,7 +74,7 @@ def column_twists(layout: ArrowLayout, at: Poses, sums: Tensor, shared: bool) ->
     return Twists(_frames_first(twist), _frames_first(wrench), g.T)
 
 
-def _column_axes(layout: ArrowLayout, at: Poses, shared: bool) -> tuple[Tensor, Tensor]:
+def column_axes(layout: ArrowLayout, at: Poses, shared: bool) -> tuple[Tensor, Tensor]:
     """Return the axes of turns and hinge entries, and the directions of slides and offset entries."""
     z, t = at.turn_axis.index_select(0, layout.turn_order), at.slide_axis
     if not shared:
@@ -83,30 +83,6 @@ def _column_axes(layout: ArrowLayout, at: Poses, shared: bool) -> tuple[Tensor, 
     hinge = (layout.hinge_map @ at.hinge_axis.flatten(1)).view(len(layout.hinge_map), 3, frames)
     offset = (layout.offset_map @ at.R.flatten(0, 1).flatten(1)).view(len(layout.offset_map), 3, frames)
     return torch.cat([z, hinge]), torch.cat([t, offset])
-
-
-def column_gradient(layout: ArrowLayout, at: Poses, p: Tensor, pull: Tensor, shared: bool) -> Tensor:
-    """Compute the gradient of ``column_twists`` alone, for a third of the work.
-
-    Args:
-        layout: index tables.
-        at: poses of all bodies, measured from the root's origin.
-        p: the markers' positions from the root's origin (markers, 3, frames).
-        pull: weighted residuals (markers, 3, frames).
-        shared: False leaves geometry out.
-
-    Returns:
-        The gradient (columns, frames).
-    """
-    z, t = _column_axes(layout, at, shared)
-    turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
-    wrench = torch.cat([pull, cross(p, pull)], dim=1)
-    wrench = (layout.subtree @ wrench.flatten(1)).view(len(layout.subtree), 6, p.shape[2])
-    arm = at.p.index_select(0, turning)
-    about = wrench.index_select(0, turning)
-    turns = (z * (about[:, 3:] - cross(arm, about[:, :3]))).sum(1)
-    slides = (t * wrench[:, :3].index_select(0, sliding)).sum(1)
-    return torch.cat([wrench[0], turns, slides])
 
 
 def _frames_first(x: Tensor) -> Tensor:

@@ -118,15 +118,25 @@ class OsimBinding:
         out[:, list(self.root.rows)] = _root_values(self.root, step if self.root.outward else inverse(step))
         return coupled(self.model, out)
 
-    def root_forces(
-        self, q: Float[Tensor, "frames coordinates"], wrench: Float[Tensor, "frames 6"]
-    ) -> Float[Tensor, "frames 6"]:
-        """Return the generalised forces of the root joint's coordinates.
+    def forces(
+        self, names: tuple[str, ...], q: Float[Tensor, "frames coordinates"], tau: Float[Tensor, "frames dofs"]
+    ) -> dict[str, Float[Tensor, " frames"]]:
+        """Return the generalised forces of a tree by the file's names of coordinates, those of its first joint first.
+
+        A coordinate that leads others bears their share; these and locked ones have no force of their own.
 
         Args:
+            names: the tree's names of coordinates, whatever it holds still.
             q: all coordinates of the file [rad, m].
-            wrench: on the root, about its origin, in W [N, N m].
+            tau: generalised forces of the tree; those of the base are a wrench about the root's origin, in W [N, N m].
         """
+        found = dict(zip(self.root_names, self._root_forces(q, tau[:, :BASE_DOFS]), strict=True))
+        return found | dict(zip(names[BASE_DOFS:], tau[:, BASE_DOFS:].unbind(1), strict=True))
+
+    def _root_forces(
+        self, q: Float[Tensor, "frames coordinates"], wrench: Float[Tensor, "frames 6"]
+    ) -> list[Float[Tensor, " frames"]]:
+        """Generalised forces of the root joint's coordinates, of a wrench on the root about its origin in W."""
         X, columns = self.base_pose(q), []
         for row in self.root.rows:
             seed = torch.zeros_like(q)
@@ -134,7 +144,7 @@ class OsimBinding:
             rate = pushed(self.base_pose, (q,), (seed,))[1]
             twist = torch.cat([rate[:, :3, 3], _vee(rate[:, :3, :3] @ X[:, :3, :3].mT)], dim=1)
             columns.append((twist * wrench).sum(1))
-        return torch.stack(columns, dim=1)
+        return columns
 
 
 def affine(function: Function) -> tuple[float, float] | None:

@@ -6,7 +6,7 @@ add, so that those in any directions are three along the axes of its frame. Bodi
 """
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
@@ -48,16 +48,6 @@ def tree_of_osim(model: OsimModel) -> tuple[Tree, Geometry, OsimBinding]:
     for k, joint in enumerate(joints):
         builder.add(k, joint)
     return builder.tree(), builder.geometry(), binding
-
-
-def as_free(model: OsimModel) -> OsimModel:
-    """Return a model whose coordinates are all free: no couplers, none locked, as OpenSim's inverse dynamics sees it.
-
-    Args:
-        model: any model.
-    """
-    free = tuple(replace(one, locked=False) for one in model.coordinates)
-    return replace(model, coordinates=free, couplers=())
 
 
 def _refuse_other_roots(model: OsimModel) -> None:

@@ -1,7 +1,8 @@
 """Exercises of a simulated subject that begin and end in the same stance, so that one can follow another."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -37,8 +38,7 @@ EASIER = 0.07
 """Choice. By how much every further attempt is easier, as for simulated trials."""
 
 
-@dataclass(frozen=True)
-class Standing:
+class Standing(NamedTuple):
     """A subject as it stands between exercises."""
 
     who: SimulatedSubject
