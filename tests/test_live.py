@@ -24,8 +24,7 @@ from typer.testing import CliRunner
 from torchid.cli import app
 from torchid.config import Config, load_config
 from torchid.config.sections import TrialFile
-from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import OtherContact
+from torchid.contact.options import ContactOptions, OtherContact
 from torchid.dynamics.row_equations import NormalEquations
 from torchid.dynamics.rows import SHORTEST, WrenchTrial, runs
 from torchid.dynamics.whitening import BlockSpectrum, accumulate, block_spectrum
@@ -40,8 +39,7 @@ from torchid.live.estimation.pose import PostureFollower
 from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.run import prepare_subject, run_live
 from torchid.live.sources.intake import Intake
-from torchid.live.sources.replay import AT_ONCE, Replay
-from torchid.live.sources.stream import Packet
+from torchid.live.sources.stream import AT_ONCE, Packet, Replay
 from torchid.recording import Forces, Markers, Trial
 from torchid.run import run_experiment
 from torchid.session.fitting import given_mass

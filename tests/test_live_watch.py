@@ -11,7 +11,7 @@ from test_live import RATE, long, moving, subject
 from torchid.live.estimation.identifier import Identifier
 from torchid.live.estimation.pose import PostureFollower
 from torchid.live.sources.intake import Intake
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.recording import Trial
 
 Said = list[tuple[float, tuple[tuple[str, str], ...]]]

@@ -28,8 +28,8 @@ from torchid.simulate.legs import foot_pose
 from torchid.simulate.motions import MOTIONS, make_script
 from torchid.simulate.noise import lose_markers, noisy_plates
 from torchid.simulate.options import PlantedOptions, SimulateOptions
+from torchid.simulate.script import passages, wander
 from torchid.simulate.session import simulate_session
-from torchid.simulate.signals import passages, wander
 from torchid.simulate.subject import draw_inertia, simulate_subject
 from torchid.simulate.trial import simulate_trial
 

@@ -16,8 +16,7 @@ from torchid.motion import smooth_motion
 from torchid.simulate.balance import Moving, balance, centre_of_pressure, needed_wrench, wanted_pressure
 from torchid.simulate.motions import make_script
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.script import FootPath, Script, random_stance
-from torchid.simulate.signals import smooth_step
+from torchid.simulate.script import FootPath, Script, random_stance, smooth_step
 from torchid.simulate.subject import SimulatedSubject
 from torchid.simulate.trial import ATTEMPTS, SimulatedTrial, impossible, record, with_margins
 

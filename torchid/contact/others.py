@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import NearPlace, OtherContact
+from torchid.contact.options import ContactOptions, NearPlace, OtherContact
 from torchid.contact.runs import runs
 from torchid.contact.support import OVER_FLOOR_M, over_plates
 from torchid.contact.touching import LOWEST, REST

@@ -20,9 +20,32 @@ from torchid.devices.device import (
 from torchid.devices.device import (
     Path as Run,
 )
-from torchid.devices.faults import fault, number
-from torchid.devices.sheet import ElementSheet, ProfileSheet
-from torchid.devices.values import SheetValue, Triple
+from torchid.devices.sheet import ElementSheet, ProfileSheet, VectorWithSd, WithSd
+from torchid.devices.values import Number, SheetValue, Triple
+from torchid.errors import ConfigError
+
+
+def fault(code: str, message: str, source: str | Path, place: str = "", found: str = "", *, remedy: str) -> ConfigError:
+    """Return the error ``device.<code>`` of a place of a sheet."""
+    return ConfigError(f"device.{code}", message, source=source, place=place, found=found, remedy=remedy)
+
+
+def number(text: Any) -> Number:
+    """Return a number of a sheet; None where it is unknown."""
+    if text == "unknown":
+        return None
+    return SheetValue(text.value, text.sd) if isinstance(text, WithSd) else SheetValue(float(text))
+
+
+def vector(text: Any) -> tuple[SheetValue, SheetValue, SheetValue] | None:
+    """Return a vector of a sheet; None where it is unknown."""
+    if text == "unknown":
+        return None
+    values, sd = (text.value, text.sd) if isinstance(text, VectorWithSd) else (text, 0.0)
+    spread = sd if isinstance(sd, tuple) else (sd, sd, sd)
+    x, y, z = (SheetValue(float(v), float(s)) for v, s in zip(values, spread, strict=True))
+    return x, y, z
+
 
 LINEAR = {
     "stiffness": "stiffness_N_m", "rest": "rest_m", "preload": "preload_N", "free_play": "free_play_m",

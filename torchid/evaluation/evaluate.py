@@ -14,18 +14,16 @@ from torchid.config import Config
 from torchid.config.conditions import EvaluateOptions
 from torchid.devices import Device, refuse_foreign
 from torchid.errors import ConfigError, DataError
-from torchid.evaluation.corrections import corrections_of
 from torchid.evaluation.cycle_measures.cycles import Course, Cycle, find_cycles, outliers
 from torchid.evaluation.cycle_measures.layout import MeasureLayout, make_layout
 from torchid.evaluation.cycle_measures.rows import CycleRows, RowScene, cycle_rows, joined
-from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.evaluation import Evaluation, corrections_of
 from torchid.evaluation.gaps import find_gaps
 from torchid.evaluation.simulation import with_conditions
 from torchid.evaluation.statistics.answers import BodyAnswer, answer
 from torchid.evaluation.torque_shares.back import lever_arms
 from torchid.evaluation.torque_shares.contacts import FeetWrenches, count_contacts, feet_of, refuse_twice
-from torchid.evaluation.torque_shares.device_draws import device_deviations
-from torchid.evaluation.torque_shares.draws import torque_deviations
+from torchid.evaluation.torque_shares.draws import device_deviations, torque_deviations
 from torchid.evaluation.torque_shares.shares import shares
 from torchid.evaluation.torque_shares.wearing import Worn, channels_of, identified_devices, worn_devices
 from torchid.evaluation.trials import ConditionTrial, condition_trials, refuse_faulty, refuse_still

@@ -11,12 +11,11 @@ from torchid.evaluation.cycle_measures.layout import BACK
 from torchid.evaluation.cycle_measures.measures import divides_by_mass, unit_of
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import BODIES, Key
-from torchid.evaluation.loads import load_change
+from torchid.evaluation.loads import beyond_need, load_change
 from torchid.evaluation.statistics.answers import BodyAnswer
 from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn
 from torchid.evaluation.statistics.effects import COVERAGE, Estimate
 from torchid.evaluation.torque_shares.back import NIOSH_N
-from torchid.evaluation.torque_shares.beyond import beyond_need
 
 Entry = tuple[Key, float, str]
 INTERVAL = ("value", "low", "high")

@@ -1,7 +1,9 @@
 """Files of an evaluation, beside those of its run."""
 
+import numpy as np
+import xarray
+
 from torchid.config import Config
-from torchid.evaluation.datasets import cycles_dataset
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Ledger
 from torchid.evaluation.numbers import all_numbers
@@ -41,3 +43,42 @@ def file_names(config: Config) -> list[str]:
     """
     cycles = [f"cycles_{safe_name(condition)}.nc" for condition in config.conditions]
     return [*FILES, *cycles]
+
+
+def cycles_dataset(found: Evaluation, condition: str) -> xarray.Dataset:
+    """Courses and measures of the cycles of one condition.
+
+    Args:
+        found: the evaluation.
+        condition: its name.
+    """
+    own = [k for k, name in enumerate(found.conditions) if name == condition]
+    rows, plain, layout = found.identified.rows, found.template.rows, found.layout
+    by_course, by_column = ("cycle", "percent", "course"), ("cycle", "column")
+    held = {
+        "human": (by_course, rows.human[own].numpy()),
+        "demand": (by_course, rows.demand[own].numpy()),
+        "device": (by_course, rows.device[own].numpy()),
+        "human_template": (by_course, plain.human[own].numpy()),
+        "angle": (("cycle", "percent", "coordinate"), rows.angle[own].numpy()),
+        "measure": (by_column, rows.values[own].numpy()),
+        "measure_template": (by_column, plain.values[own].numpy()),
+        "apart": (("cycle",), found.apart[own].numpy()),
+    }
+    if rows.human_draws is not None:
+        held["human_sd"] = (by_course, rows.human_draws[:, own].std(0).numpy())
+    cycles, times = [found.cycles[k] for k in own], {t.name: t.followed.motion.time for t in found.trials}
+    coords = {
+        "percent": np.linspace(0.0, 100.0, rows.human.shape[1]),
+        "course": [f"{column.where} {column.measure}" for column in layout.courses],
+        "coordinate": list(layout.names),
+        "column": [f"{column.where} {column.measure}" for column in layout.columns],
+        "trial": (("cycle",), [cycle.trial for cycle in cycles]),
+        "side": (("cycle",), [cycle.side for cycle in cycles]),
+        "duration": (("cycle",), [float(times[c.trial][c.stop] - times[c.trial][c.start]) for c in cycles]),
+        "frame": (("cycle", "end"), np.array([[c.start, c.stop] for c in cycles], dtype=np.int64).reshape(-1, 2)),
+    }
+    return xarray.Dataset(
+        held, coords, {"condition": condition, "units": "SI, rad", "convention": found.config.evaluate.convention,
+                       "human": "demand minus the device's share", "per_mass_kg": found.per_mass_kg or 0.0},
+    )  # fmt: skip

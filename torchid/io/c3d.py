@@ -11,12 +11,11 @@ from torchid.io.c3d_data import analog_pieces, read_analogs, read_points
 from torchid.io.c3d_header import C3dHeader, read_header
 from torchid.io.c3d_layout import C3dLayout, resolve_layout
 from torchid.io.files import FileBytes
-from torchid.io.frame import length_unit
+from torchid.io.frame import METRES, length_unit
 from torchid.io.labels import OUTPUT_LISTS, select_markers
 from torchid.io.options import ReadOptions
 from torchid.io.plates import read_plates
 from torchid.io.raw import Measured, RawTrial, assemble
-from torchid.io.units import METRES
 from torchid.recording import Event, Forces, Trial
 
 

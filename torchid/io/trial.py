@@ -7,7 +7,7 @@ import numpy as np
 
 from torchid.errors import InputError
 from torchid.io.c3d import read_c3d
-from torchid.io.frame import length_unit
+from torchid.io.frame import METRES, length_unit
 from torchid.io.grf import forces_from_storage
 from torchid.io.labels import select_markers
 from torchid.io.mend import PlateAs
@@ -15,7 +15,6 @@ from torchid.io.options import ReadOptions
 from torchid.io.raw import Measured, RawTrial, assemble
 from torchid.io.storage import read_storage
 from torchid.io.trc import read_trc
-from torchid.io.units import METRES
 from torchid.recording import Forces, Trial
 
 ROLES = ("static", "fit", "heldout")

@@ -19,8 +19,7 @@ from torchid.live.estimation.pipeline import Moment, Pipeline
 from torchid.live.exercises.exercises import Possibilities
 from torchid.live.exercises.guidance import make_guide
 from torchid.live.sources.recorder import Recorder
-from torchid.live.sources.replay import Replay
-from torchid.live.sources.stream import Source
+from torchid.live.sources.stream import Replay, Source
 from torchid.model.model import InertialPrior
 from torchid.run.sequence import GEOMETRY, run_key
 from torchid.session import Outcome, Session

@@ -6,9 +6,8 @@ from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
 from torchid.errors import DataError
 from torchid.report.blocks import Block, Items, Paragraph, Section, Table
-from torchid.report.cause_sentences import likely, told
+from torchid.report.cause_sentences import called, likely, told
 from torchid.report.data_handling import grouped
-from torchid.report.effect_words import called
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
 from torchid.session import Outcome
 from torchid.session.judging import quality_of

@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from torchid.errors import InputError
 from torchid.scene.scene import Ground, Instant
-from torchid.scene.solids import Solids, solids
-from torchid.scene.sticks import sticks
+from torchid.scene.solids import Solids, solids, sticks
 from torchid.storage.netcdf import CHUNK
 
 WRENCHES = ("measured", "predicted", "extended")

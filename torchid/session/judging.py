@@ -2,19 +2,38 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 
 from torchid.dynamics.rows import WrenchTrial, residual_rms
 from torchid.errors import DataError
 from torchid.inertia.certificate import InertiaStatus
-from torchid.session.judges import judges
 from torchid.session.masses import Mass, masses
 from torchid.session.outcome import Outcome
 from torchid.session.quality import Criterion, Quality, QualityLevel, graded
 from torchid.session.tables import largest, rms
 from torchid.wording import change, clean, number, percent, plural, segment
+
+
+@dataclass(frozen=True)
+class Judges:
+    """Trials on which the model is judged."""
+
+    names: tuple[str, ...]
+    words: str
+    """``held-out trials``, or what stands in for them."""
+    heldout: bool
+
+
+def judges(outcome: Outcome, stage: str = "geometry") -> Judges:
+    """Held-out trials that ``stage`` is judged on; where there are none, the fit trials, and without these all."""
+    for role, words in (("heldout", "held-out trials"), ("fit", "fit trials")):
+        names = tuple(outcome.session.part(role, stage))
+        if names:
+            return Judges(names, words, role == "heldout")
+    return Judges(tuple(outcome.session.trials), "trials", False)
+
 
 OPENSIM = "OpenSim, checklist for evaluating a simulation (simtk.org)"
 HICKS = "Hicks et al., J Biomech Eng 137:020905 (2015)"

@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import OtherContact, Point
+from torchid.contact.options import ContactOptions, OtherContact, Point
 from torchid.contact.others import Others, find_others
 from torchid.contact.sharing.patches import Patch, axes_about
 from torchid.errors import ConfigError, DataError

@@ -7,10 +7,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.contact.contact import Contact
-from torchid.contact.options import ContactOptions
+from torchid.contact.options import ContactOptions, SolverOptions
 from torchid.contact.runs import dilate, spread
 from torchid.contact.sharing.costs import Costs, Effort, ShareSolution, Task, untouched
-from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.patches import Patch, rest_of
 from torchid.contact.sharing.records import ContactWrenches, Needed, WrenchSource
 from torchid.contact.sharing.solver import worse

@@ -6,8 +6,7 @@ from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.report.details import device_section, reach_section, values_section
 from torchid.evaluation.report.figures import courses_section, draw_courses, marked
 from torchid.evaluation.report.method import method_section
-from torchid.evaluation.report.summary import summary_section
-from torchid.evaluation.report.tables import differences_section
+from torchid.evaluation.report.tables import differences_section, summary_section
 from torchid.evaluation.statistics.comparing import Comparison
 from torchid.evaluation.torque_shares.draws import SAID
 from torchid.report.blocks import Figure, Section, Table

@@ -5,12 +5,11 @@ from collections.abc import Sequence
 
 from torchid.evaluation.compared import Compared, Gap
 from torchid.evaluation.ledger import Key, Ledger
-from torchid.evaluation.loads import load_change
+from torchid.evaluation.loads import LEAST_PART, load_change
 from torchid.evaluation.numbers import PRESSED, column_unit
 from torchid.evaluation.report.words import column_words, digits_of, where_words
 from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn
 from torchid.evaluation.torque_shares.back import NIOSH_N
-from torchid.evaluation.torque_shares.beyond import LEAST_PART
 from torchid.wording import ABSENT, clean, listing
 
 SIGNED = ("max_torque_Nm", "min_torque_Nm", "mean_torque_Nm", "negative_work_J")

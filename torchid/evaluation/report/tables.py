@@ -1,13 +1,13 @@
-"""Tables of differences, with the scaled template's beside them."""
+"""The first page of a report, and tables of differences with the scaled template's beside them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from torchid.evaluation.compared import Compared
 from torchid.evaluation.ledger import Key, Ledger
-from torchid.evaluation.report.sentences import difference_key, interval
+from torchid.evaluation.report.sentences import back_line, difference_key, finding, gap_lines, headline, interval
 from torchid.evaluation.report.words import digits_of, headed, labelled
 from torchid.evaluation.statistics.comparing import Comparison
-from torchid.report.blocks import Block, Section, Table
+from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Table
 from torchid.wording import clean
 
 
@@ -80,3 +80,39 @@ def differences_section(found: Compared, ledger: Ledger) -> Section:
         tested = "Nothing could be tested."
     said = f"{over}Intervals are {percent} % each. {tested}"
     return Section("differences", "All differences", said, tuple(blocks))
+
+
+FINDINGS, ROWS, PANELS, GAPS = 3, 6, 4, 3
+"""Choice. Of findings, differences, panels and gaps, so many fit on the first page, shared by the comparisons; all of
+them are behind it."""
+Picture = Callable[[Comparison, int, str], Figure | None]
+"""Of a comparison, so many panels, with a prefix of the drawing's ids."""
+
+
+def summary_section(
+    found: Compared, ledger: Ledger, who: Table, picture: Picture, more: Sequence[str] = ()
+) -> Section:  # fmt: skip
+    """The page that can be handed on alone.
+
+    Args:
+        found: the evaluation or the study.
+        ledger: of its numbers.
+        who: what was recorded.
+        picture: of a comparison.
+        more: sentences, an empty one left out.
+    """
+    first, share = headline(found, ledger), len(found.comparisons)
+    blocks: list[Block] = [who]
+    for number, one in enumerate(found.comparisons):
+        order = one.ranked()
+        own = [k for k in order if k in one.found(found.level)][: max(1, FINDINGS // share)]
+        blocks += [Items(tuple(finding(found, ledger, one, k) for k in own))] if own else []
+        drawn = picture(one, PANELS // share, f"s{number}") if PANELS // share > 1 else None
+        blocks += [drawn] if drawn is not None else []
+        if share == 1:
+            title = f"Largest differences, {clean(one.condition)} minus {clean(one.reference)}"
+            blocks.append(difference_rows(found, ledger, one, order[:ROWS], title, effects=False))
+    blocks += [Paragraph(text) for text in (*more, back_line(found, ledger)) if text]
+    some = gap_lines(ledger, found.gaps[: max(1, GAPS // share)])
+    blocks += [Paragraph("Not determinable, or left out:"), Items(some)] if some else []
+    return Section("summary", "Summary", first, tuple(blocks))

@@ -28,7 +28,7 @@ from torchid.live.exercises.advice import Advice
 from torchid.recording import Plate
 from torchid.scene.scene import Ground, Instant
 from torchid.scene.server import open_page
-from torchid.scene.sticks import sticks
+from torchid.scene.solids import sticks
 from torchid.storage.snapshot import from_bytes, to_bytes
 
 log = logging.getLogger(__name__)

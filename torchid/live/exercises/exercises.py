@@ -21,8 +21,7 @@ from torchid.motion import Motion, smooth_motion
 from torchid.simulate.balance import balance
 from torchid.simulate.legs import LEG
 from torchid.simulate.motions import ARMS, QUIET, TRUNK, Range, make_script
-from torchid.simulate.script import Script
-from torchid.simulate.signals import wander
+from torchid.simulate.script import Script, wander
 from torchid.simulate.subject import SimulatedSubject, Sole
 
 Need = Literal["standing", "sitting", "arms"]

@@ -8,8 +8,7 @@ import pylsl
 from torch import Tensor
 
 from torchid.live.sources.description import FORCE_PLATE, MOCAP, POSITION, WRENCH
-from torchid.live.sources.replay import Replay
-from torchid.live.sources.stream import Packet
+from torchid.live.sources.stream import Packet, Replay
 from torchid.recording import Plate, Trial
 
 BETWEEN_S = 3.0

@@ -19,7 +19,7 @@ from torchid.live.sources.description import (
     rate_of,
     text,
 )
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.recording import Forces, Markers, Trial
 
 

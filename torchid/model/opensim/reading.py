@@ -10,8 +10,7 @@ import torch
 from torchid.conventions import GRAVITY
 from torchid.errors import InputError, Note
 from torchid.model.markup import Element, parse_xml, read_bytes
-from torchid.model.opensim.bodies import read_inertias
-from torchid.model.opensim.consistent import consistent
+from torchid.model.opensim.bodies import consistent, read_inertias
 from torchid.model.opensim.coordinates import read_couplers
 from torchid.model.opensim.frames import Frames, Stated, body_elements
 from torchid.model.opensim.joints import JointElement, joint_elements, read_joint

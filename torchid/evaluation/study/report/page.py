@@ -5,8 +5,7 @@ from torchid.evaluation.report.figures import courses_section
 from torchid.evaluation.report.method import method_section
 from torchid.evaluation.report.page import render_compared
 from torchid.evaluation.report.sentences import interval
-from torchid.evaluation.report.summary import summary_section
-from torchid.evaluation.report.tables import differences_section
+from torchid.evaluation.report.tables import differences_section, summary_section
 from torchid.evaluation.report.words import where_words
 from torchid.evaluation.statistics.comparing import Comparison
 from torchid.evaluation.study.numbers import taken
