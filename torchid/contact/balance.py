@@ -41,7 +41,6 @@ def falls_short(
         vertical: force of all plates [N], smoothed as the motion is.
         needed: mass times gravity and the vertical acceleration of the centre of mass [N].
         weight: from standing.
-        rate_hz: frames per second.
         options: how much may be missing, and for how long.
     """
     missing = (needed - vertical) / (GRAVITY * weight.mass) - weight.sd / weight.mass

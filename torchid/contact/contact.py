@@ -129,9 +129,7 @@ def find_contact(
         soles: points of the sole of each foot in W, the first at the heel and the last at the tip of the toes.
         forces: on the clock of the markers; NaN outside their overlap.
         seen: frames whose motion is known.
-        rate_hz: frames per second.
         spread_s: how far the force filter carries a missing force into the frames beside it.
-        options: thresholds.
         short: frames in which the plates miss a part of the weight (``balance.falls_short``), where that is known.
         others: contacts other than feet.
     """

@@ -53,9 +53,7 @@ def find_others(
     """Tell when the contacts of a trial bear; None where the options name none.
 
     Args:
-        options: with the contacts.
         middles: middle of each contact's points in W [m].
-        trial: its name.
         time: of the frames [s].
         forces: on the clock of the frames; None where nothing was measured.
     """
@@ -71,12 +69,7 @@ def find_others(
 
 
 def plate_of(one: OtherContact, forces: Forces | None) -> int:
-    """Return the index of the plate that measures a contact, -1 where the trial has none.
-
-    Args:
-        one: the contact.
-        forces: of the trial.
-    """
+    """Return the index of the plate that measures a contact, -1 where the trial has none."""
     numbers = [] if forces is None else [number_of(plate, k) for k, plate in enumerate(forces.plates)]
     return numbers.index(one.plate) if one.plate in numbers else -1
 
@@ -120,7 +113,6 @@ def floor_plates(
 
     Args:
         soles: points of each foot in W [m].
-        forces: of all plates.
         others: contacts that name plates.
         margin_m: by which a foot may stand over an edge.
     """
@@ -149,8 +141,6 @@ def assign_others(
 
     Args:
         plate: foot that each plate carries, as of ``Contact.plate``.
-        others: contacts that name plates.
-        feet: number of feet.
         on: feet that touch over each plate.
     """
     found = plate.clone()
@@ -169,11 +159,6 @@ def assign_others(
 def feet_alone(options: ContactOptions, trial: str, forces: Forces) -> Forces | None:
     """Return forces as far as feet must answer for them: without plates of other contacts, and without the frames in
     which one is known to bear that no plate measures; None where nothing is left.
-
-    Args:
-        options: with the contacts.
-        trial: name of the trial.
-        forces: of the trial.
     """
     named = {plate_of(one, forces) for one in options.others.values()}
     kept = [p for p in range(len(forces.plates)) if p not in named]

@@ -94,7 +94,6 @@ def over_each(
 
     Args:
         soles: points of each foot in W [m].
-        forces: with the plates.
         margin_m: by which a foot may stand over an edge.
     """
     shape = len(forces.time), len(forces.plates), len(soles)

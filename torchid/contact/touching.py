@@ -31,7 +31,6 @@ def low_points(
     Args:
         points: of one sole in W.
         bearing: points that stand still while their foot bears a plate.
-        options: reach.
     """
     height = points[..., 2]
     stance = torch.where(bearing, height, torch.nan).nanquantile(0.5, dim=0)
@@ -84,8 +83,6 @@ def touching_points(
         points: of one sole in W.
         speed: as seen from the ground [m/s].
         loaded: frames in which the foot bears a plate.
-        rate_hz: frames per second.
-        options: thresholds.
     """
     slow = speed < options.speed_m_s
     low = low_points(points, slow & loaded[:, None], options)

@@ -54,7 +54,6 @@ class Acting:
 
         Args:
             numbers: where the derivative is taken.
-            names: parameters.
         """
         found = []
         for name in names:
@@ -70,7 +69,6 @@ def acting(element: Element, trial: WrenchTrial, recorded: Channels) -> Acting:
     Args:
         element: not a support with recorded forces.
         trial: whose motion it follows.
-        recorded: channels on its frames.
 
     Raises:
         ConfigError: ``device.segment`` or ``device.coordinate``.
@@ -102,7 +100,6 @@ def known_external(device: Device, trial: WrenchTrial, recorded: Channels) -> Fl
     Args:
         device: whose other elements are left out.
         trial: with the motion.
-        recorded: channels on its frames.
     """
     own = tuple(one for one in device.elements if one.grounded and not one.unknown)
     total = torch.zeros_like(trial.wrench)
@@ -118,7 +115,6 @@ def heard(trial: WrenchTrial, support: Float[Tensor, "frames 6"]) -> WrenchTrial
     """Return a trial without the frames in which nobody knows what supports carried.
 
     Args:
-        trial: with the device.
         support: its wrench, NaN where it was not recorded.
     """
     return replace(trial, used=trial.used & torch.isfinite(support).all(dim=1))

@@ -207,7 +207,6 @@ def placed(device: Device, places: Places) -> Device:
     """Return the device with the points that are markers' where those are on their segments.
 
     Args:
-        device: with points by marker.
         places: of the markers, as the geometric fit found them.
 
     Raises:

@@ -12,11 +12,6 @@ from torchid.devices.values import SheetValue
 def device_draws(found: IdentifiedDevice, count: int, seed: int) -> tuple[Device, ...]:
     """Draw devices from the posterior of their elements' numbers; numbers of one element keep their correlation.
 
-    Args:
-        found: an identified device.
-        count: of draws.
-        seed: of the draws.
-
     Returns:
         Devices that differ in their determined numbers alone; stiffness, damping and free play are never negative.
     """
@@ -43,13 +38,7 @@ def device_draws(found: IdentifiedDevice, count: int, seed: int) -> tuple[Device
 
 
 def parts_draws(found: IdentifiedDevice, count: int, seed: int) -> Float[Tensor, "draws bodies 10"]:
-    """Draw what the parts of a device add to the inertial parameters of the bodies; Gaussian, without the LMI.
-
-    Args:
-        found: an identified device.
-        count: of draws.
-        seed: of the draws.
-    """
+    """Draw what the parts of a device add to the inertial parameters of the bodies; Gaussian, without the LMI."""
     generator = torch.Generator().manual_seed(seed)
     values, vectors = torch.linalg.eigh(found.parts_covariance)
     unit = torch.randn(count, len(values), generator=generator, dtype=torch.float64).to(values)

@@ -63,7 +63,6 @@ def element_of(sheet: ElementSheet, k: int, path: Path) -> Element:
     """Make an element of its sheet.
 
     Args:
-        sheet: its keys.
         k: number in the list.
         path: the file, from whose folder profiles are found.
 

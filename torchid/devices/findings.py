@@ -76,9 +76,6 @@ def device_findings(
     Args:
         device: the sheet; its unknown numbers are no findings.
         body: inertia as trials without the device told it.
-        trials: with the device.
-        recorded: channels of the device by trial.
-        options: what is assumed.
 
     Raises:
         DataError, ConfigError: as of ``identify_device``.
@@ -105,11 +102,7 @@ def device_findings(
 
 
 def opened(device: Device) -> Device:
-    """Return the device with masses and what laws and commands are made of unknown; its places stay.
-
-    Args:
-        device: the sheet.
-    """
+    """Return the device with masses and what laws and commands are made of unknown; its places stay."""
 
     def law(element: Element) -> Element:
         own = element.law

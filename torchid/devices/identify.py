@@ -46,7 +46,6 @@ def identify_device(
     numbers come from the element's sensor, and without one they are not determinable.
 
     Args:
-        device: the sheet.
         body: inertia as trials without the device told it.
         trials: with the device, followed by the same geometry as those without.
         recorded: channels of the device on each trial's frames, by trial; samples as recorded, unfiltered.

@@ -51,7 +51,6 @@ def law_force(
 
     Args:
         law: all of its numbers known, but for a stiffness that a table replaces.
-        element: whose law it is, for the error.
         x: length [m] or angle [rad].
         rate: of x, per second.
 
@@ -76,7 +75,6 @@ def interpolated(table: tuple[tuple[float, float], ...], x: Tensor) -> Tensor:
 
     Args:
         table: abscissa and value, rising.
-        x: where it is asked for.
     """
     at, value = (x.new_tensor(column) for column in zip(*table, strict=True))
     k = (torch.bucketize(x.contiguous(), at) - 1).clamp(0, len(at) - 2)
@@ -91,10 +89,8 @@ def drive_force(
 
     Args:
         drive: what is commanded.
-        element: whose drive it is, for errors.
         x: length or angle of the element.
         time: of the frames [s].
-        recorded: channels on the frames.
 
     Raises:
         ConfigError: ``device.unknown`` or ``device.channel``.

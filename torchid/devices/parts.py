@@ -55,7 +55,6 @@ def parts_prior(device: Device, tree: Tree, com: Float[Tensor, "bodies 3"]) -> P
 
     Args:
         device: with parts on segments of the tree.
-        tree: of the human model.
         com: centres of mass of the human segments, about which parts without a stated one scatter [m].
 
     Raises:

@@ -155,7 +155,6 @@ def attached_parts(path: Path, attachments: Mapping[str, str | AttachedLink]) ->
     """Read the links of a URDF file as parts of segments; links behind fixed joints are part of their parents.
 
     Args:
-        path: the file.
         attachments: link: segment whose axes and origin are the link's, or the link's pose on one. Without any, the
             links carry the names of segments.
 

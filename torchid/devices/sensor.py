@@ -64,10 +64,8 @@ def fit_law(
     """Fit some parameters of an element to its sensor.
 
     Args:
-        measured: by trial.
         names: parameters that are fitted.
         numbers: values of all others.
-        options: what is assumed.
     """
     noise = _sensor_noise(measured)
     length_sd, best = 0.0, _start(measured, names, numbers)

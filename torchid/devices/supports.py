@@ -55,11 +55,7 @@ def fit_by_base_rows(
     Args:
         device: numbers that sensors told filled in.
         supports: elements that base rows see and whose numbers are unknown.
-        trials: with the device.
         body: as trials without the device told it.
-        prior: of the parts.
-        recorded: channels by trial.
-        options: what is assumed.
     """
     own = [[acting(e, t, recorded.get(t.name, {})) for t in trials] for e in supports]
     names = [(e, name) for e in supports for name in e.unknown]

@@ -82,11 +82,7 @@ def evaluate(config: Config, progress: OnStage = lambda stage, fraction: None) -
 
 
 def refuse_nothing(config: Config) -> None:
-    """Raise ConfigError where a config has no conditions to compare.
-
-    Args:
-        config: of the evaluation.
-    """
+    """Raise ConfigError where a config has no conditions to compare."""
     if len(config.conditions) < 2:
         raise ConfigError(
             "evaluate.no_conditions", "there is nothing to compare", place="conditions",
@@ -107,9 +103,6 @@ def gather(config: Config, outcome: Outcome, trials: tuple[ConditionTrial, ...],
     """Cycles, columns, devices and their channels.
 
     Args:
-        config: of the evaluation.
-        outcome: of the body's run.
-        trials: of all conditions.
         devices: by condition, None for none.
 
     Raises:
@@ -133,7 +126,6 @@ def all_cycles(trials: Sequence[ConditionTrial], options: EvaluateOptions) -> di
     """Cycles of all trials by name.
 
     Args:
-        trials: of all conditions.
         options: how cycles are found.
     """
     found = {}
@@ -161,8 +153,6 @@ def judge(config: Config, outcome: Outcome, material: Material) -> Evaluation:
     """Both bodies' answers, and what cannot be answered.
 
     Args:
-        config: of the evaluation.
-        outcome: of the body's run.
         material: from ``gather``.
     """
     options, trials = config.evaluate, material.trials

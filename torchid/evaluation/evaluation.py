@@ -34,11 +34,7 @@ class AppliedCorrection:
 
 
 def corrections_of(outcome: Outcome) -> tuple[AppliedCorrection, ...]:
-    """Causes of a run's diagnosis that were applied.
-
-    Args:
-        outcome: of the body's run.
-    """
+    """Causes of a run's diagnosis that were applied."""
     if outcome.diagnosis is None or outcome.base is None:
         return ()
     return tuple(
@@ -129,11 +125,7 @@ class Evaluation:
         return f"file_{chosen}" if from_file(self.config) else chosen
 
     def devices(self, condition: str) -> tuple[str, ...]:
-        """Name of what was worn; none where nothing was.
-
-        Args:
-            condition: its name.
-        """
+        """Name of what was worn; none where nothing was."""
         device = self.worn[condition].device
         return () if device is None else (device.name,)
 
@@ -142,7 +134,6 @@ class Evaluation:
 
         Args:
             one: a comparison; all have the same courses.
-            condition: its name.
             share: human, demand, device, or template.
         """
         answer = self.template if share == "template" else self.identified

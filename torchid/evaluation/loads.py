@@ -29,7 +29,6 @@ def load_change(one: Comparison, level: float) -> LoadChange:
     """Loads that a comparison has tested, and those that differ.
 
     Args:
-        one: the comparison.
         level: family-wise.
     """
     adjusted, value = one.tested.adjusted.tolist(), one.difference.value.tolist()
@@ -55,7 +54,6 @@ def beyond_need(
         human: mean courses with their band, flattened points times courses.
         demand: mean courses of human and device together.
         device: mean courses of the device.
-        points: of a cycle.
     """
     over = (demand * device > 0.0) & (device.abs() > demand.abs()) & (human.low * human.high > 0.0)
     back = human.value.abs().where(over, human.value.new_zeros(()))

@@ -24,11 +24,7 @@ PRESSED = ("L5/S1", "peak_compression_N")
 
 
 def all_numbers(found: Evaluation) -> Iterator[Entry]:
-    """Key, value and unit of every number.
-
-    Args:
-        found: the evaluation.
-    """
+    """Key, value and unit of every number."""
     yield from common_numbers(found)
     yield from _method(found)
     yield from _cycles(found)
@@ -44,11 +40,7 @@ def all_numbers(found: Evaluation) -> Iterator[Entry]:
 
 
 def common_numbers(found: Compared) -> Iterator[Entry]:
-    """Numbers of method, tests and p-values of courses, which one subject and a study have alike.
-
-    Args:
-        found: the evaluation or the study.
-    """
+    """Numbers of method, tests and p-values of courses, which one subject and a study have alike."""
     yield Key("method", "level"), found.level, ""
     yield Key("method", "coverage"), COVERAGE, ""
     yield Key("method", "limit", "", *PRESSED), NIOSH_N, "N"
@@ -80,7 +72,6 @@ def percent_of(point: int, points: int) -> str:
 
     Args:
         point: from zero.
-        points: of the cycle.
     """
     return f"{100.0 * point / (points - 1):g}"
 
@@ -100,9 +91,7 @@ def difference_numbers(one: Comparison, body: str, per_mass: bool) -> Iterator[E
     """Numbers of all differences of a comparison.
 
     Args:
-        one: the comparison.
         body: identified or template.
-        per_mass: whether torques are divided by mass.
     """
     for k, column in enumerate(one.columns):
         key, own = (
@@ -123,8 +112,6 @@ def interval_numbers(key: Key, estimate: Estimate, k: int, unit: str) -> Iterato
     Args:
         key: without its statistic.
         estimate: of several.
-        k: which of them.
-        unit: of it.
     """
     for name in INTERVAL:
         yield key._replace(statistic=name), float(getattr(estimate, name)[k]), unit
@@ -135,9 +122,7 @@ def course_numbers(key: Key, one: Comparison, mean: Estimate, per_mass: bool) ->
 
     Args:
         key: with section, condition and body.
-        one: the comparison.
         mean: flattened points times courses.
-        per_mass: whether torques are divided by mass.
     """
     width, points = len(one.courses), len(one.tested.points)
     for at in range(len(mean.value)):
@@ -189,8 +174,6 @@ def cycle_name(trial: str, count: int, side: str) -> str:
     """Name of a cycle: trial, number within it, side.
 
     Args:
-        trial: its name.
-        count: from one.
         side: l, r or empty.
     """
     return f"{trial}_{count}{side}"

@@ -12,11 +12,7 @@ from torchid.evaluation.statistics.comparing import Comparison, spans
 
 
 def evaluation_table(found: Evaluation) -> dict[str, Any]:
-    """Everything but courses; the keys other programs read are those of the contracts.
-
-    Args:
-        found: the evaluation.
-    """
+    """Everything but courses; the keys other programs read are those of the contracts."""
     options = found.config.evaluate
     return {
         "subject": found.config.subject.name,
@@ -53,12 +49,7 @@ def evaluation_table(found: Evaluation) -> dict[str, Any]:
 
 
 def answer_table(found: Evaluation, answer: BodyAnswer) -> dict[str, Any]:
-    """``joints`` and ``differences`` of one body.
-
-    Args:
-        found: the evaluation.
-        answer: of one body.
-    """
+    """``joints`` and ``differences`` of one body."""
     joints: dict[str, Any] = {}
     for condition in found.config.conditions:
         mean, own = answer.mean(condition, answer.sample.values, answer.sample.draws), answer.cycles_of(condition)
@@ -71,11 +62,7 @@ def answer_table(found: Evaluation, answer: BodyAnswer) -> dict[str, Any]:
 
 
 def tests_table(found: Compared) -> dict[str, Any]:
-    """``courses``, ``test``, ``level`` and ``not_determinable``, which one subject and a study have alike.
-
-    Args:
-        found: the evaluation or the study.
-    """
+    """``courses``, ``test``, ``level`` and ``not_determinable``, which one subject and a study have alike."""
     return {
         "courses": [row for one in found.comparisons for row in _course_rows(one, found.level)],
         "test": {one.condition: _test(one, found.level) for one in found.comparisons},
@@ -88,7 +75,6 @@ def difference_row(one: Comparison, k: int, level: float) -> dict[str, Any]:
     """One difference of a comparison.
 
     Args:
-        one: the comparison.
         k: number of its column.
         level: family-wise.
     """

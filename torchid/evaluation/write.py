@@ -20,7 +20,6 @@ def write_evaluation(found: Evaluation, folder: OutputFolder) -> None:
     """Write the tables, the cycles of every condition, and the report.
 
     Args:
-        found: the evaluation.
         folder: that of its run, opened to write beside it.
 
     Raises:
@@ -36,22 +35,13 @@ def write_evaluation(found: Evaluation, folder: OutputFolder) -> None:
 
 
 def file_names(config: Config) -> list[str]:
-    """Names of the files that ``write_evaluation`` writes.
-
-    Args:
-        config: of the evaluation.
-    """
+    """Names of the files that ``write_evaluation`` writes."""
     cycles = [f"cycles_{safe_name(condition)}.nc" for condition in config.conditions]
     return [*FILES, *cycles]
 
 
 def cycles_dataset(found: Evaluation, condition: str) -> xarray.Dataset:
-    """Courses and measures of the cycles of one condition.
-
-    Args:
-        found: the evaluation.
-        condition: its name.
-    """
+    """Courses and measures of the cycles of one condition."""
     own = [k for k, name in enumerate(found.conditions) if name == condition]
     rows, plain, layout = found.identified.rows, found.template.rows, found.layout
     by_course, by_column = ("cycle", "percent", "course"), ("cycle", "column")

@@ -39,8 +39,6 @@ def start_fit(
 
     Args:
         model: template, bodies without markers locked.
-        attachment: markers on its bodies.
-        trials: fit trials by name.
         static: standing trial in (about) the neutral pose, None if there is none.
         options: scatter of the markers, symmetry, groups and number of static frames.
         free: False keeps the template's geometry and finds only where the markers sit.

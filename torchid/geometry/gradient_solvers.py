@@ -24,7 +24,6 @@ def chain_cost(problem: MarkerProblem, q: Tensor, xi: Tensor, part: slice) -> Te
     Args:
         problem: markers, weights and priors of all frames.
         q: coordinates of all frames (dofs, frames).
-        xi: geometry and marker places.
         part: frames to take.
 
     Returns:
@@ -42,9 +41,7 @@ def chain_residual(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
     """Return the residuals of the markers through the chain, (markers, 3, frames) [m].
 
     Args:
-        problem: markers and geometry.
         q: coordinates (dofs, frames).
-        xi: geometry and marker places.
     """
     geometry, place = problem.split(xi)
     body = torch.tensor(problem.plan.order, device=q.device)[problem.body]
@@ -56,7 +53,6 @@ def accumulate_gradients(problem: MarkerProblem, q: Tensor, xi: Tensor) -> float
     """Add the gradients of the whole cost to q and xi, chunk by chunk, and return the cost.
 
     Args:
-        problem: markers, weights and priors.
         q: coordinates (dofs, frames), a leaf that requires a gradient, because every chunk frees its graph.
         xi: geometry and marker places, a leaf likewise.
 
@@ -80,7 +76,6 @@ def solve_adam(
     """Minimise with Adam (Kingma & Ba 2015) on a cosine schedule of the learning rates.
 
     Args:
-        problem: markers, weights and priors.
         q: coordinates to start from (dofs, frames).
         xi: geometry and marker places to start from.
         iterations: number of steps, all of which are taken.
@@ -114,7 +109,6 @@ def solve_lbfgs(
     xi is scaled by its prior scatter and q by ``Q_SCALE``.
 
     Args:
-        problem: markers, weights and priors.
         q: coordinates to start from (dofs, frames).
         xi: geometry and marker places to start from.
         iterations: limit of evaluations of the cost.

@@ -38,7 +38,6 @@ def reweighted(
     Args:
         fit: whose options say whether the scatter is estimated again.
         problem: from ``joint_problem``.
-        solution: of that problem.
         lengths: frames of each trial in it.
 
     Returns:

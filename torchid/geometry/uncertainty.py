@@ -57,11 +57,6 @@ def chain_jacobian(
 
     The base's rotation is differentiated by a turn in W about its origin.
 
-    Args:
-        problem: markers and geometry.
-        q: coordinates.
-        xi: geometry and marker places.
-
     Returns:
         Two Jacobians, whose rows are the markers' coordinates, marker by marker, x y z.
     """

@@ -83,7 +83,6 @@ def fit_inertia(
     Args:
         equations: whitened sums over all fit trials.
         prior: mean and covariance, same bodies.
-        names: of the bodies.
         options: defaults to ``InertiaOptions()``.
         mass: total mass and its standard deviation [kg], when the prior does not hold it already.
         com_box: lower and upper corner of the box that holds each centre of mass, body axes [m].

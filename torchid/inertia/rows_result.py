@@ -81,9 +81,6 @@ def assemble(
 
     Args:
         problem: what was solved.
-        found: its solution.
-        judged: certificate and status.
-        names: of the bodies.
         caller: names of the caller's ten columns, and the caller's column of each parameter of torchid.
         unit: standard deviation by which the caller's rows were divided.
     """

@@ -29,10 +29,8 @@ def read_c3d(
     """A trial from a C3D file.
 
     Args:
-        path: the file.
         name: of the trial; the file's stem by default.
         role: static, fit or heldout; markers that stand still are not suspect in a static trial.
-        options: what the file leaves open.
         measured: forces of another file, in its axes and on its clock; the plates of this one are then left out.
 
     Raises:

@@ -64,7 +64,6 @@ def uniform_clock(
     Args:
         times: as stored [s], or in ms where ``nominal`` proves it.
         lines: of the file in which they stand.
-        source: the file.
         notes: rounding, missing rows and ms are said here.
         nominal: rate that the file states [Hz]; used where it fits the column at least as well as first and last time.
 

@@ -109,8 +109,6 @@ def vertical_axis(
         forces: in the file's axes, or None.
         stated: ``y``, ``z`` or empty.
         customary: the axis that the format usually has, taken where there is nothing to turn.
-        options: of the reading.
-        source: the file.
         beside: forces of another file, whose axes may be others; asked last.
 
     Raises:

@@ -62,8 +62,6 @@ def forces_from_storage(
     load. Missing rows, missing values under load, and single cells that leap away are gaps (NaN), and said.
 
     Args:
-        storage: the file's columns.
-        source: the file.
         moment_gain: factor of the free moments of a plate, by its number: what the user says of their unit.
 
     Raises:

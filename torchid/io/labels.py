@@ -96,7 +96,6 @@ def select_markers(
 
     Args:
         labels: one per point, as in the file.
-        source: the file, for notes and errors.
         outputs: labels that the file itself lists as angles, forces, moments, powers or scalars.
         subject: the prefix to read, or several of one person stored as several bodies; None where the file holds one.
         wanted: labels that are markers whatever they are called (``ReadOptions.wanted``).

@@ -105,7 +105,6 @@ def number_of(plate: Plate, index: int) -> int:
     """The number by which a config names a plate: the one in its name (``plate 2``), else its place in the file.
 
     Args:
-        plate: the plate.
         index: its place among the plates, for one that reading has not counted.
     """
     if plate.number is not None:
@@ -137,10 +136,8 @@ def mend(forces: Forces, file: ForcesAs, plates: PlatesAs, source: str = "") -> 
     applies ``corners``, ``turn_deg`` and ``corner_unit`` of a plate first.
 
     Args:
-        forces: as read, in W.
         file: what holds for the whole file.
         plates: what holds for single plates, by number.
-        source: the file, for errors.
 
     Raises:
         InputError: ``plates.number`` for a plate that the file lacks, ``plates.corners`` where a change needs corners

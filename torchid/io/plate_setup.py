@@ -58,7 +58,6 @@ def plate_setups(
     their own: USED is then the one witness against the others.
 
     Args:
-        header: of the file.
         channels: analog channels that the data hold.
         metres: length of the file's unit of position [m].
         changes: what the user says about the corners of single plates.

@@ -28,7 +28,6 @@ def frame_repeats(position: Float[np.ndarray, "frames markers 3"], source: str) 
 
     Args:
         position: markers [m], NaN where not seen.
-        source: the file.
 
     Raises:
         InputError: ``markers.still`` and ``markers.doubled``.

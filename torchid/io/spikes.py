@@ -136,9 +136,7 @@ def marker_spikes(
 
     Args:
         position: NaN where missing.
-        rate: frames per second.
         labels: one per marker.
-        source: the file.
         lines: of the file, by frame; None where it has none.
     """
     bound = leap_bound(rate)
@@ -231,7 +229,6 @@ def marker_steps(
         among: markers to look at; the others are known to move evenly.
         bound: change of a step from one frame to the next [m] that no body makes.
         labels: one per marker.
-        source: the file.
     """
     found: dict[int, list[str]] = {}
     furthest = 0.0

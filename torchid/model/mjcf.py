@@ -55,7 +55,6 @@ def read_mjcf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
     A ball joint becomes three turns about X, Y, Z. A root without free joint floats all the same, and a note says so.
 
     Args:
-        path: the file.
         scatter: how uncertain its numbers are; default ``FileScatter()``.
 
     Raises:

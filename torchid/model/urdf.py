@@ -54,7 +54,6 @@ def read_urdf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
     """Model of a URDF file, and what was merged or repaired.
 
     Args:
-        path: the file.
         scatter: how uncertain its numbers are; default ``FileScatter()``.
 
     Raises:

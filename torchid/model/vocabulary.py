@@ -15,9 +15,7 @@ def unread(root: Element, words: Vocabulary, source: str) -> tuple[Note, ...]:
     """Notes on attributes and elements of ``root`` that the format does not have, and on elements that stand twice.
 
     Args:
-        root: of the file.
         words: of the format; elements that have no entry are not looked into.
-        source: the file.
     """
     strange: list[str] = []
     twice: list[str] = []

@@ -31,7 +31,6 @@ def choose_cutoff(position: Float[Tensor, "frames markers 3"], rate_hz: float) -
 
     Args:
         position: marker trajectories [m]; coordinates with gaps are left out, and those that jump.
-        rate_hz: frames per second.
     """
     if len(position) < 32:
         return UNKNOWN

@@ -43,7 +43,6 @@ def smooth_motion(
     """Filter and differentiate the coordinates of a trial.
 
     Args:
-        tree: whose coordinates they are.
         time: uniform clock [s].
         q: coordinates [m, rad]; three-axis joints may jump by 2 pi.
         smoother: the filter, also used for the forces.

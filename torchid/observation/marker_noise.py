@@ -35,9 +35,7 @@ def marker_scatter(
 
     Args:
         error: measured minus modelled places [m].
-        seen: frames in which each marker is seen.
         kept: share of each marker's noise that postures leave.
-        rate_hz: frames per second.
     """
     bands = QUIET, (min(NEAR_HZ[0] / rate_hz, QUIET[0]), min(NEAR_HZ[1] / rate_hz, QUIET[1]))
     found = error.new_full((len(seen), 2), float("nan"))

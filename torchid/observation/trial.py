@@ -104,9 +104,6 @@ class TrialObservation:
 
         It is made again whenever it is asked for, because the scenes of all draws take more memory than is worth
         keeping.
-
-        Args:
-            motion: the other motion.
         """
         rows, scene = self.rows, self.view.scene
         found = make_scene(rows.name, rows.tree, rows.geometry, motion, scene.phi)
@@ -130,11 +127,7 @@ class TrialObservation:
         return replace(self, rows=rows, view=replace(view, sight=response.sight), response=response)
 
     def bore(self, scene: Scene) -> Reading:
-        """Return the wrenches that the plates bore by the model in a scene, about the origin of W [N, N m].
-
-        Args:
-            scene: motion and inertia.
-        """
+        """Return the wrenches that the plates bore by the model in a scene, about the origin of W [N, N m]."""
         return _borne(self.view.measured, *(needed.T for needed in scene.needed_by(scene.phi, self.phi)))
 
     @property
@@ -182,7 +175,6 @@ def observe_trial(
         rows: motion and total wrench of the trial.
         forces: readings of its plates, unfiltered, on the clock of the motion.
         measured: frames whose wrench is on plates.
-        frames: frames of its plates.
         known: inertia before and after the fit.
         seen: geometry, markers and the coordinates that follow them; None: nothing is asked of the markers.
         options: thresholds of what is believed.

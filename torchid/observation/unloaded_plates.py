@@ -54,7 +54,6 @@ def find_unloaded(raw: Reading, rate: float, options: ObservationOptions = Obser
     Args:
         raw: readings of the plates before any filter.
         rate: samples per second [Hz].
-        options: thresholds by which a plate is unloaded.
     """
     found = []
     for k, frame in enumerate(raw.frames):

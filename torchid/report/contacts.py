@@ -70,9 +70,7 @@ def may_be_on(contact: Contact, k: int, plate: int) -> bool:
     """Return whether a contact is ever looked for on a plate: feet on those of the floor, others on their own.
 
     Args:
-        contact: of a trial.
         k: number of the contact, feet first.
-        plate: index of the plate.
     """
     if contact.others is not None and k >= len(contact.feet):
         return contact.others.column[k - len(contact.feet)] == plate

@@ -120,12 +120,6 @@ def compute_outcome(
 ) -> tuple[Outcome, DataError | None]:
     """Compute what a run finds from what was read, without its files and reports.
 
-    Args:
-        config: of the run.
-        session: all trials.
-        folder: for stages.
-        progress: called with stages and fractions.
-
     Returns:
         What was found, and what kept the rest from being found; None where nothing did.
     """

@@ -90,7 +90,6 @@ def opensim_tables(
     of those that are free.
 
     Args:
-        model: the model.
         q: coordinates [m, rad].
         torque: generalised forces [N, N m].
     """

@@ -47,7 +47,6 @@ class FinishedTrial:
         """Open a trial's files.
 
         Args:
-            name: of the trial.
             motion: its ``motion_*.nc``.
             forces: its ``forces_*.nc``, which need not be there.
             ends: far end of every body, in its axes [m].

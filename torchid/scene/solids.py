@@ -33,7 +33,6 @@ def solids(
     """Ellipsoids with given inertia: I_x = m (r_y^2 + r_z^2) / 5 and so on, solved for the half axes r.
 
     Args:
-        names: of the bodies.
         mass: of each [kg].
         centre: of mass, in the body's axes [m].
         inertia: about the centre of mass [kg m^2].
@@ -50,12 +49,7 @@ def solids(
 def placed(
     some: Solids, X_WB: Float[np.ndarray, "bodies 4 4"]
 ) -> tuple[Float[np.ndarray, "bodies 3"], Float[np.ndarray, "bodies 4"]]:
-    """Centres of ellipsoids in W [m], and their turns as quaternions wxyz.
-
-    Args:
-        some: the ellipsoids.
-        X_WB: poses of their bodies.
-    """
+    """Centres of ellipsoids in W [m], and their turns as quaternions wxyz."""
     R_WB = X_WB[:, :3, :3]
     centre = np.einsum("bij,bj->bi", R_WB, some.centre) + X_WB[:, :3, 3]
     return centre, quaternion(R_WB @ some.axes)

@@ -65,7 +65,6 @@ def quality_of(outcome: Outcome, failure: DataError | None = None) -> Quality:
     """What a run is worth, by its held-out trials where there are some, with the figures that weigh most first.
 
     Args:
-        outcome: what was found.
         failure: what kept the rest from being found, or why no body could give it.
     """
     found = [*_failed(failure), *_residuals(outcome), *_markers(outcome), *_masses(outcome), *_segments(outcome)]

@@ -59,8 +59,6 @@ def check_others(contact: ContactOptions, assignment: Assignment, trials: Mappin
 
     Args:
         contact: with the contacts other than feet.
-        assignment: markers of the session on its model.
-        trials: of the session.
 
     Raises:
         ConfigError: ``contact.segment``, ``contact.name``, ``contact.points``, ``contact.push``.
@@ -112,7 +110,6 @@ def refuse_plates(contact: ContactOptions, *plates: Sequence[Plate]) -> None:
 
     Args:
         contact: with the contacts other than feet.
-        plates: of each recording or stream.
 
     Raises:
         ConfigError: ``contact.plate``.
@@ -174,12 +171,8 @@ def local_points(
     """Return where a contact touches its segment, in the segment's axes [m].
 
     Args:
-        one: the contact.
-        tree: of the model.
         offset: from each body's parent to its joint, in the parent's axes [m].
-        attachment: markers of the session on the bodies.
         p_BM_B: places of these markers [m].
-        place: in the config.
 
     Raises:
         ConfigError: ``contact.points`` where a marker is not one of the segment's, or no contact points are defined;
@@ -227,13 +220,7 @@ def _middle(usual: Usual, one: OtherContact, tree: Tree, offset: Tensor, place: 
 def place_others(
     fit: GeometryFit, tracked: Tracked, options: ContactOptions
 ) -> dict[str, tuple[Float[Tensor, "frames _ 3"], Float[Tensor, "frames 3"]]]:
-    """Return the points of every contact in W [m], and the forward axis of its segment, frame by frame.
-
-    Args:
-        fit: geometry of the body.
-        tracked: its coordinates.
-        options: with the contacts.
-    """
+    """Return the points of every contact in W [m], and the forward axis of its segment, frame by frame."""
     tree, plan = fit.model.tree, plan_tree(fit.model.tree)
     given = tree, fit.geometry.offset, fit.attachment, fit.place
     local = {name: local_points(one, *given) for name, one in options.others.items()}
@@ -251,14 +238,7 @@ def place_others(
 
 
 def others_of(fit: GeometryFit, tracked: Tracked, trial: Trial, options: ContactOptions) -> Others | None:
-    """Return which contacts other than feet bear in a trial; None where the config names none.
-
-    Args:
-        fit: geometry of the body.
-        tracked: coordinates of the trial.
-        trial: the recording.
-        options: with the contacts.
-    """
+    """Return which contacts other than feet bear in a trial; None where the config names none."""
     middles = {name: points.mean(dim=1) for name, (points, _) in place_others(fit, tracked, options).items()}
     forces: Forces | None = trial.forces
     return find_others(options, middles, trial.name, trial.markers.time, forces)
@@ -270,9 +250,6 @@ def patches_of(
     """Return what every contact presses with.
 
     Args:
-        fit: geometry of the body.
-        tracked: coordinates of the trial.
-        options: with the contacts.
         bearing: frames in which each bears, over which a forward axis is averaged.
     """
     found = {}

@@ -26,7 +26,6 @@ class Pace:
         """Begin before the first step.
 
         Args:
-            what: name of the stage.
             most: steps of a round, at most.
             rounds: how often the solver runs.
             progress: called with the stage and the share of it that is done.

@@ -70,7 +70,6 @@ def graded(value: float, norm: float, limit: float = float("inf")) -> QualityLev
     """The level of a figure that should be small; a figure that is not known cannot be good.
 
     Args:
-        value: the figure.
         norm: good up to here.
         limit: not to be used beyond.
     """

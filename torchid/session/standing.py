@@ -34,10 +34,7 @@ def follow_each(
     """All trials followed by one model, static ones first: what they weigh tells which frames of the others count.
 
     Args:
-        fit: the model.
-        session: the trials.
         tracked: coordinates of a trial by its name.
-        way: how they are followed.
         prior: inertia of the model, whose shares of mass tell what the plates should bear.
     """
     levels: dict[str, float] = {}
@@ -62,12 +59,7 @@ def follow_session(
     """Return all trials followed by one model, in the order of the session, what is as long as they are in files.
 
     Args:
-        fit: the model.
-        session: the trials.
         tracked: coordinates of a trial by its name.
-        way: how they are followed.
-        prior: inertia of the model.
-        folder: for what is as long as a recording.
     """
     found = {one.name: put_aside(one, folder) for one in follow_each(fit, session, tracked, way, prior)}
     return {name: found[name] for name in session.trials}

@@ -17,11 +17,7 @@ ALONE = "acromion"
 
 
 def session_clusters(assignment: Assignment) -> Clusters:
-    """Which markers of a session sit on one segment.
-
-    Args:
-        assignment: markers on the bodies of the model.
-    """
+    """Which markers of a session sit on one segment."""
     given, names = assignment.attachment, assignment.model.tree.names
     segments = {
         label: label if (landmark or "").startswith(ALONE) else names[int(body)]
@@ -31,12 +27,7 @@ def session_clusters(assignment: Assignment) -> Clusters:
 
 
 def look_at_session(trials: Mapping[str, Trial], assignment: Assignment) -> tuple[TrackStatement, ...]:
-    """What is wrong with the markers of a session.
-
-    Args:
-        trials: as read.
-        assignment: their markers on the model.
-    """
+    """What is wrong with the markers of a session."""
     return look_at_trials(trials, session_clusters(assignment))
 
 
@@ -46,7 +37,6 @@ def taken_out(
     """The trials with gaps where samples say nothing of segments; and the markers before, where labels are exchanged.
 
     Args:
-        trials: as read.
         statements: what is wrong with their markers.
         keep: where to put a trial.
     """

@@ -99,12 +99,7 @@ def simulate_trial(
 
 
 def with_margins(seconds: float, rate_hz: float) -> Float[Tensor, " frames"]:
-    """Times of the frames of a trial that begins at zero, and of those before and after it that are cut away [s].
-
-    Args:
-        seconds: duration of the trial.
-        rate_hz: frames per second.
-    """
+    """Times of the frames of a trial that begins at zero, and of those before and after it that are cut away [s]."""
     margin = round(MARGIN_S * rate_hz)
     return torch.arange(-margin, round(seconds * rate_hz) + margin, dtype=torch.float64) / rate_hz
 
@@ -171,7 +166,6 @@ def impossible(subject: SimulatedSubject, moving: Moving) -> str:
 
     Args:
         subject: who moves.
-        moving: the motion.
     """
     dofs, q = subject.model.tree.dofs, moving.motion.q
     low, high = (q.new_tensor([getattr(dof, side) for dof in dofs]) for side in ("lower", "upper"))
@@ -233,10 +227,8 @@ def measure(
     """Return a recording with the noise and the gaps that a laboratory adds.
 
     Args:
-        subject: whose markers they are.
         simulated: from ``record``.
         options: sizes of the noise.
-        rng: source of the noise.
     """
     trial = simulated.trial
     assert trial.forces is not None

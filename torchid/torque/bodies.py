@@ -51,8 +51,6 @@ def draw_bodies(
         identified: inertia with its covariance; None: it is taken as known.
         phi: inertia that is published.
         trials: all that anything is asked of; those that the inertia was identified on have rows.
-        count: number of draws.
-        generator: source of chance.
         mass: total mass and its standard deviation [kg] that the inertial fit held to.
     """
     xi = fit.xi.expand(count, -1) + _normal(

@@ -35,11 +35,7 @@ class FollowedSkin:
     """Of the sine of its angle over the session."""
 
     def course(self, trial: SeenTrial) -> Float[Tensor, " frames"]:
-        """Return how far the coordinate is from its mean over the session, as a sine.
-
-        Args:
-            trial: its motion.
-        """
+        """Return how far the coordinate is from its mean over the session, as a sine."""
         return bend(trial.response.sight.scene, self.place)[0] - self.mean
 
 
@@ -52,11 +48,7 @@ class SkinDraws:
     """Of each marker in the axes of its segment, where the sine is one [m]; zero for markers of other segments."""
 
     def shift(self, trial: SeenTrial) -> Float[Tensor, "draws markers 3 frames"]:
-        """Return the displacement of all markers in W [m].
-
-        Args:
-            trial: its motion.
-        """
+        """Return the displacement of all markers in W [m]."""
         course = torch.stack([one.course(trial) for one in self.slides])
         local = torch.einsum("dsmi,st->dmit", self.along, course)
         sight = trial.response.sight
@@ -64,11 +56,7 @@ class SkinDraws:
 
 
 def find_slides(trials: Sequence[SeenTrial]) -> tuple[FollowedSkin, ...]:
-    """Return which markers may follow which coordinates in a session.
-
-    Args:
-        trials: of one body with the same markers.
-    """
+    """Return which markers may follow which coordinates in a session."""
     sight, scenes = trials[0].response.sight, [trial.response.sight.scene for trial in trials]
     found = []
     for segment in scenes[0].tree.names:
@@ -87,7 +75,6 @@ def slide_size(slides: Sequence[FollowedSkin], trials: Sequence[SeenTrial]) -> f
     level of its own; what postures take of a slide is given back.
 
     Args:
-        slides: of the session.
         trials: whose residuals are looked at.
     """
     square, count = 0.0, 0
@@ -114,8 +101,6 @@ def draw_skin(trials: Sequence[SeenTrial], count: int, generator: torch.Generato
 
     Args:
         trials: of one body with the same markers, all that the slides are asked for in.
-        count: number of draws.
-        generator: source of chance.
     """
     slides, sight = find_slides(trials), trials[0].response.sight
     size, places = slide_size(slides, trials), sight.p_BM_B

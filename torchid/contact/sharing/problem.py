@@ -97,7 +97,6 @@ def grasp(problem: SharingProblem, about: Float[Tensor, "frames 3"]) -> Float[Te
     Columns of contacts that do not bear are zero.
 
     Args:
-        problem: contacts with their points.
         about: point in W of every frame [m].
     """
     axes = problem.axes.to(problem.points.dtype)

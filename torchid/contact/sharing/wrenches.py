@@ -48,7 +48,6 @@ def contact_wrenches(
         needed: what the body needs; None where only plates count.
         effort: rows of joint torques; None leaves them out.
         options: of contact; those of ``find_contact``.
-        solver: of the sharing.
         patches: of the contacts other than feet, in the order of ``contact.others``.
 
     Returns:

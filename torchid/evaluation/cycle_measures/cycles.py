@@ -119,7 +119,6 @@ def strikes(touching: Bool[Tensor, " frames"], rate_hz: float) -> list[int]:
 
     Args:
         touching: whether it rests on the ground.
-        rate_hz: frames per second.
     """
     return [start for start, _ in settled(touching, rate_hz) if start > 0]
 
@@ -129,7 +128,6 @@ def settled(touching: Bool[Tensor, " frames"], rate_hz: float) -> list[tuple[int
 
     Args:
         touching: whether the foot rests on the ground.
-        rate_hz: frames per second.
     """
     held = max(1, round(HELD_S * rate_hz))
     down = touching.clone()
@@ -157,12 +155,7 @@ def event_cycles(course: Course, label: str) -> list[Cycle]:
 
 
 def given_cycles(course: Course, given: Iterable[GivenCycle]) -> list[Cycle]:
-    """Cycles that a config lists for this trial.
-
-    Args:
-        course: the trial.
-        given: of all trials.
-    """
+    """Cycles that a config lists for this trial."""
     found = []
     for one in given:
         if one.trial == course.trial and _inside(course.time, one.t0) and _inside(course.time, one.t1):
@@ -175,7 +168,6 @@ def rest_cycles(course: Course, wanted: CoordinateCycles) -> list[Cycle]:
     """Cycles of a coordinate that leaves its rest, passes half of its range and comes back to rest.
 
     Args:
-        course: the trial's coordinates.
         wanted: which coordinate, and whether it leaves to low or to high values.
     """
     if wanted.coordinate not in course.dofs:
@@ -203,7 +195,6 @@ def normalise(
 
     Args:
         values: courses over the whole trial.
-        cycle: which frames.
         points: how many, both ends included.
     """
     place = torch.linspace(cycle.start, cycle.stop, points, dtype=values.dtype, device=values.device)

@@ -60,20 +60,12 @@ class MeasureLayout:
 
 
 def from_file(config: Config) -> bool:
-    """Whether the model is a file's: its coordinates keep their names, and its inertia is what would have been taken.
-
-    Args:
-        config: of the evaluation.
-    """
+    """Whether the model is a file's: coordinates keep their names, and its inertia is what would have been taken."""
     return config.model not in BUILTIN_MODELS
 
 
 def usual_body(config: Config) -> str:
-    """What would have been taken instead of the identified body, in words.
-
-    Args:
-        config: of the evaluation.
-    """
+    """What would have been taken instead of the identified body, in words."""
     return "model as shipped" if from_file(config) else "scaled template"
 
 

@@ -39,7 +39,6 @@ def trapezoid(frames: int, step_s: float, like: Tensor) -> Float[Tensor, " frame
     Args:
         frames: of the cycle, both ends included.
         step_s: time between frames [s].
-        like: a tensor of the wanted kind.
     """
     weight = like.new_full((frames,), step_s)
     weight[0] = weight[-1] = 0.5 * step_s
@@ -117,7 +116,6 @@ def measure(
 
     Args:
         names: of ``MEASURES``.
-        cycle: which frames.
         tau: torques over the whole trial [N m], NaN where not known.
         v: rates [rad/s].
         q: coordinates [rad].

@@ -58,8 +58,6 @@ def cycle_rows(
     """Measures and courses of the cycles of one trial.
 
     Args:
-        scene: the trial and its cycles.
-        layout: which columns.
         own: shares of the torques.
         deviations: torques with other bodies minus those of ``own``; None for none.
         points: of a normalised course.

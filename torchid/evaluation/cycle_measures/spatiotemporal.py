@@ -28,7 +28,6 @@ def stride_values(
     """The values of ``STRIDE``; NaN where the other foot shows none.
 
     Args:
-        cycle: of a foot.
         contact: when feet touch the ground, and how the ground moves.
         heels: places of the heels in W by foot [m].
         step_s: time between frames [s].
@@ -78,7 +77,6 @@ def whole_values(cycle: Cycle, height: Float[Tensor, " frames"], step_s: float) 
     """The values of ``WHOLE``.
 
     Args:
-        cycle: of the whole body.
         height: of the root's origin [m].
         step_s: time between frames [s].
     """

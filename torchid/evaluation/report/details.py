@@ -17,12 +17,7 @@ from torchid.wording import clean, segment
 
 
 def values_section(found: Evaluation, ledger: Ledger) -> Section:
-    """Means of all conditions with both bodies.
-
-    Args:
-        found: the evaluation.
-        ledger: of its numbers.
-    """
+    """Means of all conditions with both bodies."""
     tables: list[Block] = []
     for name in found.config.conditions:
         rows = []
@@ -43,12 +38,7 @@ def values_section(found: Evaluation, ledger: Ledger) -> Section:
 
 
 def device_section(found: Evaluation, ledger: Ledger) -> Section | None:
-    """What the devices do; None where none was worn.
-
-    Args:
-        found: the evaluation.
-        ledger: of its numbers.
-    """
+    """What the devices do; None where none was worn."""
     blocks: list[Block] = []
     for condition, worn in found.worn.items():
         if worn.device is None:
@@ -93,12 +83,7 @@ def _sheet(ledger: Ledger, findings: Sequence[SheetFinding]) -> list[Block]:
 
 
 def reach_section(found: Evaluation, ledger: Ledger) -> Section:
-    """Cycles, contacts, and everything that cannot be said.
-
-    Args:
-        found: the evaluation.
-        ledger: of its numbers.
-    """
+    """Cycles, contacts, and everything that cannot be said."""
     blocks = (
         Items(gap_lines(ledger, found.gaps)),
         *_corrections(found, ledger),

@@ -37,8 +37,6 @@ def method_section(found: Compared, ledger: Ledger, intervals: str, more: Sequen
     """The chapter on method.
 
     Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
         intervals: what they hold.
         more: items behind those that one subject and a study have alike.
     """

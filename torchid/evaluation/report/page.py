@@ -38,7 +38,6 @@ def render_compared(found: Compared, sections: list[Section | None]) -> str:
     """Sections as the page of an evaluation or a study; the first fills the first printed page.
 
     Args:
-        found: the evaluation or the study.
         sections: in the order in which they are read, None left out.
     """
     title = f"{clean(found.name)}: {listing(list(found.names))}"
@@ -49,7 +48,6 @@ def render_evaluation(found: Evaluation, ledger: Ledger) -> str:
     """The page as text.
 
     Args:
-        found: the evaluation.
         ledger: of its numbers; remembers what is shown.
     """
 
@@ -75,12 +73,7 @@ def _who(found: Evaluation, ledger: Ledger) -> Table:
 
 
 def shown_courses(one: Comparison, panels: int) -> list[int]:
-    """Courses for the first page: those that differ most, the back's compression last.
-
-    Args:
-        one: a comparison.
-        panels: how many.
-    """
+    """Courses for the first page: those that differ most, the back's compression last."""
     p, points = one.tested.courses.nan_to_num(2.0).tolist(), one.tested.points
     share = (points <= points.nan_to_num(2.0).amin(0) + 1e-9).sum(0).tolist()
     torque = [j for j, column in enumerate(one.courses) if column.measure == "torque_Nm"]
@@ -97,12 +90,7 @@ def _caption(found: Evaluation, ledger: Ledger) -> str:
 
 
 def rests_on(found: Evaluation, ledger: Ledger) -> str:
-    """Corrections of the diagnosis in a sentence; empty where there are none.
-
-    Args:
-        found: the evaluation.
-        ledger: of its numbers.
-    """
+    """Corrections of the diagnosis in a sentence; empty where there are none."""
     if not found.corrections:
         return ""
     count, names = ledger.show(Key("method", "corrections"), 0), listing([one.label for one in found.corrections], 7)

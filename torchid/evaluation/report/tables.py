@@ -17,11 +17,6 @@ def difference_rows(
     """Table of differences, findings in bold.
 
     Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-        one: a comparison.
-        columns: numbers of its columns.
-        title: of the table.
         effects: whether all of standardised effects is shown.
     """
     rows = [_row(found, ledger, one, k, effects) for k in columns]
@@ -58,12 +53,7 @@ def _row(found: Compared, ledger: Ledger, one: Comparison, k: int, effects: bool
 
 
 def differences_section(found: Compared, ledger: Ledger) -> Section:
-    """All differences.
-
-    Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-    """
+    """All differences."""
     blocks: list[Block] = [
         difference_rows(found, ledger, one, one.ranked(), f"{clean(one.condition)} minus {clean(one.reference)}")
         for one in found.comparisons
@@ -95,10 +85,6 @@ def summary_section(
     """The page that can be handed on alone.
 
     Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-        who: what was recorded.
-        picture: of a comparison.
         more: sentences, an empty one left out.
     """
     first, share = headline(found, ledger), len(found.comparisons)

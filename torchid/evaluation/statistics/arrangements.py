@@ -65,7 +65,6 @@ def deal(second: Bool[Tensor, " units"], most: int, seed: int) -> Arrangements:
     Args:
         second: units that carry the second label as recorded.
         most: arrangements, the observed one included.
-        seed: of random ones.
     """
     units, own = len(second), int(second.sum())
     if count_arrangements(units - own, own) <= most:
@@ -84,7 +83,6 @@ def flip(units: int, most: int, seed: int) -> Arrangements:
     """Signs of paired differences, all or many ways, the observed one (all plus) first.
 
     Args:
-        units: number of differences.
         most: ways, the observed one included.
         seed: of random ones.
     """

@@ -51,11 +51,7 @@ class Sample:
     """Courses over the cycle, NaN where a cycle does not tell."""
 
     def of(self, names: Sequence[str]) -> "Sample":
-        """The cycles of some conditions.
-
-        Args:
-            names: of the conditions.
-        """
+        """The cycles of some conditions."""
         kept = [k for k, name in enumerate(self.conditions) if name in names]
         draws = None if self.draws is None else self.draws[:, kept]
         trials, conditions = (tuple(x[k] for k in kept) for x in (self.trials, self.conditions))
@@ -166,7 +162,6 @@ def compare(
         condition: the other one.
         options: units, level, number of permutations.
         seed: of random arrangements.
-        comparisons: conditions that are compared with the reference.
     """
     own = sample.of((reference, condition))
     units = choose_units(own.values, own.trials, [name == condition for name in own.conditions], options.units)
@@ -184,9 +179,7 @@ def compare_units(names: tuple[str, str], units: Units, rows: UnitRows, rule: Ru
     """Compare a condition with the reference over units that are given.
 
     Args:
-        names: of the reference and of the condition.
         units: trials, blocks or subjects.
-        rows: what they have.
         rule: level, permutations, and how many comparisons share the level.
     """
     second, paired = units.second, units.paired

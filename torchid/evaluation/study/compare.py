@@ -19,10 +19,6 @@ def compare_condition(
     """Compare a condition with the reference over subjects, with one body.
 
     Args:
-        subjects: those that have it.
-        condition: its name.
-        comparisons: number of conditions that are compared.
-        study: level, permutations and seed.
         body: identified or template.
     """
     keys = list(dict.fromkeys((w, m) for one in subjects for _, c, w, m in one.differences if c == condition))
@@ -51,10 +47,7 @@ def course_of(
     """Courses of a subject's condition in a wanted order, NaN where it has none.
 
     Args:
-        subject: who.
-        condition: its name.
         share: of ``SHARES``, or ``template``.
-        courses: wanted columns.
     """
     own = subject.courses[condition]
     mean = own.mean[share]

@@ -80,19 +80,11 @@ class Pooled:
         return " or ".join(dict.fromkeys(one.usual for one in self.subjects))
 
     def having(self, condition: str) -> tuple[StudySubject, ...]:
-        """Subjects that were recorded under a condition.
-
-        Args:
-            condition: its name.
-        """
+        """Subjects that were recorded under a condition."""
         return tuple(one for one in self.subjects if condition in one.conditions)
 
     def devices(self, condition: str) -> tuple[str, ...]:
-        """Names of what was worn; none where nobody wore anything.
-
-        Args:
-            condition: its name.
-        """
+        """Names of what was worn; none where nobody wore anything."""
         worn = (one.devices[condition] for one in self.having(condition))
         return tuple(dict.fromkeys(name for name in worn if name is not None))
 
@@ -100,7 +92,6 @@ class Pooled:
         """Mean courses over the subjects of a comparison with their band, flattened to points times courses.
 
         Args:
-            one: the comparison.
             condition: its own or the reference.
             share: of ``SHARES``, or ``template``.
         """
@@ -118,7 +109,6 @@ def subjects_of(
     Args:
         study: whom to read.
         progress: called with stages and the share of each that is done.
-        make: evaluates a config.
 
     Raises:
         ConfigError: ``study.twice`` where two subjects have one folder or one name; a config is at fault, which is said
@@ -169,7 +159,6 @@ def pool(study: Study, subjects: Sequence[StudySubject], refused: Sequence[Gap] 
     """Test all conditions over the subjects that have them.
 
     Args:
-        study: level, permutations and seed.
         subjects: at least two with a condition in common, else there is nothing to test.
         refused: who was left out already.
 

@@ -35,7 +35,6 @@ def evaluate_study(
     Args:
         study: whom, and how.
         progress: called with stages and the share of each that is done.
-        make: evaluates a config.
 
     Raises:
         TorchidError: as of ``subjects_of`` and ``pool``; ``results.*`` where the folder cannot be written.
@@ -53,10 +52,6 @@ def evaluate_study(
 def write_study(found: Pooled, folder: OutputFolder) -> None:
     """Write tables, courses and the report.
 
-    Args:
-        found: the study.
-        folder: of its results.
-
     Raises:
         InputError: a file cannot be written.
     """
@@ -69,11 +64,7 @@ def write_study(found: Pooled, folder: OutputFolder) -> None:
 
 
 def study_table(found: Pooled) -> dict[str, Any]:
-    """Everything but courses, by the names that ``evaluation.json`` has for them.
-
-    Args:
-        found: the study.
-    """
+    """Everything but courses, by the names that ``evaluation.json`` has for them."""
     common = tests_table(found)
     return {
         "study": found.study.name,
@@ -114,11 +105,7 @@ def _taken(found: Pooled, one: Comparison) -> dict[str, dict[str, float]]:
 
 
 def study_dataset(found: Pooled) -> xarray.Dataset:
-    """Measures and mean courses of every subject under every condition; NaN where one has none.
-
-    Args:
-        found: the study.
-    """
+    """Measures and mean courses of every subject under every condition; NaN where one has none."""
     courses = tuple(dict.fromkeys(column for one in found.comparisons for column in one.courses))
     points = len(found.comparisons[0].tested.points)
     by_course = ("subject", "condition", "percent", "course")

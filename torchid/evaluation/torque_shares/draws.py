@@ -30,13 +30,6 @@ def torque_deviations(
 ) -> dict[str, Float[Tensor, "draws frames dofs"]] | None:
     """Torques with other bodies and readings minus those that are published, by trial.
 
-    Args:
-        outcome: of the body's run.
-        trials: of all conditions.
-        feet: wrenches under the feet by trial.
-        draws: number of draws.
-        seed: of chance.
-
     Returns:
         None where no inertia was identified, or no draw is wanted. The device's own numbers are drawn elsewhere
         (``device_draws``).
@@ -49,13 +42,7 @@ def torque_deviations(
 
 
 def with_trials(outcome: Outcome, trials: Sequence[ConditionTrial], feet: FeetWrenches) -> Outcome:
-    """The outcome of the body's run with the trials that it has left out, as held-out ones.
-
-    Args:
-        outcome: of the body's run.
-        trials: of all conditions.
-        feet: wrenches under the feet by trial.
-    """
+    """The outcome of the body's run with the trials that it has left out, as held-out ones."""
     new = [trial for trial in trials if trial.name not in outcome.session.trials]
     recordings = outcome.session.trials | {trial.name: trial.recording for trial in new}
     files = outcome.session.files | {trial.name: trial.file for trial in new}
@@ -69,13 +56,6 @@ def device_deviations(
     worn: Worn, tree: Tree, geometry: Geometry, motion: Motion, recorded: Mapping[str, Tensor]
 ) -> Float[Tensor, "draws frames dofs"] | None:
     """Return the human's torques with drawn devices minus those with the identified one; None where none was drawn.
-
-    Args:
-        worn: the condition's device with its draws.
-        tree: of the model.
-        geometry: of the subject.
-        motion: coordinates with their rates.
-        recorded: channels on the motion's frames.
 
     Raises:
         ConfigError: ``device.*``.

@@ -55,9 +55,7 @@ def fold_matrix(layout: ArrowLayout, q: Tensor, dtype: torch.dtype) -> Tensor | 
     """Return the derivatives of the columns of motion by the coordinates (frames, columns, dofs); None for identity.
 
     Args:
-        layout: index tables.
         q: coordinates (dofs, frames).
-        dtype: precision of the result.
     """
     if layout.coupling is None:
         return None
@@ -85,9 +83,6 @@ def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: ProblemPoint,
     """Compute twists, wrenches and gradients of all frames of a problem, in the layout's precision.
 
     Args:
-        problem: markers and tree.
-        layout: index tables of the problem.
-        seen: the problem at the point where the pieces are wanted.
         shared: False leaves the columns of xi out.
     """
     dtype = layout.subtree.dtype
@@ -107,10 +102,7 @@ def assemble(problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor,
     """Compute the dense blocks of all frames of a problem.
 
     Args:
-        problem: markers, weights and posture prior.
-        layout: index tables of the problem.
         q: coordinates (dofs, frames).
-        xi: geometry and marker places.
         shared: False leaves the columns of xi out.
     """
     pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared)
@@ -162,8 +154,6 @@ def shared_curve(layout: ArrowLayout, pieces: BlockPieces, dx: Tensor) -> Tensor
     A frame's quadratic model needs the term: without it, a good model looks like a bad one.
 
     Args:
-        layout: index tables.
-        pieces: twists and wrenches of the frames.
         dx: step of xi (xi,).
     """
     geometric, step = layout.geometric, dx[layout.entry_xi]

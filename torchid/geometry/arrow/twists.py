@@ -30,7 +30,6 @@ def moments(layout: ArrowLayout, weight: Tensor, p: Tensor, pull: Tensor) -> Ten
     """Sum weights and residuals over the markers of each subtree.
 
     Args:
-        layout: index tables.
         weight: weights of the markers (markers, frames).
         p: the markers' positions from the root's origin (markers, 3, frames).
         pull: weighted residuals (markers, 3, frames).
@@ -55,7 +54,6 @@ def column_twists(layout: ArrowLayout, at: Poses, sums: Tensor, shared: bool) ->
     """Compute the twists of the columns of motion, and of geometry.
 
     Args:
-        layout: index tables.
         at: poses of all bodies, measured from the root's origin.
         sums: from ``moments``.
         shared: False leaves geometry out.

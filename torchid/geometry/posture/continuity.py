@@ -41,7 +41,6 @@ def continuous(
     Args:
         problem: consecutive frames of one trial.
         q: postures of all frames, each found by itself.
-        xi: geometry and marker places.
         rate_hz: frame rate [Hz].
         near: other postures to begin from too.
 
@@ -86,7 +85,6 @@ def breaks(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Te
     Args:
         problem: consecutive frames of one trial.
         q: postures of all frames.
-        xi: geometry and marker places.
     """
     at, _, residual = problem.residual(q, xi)
     seen = problem.weight > 0

@@ -34,7 +34,6 @@ def bridge_gaps(
     Args:
         problem: consecutive frames of one trial.
         q: solution without the prior (dofs, frames).
-        xi: geometry and marker places.
         typical: variance (dofs, 1) of each coordinate in the trial that these frames are part of; None takes that in
             these frames.
         rounds: number of times that course and frames are found again from each other.
@@ -66,7 +65,6 @@ def smooth_course(problem: MarkerProblem, q: Tensor, xi: Tensor, typical: Tensor
     Args:
         problem: consecutive frames of one trial.
         q: solution without the course (dofs, frames).
-        xi: geometry and marker places.
         typical: variance (dofs, 1) of each coordinate with all markers; None takes the median of these frames.
     """
     variance = _variance(problem, q, xi)

@@ -33,11 +33,6 @@ def initial_posture(problem: MarkerProblem, xi: Float[Tensor, " xi"], rest: Floa
     of the weight, so that a frame with fewer than three root markers still gets a pose. A frame without any of them
     takes the pose of the nearest frame that has one.
 
-    Args:
-        problem: frames of one trial.
-        xi: geometry and marker places.
-        rest: resting coordinates.
-
     Returns:
         The coordinates (dofs, frames).
     """
@@ -91,9 +86,7 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
     limits are turned back before they pass for good neighbours, and before a robust loss could give up their markers.
 
     Args:
-        problem: frames of one trial.
         q: coordinates to start from (dofs, frames).
-        xi: geometry and marker places.
         rounds: most restarts from good neighbours.
 
     Returns:
@@ -122,9 +115,7 @@ def mended(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
     Least squares comes first here too: markers may have been corrected by more than a robust loss believes.
 
     Args:
-        problem: frames of one trial.
         q: coordinates to start from (dofs, frames).
-        xi: geometry and marker places.
     """
     q, _ = solve_poses(replace(problem, robust=None), q, xi)
     return q if problem.robust is None else solve_poses(problem, q, xi)[0]
@@ -219,7 +210,6 @@ def turned_back(tree: Tree, posture: PosturePrior, q: Float[Tensor, "dofs frames
     Args:
         tree: joints with their axes.
         posture: prior of the coordinates, with soft limits.
-        q: coordinates.
     """
     found = q.clone()
     bounded = (posture.upper - posture.lower).expand(len(q), -1)[:, 0] < 2.0 * FULL

@@ -30,14 +30,7 @@ class Board:
     def __init__(
         self, server: viser.ViserServer, ground: Ground, names: tuple[str, ...], prior: InertialPrior
     ) -> None:  # fmt: skip
-        """Draw what is known before the first frame.
-
-        Args:
-            server: an open page.
-            ground: plates.
-            names: of the bodies.
-            prior: of their inertia.
-        """
+        """Draw what is known before the first frame."""
         self._server, self._names, self._prior = server, names, prior
         gui = server.gui
         gui.set_panel_label("torchid · live")

@@ -79,12 +79,6 @@ class Page:
     ) -> None:
         """Start the process and wait until the page is open.
 
-        Args:
-            subject: whose geometry is drawn.
-            labels: of the stream.
-            plates: of the stream.
-            where: port and host.
-
         Raises:
             ConfigError: ``scene.host``; ``live.page``, the page does not open.
         """
@@ -181,10 +175,7 @@ class Show:
         """Begin with nothing.
 
         Args:
-            board: the page.
-            fit: geometry of the subject.
             columns: for every marker of the stream its place in the fit, -1 where it has none.
-            cutoff_hz: of the filter.
             drawings: of exercises by their names.
         """
         self._board, self._fit, self._columns, self._drawings = board, fit, np.array(columns), drawings
@@ -239,7 +230,6 @@ def drawn(fit: GeometryFit, postures: Float[Tensor, "postures dofs"]) -> Drawing
     """Return postures side by side as sticks, to the left of where the subject stands.
 
     Args:
-        fit: geometry of the subject.
         postures: what an exercise looks like.
     """
     tree, mean = fit.model.tree, fit.model.inertia.mean

@@ -39,9 +39,6 @@ class Estimator:
         """Begin with the prior alone.
 
         Args:
-            names: of the bodies.
-            prior: of their parameters.
-            options: of the fit.
             mass: total mass and its standard deviation [kg]; None where nothing but the prior tells it.
             com_box: as for ``fit_inertia``.
             half_life_s: time after which a row counts half, for a body that changes.

@@ -21,11 +21,7 @@ class Gatherer:
         self._rate = self._cutoff_hz = 1.0
 
     def add(self, rows: WrenchTrial) -> list[tuple[float, BlockSpectrum]]:
-        """Take in frames that follow the last ones, and return the blocks that are complete, by their middle [s].
-
-        Args:
-            rows: of all frames since.
-        """
+        """Take in frames that follow the last ones, and return the blocks that are complete, by their middle [s]."""
         self._rate, self._cutoff_hz = rows.rate, rows.motion.smoother.cutoff_hz
         done: list[tuple[float, BlockSpectrum]] = []
         for start, stop in runs(rows.used):

@@ -87,14 +87,7 @@ class Identifier:
     """
 
     def __init__(self, subject: LiveSubject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float) -> None:
-        """Wait for frames.
-
-        Args:
-            subject: geometry and prior.
-            rate_hz: frames per second.
-            plates: force plates.
-            force_rate_hz: samples per second.
-        """
+        """Wait for frames."""
         self._subject, self._rate, self._plates, self._force_rate = subject, rate_hz, plates, force_rate_hz
         names = subject.fit.model.tree.names
         box = com_boxes(subject.prior) if subject.config.inertia.com_boxes else None
@@ -121,7 +114,6 @@ class Identifier:
         """Take in what came.
 
         Args:
-            index: numbers of the frames.
             postures: at these frames.
             sample: numbers of force samples.
             wrench: of the plates [N, N m].

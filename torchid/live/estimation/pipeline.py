@@ -57,8 +57,6 @@ class Pipeline:
         """Start the identifier; ``close`` or a ``with`` block ends it.
 
         Args:
-            subject: geometry and prior.
-            source: of the stream.
             recorder: keeps what came; None keeps nothing.
         """
         self._source, self._recorder, self._cutoff_hz = source, recorder, subject.cutoff_hz

@@ -60,7 +60,6 @@ class PostureFollower:
 
         Args:
             fit: geometry, places of the markers and their scatter.
-            labels: of the stream.
         """
         nothing = Markers(labels, torch.zeros(1), fit.xi.new_full((1, len(labels), 3), torch.nan))
         self._fit, self._problem = fit, trial_problem(fit, nothing, posture_prior(fit))
@@ -76,7 +75,6 @@ class PostureFollower:
 
         Args:
             fit: geometry, places of the markers and their scatter.
-            labels: of the stream.
         """
         other = PostureFollower(fit, labels)
         other._near, other._rate = self._near, self._rate
@@ -119,7 +117,6 @@ class PostureFollower:
         From frame to frame a robust loss keeps to the markers that it has given up, and is never quite there.
 
         Args:
-            markers: of the stream.
             q: postures that are nearly right.
         """
         target, seen = self._targets(markers)

@@ -68,10 +68,6 @@ class Feed:
     def __init__(self, found: pylsl.StreamInfo, read: Callable[[Tree, str], ChannelLayout]) -> None:
         """Connect; samples are kept from the first pull on.
 
-        Args:
-            found: a stream.
-            read: reads its description.
-
         Raises:
             InputError: ``live.lsl`` where it does not answer, or its description does not tell all that is needed.
         """

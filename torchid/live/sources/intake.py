@@ -69,11 +69,7 @@ class Intake:
         self.counts = Counts()
 
     def place(self, packet: Packet) -> PlacedPacket:
-        """Place what is new in a packet.
-
-        Args:
-            packet: as a source gave it.
-        """
+        """Place what is new in a packet."""
         index, keep = self._frames(packet.markers.time)
         order = keep.nonzero()[:, 0][index[keep].argsort()]
         markers = Markers(packet.markers.labels, index[order] / self._rate, packet.markers.position[order])

@@ -35,7 +35,6 @@ class Stamps:
 
         Args:
             counts: of all that came so far.
-            time_s: time of the stream.
         """
         self._past.append(counts)
         while len(self._past) > 2 and _came(counts) - _came(self._past[1]) >= self._frames:

@@ -44,11 +44,7 @@ class OsimBinding:
         return tuple(self.model.coordinate_names[row] for row in self.root.rows)
 
     def group_of(self, body: int) -> int:
-        """Index in the tree of the body that a body of the file belongs to.
-
-        Args:
-            body: index in the file.
-        """
+        """Index in the tree of the body that a body of the file belongs to."""
         return next(k for k, members in enumerate(self.groups) if body in members)
 
     def base_pose(self, q: Float[Tensor, "frames coordinates"]) -> Float[Tensor, "frames 4 4"]:
@@ -107,7 +103,6 @@ class OsimBinding:
 
         Args:
             names: the tree's names of coordinates.
-            q: coordinates of the tree.
         """
         out = self.model.defaults.to(q).expand(len(q), -1).clone()
         rows = [self.model.coordinate_names.index(name) for name in names[BASE_DOFS:]]
@@ -148,11 +143,7 @@ class OsimBinding:
 
 
 def affine(function: Function) -> tuple[float, float] | None:
-    """Return slope and intercept of a function of one coordinate; None where it is not straight.
-
-    Args:
-        function: any function.
-    """
+    """Return slope and intercept of a function of one coordinate; None where it is not straight."""
     if function.n_arguments != 1:
         return None
     low, start, high = (float(function(torch.tensor([x], dtype=torch.float64))) for x in (-7.3, 0.0, 7.3))

@@ -22,10 +22,6 @@ SPELT = tuple(f"inertia_{'xyz'[i]}{'xyz'[j]}" for i, j in MOMENTS)
 def read_inertias(bodies: Mapping[str, Element], document: OsimDocument) -> Inertias:
     """Return the bodies' inertia as it is stated; OpenSim's own defaults where it is not.
 
-    Args:
-        bodies: bodies by name.
-        document: the file.
-
     Raises:
         InputError: ``xml.number``, ``osim.mass`` for a mass that is negative or missing.
     """
@@ -46,12 +42,7 @@ def read_inertias(bodies: Mapping[str, Element], document: OsimDocument) -> Iner
 
 
 def stated_moments(element: Element, document: OsimDocument) -> Float[Tensor, "6"]:
-    """Return the moments of a body in the order of ``MOMENTS`` [kg m^2].
-
-    Args:
-        element: the body's element.
-        document: the file.
-    """
+    """Return the moments of a body in the order of ``MOMENTS`` [kg m^2]."""
     if compact(element, document):
         return document.vector(element, "inertia", [0.0] * 6)
     return torch.tensor(
@@ -60,12 +51,7 @@ def stated_moments(element: Element, document: OsimDocument) -> Float[Tensor, "6
 
 
 def compact(element: Element, document: OsimDocument) -> bool:
-    """Return True for a body that states its moments in one element.
-
-    Args:
-        element: the body's element.
-        document: the file.
-    """
+    """Return True for a body that states its moments in one element."""
     if element.find("inertia") is not None:
         return True
     return document.sets_of_joints and not any(element.find(tag) is not None for tag in SPELT)
@@ -95,11 +81,6 @@ def consistent(stated: Inertias, names: tuple[str, ...], source: str) -> tuple[I
     2018). The nearest such matrix in the Frobenius norm has the same axes and its negative eigenvalues cut off (Higham,
     Linear Algebra Appl 103:103, 1988).
     A body with mass keeps an extent of ``LEAST_EXTENT`` along every axis, so that its pseudo-inertia has an inverse.
-
-    Args:
-        stated: inertia as the file states it.
-        names: names of the bodies.
-        source: the file.
     """
     eye = torch.eye(3).to(stated.moments)
     trace = stated.moments.diagonal(dim1=-2, dim2=-1).sum(-1)

@@ -24,11 +24,6 @@ def function_in(parent: Element, document: OsimDocument, tag: str = "function") 
     OpenSim 4 names the function's own element after the property, or leaves the name out; older files put it into an
     element of that name.
 
-    Args:
-        parent: element that has the property.
-        document: the file.
-        tag: name of the property.
-
     Raises:
         InputError: ``osim.function`` for one that is not known or has not what it needs; it names the line.
     """

@@ -33,11 +33,7 @@ def phi_to_pseudo(phi: Float[Tensor, "*batch 10"]) -> Float[Tensor, "*batch 4 4"
 
 
 def pseudo_to_phi(P: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 10"]:
-    """Return the ten parameters of pseudo-inertias.
-
-    Args:
-        P: pseudo-inertias.
-    """
+    """Return the ten parameters of pseudo-inertias."""
     second = P[..., :3, :3]
     trace = second.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
     inertia = trace * torch.eye(3).to(P) - second
@@ -49,7 +45,6 @@ def of_groups(binding: OsimBinding, phi: Float[Tensor, "bodies 10"]) -> Float[Te
     """Return the parameters of the tree's bodies, about their origins, in their axes.
 
     Args:
-        binding: tree and file.
         phi: parameters of the file's bodies, likewise in their own frames.
     """
     P = binding.X_TB @ phi_to_pseudo(phi) @ binding.X_TB.mT
@@ -62,10 +57,6 @@ def of_bodies(binding: OsimBinding, phi: Float[Tensor, "groups 10"]) -> Inertias
     With P = U U' of a group before and now (U upper triangular), A = U_now U_before^-1 is an affine map: its last row
     moves no place into mass. A P_k A' of the group's bodies are pseudo-inertias again, and add up to the group's new
     one: all of its mass is moved and stretched alike.
-
-    Args:
-        binding: tree and file.
-        phi: parameters of the tree's bodies.
     """
     P = binding.X_TB @ phi_to_pseudo(binding.model.inertias.phi) @ binding.X_TB.mT
     new = torch.zeros_like(P)
@@ -102,7 +93,6 @@ def heavy_enough(phi: Float[Tensor, "groups 10"], least: float, extent: float) -
     A body without mass gets it at its origin, with ``extent`` [m] along every axis.
 
     Args:
-        phi: parameters of the tree's bodies.
         least: mass [kg].
         extent: root of the second moment per mass [m].
     """

@@ -25,9 +25,6 @@ def identified_model(
     A joint's place moves the offset of its frame on the body nearer to ground; frames of welded bodies stay.
 
     Args:
-        binding: tree and file.
-        geometry: joint centres of the tree.
-        phi: inertial parameters of the tree's bodies.
         places: place p_TM_T of markers on the tree's bodies, by their names in the file [m]; others stay.
     """
     model = binding.model

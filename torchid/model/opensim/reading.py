@@ -43,9 +43,6 @@ def read_osim(path: str | Path) -> tuple[OsimModel, tuple[Note, ...]]:
 
     Muscles, other forces, wrapping and looks are passed over.
 
-    Args:
-        path: the file.
-
     Returns:
         The model, and notes about what was changed or passed over, which are logged as well.
 
@@ -62,10 +59,6 @@ def read_osim(path: str | Path) -> tuple[OsimModel, tuple[Note, ...]]:
 
 def open_document(content: bytes, path: Path) -> OsimDocument:
     """Return the document of a file's bytes.
-
-    Args:
-        content: the bytes.
-        path: the file.
 
     Raises:
         InputError: ``xml.*``, ``osim.version``, ``osim.model``.
@@ -87,9 +80,6 @@ def open_document(content: bytes, path: Path) -> OsimDocument:
 
 def parts_of(document: OsimDocument) -> Parts:
     """Return the elements of a document that state numbers.
-
-    Args:
-        document: the file.
 
     Raises:
         InputError: ``osim.body``, ``osim.name``, ``osim.frame``, ``osim.elsewhere`` for a part that is not read.
@@ -123,9 +113,6 @@ def _refuse_elsewhere(parts: Parts) -> None:
 
 def model_of(parts: Parts) -> tuple[OsimModel, tuple[Note, ...]]:
     """Return the model that elements state, and notes.
-
-    Args:
-        parts: the elements.
 
     Raises:
         InputError: as ``read_osim``.

@@ -18,7 +18,6 @@ def broken_line(x: Float[Tensor, " knots"], y: Float[Tensor, " knots"]) -> Piece
 
     Args:
         x: knots, increasing.
-        y: values there.
     """
     slopes = y.diff() / x.diff()
     return _pieces(x, y, torch.cat([slopes, slopes[-1:]]), torch.zeros_like(x), torch.zeros_like(x))
@@ -29,7 +28,6 @@ def simm_spline(x: Float[Tensor, " knots"], y: Float[Tensor, " knots"]) -> Piece
 
     Args:
         x: knots, increasing, two at least.
-        y: values there.
     """
     if len(x) == 2:
         return broken_line(x, y)

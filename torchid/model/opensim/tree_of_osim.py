@@ -33,9 +33,6 @@ SQUARE = 1e-9
 def tree_of_osim(model: OsimModel) -> tuple[Tree, Geometry, OsimBinding]:
     """Return the tree of an OpenSim model, its geometry, and how the two hang together.
 
-    Args:
-        model: the model.
-
     Raises:
         InputError: ``osim.root`` unless one joint with six coordinates, three turns and three slides at right angles,
             carries everything from ground; ``osim.reversed`` for a joint with slides whose child carries its parent.

@@ -17,12 +17,7 @@ ABREAST = 8
 
 
 def subjects_section(found: Pooled, ledger: Ledger) -> Section:
-    """Every subject's differences and values.
-
-    Args:
-        found: the study.
-        ledger: of its numbers.
-    """
+    """Every subject's differences and values."""
     blocks: list[Block] = []
     for one in found.comparisons:
         title = f"{clean(one.condition)} minus {clean(one.reference)}"
@@ -56,9 +51,6 @@ def share_table(found: Pooled, ledger: Ledger, one: Comparison, each: bool) -> T
     """Part of the load on each coordinate that the device takes; None where nothing was worn.
 
     Args:
-        found: the study.
-        ledger: of its numbers.
-        one: a comparison.
         each: whether every subject has a column.
     """
     names, _ = taken(found, one)
@@ -73,12 +65,7 @@ def share_table(found: Pooled, ledger: Ledger, one: Comparison, each: bool) -> T
 
 
 def device_section(found: Pooled, ledger: Ledger) -> Section | None:
-    """Shares of human and device; None where nothing was worn.
-
-    Args:
-        found: the study.
-        ledger: of its numbers.
-    """
+    """Shares of human and device; None where nothing was worn."""
     tables = [share_table(found, ledger, one, len(found.having(one.condition)) <= ABREAST) for one in found.comparisons]
     blocks = tuple(table for table in tables if table is not None)
     said = (
@@ -89,12 +76,7 @@ def device_section(found: Pooled, ledger: Ledger) -> Section | None:
 
 
 def reach_section(found: Pooled, ledger: Ledger) -> Section:
-    """Who and what was left out, and what each subject's evaluation cannot say.
-
-    Args:
-        found: the study.
-        ledger: of its numbers.
-    """
+    """Who and what was left out, and what each subject's evaluation cannot say."""
     own = Items(gap_lines(ledger, found.gaps) or ("Nobody and nothing was left out.",))
     common = [gap for gap in found.subjects[0].gaps if all(gap in one.gaps for one in found.subjects)]
     each: list[Block] = []

@@ -24,9 +24,6 @@ def draw_subjects(found: Pooled, one: Comparison, columns: Sequence[int], key: s
     """A panel per measure: every subject's change as a dot with its own interval, the mean below.
 
     Args:
-        found: the study.
-        one: a comparison.
-        columns: numbers of its columns.
         key: prefix of the drawing's ids.
     """
     lines = -(-len(columns) // 2)

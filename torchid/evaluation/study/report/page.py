@@ -23,7 +23,6 @@ def render_study(found: Pooled, ledger: Ledger) -> str:
     """The page as text.
 
     Args:
-        found: the study.
         ledger: of its numbers; remembers what is shown.
     """
 
