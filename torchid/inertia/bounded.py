@@ -154,9 +154,7 @@ def _out_of_reach(task: BoundedTask, ending: str) -> DataError:
         return cone.no_solution(ending)
     rows = problem.equations.rows
     return DataError(
-        "rows.bound_out_of_reach",
-        "no parameters within the constraints meet the error bound",
-        place="rms_bound",
+        "rows.bound_out_of_reach", "no parameters within the constraints meet the error bound", place="rms_bound",
         found=f"RMS {(task.budget / rows) ** 0.5:.4g}; the best parameters reach about {(square / rows) ** 0.5:.4g}",
         remedy="Raise the bound, widen boxes and ellipsoids, or check order, sign and units of the rows",
-    )
+    )  # fmt: skip

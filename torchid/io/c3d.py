@@ -64,13 +64,9 @@ def _with_forces(raw: RawTrial, measured: Measured) -> RawTrial:
 def _refuse_rotations(header: C3dHeader) -> None:
     if header.number("ROTATION", "USED"):
         raise InputError(
-            "c3d.rotations",
-            "rotations are not supported",
-            source=header.source,
-            place="ROTATION:USED",
-            found=f"{header.number('ROTATION', 'USED'):g} rotations",
-            remedy="Export marker positions",
-        )
+            "c3d.rotations", "rotations are not supported", source=header.source, place="ROTATION:USED",
+            found=f"{header.number('ROTATION', 'USED'):g} rotations", remedy="Export marker positions",
+        )  # fmt: skip
 
 
 def _raw(data: FileBytes, header: C3dHeader, layout: C3dLayout, options: ReadOptions) -> RawTrial:

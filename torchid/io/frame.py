@@ -68,13 +68,9 @@ def length_unit(
 def _ask(code: str, message: str, stated: str, extent: float, likely: list[str], source: str) -> InputError:
     found = f"{stated!r}, markers {extent:.4g} units apart"
     return InputError(
-        code,
-        message,
-        source=source,
-        place="units",
-        found=found,
+        code, message, source=source, place="units", found=found,
         remedy=f"Give units: ({' or '.join(likely) if likely else 'mm, cm, m or in'})",
-    )
+    )  # fmt: skip
 
 
 def _extent(position: np.ndarray) -> float:
@@ -142,13 +138,10 @@ def vertical_axis(
 def _unknown_axis(position: np.ndarray, source: str) -> InputError:
     sides = ", ".join(f"{side:.2f} m along {name}" for name, side in zip("XYZ", _extents(position), strict=True))
     return InputError(
-        "axes.unknown",
-        "nothing in the file shows which axis is vertical",
-        source=source,
-        place="axes",
+        "axes.unknown", "nothing in the file shows which axis is vertical", source=source, place="axes",
         found=f"no loaded plate, no stated axis, and a marker cloud of {sides}",
         remedy="Name it in the config, beside file:, with up: z or up: y",
-    )
+    )  # fmt: skip
 
 
 def refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
@@ -159,13 +152,9 @@ def refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
     """
     if pushed == "x":
         raise InputError(
-            "axes.unsupported",
-            "the ground reaction points along X",
-            source=source,
-            place="force plates",
-            found="X vertical",
-            remedy="Rotate the laboratory's axes so that Y or Z is vertical",
-        )
+            "axes.unsupported", "the ground reaction points along X", source=source, place="force plates",
+            found="X vertical", remedy="Rotate the laboratory's axes so that Y or Z is vertical",
+        )  # fmt: skip
     if pushed and chosen and pushed != chosen:
         raise InputError(
             "axes.contradiction",

@@ -193,25 +193,18 @@ def _which_subject(message: str, columns: list[int], labels: list[str], subjects
     together = f"{_listed(list(shared), 3)} under several of them" if shared else "no label under two of them"
     several = "" if shared else f", or several bodies of one person with subject: [{', '.join(subjects[:2])}]"
     return InputError(
-        "markers.subjects",
-        message,
-        source=source,
-        place="labels",
-        found=f"{_listed(listed)}; {together}",
+        "markers.subjects", message, source=source, place="labels", found=f"{_listed(listed)}; {together}",
         remedy=f"Name it in the config, beside file:, with subject: {subjects[0]}{several}",
-    )
+    )  # fmt: skip
 
 
 def _colliding(shared: dict[str, list[str]], source: str) -> InputError:
     named = [f"{name} of {' and '.join(prefixes)}" for name, prefixes in shared.items()]
     return InputError(
-        "markers.subjects",
-        "the subjects asked for share labels, so they are not bodies of one person",
-        source=source,
-        place="labels",
-        found=_listed(named),
+        "markers.subjects", "the subjects asked for share labels, so they are not bodies of one person", source=source,
+        place="labels", found=_listed(named),
         remedy=f"Name one of them with subject: {next(iter(shared.values()))[0]}, or rename the labels",
-    )
+    )  # fmt: skip
 
 
 def _unique(names: list[str]) -> tuple[tuple[str, ...], list[str]]:

@@ -189,13 +189,9 @@ def _refuse_unknown(plates: PlatesAs, index: dict[int, int], source: str) -> Non
     asked = {n for n, p in plates.items() if p != PlateAs(use=False)} | {p.reads for p in plates.values() if p.reads}
     if not asked <= set(index):
         raise InputError(
-            "plates.number",
-            "the file has no such force plate, or it could not be read",
-            source=source,
-            place="plates",
-            found=", ".join(map(str, sorted(asked - set(index)))),
-            remedy=f"Known: {', '.join(map(str, index))}",
-        )
+            "plates.number", "the file has no such force plate, or it could not be read", source=source, place="plates",
+            found=", ".join(map(str, sorted(asked - set(index)))), remedy=f"Known: {', '.join(map(str, index))}",
+        )  # fmt: skip
 
 
 def _mended(forces: Forces, k: int, change: PlateAs | None, index: dict[int, int], source: str) -> Tensor:
@@ -214,13 +210,10 @@ def _mended(forces: Forces, k: int, change: PlateAs | None, index: dict[int, int
 def _with_corners(plate: Plate, source: str) -> Plate:
     if plate.corners is None:
         raise InputError(
-            "plates.corners",
-            "this change needs the plate's corners, which the file does not have",
-            source=source,
-            place=plate.name,
-            found="no corners",
+            "plates.corners", "this change needs the plate's corners, which the file does not have", source=source,
+            place=plate.name, found="no corners",
             remedy="Use forces_as: with up, turn_deg or mirror for the axes of the whole file",
-        )
+        )  # fmt: skip
     return plate
 
 

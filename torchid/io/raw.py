@@ -193,13 +193,10 @@ def _overlap(forces: Forces, raw: RawTrial) -> list[Note]:
     begin, end = float(forces.time[0]), float(forces.time[-1])
     if begin >= raw.time[-1] or end <= raw.time[0]:
         raise InputError(
-            "trial.no_overlap",
-            "markers and forces share no time",
-            source=raw.source,
-            place="time",
+            "trial.no_overlap", "markers and forces share no time", source=raw.source, place="time",
             found=f"markers {raw.time[0]:g} to {raw.time[-1]:g} s, forces {begin:g} to {end:g} s",
             remedy="Give the forces of the same trial, on the same clock",
-        )
+        )  # fmt: skip
     if begin <= raw.time[0] + frame and end >= raw.time[-1] - frame:
         return []
     text = f"forces last from {begin:g} to {end:g} s, markers from {raw.time[0]:g} to {raw.time[-1]:g} s; overlap used"

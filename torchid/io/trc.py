@@ -69,23 +69,15 @@ def _refuse_others(lines: list[str], source: str) -> None:
     """Refuse files that are no TRC, and those that end before their labels."""
     if not lines[0].lstrip().lower().startswith("pathfiletype"):
         raise InputError(
-            "trc.signature",
-            "this is no TRC file",
-            source=source,
-            place="line 1",
-            found=repr(lines[0][:40]),
+            "trc.signature", "this is no TRC file", source=source, place="line 1", found=repr(lines[0][:40]),
             remedy="The first line must begin with PathFileType",
-        )
+        )  # fmt: skip
     if not any(line.strip() for line in lines[3:]):
         last = max(k for k, line in enumerate(lines) if line.strip())
         raise InputError(
-            "trc.header",
-            "the file ends in its header: it has no labels and no frames",
-            source=source,
-            place=f"line {last + 1}, the last",
-            found=repr(lines[last][:60]),
-            remedy="Copy or export the file again",
-        )
+            "trc.header", "the file ends in its header: it has no labels and no frames", source=source,
+            place=f"line {last + 1}, the last", found=repr(lines[last][:60]), remedy="Copy or export the file again",
+        )  # fmt: skip
 
 
 def _labels(line: str, source: str) -> list[str]:
@@ -169,13 +161,10 @@ def _whole_points(position: np.ndarray, labels: list[str], lines: np.ndarray, so
     if often.any():
         named = ", ".join(labels[k] for k in np.flatnonzero(often)[:5])
         raise InputError(
-            "trc.shifted",
-            "columns are shifted: cells are missing in the rows",
-            source=source,
-            place=place,
+            "trc.shifted", "columns are shifted: cells are missing in the rows", source=source, place=place,
             found=f"{named} with fewer than three coordinates in most rows",
             remedy="Export the file again, with three cells for every marker",
-        )
+        )  # fmt: skip
     position[whole] = np.nan
     text = f"{partly.sum()} points lack one or two coordinates and are taken as missing, the first {place}"
     return [Note("trc.partial", text, source)]

@@ -148,12 +148,9 @@ def _push(one: OtherContact, place: str = "") -> str | Point:
     if usual is not None:
         return usual.push
     raise ConfigError(
-        "contact.push",
-        "nothing usual is known of contacts of this segment",
-        place=place,
-        found=one.segment,
+        "contact.push", "nothing usual is known of contacts of this segment", place=place, found=one.segment,
         remedy="Give push: up, forward, free, or a direction in W",
-    )
+    )  # fmt: skip
 
 
 def _usual(one: OtherContact) -> Usual | None:
