@@ -21,7 +21,7 @@ from torchid.errors import ConfigError, InputError
 from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.files import load_model
 from torchid.model.opensim.as_model import LEAST_MASS, read_osim_model
-from torchid.model.opensim.group_inertia import of_bodies, of_groups, phi_to_pseudo, pseudo_to_phi
+from torchid.model.opensim.group_inertia import of_bodies, of_groups
 from torchid.model.opensim.identified import identified_model
 from torchid.model.opensim.model import GROUND, OsimModel
 from torchid.model.opensim.posing import body_poses, coupled, marker_places
@@ -29,6 +29,7 @@ from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.rotations import R_OW
 from torchid.model.opensim.tree_of_osim import tree_of_osim
 from torchid.model.opensim.writing_back import write_back
+from torchid.model.pseudo import params_to_pseudo, pseudo_to_params
 from torchid.model.tree_of_links import LEAST_EXTENT
 from torchid.model.whole_body import lock_bodies
 from torchid.session.opening import setup_of
@@ -206,10 +207,10 @@ def test_bodies_share_what_their_group_is(data_dir: Path, seed: int) -> None:
     )
     shift = torch.eye(4).double().repeat(len(new), 1, 1)
     shift[:, :3, 3] = 0.05 * torch.tensor(rng.normal(size=(len(new), 3)))
-    new = pseudo_to_phi(shift @ phi_to_pseudo(new) @ shift.mT)
+    new = pseudo_to_params(shift @ params_to_pseudo(new) @ shift.mT)
     divided = of_bodies(made.osim, new)
     assert_close(of_groups(made.osim, divided.phi), new, rtol=1e-9, atol=1e-12)
-    assert bool((torch.linalg.eigvalsh(phi_to_pseudo(divided.phi)) > -1e-12).all())
+    assert bool((torch.linalg.eigvalsh(params_to_pseudo(divided.phi)) > -1e-12).all())
 
 
 @pytest.mark.data

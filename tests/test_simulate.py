@@ -17,10 +17,10 @@ from torchid.conventions import GRAVITY
 from torchid.dynamics.equations_of_motion import inverse_dynamics, wrench_about
 from torchid.errors import ConfigError
 from torchid.filters import differentiate
-from torchid.inertia.pseudo import params_to_pseudo
 from torchid.io import read_trial
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses
+from torchid.model.pseudo import params_to_pseudo
 from torchid.run import run_simulation
 from torchid.simulate.flight import centre_of_mass
 from torchid.simulate.ground import force_plates

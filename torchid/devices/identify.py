@@ -29,7 +29,7 @@ from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError
 from torchid.inertia.posterior import com_jacobian
-from torchid.inertia.pseudo import com
+from torchid.model.pseudo import com
 
 
 def identify_device(

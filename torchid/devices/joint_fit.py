@@ -30,7 +30,7 @@ from torchid.dynamics.whitening import (
 )
 from torchid.inertia.cone import LinearConstraints, project
 from torchid.inertia.identify import ROUNDS
-from torchid.inertia.pseudo import relative_map
+from torchid.model.pseudo import relative_map
 
 FLOOR = 1e-6
 """Smallest eigenvalue of a pseudo-inertia relative to its reference's, as of ``InertiaOptions.floor``."""

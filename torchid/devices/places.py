@@ -8,7 +8,7 @@ from torchid.devices.joint_fit import Extra, fit_jointly
 from torchid.devices.parts import parts_prior
 from torchid.devices.result import BodyBelief
 from torchid.dynamics.rows import WrenchTrial
-from torchid.inertia.pseudo import com
+from torchid.model.pseudo import com
 from torchid.model.tree import Tree
 
 ELSEWHERE = 5.0

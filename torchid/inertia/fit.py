@@ -14,11 +14,11 @@ from torchid.inertia.cone import ConeSolution
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.posterior import InertiaUncertainty, Progress, progress, uncertainty
 from torchid.inertia.problem import pose
-from torchid.inertia.pseudo import com, inertia_com, mass
 from torchid.inertia.solve import solve
 from torchid.inertia.spectrum import diagonalise
 from torchid.inertia.weights import Weights, choose_weights
 from torchid.model.model import InertialPrior
+from torchid.model.pseudo import com, inertia_com, mass
 
 NO_DATA = Weights(1.0, 1.0, 0.0)
 """Of equations that determine nothing: the prior is the answer, whatever its weight."""

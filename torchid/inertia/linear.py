@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchid.conventions import Inertial
 from torchid.errors import ConfigError
-from torchid.inertia.pseudo import params_to_pseudo
+from torchid.model.pseudo import params_to_pseudo
 
 _FLAT = 1e-12
 """Eigenvalue of an ellipsoid's matrix, over its largest, that counts as zero."""

@@ -10,8 +10,8 @@ from torchid.errors import Note
 from torchid.inertia.certificate import Certificate, InertiaStatus
 from torchid.inertia.posterior import uncertainty
 from torchid.inertia.problem import Problem
-from torchid.inertia.pseudo import com, inertia_com, inertia_matrix
 from torchid.inertia.rows_solution import RowsSolution
+from torchid.model.pseudo import com, inertia_com, inertia_matrix
 
 _AT_LIMIT = 1e-6
 """Slack of a linear limit over the size of its terms up to which it holds with equality."""

@@ -33,8 +33,8 @@ from torchid.dynamics.equations_of_motion import dynamic_state, generalised_forc
 from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError, InputError
 from torchid.evaluation.trials import ConditionTrial
-from torchid.inertia.pseudo import com
 from torchid.model.model import Geometry
+from torchid.model.pseudo import com
 from torchid.model.tree import Tree
 from torchid.motion import Motion
 from torchid.session import Outcome

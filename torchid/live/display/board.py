@@ -8,8 +8,8 @@ import viser
 from jaxtyping import Float
 
 from torchid.inertia.fit import InertiaFit
-from torchid.inertia.pseudo import com, inertia_com, mass
 from torchid.model.model import InertialPrior
+from torchid.model.pseudo import com, inertia_com, mass
 from torchid.scene import colours
 from torchid.scene.panel import KNOWN, Cameras, Chart, SegmentCard
 from torchid.scene.scene import Ground, Instant, PageScene
