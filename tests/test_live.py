@@ -26,7 +26,7 @@ from torchid.config import Config, load_config
 from torchid.config.sections import TrialFile
 from torchid.contact.options import ContactOptions, OtherContact
 from torchid.dynamics.row_equations import NormalEquations
-from torchid.dynamics.rows import SHORTEST, WrenchTrial, runs
+from torchid.dynamics.rows import SHORTEST, WrenchTrial
 from torchid.dynamics.whitening import BlockSpectrum, accumulate, block_spectrum
 from torchid.errors import ConfigError, DataError
 from torchid.inertia.fit import fit_inertia
@@ -42,6 +42,7 @@ from torchid.live.sources.intake import Intake
 from torchid.live.sources.stream import AT_ONCE, Packet, Replay
 from torchid.recording import Forces, Markers, Trial
 from torchid.run import run_experiment
+from torchid.runs import runs
 from torchid.session.fitting import given_mass
 from torchid.session.opening import read_recording, setup_of
 from torchid.session.standing import standing_weight

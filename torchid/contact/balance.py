@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.contact.options import ContactOptions
-from torchid.contact.runs import spread
 from torchid.conventions import GRAVITY
+from torchid.runs import spread
 
 ALWAYS = 0.98
 """Share of the loaded frames from which on a lack is that of the whole trial."""

@@ -13,10 +13,10 @@ from torch import Tensor
 
 from torchid.contact.options import ContactOptions
 from torchid.contact.others import Others, assign_others, floor_plates
-from torchid.contact.runs import dilate, lasting
 from torchid.contact.support import assign_plates, near_plates, over_each, supported_feet
 from torchid.contact.touching import belt_velocity, point_speed, touching_points
 from torchid.recording import Forces
+from torchid.runs import dilate, lasting
 
 
 @dataclass(frozen=True)

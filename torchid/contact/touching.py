@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.contact.options import ContactOptions
-from torchid.contact.runs import lasting, runs
+from torchid.runs import lasting, runs
 
 REST = 0.05, 0.2
 """A foot above the ground rests on something, such as a box, when it is flat and slower than this [m/s] for that long

@@ -8,14 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import Inertial
-from torchid.devices.base_columns import (
-    INNER,
-    acting,
-    has_line,
-    heard,
-    known_external,
-    seen_share,
-)
+from torchid.devices.base_columns import INNER, acting, has_line, heard, known_external, seen_share
 from torchid.devices.device import Device, Element, Part
 from torchid.devices.forces import tells
 from torchid.devices.joint_fit import JointFit

@@ -30,11 +30,7 @@ def chain_cost(problem: MarkerProblem, q: Tensor, xi: Tensor, part: slice) -> Te
         The cost of markers and postures, a scalar, without the prior on xi.
     """
     piece = problem.frames(part)
-    geometry, place = problem.split(xi)
-    body = torch.tensor(problem.plan.order, device=q.device)[problem.body]
-    p = chain_points(problem.plan.tree, q[:, part].T, geometry, body, place)
-    residual = p.permute(1, 2, 0) - piece.target
-    return piece.robust_cost(residual)[0].sum() + piece.posture.pull(q[:, part])[0].sum()
+    return piece.robust_cost(chain_residual(piece, q[:, part], xi))[0].sum() + piece.posture.pull(q[:, part])[0].sum()
 
 
 def chain_residual(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:

@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.dynamics.rows import runs
 from torchid.dynamics.whitening import QUIET, cosine_matrix
+from torchid.runs import runs
 
 WINDOW = 64
 """Resolution. Number of frames whose energy is one piece of evidence on the noise."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchid.conventions import LOADED_N
 from torchid.dynamics.equations_of_motion import wrench_about
-from torchid.dynamics.rows import WrenchTrial, measured, runs
+from torchid.dynamics.rows import WrenchTrial, measured
 from torchid.dynamics.whitening import white_scatter
 from torchid.effects.marker_scene import Sight, View
 from torchid.effects.scene import PlateFrame, Reading, Scene, make_scene, reading
@@ -26,6 +26,7 @@ from torchid.observation.noise_draws import DRAWS, LOUD_DRAWS, MOST_DRAWS, draw_
 from torchid.observation.options import ObservationOptions
 from torchid.observation.unloaded_plates import UnloadedPlates, find_unloaded
 from torchid.recording import Forces, Markers
+from torchid.runs import runs
 from torchid.storage.snapshot import in_memory
 
 OVER_CUTOFF = 6.0

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from torchid.contact.contact import Contact
 from torchid.contact.sharing.records import WrenchSource
-from torchid.dynamics.rows import runs
 from torchid.report.blocks import Figure
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, SHADE, draw, tidy
+from torchid.runs import runs
 from torchid.session import Followed, Outcome
 from torchid.wording import clean, plural
 

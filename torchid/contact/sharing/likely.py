@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.contact.runs import runs
 from torchid.contact.sharing.expected import CENTRE_SD_M, FAINT_N, LIGHT, Expected
 from torchid.contact.sharing.rolling import Support, hand_over
 from torchid.contact.sharing.soles import SoleAxes, sole_axes
+from torchid.runs import runs
 
 STANDING = 0.45
 """Chosen: place along the sole that a standing foot presses at: 40 to 50 % of a foot's length before its heel

@@ -18,6 +18,7 @@ from torchid.evaluation.statistics.arrangements import Arrangements, deal, flip
 from torchid.evaluation.statistics.effects import Estimate, difference_of, hedges, hedges_paired, mean_of
 from torchid.evaluation.statistics.permutation import Tested, counted_as_many, step_down
 from torchid.evaluation.statistics.units import LeastUnits, Units, choose_units, needed_for, unit_means
+from torchid.runs import runs
 
 
 @dataclass(frozen=True)
@@ -226,12 +227,6 @@ def _shared(tested: Tested, comparisons: int) -> Tested:
 
 
 def spans(significant: Bool[Tensor, " points"]) -> list[tuple[float, float]]:
-    """Runs of points as parts of the cycle, in percent.
-
-    Args:
-        significant: points of one course.
-    """
+    """Runs of points of a course as parts of the cycle, in percent."""
     last = max(1, len(significant) - 1)
-    edges = torch.diff(torch.nn.functional.pad(significant.long(), (1, 1)))
-    starts, stops = (edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist()
-    return [(100.0 * a / last, 100.0 * (b - 1) / last) for a, b in zip(starts, stops, strict=True)]
+    return [(100.0 * a / last, 100.0 * (b - 1) / last) for a, b in runs(significant)]

@@ -3,8 +3,9 @@
 import torch
 from torch import Tensor
 
-from torchid.dynamics.rows import BLOCK, SHORTEST, WrenchTrial, runs
+from torchid.dynamics.rows import BLOCK, SHORTEST, WrenchTrial
 from torchid.dynamics.whitening import BlockSpectrum, spectrum
+from torchid.runs import runs
 
 
 class Gatherer:

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.contact.balance import Weight
-from torchid.contact.runs import dilate
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import SHORTEST, WrenchTrial, predict
 from torchid.geometry.result import GeometryFit
@@ -25,6 +24,7 @@ from torchid.live.exercises.guidance import Guide
 from torchid.live.sources.timeline import Timeline
 from torchid.model.model import InertialPrior
 from torchid.recording import Forces, Markers, Plate, Trial
+from torchid.runs import dilate
 from torchid.session import Followed
 from torchid.session.fitting import com_boxes
 from torchid.session.following import ENDS, Following, follow

@@ -36,7 +36,6 @@ class Source(Protocol):
 
     def take(self) -> Packet | None:
         """Return what arrived since the last call, perhaps nothing; None where nothing will come any more."""
-        ...
 
 
 AT_ONCE = 16
