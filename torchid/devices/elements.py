@@ -91,11 +91,8 @@ def _line(sheet: ElementSheet, place: str, path: Path) -> Line:
         return Axis(_unit(sheet.axis, f"{place}.axis", path))
     inner = [SegmentPoint(via.segment, via.point_m, via.marker or "") for via in sheet.via]
     rail = None if sheet.rail is None else _unit(sheet.rail, f"{place}.rail", path)
-    begin, end = (
-        SegmentPoint(first, sheet.from_m, sheet.from_marker or ""),
-        SegmentPoint(last, sheet.to_m, sheet.to_marker or ""),
-    )
-    run = (begin, *inner, end)
+    begin = SegmentPoint(first, sheet.from_m, sheet.from_marker or "")
+    run = (begin, *inner, SegmentPoint(last, sheet.to_m, sheet.to_marker or ""))
     if any((point.place is None) != bool(point.marker) for point in run):
         raise fault("element", "a point is given twice or not at all", path, place, remedy="Give point or marker.")
     return Run(run, rail)

@@ -1,5 +1,6 @@
 """Every number of an evaluation, with its key and unit, for the ledger."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 import torch
@@ -94,10 +95,8 @@ def difference_numbers(one: Comparison, body: str, per_mass: bool) -> Iterator[E
         body: identified or template.
     """
     for k, column in enumerate(one.columns):
-        key, own = (
-            Key("difference", "", one.condition, column.where, column.measure, body),
-            column_unit(column, per_mass),
-        )
+        key = Key("difference", "", one.condition, column.where, column.measure, body)
+        own = column_unit(column, per_mass)
         yield from interval_numbers(key, one.difference, k, own)
         yield key._replace(statistic="sd"), float(one.difference.sd[k]), own
         for name, source in (("g", "value"), ("g_low", "low"), ("g_high", "high")):
@@ -160,23 +159,21 @@ def _cycles(found: Evaluation) -> Iterator[Entry]:
         yield Key("cycle", "trials", condition), len([t for t in found.trials if t.condition == condition]), ""
         yield Key("cycle", "cycles", condition), len(own), ""
         yield Key("cycle", "apart", condition), int((found.apart[own] > APART).sum()), ""
-    seen: dict[str, int] = {}
     times = {trial.name: trial.followed.motion.time for trial in found.trials}
-    for k, cycle in enumerate(found.cycles):
-        seen[cycle.trial] = seen.get(cycle.trial, 0) + 1
-        item = cycle_name(cycle.trial, seen[cycle.trial], cycle.side)
+    for k, (item, cycle) in enumerate(zip(cycle_names(found), found.cycles, strict=True)):
         for name, frame in (("t0", cycle.start), ("t1", cycle.stop)):
             yield Key("cycle", name, found.conditions[k], item=item), float(times[cycle.trial][frame]), "s"
         yield Key("cycle", "score", found.conditions[k], item=item), float(found.apart[k]), ""
 
 
-def cycle_name(trial: str, count: int, side: str) -> str:
-    """Name of a cycle: trial, number within it, side.
-
-    Args:
-        side: l, r or empty.
-    """
-    return f"{trial}_{count}{side}"
+def cycle_names(found: Evaluation) -> list[str]:
+    """Name of every cycle: trial, number within it from one, side."""
+    seen = Counter[str]()
+    names = []
+    for cycle in found.cycles:
+        seen[cycle.trial] += 1
+        names.append(f"{cycle.trial}_{seen[cycle.trial]}{cycle.side}")
+    return names
 
 
 def _contacts(found: Evaluation) -> Iterator[Entry]:
@@ -214,10 +211,8 @@ def _measures(found: Evaluation, answer: BodyAnswer, body: str) -> Iterator[Entr
         own = answer.cycles_of(condition)
         mean = answer.mean(condition, answer.sample.values, answer.sample.draws)
         for k, column in enumerate(answer.sample.columns):
-            key, unit = (
-                Key("measure", "", condition, column.where, column.measure, body),
-                column_unit(column, found.per_mass),
-            )
+            key = Key("measure", "", condition, column.where, column.measure, body)
+            unit = column_unit(column, found.per_mass)
             yield from interval_numbers(key, mean, k, unit)
             yield key._replace(statistic="sd"), float(mean.sd[k]), unit
             count = int(torch.isfinite(answer.sample.values[own, k]).sum())

@@ -92,13 +92,9 @@ def in_config(value: object) -> str:
     """A value as a config writes it."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(in_config, value))}]"
-    return (
-        {True: "true", False: "false"}[value]
-        if isinstance(value, bool)
-        else f"{value:.6g}"
-        if isinstance(value, float)
-        else str(value)
-    )
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def number_of(plate: Plate, index: int) -> int:

@@ -8,7 +8,7 @@ from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.gaps import contradicted
 from torchid.evaluation.ledger import Key, Ledger
-from torchid.evaluation.numbers import cycle_name
+from torchid.evaluation.numbers import cycle_names
 from torchid.evaluation.report.sentences import gap_lines, interval
 from torchid.evaluation.report.words import digits_of, labelled, where_words
 from torchid.report.blocks import Block, Details, Items, Paragraph, Section, Table
@@ -116,7 +116,7 @@ def _contacts(found: Evaluation, ledger: Ledger) -> Block:
 
 def _apart(found: Evaluation, ledger: Ledger) -> list[Block]:
     score = ledger.show(Key("method", "apart"), 1)
-    names = [name for name, k in _names(found) if float(found.apart[k]) > APART]
+    names = [name for name, z in zip(cycle_names(found), found.apart.tolist(), strict=True) if z > APART]
     if not names:
         return []
     said = f"Cycles that stand apart from the others of their condition (modified z above {score}), and are in all "
@@ -125,19 +125,10 @@ def _apart(found: Evaluation, ledger: Ledger) -> list[Block]:
 
 def _cycles(found: Evaluation, ledger: Ledger) -> Block:
     rows = []
-    for name, k in _names(found):
+    for k, name in enumerate(cycle_names(found)):
         key = Key("cycle", "", found.conditions[k], item=name)
         ends = [ledger.show(key._replace(statistic=end), 2) for end in ("t0", "t1")]
         score = ledger.show(key._replace(statistic="score"), 1)
         rows.append((clean(name), clean(found.conditions[k]), *ends, score))
     head = ("Cycle", "Condition", "From [s]", "To [s]", "Apart (z)")
     return Details("All cycles", (Table("", head, tuple(rows), text=2),))
-
-
-def _names(found: Evaluation) -> list[tuple[str, int]]:
-    seen: dict[str, int] = {}
-    names = []
-    for k, cycle in enumerate(found.cycles):
-        seen[cycle.trial] = seen.get(cycle.trial, 0) + 1
-        names.append((cycle_name(cycle.trial, seen[cycle.trial], cycle.side), k))
-    return names

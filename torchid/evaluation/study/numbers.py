@@ -88,10 +88,8 @@ def _measures(found: Pooled, body: str) -> Iterator[Entry]:
 def _differences(found: Pooled, one: Comparison, body: str) -> Iterator[Entry]:
     yield from difference_numbers(one, body, found.per_mass)
     for k, column in enumerate(one.columns):
-        key, unit = (
-            Key("difference", "", one.condition, column.where, column.measure, body),
-            column_unit(column, found.per_mass),
-        )
+        key = Key("difference", "", one.condition, column.where, column.measure, body)
+        unit = column_unit(column, found.per_mass)
         for name, count in zip(("agree", "subjects"), one.agreeing[k], strict=True):
             yield key._replace(statistic=name), count, ""
         for subject in found.having(one.condition):

@@ -205,11 +205,9 @@ class Show:
         """Draw an instant, and beside it the forces of the instant that the identifier has reached."""
         self._seen_s = time.monotonic()
         self._found_q = self._found_q or bool(np.isfinite(some.error).any())
-        X_WB = (
-            None
-            if not self._found_q
-            else chain_poses(self._fit.model.tree, torch.from_numpy(some.q)[None], self._fit.geometry)[0].numpy()
-        )
+        X_WB = None
+        if self._found_q:
+            X_WB = chain_poses(self._fit.model.tree, torch.from_numpy(some.q)[None], self._fit.geometry)[0].numpy()
         error = np.append(some.error, np.nan)[self._columns]
         at = some.time_s - self._delay_s
         while len(self._forces) > 1 and self._forces[1][0] <= at:
