@@ -23,7 +23,7 @@ from torchid.config.conditions import Condition, EvaluateOptions, GivenCycle
 from torchid.contact.options import ContactOptions, OtherContact
 from torchid.conventions import GRAVITY
 from torchid.devices import Device, SheetFinding, load_device
-from torchid.devices.values import SheetValue
+from torchid.devices.device import SheetValue
 from torchid.dynamics.equations_of_motion import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.evaluation.evaluate import evaluate, gather, judge

@@ -22,13 +22,12 @@ from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.files import load_model
 from torchid.model.opensim.as_model import LEAST_MASS, read_osim_model
 from torchid.model.opensim.group_inertia import of_bodies, of_groups
-from torchid.model.opensim.identified import identified_model
 from torchid.model.opensim.model import GROUND, OsimModel
 from torchid.model.opensim.posing import body_poses, coupled, marker_places
 from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.rotations import R_OW
 from torchid.model.opensim.tree_of_osim import tree_of_osim
-from torchid.model.opensim.writing_back import write_back
+from torchid.model.opensim.writing_back import identified_model, write_back
 from torchid.model.pseudo import params_to_pseudo, pseudo_to_params
 from torchid.model.tree_of_links import LEAST_EXTENT
 from torchid.model.whole_body import lock_bodies

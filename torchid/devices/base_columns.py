@@ -12,10 +12,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.devices.action import ElementAction, action
-from torchid.devices.device import Device, Element, Handle
+from torchid.devices.device import Device, Element, Handle, SheetValue
 from torchid.devices.forces import CHUNK, device_forces, element_force, filtered, states
 from torchid.devices.laws import Channels
-from torchid.devices.values import SheetValue
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import WrenchTrial
 

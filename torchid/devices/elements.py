@@ -5,10 +5,23 @@ import math
 from pathlib import Path
 from typing import Any
 
-from torchid.devices.device import WORLD, Axis, Coordinate, Drive, Element, Handle, Law, Line, SegmentPoint, Sensor
+from torchid.devices.device import (
+    WORLD,
+    Axis,
+    Coordinate,
+    Drive,
+    Element,
+    Handle,
+    Law,
+    Line,
+    Number,
+    SegmentPoint,
+    Sensor,
+    SheetValue,
+    Triple,
+)
 from torchid.devices.device import Path as Run
 from torchid.devices.sheet import ElementSheet, ProfileSheet, VectorWithSd, WithSd
-from torchid.devices.values import Number, SheetValue, Triple
 from torchid.errors import ConfigError
 
 

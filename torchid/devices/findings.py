@@ -12,7 +12,7 @@ from typing import Literal
 import torch
 
 from torchid.devices.base_columns import has_line
-from torchid.devices.device import Device, Element
+from torchid.devices.device import Device, Element, SheetValue
 from torchid.devices.identify import identify_device
 from torchid.devices.measured import MeasuredElement, measured_by
 from torchid.devices.options import DeviceOptions
@@ -20,7 +20,6 @@ from torchid.devices.places import carried_elsewhere, moved
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import fit_law
 from torchid.devices.supports import Recorded
-from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 
 SURE = 3.0

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.conventions import Inertial
 from torchid.devices.base_columns import INNER, acting, has_line, heard, known_external, seen_share
-from torchid.devices.device import Device, Element, Part
+from torchid.devices.device import Device, Element, Part, SheetValue
 from torchid.devices.forces import tells
 from torchid.devices.joint_fit import JointFit
 from torchid.devices.measured import measured_by
@@ -18,7 +18,6 @@ from torchid.devices.parts import PartsPrior, parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import LawFit, fit_law
 from torchid.devices.supports import KnownParameters, Recorded, fit_by_base_rows, stated
-from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError
 from torchid.inertia.posterior import com_jacobian

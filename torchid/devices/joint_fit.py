@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import Inertial
+from torchid.devices.device import SheetValue
 from torchid.devices.parts import LEAST_SD, PartsPrior
 from torchid.devices.result import BodyBelief
-from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 from torchid.dynamics.whitening import (
     BlockSpectrum,

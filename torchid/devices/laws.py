@@ -5,8 +5,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.devices.device import Drive, Element, Law
-from torchid.devices.values import Number
+from torchid.devices.device import Drive, Element, Law, Number
 from torchid.errors import ConfigError
 
 Channels = dict[str, Tensor]

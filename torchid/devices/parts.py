@@ -13,8 +13,7 @@ from torch import Tensor
 
 from torchid.conventions import INERTIA_PAIRS, Inertial
 from torchid.devices.action import segment_index
-from torchid.devices.device import Device, Part
-from torchid.devices.values import SheetValue
+from torchid.devices.device import Device, Part, SheetValue
 from torchid.model.tree import Tree
 
 DRAWS = 4096

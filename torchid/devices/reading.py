@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from torchid.devices.device import Device, Part
+from torchid.devices.device import Device, Part, SheetValue
 from torchid.devices.elements import element_of, fault, number, vector
 from torchid.devices.sheet import AttachedLink, DeviceSheet, ElementSheet, MatrixWithSd, PartSheet
-from torchid.devices.values import SheetValue
 from torchid.errors import ConfigError
 from torchid.model.mechanics import phi_to_centre, rpy_to_matrix
 from torchid.model.urdf import read_urdf

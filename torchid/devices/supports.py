@@ -8,13 +8,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.devices.base_columns import Acting, about_root, acting, heard, known_external
-from torchid.devices.device import Device, Element
+from torchid.devices.device import Device, Element, SheetValue
 from torchid.devices.joint_fit import Considered, Extra, JointFit, fit_jointly
 from torchid.devices.laws import Channels
 from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import PartsPrior
 from torchid.devices.result import BodyBelief
-from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 
 PASSES = 3

@@ -17,9 +17,8 @@ from torchid.geometry.tracking import modelled
 from torchid.io.storage import write_storage
 from torchid.kinematics.chain import chain_poses
 from torchid.model.model import Model
-from torchid.model.opensim.identified import identified_model
 from torchid.model.opensim.model import CoordinateKind
-from torchid.model.opensim.writing_back import write_back
+from torchid.model.opensim.writing_back import identified_model, write_back
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.urdf import write_urdf
 from torchid.recording import Plate

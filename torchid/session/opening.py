@@ -24,7 +24,7 @@ from torchid.model.whole_body import whole_body
 from torchid.recording import Trial
 from torchid.session import Session
 from torchid.session.other_contacts import check_others
-from torchid.session.tracks import look_at_session, taken_out
+from torchid.session.session import look_at_session, taken_out
 
 OWN = "model"
 """Wording. The ``markers`` of a config that are the model's own."""

@@ -49,52 +49,20 @@ def _integral(values: Tensor, weight: Tensor) -> Tensor:
     return (values * weight[:, None]).sum(-2)
 
 
-def _peak(c: CycleCourses) -> Tensor:
-    return c.tau.abs().amax(-2)
-
-
-def _largest(c: CycleCourses) -> Tensor:
-    return c.tau.amax(-2)
-
-
-def _least(c: CycleCourses) -> Tensor:
-    return c.tau.amin(-2)
-
-
-def _mean(c: CycleCourses) -> Tensor:
-    return _integral(c.tau, c.weight) / c.weight.sum()
-
-
-def _positive_work(c: CycleCourses) -> Tensor:
-    return _integral((c.tau * c.v).clamp(min=0.0), c.weight)
-
-
-def _negative_work(c: CycleCourses) -> Tensor:
-    return _integral((c.tau * c.v).clamp(max=0.0), c.weight)
-
-
-def _peak_power(c: CycleCourses) -> Tensor:
-    return (c.tau * c.v).amax(-2)
-
-
-def _load(c: CycleCourses) -> Tensor:
-    return _integral(c.tau.abs(), c.weight)
-
-
 def _range(c: CycleCourses) -> Tensor:
     span = math.degrees(1.0) * (c.q.amax(-2) - c.q.amin(-2))
     return span.expand(*c.tau.shape[:-2], len(span))
 
 
 MEASURES: Mapping[str, Measure] = {
-    "peak_torque_Nm": _peak,
-    "max_torque_Nm": _largest,
-    "min_torque_Nm": _least,
-    "mean_torque_Nm": _mean,
-    "positive_work_J": _positive_work,
-    "negative_work_J": _negative_work,
-    "peak_power_W": _peak_power,
-    "cumulative_load_Nms": _load,
+    "peak_torque_Nm": lambda c: c.tau.abs().amax(-2),
+    "max_torque_Nm": lambda c: c.tau.amax(-2),
+    "min_torque_Nm": lambda c: c.tau.amin(-2),
+    "mean_torque_Nm": lambda c: _integral(c.tau, c.weight) / c.weight.sum(),
+    "positive_work_J": lambda c: _integral((c.tau * c.v).clamp(min=0.0), c.weight),
+    "negative_work_J": lambda c: _integral((c.tau * c.v).clamp(max=0.0), c.weight),
+    "peak_power_W": lambda c: (c.tau * c.v).amax(-2),
+    "cumulative_load_Nms": lambda c: _integral(c.tau.abs(), c.weight),
     "range_deg": _range,
 }
 """By the names of ``config.conditions.MEASURES``; the unit ends the name."""

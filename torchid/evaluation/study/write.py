@@ -16,7 +16,7 @@ from torchid.evaluation.study.numbers import columns_of, condition_values, study
 from torchid.evaluation.study.report.page import render_study
 from torchid.evaluation.study.study import Pooled, pool, subjects_of
 from torchid.evaluation.study.subject import SHARES
-from torchid.evaluation.table import difference_row, tests_table
+from torchid.evaluation.write import difference_row, tests_table
 from torchid.session.fitting import OnStage
 from torchid.storage.files import write_json, write_text
 from torchid.storage.netcdf import write_netcdf

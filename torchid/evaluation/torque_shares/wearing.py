@@ -27,8 +27,8 @@ from torchid.devices import (
     tells,
     told_of,
 )
-from torchid.devices.draws import parts_draws
 from torchid.devices.parts import parts_prior
+from torchid.devices.result import parts_draws
 from torchid.dynamics.equations_of_motion import dynamic_state, generalised_forces, wrench_about
 from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError, InputError

@@ -1,36 +1,18 @@
 """This module makes the blocks of the arrow, the normal matrix of a chunk of frames, without any marker Jacobian.
 
 Given q, a marker's position is linear in the offsets and in its own place; H_qq is the mass matrix of point masses
-w_m at the markers, the gradient a subtree sum of wrenches. The dense blocks of this module serve covariances and are
-what the elimination by branches is tested against.
+w_m at the markers, the gradient a subtree sum of wrenches.
 """
 
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchid.geometry.arrow.index_tables import ArrowLayout
 from torchid.geometry.arrow.twists import Twists, column_twists, moments, with_markers
 from torchid.geometry.problem import MarkerProblem, ProblemPoint
-
-
-@dataclass(frozen=True)
-class NormalBlocks:
-    """The quadratic model of the cost of a chunk, with frames first and the columns of motion as in the layout."""
-
-    cost: Tensor
-    """Cost (frames,), posture included."""
-    g_q: Tensor
-    """Gradient of motion (frames, motion)."""
-    H_qq: Tensor
-    """Lower triangle of the block of motion (frames, motion, motion)."""
-    H_qx: Tensor | None = None
-    """Mixed block (frames, motion, xi)."""
-    g_x: Tensor | None = None
-    """Gradient of xi (frames, xi)."""
-    H_xx: Tensor | None = None
-    """Block of xi (xi, xi), summed over the frames."""
 
 
 @dataclass(frozen=True)
@@ -98,40 +80,22 @@ def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: ProblemPoint,
     return BlockPieces(seen.cost, columns, pull, curvature, total, fold_matrix(layout, seen.at.q, dtype))
 
 
-def assemble(problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool) -> NormalBlocks:
-    """Compute the dense blocks of all frames of a problem.
-
-    Args:
-        q: coordinates (dofs, frames).
-        shared: False leaves the columns of xi out.
-    """
-    pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared)
-    motion = layout.motion if shared else layout.motion_alone
-    S, F = pieces.columns.S[:, motion], pieces.columns.F[:, motion]
-    H_qq, g_q = torch.bmm(F, S.mT).mul_(lower_mask(layout, layout.motion_body)), pieces.columns.g[:, motion, None]
+def posture_block(
+    problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor
+) -> Float[Tensor, "frames motion motion"]:
+    """Return the lower triangle of the block of motion of every frame, at q (dofs, frames) and without the entries."""
+    pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared=False)
+    S, F = pieces.columns.S[:, layout.motion_alone], pieces.columns.F[:, layout.motion_alone]
+    H_qq = torch.bmm(F, S.mT).mul_(lower_mask(layout, layout.motion_body))
     if pieces.fold is not None:
-        H_qq, g_q = fold_rows(pieces.fold, H_qq, g_q)
+        H_qq, _ = fold_rows(pieces.fold, H_qq, H_qq[:, :, :0])
     torch.diagonal(H_qq, dim1=1, dim2=2).add_(pieces.curvature)
-    blocks = NormalBlocks(pieces.cost, g_q[:, :, 0] + pieces.pull, H_qq)
-    return _with_shared(layout, pieces, blocks, S, F, len(xi)) if shared else blocks
+    return H_qq
 
 
 def lower_mask(layout: ArrowLayout, body: Tensor) -> Tensor:
     """Return the matrix (body, body) with 1 in the lower triangle where the row's support lies within the column's."""
     return torch.tril(layout.within(body, body))
-
-
-def _with_shared(
-    layout: ArrowLayout, pieces: BlockPieces, blocks: NormalBlocks, S: Tensor, F: Tensor, n_xi: int
-) -> NormalBlocks:
-    """Return the blocks with the columns of xi added: named parameters, then places of free markers."""
-    Se, Fe = pieces.columns.S[:, layout.entries], pieces.columns.F[:, layout.entries]
-    inside, around = layout.nesting(layout.motion_body)
-    fold = torch.nn.functional.one_hot(layout.entry_xi, n_xi).to(S)
-    H_qx = (torch.bmm(F, Se.mT) * inside + torch.bmm(S, Fe.mT) * around) @ fold
-    H_qx = H_qx if pieces.fold is None else pieces.fold.mT @ H_qx
-    g_x = pieces.columns.g[:, layout.entries] @ fold
-    return NormalBlocks(blocks.cost, blocks.g_q, blocks.H_qq, H_qx, g_x, fold.T @ shared_block(layout, pieces) @ fold)
 
 
 def shared_block(layout: ArrowLayout, pieces: BlockPieces) -> Tensor:

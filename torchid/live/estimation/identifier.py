@@ -15,8 +15,7 @@ from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked
 from torchid.inertia.identify import Identified
 from torchid.io.resample import to_clock
-from torchid.live.estimation.estimator import Estimator
-from torchid.live.estimation.gather import Gatherer
+from torchid.live.estimation.estimator import Estimator, Gatherer
 from torchid.live.estimation.instruments import InstrumentRows
 from torchid.live.estimation.pose import Postures
 from torchid.live.estimation.watch import Notice, Watch, WatchedBlock
