@@ -17,7 +17,7 @@ from torchid.cli import app
 from torchid.config import load_config
 from torchid.errors import DataError, InputError
 from torchid.recording import Markers
-from torchid.session.quality import Criterion, Quality, QualityLevel
+from torchid.session.outcome import Criterion, Quality, QualityLevel
 from torchid.storage.logs import configure_logging
 
 runner = CliRunner()

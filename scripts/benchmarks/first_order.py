@@ -9,8 +9,7 @@ from scipy.optimize import least_squares
 from torch import Tensor
 
 from torchid.geometry.arrow.index_tables import ArrowLayout, make_layout
-from torchid.geometry.arrow.normal_blocks import fold_matrix
-from torchid.geometry.arrow.twists import column_axes, column_twists, moments
+from torchid.geometry.arrow.normal_blocks import column_axes, column_twists, fold_matrix, moments
 from torchid.geometry.problem import MarkerProblem
 from torchid.kinematics.recursion import Poses, cross
 

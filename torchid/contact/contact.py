@@ -13,8 +13,15 @@ from torch import Tensor
 
 from torchid.contact.options import ContactOptions
 from torchid.contact.others import Others, assign_others, floor_plates
-from torchid.contact.support import assign_plates, near_plates, over_each, supported_feet
-from torchid.contact.touching import belt_velocity, point_speed, touching_points
+from torchid.contact.support import (
+    assign_plates,
+    belt_velocity,
+    near_plates,
+    over_each,
+    point_speed,
+    supported_feet,
+    touching_points,
+)
 from torchid.recording import Forces
 from torchid.runs import dilate, lasting
 

@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchid.contact.options import ContactOptions, NearPlace, OtherContact
-from torchid.contact.support import OVER_FLOOR_M, over_plates
-from torchid.contact.touching import LOWEST, REST
+from torchid.contact.support import LOWEST, OVER_FLOOR_M, REST, over_plates
 from torchid.io.mend import number_of
 from torchid.recording import Forces, Plate
 from torchid.runs import runs

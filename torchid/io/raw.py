@@ -12,11 +12,10 @@ from torchid.io.computed import left_out_as_computed
 from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
 from torchid.io.frame_order import frames_out_of_order
 from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
-from torchid.io.missing import held_samples, missing_samples
+from torchid.io.missing import frame_repeats, held_samples, missing_samples
 from torchid.io.options import ReadOptions
 from torchid.io.plate_limits import within_limits
 from torchid.io.plates import baseline
-from torchid.io.repeats import frame_repeats
 from torchid.io.spikes import marker_spikes, plate_spikes
 from torchid.recording import Event, Forces, Markers, Trial
 

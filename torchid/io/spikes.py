@@ -221,7 +221,9 @@ def marker_steps(
     labels: tuple[str, ...],
     source: str,
 ) -> list[Note]:
-    """What to say of markers that step and stay.
+    """What to say of markers that step to another place within a frame and stay, as nothing measured on a person can.
+
+    Labels that are exchanged from a frame on do so, and so do all markers where a piece of a file was lost.
 
     Args:
         position: [m], NaN where missing.

@@ -11,7 +11,7 @@ from torchid.report.data_handling import grouped
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
 from torchid.session import Outcome
 from torchid.session.judging import Mass, Masses, masses, quality_of
-from torchid.session.quality import ORDER, Quality, QualityLevel
+from torchid.session.outcome import ORDER, Quality, QualityLevel
 from torchid.session.tables import largest
 from torchid.wording import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
 

@@ -10,8 +10,7 @@ from torchid.dynamics.rows import WrenchTrial, residual_rms
 from torchid.errors import DataError
 from torchid.inertia.certificate import InertiaStatus
 from torchid.model.anthropometry import body_mass
-from torchid.session.outcome import Outcome
-from torchid.session.quality import Criterion, Quality, QualityLevel, graded
+from torchid.session.outcome import Criterion, Outcome, Quality, QualityLevel, graded
 from torchid.session.standing import standing_weight
 from torchid.session.tables import largest, rms
 from torchid.wording import change, clean, number, percent, plural, segment

@@ -7,7 +7,7 @@ from torchid.config import Config
 from torchid.config.sections import BUILTIN_MODELS
 from torchid.evaluation.cycle_measures.conventions import chosen, side_of, spellings
 from torchid.evaluation.cycle_measures.cycles import Cycle
-from torchid.evaluation.cycle_measures.spatiotemporal import STANCE, STRIDE, WHOLE
+from torchid.evaluation.cycle_measures.measures import STANCE, STRIDE, WHOLE
 from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.torque_shares.back import trunk_of
 from torchid.model.model import Model

@@ -14,9 +14,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.config.conditions import EvaluateOptions
-from torchid.evaluation.statistics.arrangements import Arrangements, deal, flip
+from torchid.evaluation.statistics.arrangements import Arrangements, Tested, counted_as_many, deal, flip, step_down
 from torchid.evaluation.statistics.effects import Estimate, difference_of, hedges, hedges_paired, mean_of
-from torchid.evaluation.statistics.permutation import Tested, counted_as_many, step_down
 from torchid.evaluation.statistics.units import LeastUnits, Units, choose_units, needed_for, unit_means
 from torchid.runs import runs
 

@@ -11,10 +11,9 @@ from torchid.config import Config, Study
 from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.ledger import Ledger
 from torchid.evaluation.statistics.comparing import Comparison
-from torchid.evaluation.study.compare import course_of
 from torchid.evaluation.study.numbers import columns_of, condition_values, study_numbers, taken
-from torchid.evaluation.study.report.page import render_study
-from torchid.evaluation.study.study import Pooled, pool, subjects_of
+from torchid.evaluation.study.report import render_study
+from torchid.evaluation.study.study import Pooled, course_of, pool, subjects_of
 from torchid.evaluation.study.subject import SHARES
 from torchid.evaluation.write import difference_row, tests_table
 from torchid.session.fitting import OnStage

@@ -9,7 +9,7 @@ import torch
 
 from torchid.conventions import GRAVITY
 from torchid.errors import InputError, Note
-from torchid.model.markup import Element, parse_xml, read_bytes
+from torchid.model.markup import Element, parse_xml, read_bytes, unread
 from torchid.model.opensim.bodies import consistent, read_inertias
 from torchid.model.opensim.coordinates import read_couplers
 from torchid.model.opensim.frames import Frames, Stated, body_elements
@@ -17,7 +17,6 @@ from torchid.model.opensim.joints import JointElement, joint_elements, read_join
 from torchid.model.opensim.model import GROUND, Marker, OsimCoordinate, OsimJoint, OsimModel
 from torchid.model.opensim.vocabulary import WORDS
 from torchid.model.opensim.words import OsimDocument, child_text, objects
-from torchid.model.vocabulary import unread
 
 log = logging.getLogger(__name__)
 

@@ -4,9 +4,9 @@ Cited. Properties that OpenSim 4 lists of its classes (``Object::getPropertyByIn
 it renames on reading (``updateFromXMLNode`` of Body, Joint, Coordinate, Constraint and Marker).
 """
 
+from torchid.model.markup import Vocabulary
 from torchid.model.opensim.function_elements import READERS
 from torchid.model.opensim.joints import KINDS
-from torchid.model.vocabulary import Vocabulary
 
 JOINTS = ("CustomJoint", *KINDS)
 CONSTRAINTS = (
