@@ -10,8 +10,7 @@ from torch.testing import assert_close
 
 from torchid.errors import DataError
 from torchid.geometry import tracking
-from torchid.geometry.first_scale import start_fit
-from torchid.geometry.fit import fit_geometry
+from torchid.geometry.fit import fit_geometry, start_fit
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.posture import gap_filling
 from torchid.geometry.posture import initial_posture as start_module

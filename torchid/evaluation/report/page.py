@@ -11,9 +11,8 @@ from torchid.evaluation.gaps import contradicted
 from torchid.evaluation.ledger import Key, Ledger
 from torchid.evaluation.numbers import cycle_names
 from torchid.evaluation.report.figures import courses_section, draw_courses, marked
-from torchid.evaluation.report.method import method_section
 from torchid.evaluation.report.sentences import gap_lines, interval
-from torchid.evaluation.report.tables import differences_section, summary_section
+from torchid.evaluation.report.tables import differences_section, method_section, summary_section
 from torchid.evaluation.report.words import digits_of, labelled, where_words
 from torchid.evaluation.statistics.comparing import Comparison
 from torchid.evaluation.torque_shares.draws import SAID

@@ -12,10 +12,9 @@ from torchid.evaluation.compared import Gap
 from torchid.evaluation.ledger import BODIES, Key, Ledger
 from torchid.evaluation.numbers import column_unit
 from torchid.evaluation.report.figures import courses_section
-from torchid.evaluation.report.method import method_section
 from torchid.evaluation.report.page import render_compared
 from torchid.evaluation.report.sentences import gap_lines, interval
-from torchid.evaluation.report.tables import differences_section, summary_section
+from torchid.evaluation.report.tables import differences_section, method_section, summary_section
 from torchid.evaluation.report.words import digits_of, labelled, measure_words, where_words
 from torchid.evaluation.statistics.comparing import Comparison
 from torchid.evaluation.study.numbers import columns_of, taken
