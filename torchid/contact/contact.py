@@ -137,7 +137,7 @@ def find_contact(
         forces: on the clock of the markers; NaN outside their overlap.
         seen: frames whose motion is known.
         spread_s: how far the force filter carries a missing force into the frames beside it.
-        short: frames in which the plates miss a part of the weight (``balance.falls_short``), where that is known.
+        short: frames in which the plates miss a part of the weight (``standing.falls_short``), where that is known.
         others: contacts other than feet.
     """
     options = options or ContactOptions()

@@ -26,11 +26,6 @@ class Determined:
     value: float
     sd: float
 
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Return the 95 % interval."""
-        return self.value - 1.96 * self.sd, self.value + 1.96 * self.sd
-
 
 @dataclass(frozen=True)
 class NotDeterminable:

@@ -8,7 +8,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.contact.balance import Weight
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import SHORTEST, WrenchTrial, predict
 from torchid.geometry.result import GeometryFit
@@ -27,7 +26,7 @@ from torchid.runs import dilate
 from torchid.session import Followed
 from torchid.session.fitting import com_boxes
 from torchid.session.following import ENDS, Following, follow
-from torchid.session.standing import short_of
+from torchid.session.standing import Weight, short_of
 
 BLOCK_S = 1.0
 """Choice. Frames whose rows are taken together: a second holds what a body does most slowly, and is soon over."""
