@@ -24,7 +24,7 @@ from torchid.kinematics.chain import chain_points
 from torchid.kinematics.plan import plan_tree
 from torchid.model.model import Geometry, Model
 from torchid.model.opensim.as_model import read_osim_model
-from torchid.model.opensim.group_inertia import phi_to_pseudo
+from torchid.model.pseudo import params_to_pseudo
 from torchid.motion import Motion, smooth_motion
 from torchid.recording import Forces, Markers, Plate, Trial
 from torchid.run import run_experiment
@@ -100,7 +100,7 @@ def _inertia(model: Model, rng: np.random.Generator) -> Tensor:
     for k, mean in enumerate(model.inertia.mean):
         block = slice(10 * k, 10 * k + 10)
         L = torch.linalg.cholesky(model.inertia.covariance[block, block] + 1e-18 * torch.eye(10).double())
-        while bool((found[k] == mean).all()) or bool((torch.linalg.eigvalsh(phi_to_pseudo(found[k])) <= 0.0).any()):
+        while bool((found[k] == mean).all()) or bool((torch.linalg.eigvalsh(params_to_pseudo(found[k])) <= 0.0).any()):
             found[k] = mean + L @ torch.tensor(rng.normal(size=10))
     return found
 

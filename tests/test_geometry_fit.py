@@ -10,14 +10,12 @@ from torch.testing import assert_close
 
 from torchid.errors import DataError
 from torchid.geometry import tracking
-from torchid.geometry.first_scale import start_fit
-from torchid.geometry.fit import fit_geometry
+from torchid.geometry.fit import fit_geometry, start_fit
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.posture import gap_filling
 from torchid.geometry.posture import initial_posture as start_module
-from torchid.geometry.posture.angle_wrapping import turned_back
 from torchid.geometry.posture.continuity import breaks, continuous
-from torchid.geometry.posture.initial_posture import settle
+from torchid.geometry.posture.initial_posture import settle, turned_back
 from torchid.geometry.result import parameters
 from torchid.geometry.tracking import modelled, track
 from torchid.geometry.trial_problem import posture_prior, settled, trial_problem

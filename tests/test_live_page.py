@@ -22,7 +22,7 @@ from torchid.live.estimation.beside import LiveEstimate
 from torchid.live.estimation.pipeline import Moment, Pipeline
 from torchid.live.estimation.pose import PostureFollower, Postures
 from torchid.live.exercises.advice import Advice
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.scene.scene import Ground
 from torchid.scene.server import close_page, open_page
 

@@ -13,7 +13,7 @@ from torchid.live.estimation.identifier import Identifier
 from torchid.live.estimation.pose import PostureFollower
 from torchid.live.exercises.clips import make_standing, stand_still
 from torchid.live.sources.intake import Intake
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.recording import Trial
 from torchid.simulate.trial import measure
 

@@ -13,7 +13,7 @@ from test_live import moving, subject
 from torchid.live.display.page import Address
 from torchid.live.display.page import Page as LivePage
 from torchid.live.estimation.pipeline import Pipeline
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.report import write_report
 from torchid.run.write import write_outcome
 from torchid.scene.finished import FinishedRun

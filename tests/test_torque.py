@@ -15,11 +15,10 @@ from torchid.motion import smooth_motion
 from torchid.run import run_experiment
 from torchid.run.torque_bands import outcome_draws, seen_trials
 from torchid.session.following import torques
-from torchid.torque.bodies import BodyDraws
+from torchid.torque.bodies import BodyDraws, draw_skin, find_slides, slide_size
 from torchid.torque.draws import PlateErrors, torque_draws
 from torchid.torque.inverse import Load, joint_torques
 from torchid.torque.seen import SeenTrial, by_markers
-from torchid.torque.skin import draw_skin, find_slides, slide_size
 
 TRIAL = "sway_steps"
 INNER = slice(40, -40)

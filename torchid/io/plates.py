@@ -33,7 +33,6 @@ def read_plates(
     """Wrenches of all usable plates.
 
     Args:
-        header: of the file.
         read: gives the scaled samples of the analog channels asked for.
         shape: samples and channels of the file.
         metres: length of the file's unit of position [m].

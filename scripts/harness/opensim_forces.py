@@ -1,6 +1,7 @@
-"""Inverse dynamics on the coordinates of an OpenSim file, and torques of a tree as its generalised forces."""
+"""Inverse dynamics on the coordinates of an OpenSim file, to be held against OpenSim's own."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -15,38 +16,14 @@ from torchid.dynamics.equations_of_motion import (
     wrench_about,
 )
 from torchid.model.model import Geometry
-from torchid.model.opensim.binding import OsimBinding
 from torchid.model.opensim.group_inertia import of_groups
 from torchid.model.opensim.model import OsimModel
 from torchid.model.opensim.rotations import R_OW
 from torchid.model.opensim.tree_of_osim import tree_of_osim
-from torchid.model.tree import BASE_DOFS, Tree
+from torchid.model.tree import Tree
 
 CHUNK = 1024
 """Frames per batch; chosen for memory."""
-
-
-def file_forces(
-    binding: OsimBinding, tree: Tree, q: Float[Tensor, "frames dofs"], tau: Float[Tensor, "frames dofs"]
-) -> dict[str, Float[Tensor, " frames"]]:
-    """Return the generalised forces of a tree by the file's names of coordinates, those of its first joint first.
-
-    A coordinate that leads others bears their share; these and locked ones have no force of their own.
-
-    Args:
-        binding: tree and file.
-        tree: the tree, whatever it holds still.
-        q: its coordinates.
-        tau: its generalised forces; those of the base are a wrench about the root's origin, in W.
-    """
-    return _by_name(binding, tree, binding.from_tree(tree.dof_names, q), tau)
-
-
-def _by_name(binding: OsimBinding, tree: Tree, q: Tensor, tau: Tensor) -> dict[str, Tensor]:
-    """Forces of the tree by the names of the file, at the file's coordinates q."""
-    root = binding.root_forces(q, tau[:, :BASE_DOFS])
-    found = dict(zip(binding.root_names, root.unbind(1), strict=True))
-    return found | dict(zip(tree.dof_names[BASE_DOFS:], tau[:, BASE_DOFS:].unbind(1), strict=True))
 
 
 def osim_inverse_dynamics(
@@ -80,7 +57,7 @@ def osim_inverse_dynamics(
         part = slice(start, start + CHUNK)
         some = {body: wrench[part] for body, wrench in loads.items()}
         out.append(_tree_forces(tree, geometry, phi, [x[part] for x in states], some, model.gravity))
-    return _by_name(binding, tree, q, torch.cat(out))
+    return binding.forces(tree.dof_names, q, torch.cat(out))
 
 
 def _tree_forces(
@@ -101,3 +78,13 @@ def _tree_forces(
         turned = (wrench.view(-1, 2, 3) @ R_OW.to(q)).flatten(1)
         needed[state.plan.position[body]] -= wrench_about(turned, q[:3].T).T
     return generalised_forces(state, needed).T
+
+
+def as_free(model: OsimModel) -> OsimModel:
+    """Return a model whose coordinates are all free: no couplers, none locked, as OpenSim's inverse dynamics sees it.
+
+    Args:
+        model: any model.
+    """
+    free = tuple(replace(one, locked=False) for one in model.coordinates)
+    return replace(model, coordinates=free, couplers=())

@@ -1,7 +1,8 @@
 """Exercises of a simulated subject that begin and end in the same stance, so that one can follow another."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,8 +16,7 @@ from torchid.motion import smooth_motion
 from torchid.simulate.balance import Moving, balance, centre_of_pressure, needed_wrench, wanted_pressure
 from torchid.simulate.motions import make_script
 from torchid.simulate.options import SimulateOptions
-from torchid.simulate.script import FootPath, Script, random_stance
-from torchid.simulate.signals import smooth_step
+from torchid.simulate.script import FootPath, Script, random_stance, smooth_step
 from torchid.simulate.subject import SimulatedSubject
 from torchid.simulate.trial import ATTEMPTS, SimulatedTrial, impossible, record, with_margins
 
@@ -37,8 +37,7 @@ EASIER = 0.07
 """Choice. By how much every further attempt is easier, as for simulated trials."""
 
 
-@dataclass(frozen=True)
-class Standing:
+class Standing(NamedTuple):
     """A subject as it stands between exercises."""
 
     who: SimulatedSubject

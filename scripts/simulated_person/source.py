@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from simulated_person.clips import STANDING, Standing, make_clip, make_standing, stand_still
 from torchid.live.estimation.beside import apart
 from torchid.live.exercises.advice import Advice
-from torchid.live.exercises.clips import STANDING, make_clip, make_standing, stand_still
 from torchid.live.exercises.exercises import LIBRARY, Exercise
 from torchid.live.exercises.guidance import GOAL
 from torchid.live.sources.stream import Packet
@@ -159,6 +159,7 @@ def _begin() -> None:
 
 def _prepared(given: bytes) -> bytes:
     """A recording of an exercise, with noise, from what ``hear`` sends."""
-    exercise, standing, options, seed = from_bytes(given)
+    exercise, standing, options, seed = from_bytes(given)  # a snapshot keeps a named tuple as a tuple
+    standing = Standing(*standing)
     clip = make_clip(exercise, standing, options, seed)
     return to_bytes(measure(standing.who, clip, options, np.random.default_rng((seed, 6))).trial)

@@ -8,7 +8,8 @@ from torch import Tensor
 def runs(flag: Bool[Tensor, " frames"]) -> list[tuple[int, int]]:
     """Start and end (exclusive) of every run of True."""
     edges = torch.diff(torch.nn.functional.pad(flag.long(), (1, 1)))
-    return list(zip(*((edges == sign).nonzero()[:, 0].tolist() for sign in (1, -1)), strict=True))
+    starts, stops = (edges == 1).nonzero()[:, 0], (edges == -1).nonzero()[:, 0]
+    return list(zip(starts.tolist(), stops.tolist(), strict=True))
 
 
 def lasting(flag: Bool[Tensor, "frames columns"], frames: int) -> Bool[Tensor, "frames columns"]:
