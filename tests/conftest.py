@@ -1,5 +1,6 @@
 """What all tests share: modest threads, the real recordings where they exist, seeds that nobody chose."""
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "2")))
 settings.register_profile("torchid", deadline=None, print_blob=True, max_examples=100, derandomize=GIVEN is None)
 settings.load_profile("torchid")
 type_checks.install()
+gc.disable()  # until everything is imported: a million objects that stay are not looked at again and again
 
 KEEPS = "TORCHID_DRAWS" in os.environ and "PYTEST_XDIST_WORKER" not in os.environ
 """Whether this process writes failures of a draw into the ledger."""
@@ -33,6 +35,12 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Where slow tests alone are asked for, files that have none are not even imported."""
     asked = config.option.markexpr.startswith("slow") and collection_path.suffix == ".py"
     return True if asked and "mark.slow" not in collection_path.read_text(encoding="utf-8") else None
+
+
+def pytest_collection_finish() -> None:
+    """What is imported stays: from here on only what tests make is looked through for garbage."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
