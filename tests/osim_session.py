@@ -51,7 +51,7 @@ class Truth:
     labels: tuple[str, ...]
 
 
-def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, seconds: float = 8.0) -> Truth:
+def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, seconds: float = 5.0) -> Truth:
     """Write ``static.c3d``, ``fit.c3d``, ``heldout.c3d`` and ``config.yaml``, and return the truth."""
     model, _ = read_osim_model(source)
     roles, trials, truth = ("static", "fit", "heldout"), [None], None
@@ -67,6 +67,7 @@ def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, sec
         "model": str(source),
         "markers": "model",
         "trials": [{"name": name, "file": f"{name}.c3d", "role": name} for name in roles],
+        "geometry": {"max_frames": 160},
         "motion": {"cutoff_hz": 6.0},
         "diagnosis": {"enabled": False},
         "out": "out",

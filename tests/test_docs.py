@@ -33,6 +33,7 @@ def name(run: list[Block]) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_report")
 @pytest.mark.parametrize("run", all_runs(PROJECT), ids=name)
 def test_examples_run(run, tmp_path):
     """Every example runs as printed, in a folder of its own, and says something; errors of markers are plausible."""

@@ -195,6 +195,7 @@ def test_blocks_that_come_one_by_one_give_the_batch_solution(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_children", "no_report")
 def test_a_finished_run_gives_its_geometry(tmp_path):
     """As long as its files and options are the stream's; otherwise standing does, whatever lies in the folder."""
 
@@ -274,6 +275,7 @@ def test_no_rows_are_no_estimate():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_children")
 def test_an_identifier_that_dies_is_said():
     """Killed from outside, as by a machine without memory: an error with a code, and no wait for ever."""
     who, source = subject(), Replay(moving(), float("inf"))
@@ -327,6 +329,7 @@ class Shown:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_children")
 def test_a_disk_that_gets_full_costs_the_recording_and_nothing_else(tmp_path, seed, caplog):
     """The estimate is the undisturbed one, within rounding; what was on the disk is a trial that a run reads."""
     config = load_config(small_session.config(), [f"out={tmp_path / 'out'}"])

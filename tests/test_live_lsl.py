@@ -433,6 +433,7 @@ def test_the_script_sends_a_trial_of_a_config():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_children")
 def test_a_subject_is_identified_from_a_stream(tmp_path):
     """The command's own way, while a trial is sent again and again; the mass is the subject's."""
     given = next(item.trial for item in small_session.session().trials if item.trial.name == "squats")

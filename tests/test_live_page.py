@@ -10,6 +10,7 @@ import small_session
 import torch
 import viser
 import zstandard
+from children import quick_children
 from test_live import moving, subject
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
@@ -35,7 +36,8 @@ def page() -> Iterator[Page]:
     """The page of the small session's subject."""
     trial = moving()
     assert trial.forces is not None
-    with Page(subject(), trial.markers.labels, trial.forces.plates, Address(PORT, "127.0.0.1")) as one:
+    where = Address(PORT, "127.0.0.1")
+    with quick_children(), Page(subject(), trial.markers.labels, trial.forces.plates, where) as one:
         yield one
 
 

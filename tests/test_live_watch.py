@@ -8,10 +8,10 @@ import pytest
 import small_session
 import torch
 from test_live import RATE, long, moving, subject
+from torchid.live.exercises.clips import make_standing, stand_still
 
 from torchid.live.estimation.identifier import Identifier
 from torchid.live.estimation.pose import PostureFollower
-from torchid.live.exercises.clips import make_standing, stand_still
 from torchid.live.sources.intake import Intake
 from torchid.live.sources.stream import Replay
 from torchid.recording import Trial

@@ -69,9 +69,10 @@ def picked(page: Page) -> bool:
         page.mouse.move(x, y)
         page.wait_for_timeout(300)
         page.mouse.click(x, y, delay=100)
-        page.wait_for_timeout(2500)
-        if page.get_by_text("kg m²").count():
-            return True
+        for _ in range(25):
+            page.wait_for_timeout(100)
+            if page.get_by_text("kg m²").count():
+                return True
     return False
 
 
