@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import small_session
 import torch
+from simulated_person.clips import make_standing, stand_still
 from test_live import RATE, long, moving, subject
-from torchid.live.exercises.clips import make_standing, stand_still
 
 from torchid.live.estimation.identifier import Identifier
 from torchid.live.estimation.pose import PostureFollower
