@@ -15,8 +15,7 @@ from hiding import draw_hidden, judge
 
 from torchid.config import Config, load_config
 from torchid.diagnosis.verdict.records import Cause
-from torchid.report.cause_sentences import chance, told
-from torchid.report.effect_words import called
+from torchid.report.cause_sentences import called, chance, told
 from torchid.run import run_experiment, run_simulation
 from torchid.session import Outcome
 

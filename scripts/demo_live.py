@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.command import ROOT, Command
+from simulated_person.source import SimulatedSource
 
 from torchid.config import load_config
 from torchid.errors import TorchidError
@@ -22,7 +23,6 @@ from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Moment
 from torchid.live.exercises.advice import Advice
 from torchid.live.exercises.exercises import Possibilities
-from torchid.live.exercises.simulated import SimulatedSource
 from torchid.live.run import Display, run_live
 from torchid.live.sources.stream import Source
 from torchid.simulate.session import simulate_session

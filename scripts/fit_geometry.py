@@ -19,8 +19,7 @@ from torch import Tensor
 
 from torchid.config import load_config
 from torchid.geometry.arrow.solver import Solution, solve_arrow
-from torchid.geometry.first_scale import start_fit
-from torchid.geometry.fit import finish_fit, joint_problem
+from torchid.geometry.fit import finish_fit, joint_problem, start_fit
 from torchid.geometry.gradient_solvers import Q_SCALE, Q_STEP, XI_STEP, accumulate_gradients
 from torchid.geometry.marker_weights import reweighted
 from torchid.geometry.problem import MarkerProblem

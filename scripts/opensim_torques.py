@@ -25,16 +25,15 @@ import numpy as np
 import scipy.interpolate
 import scipy.signal
 import torch
+from harness.opensim_forces import as_free, osim_inverse_dynamics
 from lxml import etree
 from numpy.typing import NDArray
 
 from torchid.config.sections import PROJECT_DATA
-from torchid.dynamics.opensim_coordinates import osim_inverse_dynamics
 from torchid.io.storage import Storage, read_storage, write_storage
 from torchid.model.opensim.model import OsimModel
 from torchid.model.opensim.posing import coupled
 from torchid.model.opensim.reading import read_osim
-from torchid.model.opensim.tree_of_osim import as_free
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("TORCHID_DATA", PROJECT_DATA))

@@ -17,8 +17,8 @@ from harness.runs import each, simulated
 from torchid.dynamics.rows import predict, residual_rms
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
-from torchid.inertia.pseudo import params_to_pseudo, pseudo_to_params
 from torchid.kinematics.chain import chain_poses
+from torchid.model.pseudo import params_to_pseudo, pseudo_to_params
 from torchid.session import Outcome
 from torchid.session.following import Following, follow
 from torchid.simulate.options import SimulateOptions

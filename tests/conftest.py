@@ -1,10 +1,15 @@
 """What all tests share: modest threads, the real recordings where they exist, seeds that nobody chose."""
 
+import gc
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
+import children
 import pytest
 import torch
+import type_checks
+import whole_runs
 from draws import GIVEN, enter, pinned_ids, pins_of, seed_of
 from hypothesis import settings
 from recordings import DATA
@@ -12,6 +17,8 @@ from recordings import DATA
 torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "2")))
 settings.register_profile("torchid", deadline=None, print_blob=True, max_examples=100, derandomize=GIVEN is None)
 settings.load_profile("torchid")
+type_checks.install()
+gc.disable()  # until everything is imported: a million objects that stay are not looked at again and again
 
 KEEPS = "TORCHID_DRAWS" in os.environ and "PYTEST_XDIST_WORKER" not in os.environ
 """Whether this process writes failures of a draw into the ledger."""
@@ -22,6 +29,18 @@ def pytest_configure(config: pytest.Config) -> None:
     """Hypothesis draws from the seed of a draw, too."""
     if GIVEN is not None and config.option.hypothesis_seed is None:
         config.option.hypothesis_seed = GIVEN
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Where slow tests alone are asked for, files that have none are not even imported."""
+    asked = config.option.markexpr.startswith("slow") and collection_path.suffix == ".py"
+    return True if asked and "mark.slow" not in collection_path.read_text(encoding="utf-8") else None
+
+
+def pytest_collection_finish() -> None:
+    """What is imported stays: from here on only what tests make is looked through for garbage."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -63,6 +82,12 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
         enter(report.nodeid, int(GIVEN), said, Path(os.environ["TORCHID_DRAWS"]))
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Every test checks shapes and types anew."""
+    type_checks.begin_test()
+
+
 @pytest.fixture(autouse=True)
 def _seeded(request: pytest.FixtureRequest) -> None:
     """What a test draws without a seed of its own does not hang on the tests before it."""
@@ -88,5 +113,18 @@ def data_dir() -> Path:
 
 @pytest.fixture
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs leave out the report, a quarter of a small one, where nothing is read there."""
-    monkeypatch.setattr("torchid.run.sequence.write_report", lambda *_: None)
+    """Runs leave out the report where nothing is read there."""
+    whole_runs.leave_out_report(monkeypatch)
+
+
+@pytest.fixture
+def tables_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs leave out the report and the series of trials where nothing is read there."""
+    whole_runs.write_tables_alone(monkeypatch)
+
+
+@pytest.fixture
+def quick_children() -> Iterator[None]:
+    """Processes beside a stream begin at once."""
+    with children.quick_children():
+        yield

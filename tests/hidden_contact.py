@@ -8,7 +8,7 @@ from benchmarks.contact_measures import merged
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.contact.other_options import OtherContact
+from torchid.contact.options import OtherContact
 from torchid.effects.place import Interval
 from torchid.effects.scene import make_scene
 from torchid.kinematics.plan import plan_tree

@@ -5,8 +5,8 @@ import pinocchio as pin
 import torch
 from torch import Tensor
 
-from torchid.inertia.pseudo import pseudo_to_params, relative_map, triangle
 from torchid.model.model import InertialPrior
+from torchid.model.pseudo import pseudo_to_params, relative_map, triangle
 
 
 def bodies(count: int) -> Tensor:

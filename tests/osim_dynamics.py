@@ -1,10 +1,12 @@
 """OpenSim's own inverse dynamics of a model file, in a process that has no other library of its kind loaded.
 
-``python osim_dynamics.py`` reads ``{"path", "names", "q", "v", "a"}`` as JSON, values by frame and coordinate, and
-writes the generalised forces of every frame in the order of the names. Coordinates are free: no coupler and no lock
-holds any, as in OpenSim's tool.
+``python osim_dynamics.py`` reads ``{"path", "names", "q", "v", "a"}`` as JSON, a question a line, values by frame and
+coordinate, and writes the generalised forces of every frame in the order of the names. Coordinates are free: no coupler
+and no lock holds any, as in OpenSim's tool. One process answers all questions, for OpenSim takes half a second to load.
 """
 
+import atexit
+import functools
 import json
 import subprocess
 import sys
@@ -12,12 +14,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+ANSWER = "answer: "
+"""How lines begin that answer."""
+
 
 def opensim_forces(path: Path, names: Sequence[str], *states: list[list[float]]) -> list[list[float]]:
     """Generalised forces of every frame; beside Pinocchio, OpenSim does not know its own vectors."""
-    given = json.dumps({"path": str(path), "names": list(names), **dict(zip("qva", states, strict=True))})
-    done = subprocess.run([sys.executable, __file__], input=given, capture_output=True, text=True, check=True)  # noqa: S603
-    return json.loads(done.stdout.strip().splitlines()[-1])
+    return _answered({"path": str(path), "names": list(names), **dict(zip("qva", states, strict=True))})
 
 
 def opensim_consistency(
@@ -25,10 +28,30 @@ def opensim_consistency(
 ) -> tuple[list[float], list[float]]:
     """Acceleration of a body (angular, linear, in ground) without accelerations of coordinates: by differences of
     OpenSim's velocities along the motion, and as OpenSim has it."""
-    given = json.dumps({"path": str(path), "names": list(names), "q": q, "v": v, "body": body})
-    done = subprocess.run([sys.executable, __file__], input=given, capture_output=True, text=True, check=True)  # noqa: S603
-    first, second = json.loads(done.stdout.strip().splitlines()[-1])
+    first, second = _answered({"path": str(path), "names": list(names), "q": q, "v": v, "body": body})
     return first, second
+
+
+def _answered(question: dict[str, Any]) -> Any:
+    child = _child()
+    assert child.stdin is not None and child.stdout is not None
+    child.stdin.write(json.dumps(question) + "\n")
+    child.stdin.flush()
+    for line in child.stdout:  # OpenSim says things of its own in between
+        if line.startswith(ANSWER):
+            return json.loads(line.removeprefix(ANSWER))
+    raise RuntimeError(f"OpenSim ended with {child.wait()}; what it said is above")
+
+
+@functools.cache
+def _child() -> subprocess.Popen[str]:
+    child = subprocess.Popen([sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # noqa: S603
+
+    def end() -> None:
+        child.communicate()
+
+    atexit.register(end)
+    return child
 
 
 def _consistency(
@@ -105,5 +128,6 @@ def _order(state: Any, coordinates: list) -> list[int]:
 
 
 if __name__ == "__main__":
-    asked = json.load(sys.stdin)
-    print(json.dumps(_consistency(**asked) if "body" in asked else _answer(**asked)))  # noqa: T201
+    for text in sys.stdin:
+        asked = json.loads(text)
+        print(ANSWER + json.dumps(_consistency(**asked) if "body" in asked else _answer(**asked)), flush=True)  # noqa: T201

@@ -24,7 +24,7 @@ from torchid.kinematics.chain import chain_points
 from torchid.kinematics.plan import plan_tree
 from torchid.model.model import Geometry, Model
 from torchid.model.opensim.as_model import read_osim_model
-from torchid.model.opensim.group_inertia import phi_to_pseudo
+from torchid.model.pseudo import params_to_pseudo
 from torchid.motion import Motion, smooth_motion
 from torchid.recording import Forces, Markers, Plate, Trial
 from torchid.run import run_experiment
@@ -51,7 +51,7 @@ class Truth:
     labels: tuple[str, ...]
 
 
-def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, seconds: float = 8.0) -> Truth:
+def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, seconds: float = 5.0) -> Truth:
     """Write ``static.c3d``, ``fit.c3d``, ``heldout.c3d`` and ``config.yaml``, and return the truth."""
     model, _ = read_osim_model(source)
     roles, trials, truth = ("static", "fit", "heldout"), [None], None
@@ -67,6 +67,7 @@ def write_osim_session(folder: Path, source: Path, rng: np.random.Generator, sec
         "model": str(source),
         "markers": "model",
         "trials": [{"name": name, "file": f"{name}.c3d", "role": name} for name in roles],
+        "geometry": {"max_frames": 160},
         "motion": {"cutoff_hz": 6.0},
         "diagnosis": {"enabled": False},
         "out": "out",
@@ -100,7 +101,7 @@ def _inertia(model: Model, rng: np.random.Generator) -> Tensor:
     for k, mean in enumerate(model.inertia.mean):
         block = slice(10 * k, 10 * k + 10)
         L = torch.linalg.cholesky(model.inertia.covariance[block, block] + 1e-18 * torch.eye(10).double())
-        while bool((found[k] == mean).all()) or bool((torch.linalg.eigvalsh(phi_to_pseudo(found[k])) <= 0.0).any()):
+        while bool((found[k] == mean).all()) or bool((torch.linalg.eigvalsh(params_to_pseudo(found[k])) <= 0.0).any()):
             found[k] = mean + L @ torch.tensor(rng.normal(size=10))
     return found
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from torchid.dynamics.equations_of_motion import base_rows, body_rows, dynamic_state
-from torchid.inertia.pseudo import relative_map
+from torchid.model.pseudo import relative_map
 from torchid.model.whole_body import whole_body
 
 ENTRIES = [(4, (0, 0)), (5, (0, 1)), (6, (1, 1)), (7, (0, 2)), (8, (1, 2)), (9, (2, 2))]

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.contact.options import SolverOptions
 from torchid.contact.sharing.alternation import frame_blocks
-from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.problem import SharingProblem, checked, grasp
 from torchid.dynamics.equations_of_motion import wrench_about
 

@@ -20,6 +20,7 @@ from filelock import FileLock
 
 from torchid.config import load_config
 from torchid.dynamics.rows import WrenchTrial
+from torchid.extension.diagnosing import observe_outcome
 from torchid.filters import Smoother
 from torchid.geometry.assign import Assignment, assign_markers
 from torchid.geometry.fit import fit_geometry
@@ -30,6 +31,7 @@ from torchid.model.marker_set import load_marker_set
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
 from torchid.motion import smooth_motion
+from torchid.observation.trial import TrialObservation
 from torchid.recording import Markers
 from torchid.run import run_experiment
 from torchid.session import Outcome
@@ -156,6 +158,12 @@ def run_again() -> Outcome:
 def outcome() -> Outcome:
     """The first run."""
     return run_again()
+
+
+@functools.cache
+def observed(role: str = "fit") -> dict[str, TrialObservation]:
+    """Its trials of a role as evidence."""
+    return observe_outcome(outcome(), role)
 
 
 def without(given: Markers, labels: tuple[str, ...], frames: slice = slice(None)) -> Markers:

@@ -8,7 +8,7 @@ import torch
 from small_session import outcome as small_outcome
 
 from torchid.errors import InputError
-from torchid.io.repeats import frame_repeats
+from torchid.io.missing import frame_repeats
 from torchid.report.page import render_report
 from torchid.run.acceptance import impossible
 from torchid.session import Outcome

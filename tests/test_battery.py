@@ -40,7 +40,7 @@ HIDDEN = ("time_offset", "plate_pose", "gravity_tilt", "body_weight_support", "f
 
 @pytest.mark.slow
 @pytest.mark.battery
-@pytest.mark.usefixtures("no_report")
+@pytest.mark.usefixtures("tables_alone")
 def test_what_another_simulator_hides_is_found(tmp_path):
     """One effect of a drawn kind, large: named first and in its place; held-out errors grow by 2 % at most."""
     rng = np.random.default_rng(SEED)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from trc_files import write_trc
 from typer.testing import CliRunner
 
 from torchid.checks import report as check_report
@@ -14,7 +15,6 @@ from torchid.checks.as_json import schema
 from torchid.cli import app
 from torchid.errors import InputError
 from torchid.io.pairing import find_recordings, pair_files
-from torchid.io.trc import write_trc
 from torchid.recording import Markers
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))

@@ -9,15 +9,15 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from trc_files import write_trc
 from typer.testing import CliRunner
 
 from torchid import cli
 from torchid.cli import app
 from torchid.config import load_config
 from torchid.errors import DataError, InputError
-from torchid.io.trc import write_trc
 from torchid.recording import Markers
-from torchid.session.quality import Criterion, Quality, QualityLevel
+from torchid.session.outcome import Criterion, Quality, QualityLevel
 from torchid.storage.logs import configure_logging
 
 runner = CliRunner()

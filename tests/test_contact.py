@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from torchid.contact.balance import Weight, falls_short
 from torchid.contact.contact import find_contact
 from torchid.contact.options import ContactOptions
 from torchid.conventions import GRAVITY
@@ -13,6 +12,7 @@ from torchid.motion import Motion
 from torchid.recording import Forces, Plate
 from torchid.run.sequence import _contact_notes
 from torchid.session import Followed
+from torchid.session.standing import Weight, falls_short
 
 FRAMES, RATE = 100, 100.0
 TIME = torch.arange(FRAMES, dtype=torch.float64) / RATE

@@ -19,8 +19,7 @@ from torchid.checks.report import Given
 from torchid.config import InvalidConfig, load_config
 from torchid.config.conditions import Condition
 from torchid.contact.contact import Contact, find_contact
-from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import NearPlace, OtherContact
+from torchid.contact.options import ContactOptions, NearPlace, OtherContact
 from torchid.contact.others import Others, feet_alone, find_others, inside
 from torchid.contact.sharing.costs import Effort
 from torchid.contact.sharing.patches import Patch, axes_about, patch_rows, rest_of

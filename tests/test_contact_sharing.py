@@ -16,11 +16,9 @@ from benchmarks.sharing_problem import FRICTION, random_problem
 from sharing_by_clarabel import share_by_clarabel
 
 from torchid.contact.contact import Contact, find_contact
-from torchid.contact.options import ContactOptions
-from torchid.contact.sharing.cones import drawn_to_cones, project_on_cones
+from torchid.contact.options import ContactOptions, SolverOptions
 from torchid.contact.sharing.expected import spread_of_shares
-from torchid.contact.sharing.options import SolverOptions
-from torchid.contact.sharing.problem import summed
+from torchid.contact.sharing.problem import drawn_to_cones, project_on_cones, summed
 from torchid.contact.sharing.records import Needed, WrenchSource
 from torchid.contact.sharing.solver import SharingStatus, share
 from torchid.contact.sharing.wrenches import contact_wrenches

@@ -14,8 +14,9 @@ from torchid.model.opensim.functions import (
     Polynomial,
     ScaledFunction,
     Sine,
+    broken_line,
+    simm_spline,
 )
-from torchid.model.opensim.splines import broken_line, simm_spline
 
 
 def functions(rng: np.random.Generator) -> dict[str, Function]:

@@ -26,7 +26,7 @@ from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError
 from torchid.inertia.identify import identify_inertia
 from torchid.inertia.options import InertiaOptions
-from torchid.inertia.pseudo import params_to_pseudo
+from torchid.model.pseudo import params_to_pseudo
 
 PARTS = [
     {"segment": "pelvis", "mass_kg": "unknown", "com_m": {"value": [-0.1, 0, 0.1], "sd": 0.02}},

@@ -18,7 +18,7 @@ SEED = seed_of(__name__)
 SOFT = ("pelvis", "thorax", *(f"{part}_{side}" for part in ("upper_arm", "thigh", "shank") for side in "lr"))
 """Segments whose markers sit on flesh."""
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_report")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("tables_alone")]
 
 
 def diagnosed(folder: Path, effect: str, **options) -> dict:

@@ -1,13 +1,19 @@
 """Every way into a session refuses the same recordings: a fault of one trial is said alike behind every door."""
 
+import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from planted_faults.planted_plates import Fault, c3d_faults
 
+from torchid.checks.plates_against_feet.changes import Change
+from torchid.checks.plates_against_feet.finding import ForceFinding
+from torchid.checks.plates_against_feet.judge import judge
+from torchid.checks.plates_against_feet.left_out import Reread
 from torchid.config import Config, load_config, load_evaluation
 from torchid.config.study import Study
 from torchid.errors import TorchidError
@@ -15,11 +21,13 @@ from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.study.study import subjects_of
 from torchid.io import read_trial
 from torchid.live.run import run_live
+from torchid.model.whole_body import whole_body
 from torchid.recording import Trial
 from torchid.run import run_experiment
 from torchid.session.checking import check_session
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
+from torchid.storage.snapshot import DIGEST, to_bytes
 
 BODY, REFERENCE, WORN = "walk_1", "without_walk", "with_walk"
 """A fit trial of the body, one of the reference condition, and one with a device on."""
@@ -55,18 +63,29 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _each_file_once(session: Path) -> Iterator[None]:
-    """Files are read once for all doors, however often they are asked for."""
-    known: dict[str, Trial] = {}
+def _each_thing_once(session: Path) -> Iterator[None]:
+    """Files are read, bodies made and forces judged once for all doors, however often they are asked for.
+
+    A judgement is known again by all that it looks at, so that a door that hands over something else is told anew.
+    """
+    known: dict[object, Any] = {}
+
+    def once(key: object, make: Callable[[], Any]) -> Any:
+        if key not in known:
+            known[key] = make()
+        return known[key]
 
     def read(*given: object) -> Trial:
-        key = repr(given)
-        if key not in known:
-            known[key] = read_trial(*given)
-        return known[key]
+        return once(repr(given), lambda: read_trial(*given))
+
+    def judged(trial: Trial, mass_kg: float | None, reread: Reread) -> tuple[ForceFinding, ...]:
+        seen = to_bytes((trial, reread(Change("nothing is said of them"))))[:DIGEST]
+        return once((seen, mass_kg), lambda: judge(trial, mass_kg, reread))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("torchid.checks.report.read_trial", read)
+        patch.setattr("torchid.checks.plates_against_feet.session.judge", judged)
+        patch.setattr("torchid.session.opening.whole_body", functools.cache(whole_body))
         yield
 
 

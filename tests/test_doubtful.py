@@ -28,7 +28,6 @@ from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.verdict.confidence import trust, visible
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
-from torchid.extension.diagnosing import observe_outcome
 
 
 def found(columns: torch.Tensor, rows: torch.Tensor) -> SearchResult:
@@ -96,7 +95,7 @@ def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):
 @pytest.mark.slow
 def test_what_one_short_trial_tells_is_half_as_sure():
     """Nobody can say whether its residual is noise, and nothing else agrees; another trial does, held-out or not."""
-    (observed, *_) = observe_outcome(small.outcome(), "fit").values()
+    (observed, *_) = small.observed().values()
     used = torch.zeros_like(observed.rows.used)
     used[40:52] = True
     short, left = replace(observed, rows=replace(observed.rows, used=used)), torch.zeros_like(observed.rows.wrench)

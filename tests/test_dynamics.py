@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import roma
 import torch
+from benchmarks.row_sums import base_gram
 from torch.testing import assert_close
 from trees import coupled_tree, mjcf_of, pinocchio_state, pinocchio_twin, random_inertia, random_motion, random_tree
 
-from torchid.dynamics.equations_of_motion import base_gram, base_rows, body_rows, dynamic_state, inverse_dynamics
+from torchid.dynamics.equations_of_motion import base_rows, body_rows, dynamic_state, inverse_dynamics
 
 pin = pytest.importorskip("pinocchio")
 FRAMES = 3

@@ -20,16 +20,14 @@ from typer.testing import CliRunner
 from torchid.cli import app
 from torchid.config import InvalidConfig, dump_config, load_config
 from torchid.config.conditions import Condition, EvaluateOptions, GivenCycle
-from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import OtherContact
+from torchid.contact.options import ContactOptions, OtherContact
 from torchid.conventions import GRAVITY
 from torchid.devices import Device, SheetFinding, load_device
-from torchid.devices.values import SheetValue
+from torchid.devices.device import SheetValue
 from torchid.dynamics.equations_of_motion import body_rows, body_wrenches, dynamic_state
 from torchid.errors import ConfigError, DataError, InputError
-from torchid.evaluation.corrections import AppliedCorrection
 from torchid.evaluation.evaluate import evaluate, gather, judge
-from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.evaluation import AppliedCorrection, Evaluation
 from torchid.evaluation.foreseen import foreseen
 from torchid.evaluation.gaps import find_gaps, unweighed
 from torchid.evaluation.ledger import Key, Ledger
@@ -38,7 +36,7 @@ from torchid.evaluation.report.page import render_evaluation
 from torchid.evaluation.statistics.units import needed_for
 from torchid.evaluation.torque_shares.back import lever_arms, low_back, trunk_of
 from torchid.evaluation.torque_shares.contacts import feet_of, refuse_twice
-from torchid.evaluation.torque_shares.device_draws import device_deviations
+from torchid.evaluation.torque_shares.draws import device_deviations
 from torchid.evaluation.torque_shares.wearing import Worn, _usable, acting, worn_devices
 from torchid.evaluation.trials import condition_trials
 from torchid.evaluation.write import write_evaluation

@@ -10,8 +10,7 @@ from torchid.config.conditions import CoordinateCycles, EvaluateOptions, EventCy
 from torchid.contact.contact import Contact
 from torchid.evaluation.cycle_measures.conventions import chosen, side_of, spelt
 from torchid.evaluation.cycle_measures.cycles import APART, Course, Cycle, find_cycles, normalise, outliers, strikes
-from torchid.evaluation.cycle_measures.measures import MEASURES, measure, unit_of
-from torchid.evaluation.cycle_measures.spatiotemporal import stride_values
+from torchid.evaluation.cycle_measures.measures import MEASURES, measure, stride_values, unit_of
 from torchid.model.whole_body import whole_body
 from torchid.recording import Event
 

@@ -10,7 +10,7 @@ import torch
 import xarray
 import yaml
 from device_cases import made, random_motion
-from osim_session import FUNCTION_KNEES, identified, write_osim_session
+from osim_session import FUNCTION_KNEES, Truth, identified
 from test_devices_forces import moved
 from torch.testing import assert_close
 from typer.testing import CliRunner
@@ -170,18 +170,31 @@ def test_joints_and_devices_are_asked_for_by_either_name(data_dir: Path) -> None
         assert caught.value.code == code and ("femur_r" in caught.value.remedy or "knee_angle_r" in caught.value.remedy)
 
 
+def taken_up(folder: Path) -> tuple[dict, Truth]:
+    """What a config in a folder has to say for a run there to take up the stages of the identified body's; the truth.
+
+    Recordings are named where they are: a stage's key has their paths.
+    """
+    made, truth, _ = identified()
+    shutil.copytree(made / "out", folder / "out")
+    document = yaml.safe_load((made / "config.yaml").read_text())
+    for trial in document["trials"]:
+        trial["file"] = str(made / trial["file"])
+    return document, truth
+
+
 @pytest.mark.data
 @pytest.mark.slow
-def test_an_evaluation_with_the_laboratorys_own_model(data_dir: Path, tmp_path: Path, seed: int) -> None:
+@pytest.mark.usefixtures("no_report")
+def test_an_evaluation_with_the_laboratorys_own_model(data_dir: Path, tmp_path: Path) -> None:
     """From files: a knee spring's share is the sheet's at the file's coordinate, the other body is the model as it was
     shipped, and report, files and written model speak the file's names; another sheet is refused at once."""
     model_of(FUNCTION_KNEES, data_dir)
-    write_osim_session(tmp_path, data_dir / FUNCTION_KNEES, np.random.default_rng(seed), 4.0)
-    document = yaml.safe_load((tmp_path / "config.yaml").read_text())
-    for trial in document["trials"][1:]:
-        trial |= {"condition": {"fit": "without", "heldout": "on"}[trial["name"]], "role": "fit"}
+    document, _ = taken_up(tmp_path)
+    static, fit, heldout = document["trials"]
+    document["trials"] = [static, fit | {"condition": "without"}, heldout, heldout | {"name": "on", "condition": "on"}]
     (tmp_path / "exo.yaml").write_text(yaml.safe_dump({"name": "knee spring", "elements": OVER_THE_KNEE[:1]}))
-    cycles = [{"trial": name, "t0": t, "t1": t + 0.6} for name in ("fit", "heldout") for t in (0.7, 1.5, 2.3)]
+    cycles = [{"trial": name, "t0": t, "t1": t + 0.6} for name in ("fit", "on") for t in (0.7, 1.5, 2.3)]
     document |= {
         "conditions": {"without": {"reference": True}, "on": {"device": "exo.yaml"}},
         "evaluate": {"cycles": cycles, "joints": ["knee_flexion", "lower_spine_flexion"], "draws": 20,
@@ -207,18 +220,18 @@ def test_an_evaluation_with_the_laboratorys_own_model(data_dir: Path, tmp_path: 
 @pytest.mark.data
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_report")
+@pytest.mark.usefixtures("quick_children")
 def test_a_stream_of_a_body_of_functions_is_identified_as_a_recording_is(data_dir: Path, tmp_path: Path) -> None:
     """With the geometry of the finished evaluation's run; masses agree with the run's within their deviations, and with
     the truth as the run's do. Advice, which knows the built-in joints alone, is refused before anybody moves."""
     model_of(FUNCTION_KNEES, data_dir)
-    folder, truth, _ = identified()
-    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)  # the run takes up the stages
-    document = yaml.safe_load((tmp_path / "config.yaml").read_text())
+    document, truth = taken_up(tmp_path)
     document["trials"][1]["condition"], document["trials"][2]["condition"] = "without", "other"
     document["conditions"] = {"without": {"reference": True}, "other": {}}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(document))
     config = load_config(tmp_path / "config.yaml")
     run = run_experiment(config)
+    assert run.times["geometry"].reused
     live = run_live(config, "replay:fit", np.inf)
     assert live["geometry"] == "run" and live["lost"] == live["restarts"] == 0
     table = json.loads((config.out / "live.json").read_text())["segments"]

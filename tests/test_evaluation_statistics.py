@@ -9,18 +9,19 @@ import torch
 from scipy import stats
 
 from torchid.config.conditions import EvaluateOptions
-from torchid.evaluation.statistics.arrangements import deal, flip
-from torchid.evaluation.statistics.comparing import MeasureColumn, Sample, compare, spans
-from torchid.evaluation.statistics.effects import Estimate, difference_of, hedges
-from torchid.evaluation.statistics.permutation import (
+from torchid.evaluation.loads import beyond_need
+from torchid.evaluation.statistics.arrangements import (
     COURSE_COUNTS,
     correlations,
     counted_as_many,
+    deal,
+    flip,
     sign_means,
     step_down,
 )
+from torchid.evaluation.statistics.comparing import MeasureColumn, Sample, compare, spans
+from torchid.evaluation.statistics.effects import Estimate, difference_of, hedges
 from torchid.evaluation.statistics.units import choose_units, least_units, memory, trial_units, unit_means
-from torchid.evaluation.torque_shares.beyond import beyond_need
 
 OPTIONS = EvaluateOptions(permutations=999)
 

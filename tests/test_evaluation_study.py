@@ -156,8 +156,9 @@ def test_adjusted_p_values_count_the_conditions(tmp_path: Path, seed: int) -> No
             for k, (name, own) in enumerate(drawn(seed).items())}  # fmt: skip
     study = study_of(tmp_path, both)
     subjects, _ = subjects_of(study, lambda stage, fraction: None)
-    two, one = pool(study, subjects).comparisons, pool(study_of(tmp_path, drawn(seed)), subjects_of(
-        study_of(tmp_path, drawn(seed)), lambda stage, fraction: None)[0]).comparisons  # fmt: skip
+    two = pool(study, subjects).comparisons
+    alone = study_of(tmp_path, drawn(seed))
+    one = pool(alone, subjects_of(alone, lambda stage, fraction: None)[0]).comparisons
     doubled = (2.0 * one[0].tested.adjusted).clamp(max=1.0)
     torch.testing.assert_close(two[0].tested.adjusted, doubled)
 

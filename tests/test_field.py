@@ -36,7 +36,7 @@ class Magnet(PointForce):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_report")
+@pytest.mark.usefixtures("tables_alone")
 @pytest.mark.parametrize("strange", [True, pytest.param(False, marks=pytest.mark.battery)])
 def test_a_force_that_goes_another_way_with_its_place_is_told(strange, tmp_path, monkeypatch):
     """Whatever a magnet is taken for is in doubt, and that nothing is named is said to be too little; a cable and a

@@ -5,6 +5,7 @@ import pytest
 import torch
 from walker import walking_trial
 
+from torchid.checks.clocks import Lateness
 from torchid.checks.finding import InstrumentFault, Severity, record_of
 from torchid.checks.instruments import late_forces, unloaded_reading
 from torchid.diagnosis.verdict.instruments import FAULTS, instrument_findings
@@ -74,7 +75,7 @@ def test_every_fault_of_a_plate_has_a_name():
 
 def test_a_stream_says_what_a_check_says():
     """A plate that reads 30 N unloaded, and a clock: the page of a stream has the words of the check."""
-    for found in (unloaded_reading("plate 2", 30.0, "live.offset"), late_forces(-0.04, 0.003, "live.clock")):
+    for found in (unloaded_reading("plate 2", 30.0, "live.offset"), late_forces(Lateness(-0.04, 0.003), "live.clock")):
         notice = Notice.of(found)
         assert notice.text == found.message and f"live.{notice.what}" == found.code
     assert unloaded_reading("plate 2", 30.0, "plates.offset").message == Notice.of(

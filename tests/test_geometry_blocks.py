@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 import torch
+from benchmarks.first_order import make_gradient
+from dense_blocks import assemble
 from marker_problems import random_problem, retracted
 from torch.testing import assert_close
 
 from torchid.geometry.arrow.elimination import back_substitute, eliminate, reduce_shared
 from torchid.geometry.arrow.index_tables import make_layout
 from torchid.geometry.arrow.limb_partition import make_partition
-from torchid.geometry.arrow.normal_blocks import assemble, make_gradient, make_pieces, shared_block, shared_curve
+from torchid.geometry.arrow.normal_blocks import make_pieces, shared_block, shared_curve
 from torchid.geometry.problem import retract
 from torchid.kinematics.plan import plan_tree
 from torchid.model.whole_body import whole_body
@@ -38,7 +40,7 @@ def test_blocks_equal_finite_differences(case: int, robust: float | None, couple
     rng = np.random.default_rng([seed, case])
     problem, q, xi = random_problem(rng, robust=robust, coupled=coupled)
     q, layout = q + 0.02, make_layout(problem)
-    blocks = assemble(problem, layout, q, xi, shared=True)
+    blocks = assemble(problem, layout, q, xi)
     J, n = _jacobian(problem, layout, q, xi), len(q)
     _, _, residual = problem.residual(q, xi)
     _, weight = problem.robust_cost(residual)
@@ -62,7 +64,7 @@ def test_gradient_is_that_of_the_robust_cost(case: int, coupled: bool, seed: int
     """The gradient equals the finite difference of the cost itself, posture, limits and robust loss included."""
     problem, q, xi = random_problem(np.random.default_rng([seed, case]), robust=2.0, coupled=coupled)
     layout = make_layout(problem)
-    blocks = assemble(problem, layout, q, xi, shared=True)
+    blocks = assemble(problem, layout, q, xi)
     cost, g_q, g_x = make_gradient(problem, layout, q, xi, shared=True)
     fold = torch.nn.functional.one_hot(layout.entry_xi, len(xi)).to(q)
     assert_close(cost, problem.frame_cost(q, xi), rtol=1e-12, atol=1e-9)
@@ -81,7 +83,7 @@ def test_elimination_by_branches_equals_dense_algebra(case: int, coupled: bool, 
     problem, q, xi = random_problem(rng, bodies=int(rng.integers(2, 12)) if case else 3, coupled=coupled)
     layout, n = make_layout(problem), len(xi)
     partition = make_partition(problem.plan, layout, n)
-    dense = assemble(problem, layout, q, xi, shared=True)
+    dense = assemble(problem, layout, q, xi)
     pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared=True)
     damping = torch.tensor(rng.uniform(1e-4, 1e-1, size=q.shape[1]))
     eliminated = eliminate(partition, pieces, damping)

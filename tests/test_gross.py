@@ -13,7 +13,6 @@ from torchid.diagnosis.candidates.missing_weight import find_missing_weight, set
 from torchid.diagnosis.options import MissingWeightOptions
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.scene import at_origin
-from torchid.extension.diagnosing import observe_outcome
 from torchid.observation.trial import TrialObservation
 from torchid.recording import Forces
 
@@ -24,7 +23,7 @@ SEED = seed_of(__name__)
 
 @pytest.fixture
 def trial() -> TrialObservation:
-    return observe_outcome(small.outcome(), "fit")["squats"]
+    return small.observed()["squats"]
 
 
 def seen(trial: TrialObservation, forces: Forces):
@@ -89,5 +88,5 @@ def test_plates_that_read_too_little_are_no_seat(trial):
 
 def test_a_plain_recording_has_none():
     for role in ("fit", "heldout"):
-        for trial in observe_outcome(small.outcome(), role).values():
+        for trial in small.observed(role).values():
             assert seen(trial, plates(trial)) is None

@@ -15,8 +15,8 @@ from torchid.inertia import cone
 from torchid.inertia.certificate import InertiaStatus, judge
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.options import InertiaOptions
-from torchid.inertia.pseudo import relative_map, triangle, untriangle
 from torchid.model.model import InertialPrior
+from torchid.model.pseudo import relative_map, triangle, untriangle
 
 PLAIN = InertiaOptions(prior_weight=1.0, noise="known")
 

@@ -7,7 +7,7 @@ import torch
 from inertia_cases import IDENTITY, bodies, relative
 
 from torchid.inertia.posterior import com_jacobian, inertia_com_jacobian
-from torchid.inertia.pseudo import (
+from torchid.model.pseudo import (
     com,
     inertia_com,
     params_to_pseudo,

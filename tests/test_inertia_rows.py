@@ -18,9 +18,9 @@ from torchid.errors import ConfigError, DataError, TorchidError
 from torchid.inertia import cone, entropic
 from torchid.inertia.certificate import InertiaStatus
 from torchid.inertia.linear import ellipsoid_matrix
-from torchid.inertia.pseudo import params_to_pseudo
 from torchid.inertia.rows_input import Limits, RowsPrior
 from torchid.inertia.rows_result import RowsFit
+from torchid.model.pseudo import params_to_pseudo
 
 KINDS = ("euclidean", "pullback", "entropic")
 SCALE = {"euclidean": 0.01, "pullback": 0.3, "entropic": 0.3}

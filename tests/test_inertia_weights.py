@@ -13,9 +13,9 @@ from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import ConfigError, DataError
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.options import InertiaOptions
-from torchid.inertia.pseudo import pseudo_to_params
 from torchid.inertia.spectrum import diagonalise
 from torchid.inertia.weights import log_evidence, maximise_evidence
+from torchid.model.pseudo import pseudo_to_params
 
 
 def test_log_evidence_is_the_marginal_likelihood(seed: int) -> None:

@@ -1,4 +1,4 @@
-"""Tests of torchid.io.computed and output_names: what a program computed is told from markers, whatever its name."""
+"""Tests of torchid.io.computed and labels: what a program computed is told from markers, whatever its name."""
 
 import tracemalloc
 

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from torchid.checks.recording import check_trial
 from torchid.io import read_trial
-from torchid.io.c3d_data import read_analogs, read_points
+from torchid.io.c3d import read_analogs, read_points
 from torchid.io.c3d_header import read_header
 from torchid.io.c3d_layout import resolve_layout
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
+from trc_files import write_trc
 
 from torchid.errors import InputError, TorchidError
 from torchid.io import ReadOptions, read_trial
 from torchid.io.mend import PlateAs
 from torchid.io.resample import synchronise
 from torchid.io.storage import read_storage, write_storage
-from torchid.io.trc import read_trc, write_trc
+from torchid.io.trc import read_trc
 from torchid.recording import Markers
 
 FRAMES, MARKERS = 12, 7

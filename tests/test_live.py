@@ -18,21 +18,20 @@ import torch
 from inertia_cases import bodies, names, prior
 from test_live_stream import limited
 from torch.testing import assert_close
+from trc_files import write_trc
 from typer.testing import CliRunner
 
 from torchid.cli import app
 from torchid.config import Config, load_config
 from torchid.config.sections import TrialFile
-from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import OtherContact
+from torchid.contact.options import ContactOptions, OtherContact
 from torchid.dynamics.row_equations import NormalEquations
-from torchid.dynamics.rows import SHORTEST, WrenchTrial, runs
+from torchid.dynamics.rows import SHORTEST, WrenchTrial
 from torchid.dynamics.whitening import BlockSpectrum, accumulate, block_spectrum
 from torchid.errors import ConfigError, DataError
 from torchid.inertia.fit import fit_inertia
 from torchid.inertia.identify import Identified
 from torchid.inertia.options import InertiaOptions, of_whitened_rows
-from torchid.io.trc import write_trc
 from torchid.live.estimation.estimator import Estimator
 from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Moment, Pipeline
@@ -40,10 +39,10 @@ from torchid.live.estimation.pose import PostureFollower
 from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.run import prepare_subject, run_live
 from torchid.live.sources.intake import Intake
-from torchid.live.sources.replay import AT_ONCE, Replay
-from torchid.live.sources.stream import Packet
+from torchid.live.sources.stream import AT_ONCE, Packet, Replay
 from torchid.recording import Forces, Markers, Trial
 from torchid.run import run_experiment
+from torchid.runs import runs
 from torchid.session.fitting import given_mass
 from torchid.session.opening import read_recording, setup_of
 from torchid.session.standing import standing_weight
@@ -196,6 +195,7 @@ def test_blocks_that_come_one_by_one_give_the_batch_solution(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_children", "no_report")
 def test_a_finished_run_gives_its_geometry(tmp_path):
     """As long as its files and options are the stream's; otherwise standing does, whatever lies in the folder."""
 
@@ -275,6 +275,7 @@ def test_no_rows_are_no_estimate():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_children")
 def test_an_identifier_that_dies_is_said():
     """Killed from outside, as by a machine without memory: an error with a code, and no wait for ever."""
     who, source = subject(), Replay(moving(), float("inf"))
@@ -328,6 +329,7 @@ class Shown:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_children")
 def test_a_disk_that_gets_full_costs_the_recording_and_nothing_else(tmp_path, seed, caplog):
     """The estimate is the undisturbed one, within rounding; what was on the disk is a trial that a run reads."""
     config = load_config(small_session.config(), [f"out={tmp_path / 'out'}"])

@@ -37,7 +37,7 @@ os.environ["LSLAPICFG"] = str(LABORATORY)
 
 pylsl = pytest.importorskip("pylsl")
 pytest.importorskip("pyxdf")
-from torchid.live.sources import description, feed  # noqa: E402
+from torchid.live.sources import description, lsl  # noqa: E402
 from torchid.live.sources.lsl import LslSource  # noqa: E402
 from torchid.live.sources.outlets import Outlets, describe_markers, describe_plates, play  # noqa: E402
 from torchid.live.sources.xdf import device_series, replay_xdf  # noqa: E402
@@ -82,7 +82,7 @@ def gather(source: LslSource, done: Callable[[list[Packet]], bool]) -> Packet:
         assert time.monotonic() < end, f"{frames(found)} frames came"
         begun = time.monotonic()
         found.append(source.take())
-        assert time.monotonic() - begun < 0.4 * feed.REPLY_S, "a take waits"
+        assert time.monotonic() - begun < 0.4 * lsl.REPLY_S, "a take waits"
         assert found[-1].arrived_s >= begun
         time.sleep(0.002)
     forces = [one.forces for one in found if one.forces is not None]
@@ -171,7 +171,7 @@ def test_a_rate_that_is_not_stated_is_measured():
     sender.start()
     try:
         (found,) = pylsl.resolve_byprop("name", info.name(), 1, GIVE_UP_S)
-        one = feed.Feed(found, description.marker_layout)
+        one = lsl.Feed(found, description.marker_layout)
         assert one.layout.rate_hz == 0.0 and one.rate_hz == RATE
         one.close()
     finally:
@@ -433,6 +433,7 @@ def test_the_script_sends_a_trial_of_a_config():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_children")
 def test_a_subject_is_identified_from_a_stream(tmp_path):
     """The command's own way, while a trial is sent again and again; the mass is the subject's."""
     given = next(item.trial for item in small_session.session().trials if item.trial.name == "squats")
@@ -453,7 +454,7 @@ def test_a_subject_is_identified_from_a_stream(tmp_path):
 @pytest.mark.parametrize(("package", "source"), [("pylsl", "lsl"), ("pyxdf", "xdf:{}")])
 def test_a_package_that_is_missing_is_named(tmp_path, monkeypatch, package, source):
     config = load_config(small_session.config(), [f"out={tmp_path / 'out'}"])
-    for name in ("lsl", "feed", "xdf"):
+    for name in ("lsl", "xdf"):
         monkeypatch.delitem(sys.modules, f"torchid.live.sources.{name}")
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ConfigError, match=r"torchid\[live\].*live\.extra"):

@@ -10,6 +10,7 @@ import small_session
 import torch
 import viser
 import zstandard
+from children import quick_children
 from test_live import moving, subject
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
@@ -22,7 +23,7 @@ from torchid.live.estimation.beside import LiveEstimate
 from torchid.live.estimation.pipeline import Moment, Pipeline
 from torchid.live.estimation.pose import PostureFollower, Postures
 from torchid.live.exercises.advice import Advice
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.scene.scene import Ground
 from torchid.scene.server import close_page, open_page
 
@@ -35,7 +36,8 @@ def page() -> Iterator[Page]:
     """The page of the small session's subject."""
     trial = moving()
     assert trial.forces is not None
-    with Page(subject(), trial.markers.labels, trial.forces.plates, Address(PORT, "127.0.0.1")) as one:
+    where = Address(PORT, "127.0.0.1")
+    with quick_children(), Page(subject(), trial.markers.labels, trial.forces.plates, where) as one:
         yield one
 
 

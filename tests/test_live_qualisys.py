@@ -522,6 +522,7 @@ def test_a_simulated_trial_is_received_as_it_is():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("quick_children")
 def test_a_subject_is_identified_from_a_stream(tmp_path):
     """The command's own way; the mass is the subject's."""
     laboratory, session = simulated()

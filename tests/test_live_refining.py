@@ -15,7 +15,7 @@ from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pose import PostureFollower
 from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.sources.intake import Intake
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.session.following import subject_prior
 
 

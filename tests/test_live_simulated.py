@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from simulated_person import clips
+from simulated_person.clips import make_clip, make_standing, stand_still
+from simulated_person.source import HEAR_S, STAND_S, SimulatedSource
 from torch.testing import assert_close
 
 from torchid.conventions import GRAVITY
@@ -19,11 +22,8 @@ from torchid.errors import ConfigError
 from torchid.filters import differentiate
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses
-from torchid.live.exercises import clips
 from torchid.live.exercises.advice import Advice
-from torchid.live.exercises.clips import make_clip, make_standing, stand_still
 from torchid.live.exercises.exercises import LIBRARY, Exercise, Possibilities, allowed
-from torchid.live.exercises.simulated import HEAR_S, STAND_S, SimulatedSource
 from torchid.live.sources.stream import Packet
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.subject import SimulatedSubject, simulate_subject

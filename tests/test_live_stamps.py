@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from torchid.live.sources.intake import Intake
-from torchid.live.sources.stamps import Stamps
+from torchid.live.sources.intake import Intake, Stamps
 from torchid.live.sources.stream import Packet
 from torchid.recording import Forces, Markers, Plate
 

@@ -18,8 +18,7 @@ from torchid.errors import InputError
 from torchid.io import ReadOptions, read_trial
 from torchid.live.sources.intake import Counts, Intake
 from torchid.live.sources.recorder import Recorder
-from torchid.live.sources.replay import AT_ONCE, Replay
-from torchid.live.sources.stream import Packet
+from torchid.live.sources.stream import AT_ONCE, Packet, Replay
 from torchid.live.sources.timeline import Timeline
 from torchid.recording import Forces, Markers, Plate, Trial
 

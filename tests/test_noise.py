@@ -21,7 +21,6 @@ from torchid.dynamics.rows import WrenchTrial
 from torchid.dynamics.whitening import BlockSpectrum, frequencies, initial_whitening
 from torchid.effects.marker_scene import Sight
 from torchid.effects.scene import make_scene
-from torchid.extension.diagnosing import observe_outcome
 from torchid.filters import Smoother
 from torchid.geometry.trial_problem import posture_prior
 from torchid.kinematics.plan import plan_tree
@@ -121,7 +120,7 @@ def test_what_a_filter_leaves_of_white_noise_is_known(rows):
 def test_noise_alone_is_as_unlikely_as_it_says(scatter):
     """Of plates so loud that markers do not matter, residuals of noise are flagged as seldom as they should."""
     generator, loud = torch.Generator().manual_seed(small.SEED), torch.tensor(scatter).double()
-    observed = [replace(w, scatter=loud) for w in observe_outcome(small.outcome(), "fit").values()]
+    observed = [replace(w, scatter=loud) for w in small.observed().values()]
     said = [assess_adequacy(observed, [white(w.rows, loud, generator) for w in observed]) for _ in range(100)]
     assert 2 <= sum(one.p_value < 0.2 for one in said) <= 30
     assert sum(one.significant for one in said) <= 3

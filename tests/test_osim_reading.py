@@ -27,12 +27,10 @@ from torch.testing import assert_close
 from torchid.errors import DataError, InputError
 from torchid.kinematics.chain import chain_points
 from torchid.model.opensim.bodies import MOMENTS
-from torchid.model.opensim.functions import Function
+from torchid.model.opensim.functions import Function, broken_line, simm_spline
 from torchid.model.opensim.model import CoordinateKind, OsimCoordinate, OsimModel
 from torchid.model.opensim.posing import body_poses, coordinate_values, coupled, marker_places
-from torchid.model.opensim.reading import read_osim
-from torchid.model.opensim.splines import broken_line, simm_spline
-from torchid.model.opensim.vocabulary import WORDS
+from torchid.model.opensim.reading import WORDS, read_osim
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.whole_body import whole_body
 

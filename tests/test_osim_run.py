@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from harness.opensim_forces import as_free, osim_inverse_dynamics
 from osim_dynamics import opensim_consistency, opensim_forces
 from osim_files import NAMES, draw, joint, osim, transform
 from osim_session import FUNCTION_KNEES, identified
@@ -15,20 +16,19 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from torchid.config import load_config
-from torchid.dynamics.opensim_coordinates import file_forces, osim_inverse_dynamics
 from torchid.dynamics.rows import residual_rms
 from torchid.errors import ConfigError, InputError
 from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.files import load_model
 from torchid.model.opensim.as_model import LEAST_MASS, read_osim_model
-from torchid.model.opensim.group_inertia import of_bodies, of_groups, phi_to_pseudo, pseudo_to_phi
-from torchid.model.opensim.identified import identified_model
+from torchid.model.opensim.group_inertia import of_bodies, of_groups
 from torchid.model.opensim.model import GROUND, OsimModel
 from torchid.model.opensim.posing import body_poses, coupled, marker_places
 from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.rotations import R_OW
-from torchid.model.opensim.tree_of_osim import as_free, tree_of_osim
-from torchid.model.opensim.writing_back import write_back
+from torchid.model.opensim.tree_of_osim import tree_of_osim
+from torchid.model.opensim.writing_back import identified_model, write_back
+from torchid.model.pseudo import params_to_pseudo, pseudo_to_params
 from torchid.model.tree_of_links import LEAST_EXTENT
 from torchid.model.whole_body import lock_bodies
 from torchid.session.opening import setup_of
@@ -206,10 +206,10 @@ def test_bodies_share_what_their_group_is(data_dir: Path, seed: int) -> None:
     )
     shift = torch.eye(4).double().repeat(len(new), 1, 1)
     shift[:, :3, 3] = 0.05 * torch.tensor(rng.normal(size=(len(new), 3)))
-    new = pseudo_to_phi(shift @ phi_to_pseudo(new) @ shift.mT)
+    new = pseudo_to_params(shift @ params_to_pseudo(new) @ shift.mT)
     divided = of_bodies(made.osim, new)
     assert_close(of_groups(made.osim, divided.phi), new, rtol=1e-9, atol=1e-12)
-    assert bool((torch.linalg.eigvalsh(phi_to_pseudo(divided.phi)) > -1e-12).all())
+    assert bool((torch.linalg.eigvalsh(params_to_pseudo(divided.phi)) > -1e-12).all())
 
 
 @pytest.mark.data
@@ -222,7 +222,7 @@ def test_torques_in_the_files_coordinates_do_the_same_work(data_dir: Path, seed:
     q[:, binding.root.rows[1]] = 0.4 * q[:, binding.root.rows[1]].sin()  # short of the pole of the root's angles
     states = binding.to_tree(made.tree.dof_names, q, v, a)
     tau = torch.tensor(rng.normal(size=states[0].shape))
-    found = file_forces(binding, made.tree, states[0], tau)
+    found = binding.forces(made.tree.dof_names, q, tau)
     rows = [binding.model.coordinate_names.index(name) for name in found]
     power = (torch.stack(list(found.values()), dim=1) * v[:, rows]).sum(1)
     assert_close(power, (tau * states[1]).sum(1), rtol=1e-9, atol=1e-9)

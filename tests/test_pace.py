@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from torchid.session.pace import EVERY_S, LONG_S, STEPS, Pace
+from torchid.session.fitting import EVERY_S, LONG_S, STEPS, Pace
 
 
 def told(step_s: float, most: int, steps: tuple[int, ...], caplog) -> tuple[list[str], list[float]]:

@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import pytest
+from whole_runs import leave_out_report
 
 from torchid.config import load_config
 from torchid.errors import DataError
@@ -27,6 +28,7 @@ pytestmark = [pytest.mark.data, pytest.mark.slow]
 
 def run(name: str, data: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *overrides: str) -> Outcome:
     monkeypatch.setenv("TORCHID_DATA", str(data))
+    leave_out_report(monkeypatch)
     return run_experiment(load_config(CONFIGS / f"{name}.yaml", [*SHORT, f"out={out}", *overrides]))
 
 

@@ -9,7 +9,7 @@ from trees import random_inertia, random_motion, random_tree
 
 from torchid.dynamics.equations_of_motion import inverse_dynamics, wrench_about
 from torchid.dynamics.row_equations import NormalEquations, half_product
-from torchid.dynamics.rows import BLOCK, SHORTEST, WrenchTrial, measured, predict, residual_rms, runs
+from torchid.dynamics.rows import BLOCK, SHORTEST, WrenchTrial, measured, predict, residual_rms
 from torchid.dynamics.whitening import (
     BAND_EDGES_HZ,
     BlockSpectrum,
@@ -24,6 +24,7 @@ from torchid.dynamics.whitening import (
 )
 from torchid.filters import Smoother
 from torchid.motion import Motion
+from torchid.runs import runs
 
 
 def moving(seed: int, frames: int = 40, bodies: int = 4) -> tuple[WrenchTrial, torch.Tensor]:

@@ -473,8 +473,9 @@ def test_named_causes_are_told_drawn_and_counted(run):
         pairs = [residual_rms([wrench], one.phi) for one in (outcome.base, outcome)]
         (force_0, moment_0), (force_1, moment_1) = pairs
         assert row[2:6] == (number(force_0), number(force_1), number(moment_0, 2), number(moment_1, 2))
-    found = parse(render_report(outcome))
-    assert set(found.tags) <= ALLOWED and 'id="diagnosis"' in render_report(outcome)
+    page = render_report(outcome)
+    found = parse(page)
+    assert set(found.tags) <= ALLOWED and 'id="diagnosis"' in page
     assert not [name for _, name, _ in found.attributes if name.startswith("on") or name == "src"]
 
 

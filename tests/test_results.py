@@ -18,15 +18,15 @@ import torch
 import xarray
 from hypothesis import given
 from hypothesis import strategies as st
+from trc_files import write_trc
 
 from torchid.errors import DataError, InputError, Note
 from torchid.io.storage import write_storage
-from torchid.io.trc import write_trc
 from torchid.recording import Event, Markers, Trial
 from torchid.storage import files, results, snapshot
 from torchid.storage.files import TEMPORARY, atomic_write, file_sha256, nameless_file, safe_name, write_json, write_text
 from torchid.storage.netcdf import write_netcdf
-from torchid.storage.provenance import provenance, stage_key
+from torchid.storage.provenance import code_sha256, provenance, stage_key
 from torchid.storage.results import OutputFolder
 from torchid.storage.snapshot import (
     SnapshotError,
@@ -37,6 +37,8 @@ from torchid.storage.snapshot import (
     to_bytes,
     write_snapshot,
 )
+
+PACKAGE = Path(files.__file__).resolve().parents[1]
 
 
 class Killed(BaseException):
@@ -533,6 +535,14 @@ def test_keys_change_with_everything_that_matters(seed):
     keys = [stage_key(**part) for part in parts]
     assert len(set(keys)) == len(keys)
     assert keys == [stage_key(**part) for part in parts]
+
+
+def test_a_stage_depends_on_all_of_torchids_code():
+    """The hash of the code is that of every module and table of the package, whatever room it is in."""
+    files = sorted(path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".yaml"))
+    assert {"cli.py", "session", "model"} <= {path.relative_to(PACKAGE).parts[0] for path in files}
+    text = "".join(f"{path.relative_to(PACKAGE)}{file_sha256(path)}" for path in files)
+    assert code_sha256() == hashlib.sha256(text.encode()).hexdigest()
 
 
 def test_provenance_names_inputs_versions_and_costs(tmp_path):

@@ -13,7 +13,7 @@ from test_live import moving, subject
 from torchid.live.display.page import Address
 from torchid.live.display.page import Page as LivePage
 from torchid.live.estimation.pipeline import Pipeline
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.report import write_report
 from torchid.run.write import write_outcome
 from torchid.scene.finished import FinishedRun
@@ -69,9 +69,10 @@ def picked(page: Page) -> bool:
         page.mouse.move(x, y)
         page.wait_for_timeout(300)
         page.mouse.click(x, y, delay=100)
-        page.wait_for_timeout(2500)
-        if page.get_by_text("kg m²").count():
-            return True
+        for _ in range(25):
+            page.wait_for_timeout(100)
+            if page.get_by_text("kg m²").count():
+                return True
     return False
 
 

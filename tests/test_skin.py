@@ -13,7 +13,6 @@ from torchid.diagnosis.evidence.model import Identification, make_model
 from torchid.diagnosis.evidence.skin_prior import SLIDES_M, TOGETHER, with_slides
 from torchid.effects.markers import SoftTissue
 from torchid.effects.place import Place
-from torchid.extension.diagnosing import observe_outcome
 from torchid.observation.trial import TrialObservation
 
 
@@ -50,7 +49,7 @@ def _slid(one: TrialObservation, place: Place, theta: torch.Tensor) -> TrialObse
 def test_segments_may_slide_as_far_as_their_markers_do_against_each_other(slides):
     """From nothing, on a robot's shell, up to what a person's skin does."""
     size = slides * float(np.exp(np.random.default_rng(small.SEED).uniform(np.log(4e-4), np.log(6e-3))))
-    observed = slid(list(observe_outcome(small.outcome(), "fit").values()), size)
+    observed = slid(list(small.observed().values()), size)
     (scale,) = learned(observed, [SoftTissue()])
     usual = SkinSlide.parameters[0].scale
     if size == 0.0:

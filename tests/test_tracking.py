@@ -28,7 +28,7 @@ from torchid.motion.impossible_rates import frames_of, impossible_steps
 from torchid.recording import Trial
 from torchid.run.sequence import _rate_notes
 from torchid.session import Followed, Session
-from torchid.session.tracks import look_at_session, session_clusters, taken_out
+from torchid.session.session import look_at_session, session_clusters, taken_out
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from documentation.joints import joint_table
 from scipy.spatial.transform import Rotation
 
 from torchid.errors import ConfigError
@@ -12,7 +13,7 @@ from torchid.kinematics.plan import plan_tree
 from torchid.model.geometry_prior import group, tie_sides
 from torchid.model.landmarks import COVER, LANDMARKS, PELVIC_TILT
 from torchid.model.skeleton import SEGMENTS
-from torchid.model.whole_body import joint_table, lock_bodies, whole_body
+from torchid.model.whole_body import lock_bodies, whole_body
 
 PEOPLE = [(1.755, 77.0, "male"), (1.63, 60.0, "female"), (None, None, "unknown"), (1.2, 25.0, "unknown")]
 MIRROR = np.diag([1.0, -1.0, 1.0])
@@ -301,7 +302,7 @@ def test_hip_centres_agree_with_the_regression_of_harrington(person):
 def test_joint_table_lists_every_joint_and_coordinate():
     """The published table has a row per body and every coordinate once, with its limits."""
     model = whole_body(1.75, 70.0, "male")
-    rows = joint_table(model).splitlines()
+    rows = joint_table(model.tree).splitlines()
     assert len(rows) == 2 + len(SEGMENTS)
     cells = [name for row in rows[2:] for name in row.split("|")[4].strip().split(", ")]
     assert tuple(cells) == model.tree.dof_names

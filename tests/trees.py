@@ -11,8 +11,15 @@ from scipy.spatial.transform import Rotation as R
 from torchid.model.coupling import CoupledAxis, Coupling
 from torchid.model.mechanics import phi_to_centre, zero_pose
 from torchid.model.model import Geometry
-from torchid.model.opensim.functions import Constant, Function, LinearFunction, Polynomial, ScaledFunction, Sine
-from torchid.model.opensim.splines import simm_spline
+from torchid.model.opensim.functions import (
+    Constant,
+    Function,
+    LinearFunction,
+    Polynomial,
+    ScaledFunction,
+    Sine,
+    simm_spline,
+)
 from torchid.model.tree import Body, Dof, Slide, Tree, Turn
 
 BASE = tuple(Dof(name, "m" if k < 3 else "rad") for k, name in enumerate(("x", "y", "z", "rx", "ry", "rz")))

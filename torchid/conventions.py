@@ -25,6 +25,17 @@ SAMPLE_LOADED_N = 2.5 * LOADED_N
 """A single unfiltered sample shows a load above this vertical force [N]: idle plates that scatter by 6 N at 1 kHz pass
 ``LOADED_N`` once in 700 samples, and this never."""
 
+ZERO_SD_N, ZERO_SD_NM = 1.5, 0.5
+"""Standard deviation of what a channel of an idle plate reads, its zero: forces [N] and moments [N m]. An estimator:
+robust scatter between eight public sessions of five laboratories, of which none is quoted in a figure
+(`docs/decisions.md`)."""
+ZERO_NOTED_N, ZERO_WRONG_N = ZERO_SD_N, 3.0 * ZERO_SD_N
+"""Mean vertical reading of an idle plate [N] beyond which a note tells it, and beyond which it is a fault that somebody
+should mend: one and three standard deviations between laboratories. Derived."""
+ZERO_MOST_N = 100.0
+"""Vertical reading [N] beyond which no plate's zero lies: half of the weight of a child of 20 kg, so that a plate that
+never reads less was stood on all the time. Derived."""
+
 
 class Inertial(IntEnum):
     """Order of the ten inertial parameters of a body, about its origin, in its axes (the order of Pinocchio)."""

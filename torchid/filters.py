@@ -55,11 +55,8 @@ class Smoother:
         """Part of the amplitude that passes, away from ends and gaps."""
         if self.cutoff_hz >= 0.45 * self.rate_hz:
             return torch.ones_like(frequency_hz)
-        f0, order = (
-            (self.cutoff_hz / HALF_POWER, 2 * ORDER)
-            if self.kind == "spline"
-            else (self.cutoff_hz / BUTTERWORTH_PASS, 4)
-        )
+        spline = self.kind == "spline"
+        f0, order = self.cutoff_hz / (HALF_POWER if spline else BUTTERWORTH_PASS), 2 * ORDER if spline else 4
         return 1.0 / (1.0 + (frequency_hz / f0) ** order)
 
     def _spline(self, x: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -8,10 +8,10 @@ import torch
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from torchid.geometry.arrow.index_tables import make_layout
-from torchid.geometry.arrow.normal_blocks import make_gradient
-from torchid.geometry.arrow.twists import column_twists, moments
+from torchid.geometry.arrow.index_tables import ArrowLayout, make_layout
+from torchid.geometry.arrow.normal_blocks import column_axes, column_twists, fold_matrix, moments
 from torchid.geometry.problem import MarkerProblem
+from torchid.kinematics.recursion import Poses, cross
 
 CHUNK = 1024
 Trace = list[tuple[float, float]]
@@ -46,6 +46,60 @@ def adam(problem: MarkerProblem, q: Tensor, xi: Tensor, iterations: int, budget:
         optimiser.step()
         schedule.step()
     return trace
+
+
+def make_gradient(
+    problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Compute the cost and its gradient alone, without any block.
+
+    Args:
+        problem: markers, weights and posture prior.
+        layout: index tables of the problem.
+        q: coordinates (dofs, frames).
+        xi: geometry and marker places.
+        shared: False leaves the entries out.
+
+    Returns:
+        Cost (frames,), gradient in motion (motion, frames), and gradient in the entries (entries, frames).
+    """
+    seen = problem.evaluate(q, problem.shape(xi))
+    at, pull = seen.at.about_root(q.dtype), seen.weight[:, None] * seen.residual
+    columns = column_gradient(layout, at, seen.p - seen.at.p[:1], pull, shared)
+    g_q = columns.index_select(0, layout.motion if shared else layout.motion_alone)
+    fold = fold_matrix(layout, q, q.dtype)
+    g_q = g_q if fold is None else torch.einsum("tcd,ct->dt", fold, g_q)
+    g_q += seen.pull.index_select(0, layout.dof_rows)
+    if not shared:
+        return seen.cost, g_q, columns[:0]
+    free = problem.free
+    R = at.R.index_select(0, problem.body[free])
+    places = (R * pull[free, None]).sum(2).flatten(0, 1)
+    return seen.cost, g_q, torch.cat([columns[layout.entries[: layout.geometric]], places])
+
+
+def column_gradient(layout: ArrowLayout, at: Poses, p: Tensor, pull: Tensor, shared: bool) -> Tensor:
+    """Compute the gradient of ``column_twists`` alone, for a third of the work.
+
+    Args:
+        layout: index tables.
+        at: poses of all bodies, measured from the root's origin.
+        p: the markers' positions from the root's origin (markers, 3, frames).
+        pull: weighted residuals (markers, 3, frames).
+        shared: False leaves geometry out.
+
+    Returns:
+        The gradient (columns, frames).
+    """
+    z, t = column_axes(layout, at, shared)
+    turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
+    wrench = torch.cat([pull, cross(p, pull)], dim=1)
+    wrench = (layout.subtree @ wrench.flatten(1)).view(len(layout.subtree), 6, p.shape[2])
+    arm = at.p.index_select(0, turning)
+    about = wrench.index_select(0, turning)
+    turns = (z * (about[:, 3:] - cross(arm, about[:, :3]))).sum(1)
+    slides = (t * wrench[:, :3].index_select(0, sliding)).sum(1)
+    return torch.cat([wrench[0], turns, slides])
 
 
 def scipy_sparse(problem: MarkerProblem, q: Tensor, xi: Tensor, budget: float) -> Trace:

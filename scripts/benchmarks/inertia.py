@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from torchid.dynamics.equations_of_motion import base_gram, base_rows, body_rows, dynamic_state
+from benchmarks.row_sums import base_gram
+from torchid.dynamics.equations_of_motion import base_rows, body_rows, dynamic_state
 from torchid.dynamics.row_equations import NormalEquations
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.options import InertiaOptions

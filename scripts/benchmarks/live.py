@@ -32,7 +32,7 @@ from torchid.live.estimation.pose import PostureFollower
 from torchid.live.estimation.refining import MessagePiece, Refining
 from torchid.live.run import prepare_subject
 from torchid.live.sources.intake import Intake
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.recording import Forces, Markers, Trial
 from torchid.run import run_experiment
 from torchid.session import Outcome

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import torch
 
+from benchmarks.row_sums import base_gram
 from benchmarks.subject import RATE, make_session
-from torchid.dynamics.equations_of_motion import BodyRows, base_gram, body_rows, dynamic_state
+from torchid.dynamics.equations_of_motion import BodyRows, body_rows, dynamic_state
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
 
 MINUTE = int(60 * RATE)

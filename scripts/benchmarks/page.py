@@ -29,8 +29,7 @@ from torchid.live.display.page import Address, Page
 from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Pipeline
 from torchid.live.sources.recorder import Recorder
-from torchid.live.sources.replay import Replay
-from torchid.live.sources.stream import Packet
+from torchid.live.sources.stream import Packet, Replay
 from torchid.recording import Trial
 from torchid.session.fitting import given_mass
 from torchid.session.standing import standing_weight

@@ -9,11 +9,11 @@ import roma
 import torch
 from torch import Tensor
 
+from benchmarks.row_sums import base_gram
 from benchmarks.subject import by_turns
 from torchid.conventions import GRAVITY
 from torchid.dynamics.equations_of_motion import (
     BodyRows,
-    base_gram,
     base_rows,
     body_rows,
     dynamic_state,

@@ -8,10 +8,10 @@ import torch
 import yaml
 from c3d_bytes import DEC, INTEL, MIPS, C3dBuilder
 from harness.command import DATA
+from trc_files import write_trc
 
 from fuzzing.texts import CONFIG, FULL_CONFIG, MARKERS, MJCF, MJCF_PLAIN, URDF
 from torchid.io.storage import write_storage
-from torchid.io.trc import write_trc
 from torchid.model.marker_set import FOLDER
 from torchid.model.urdf import read_urdf, write_urdf
 from torchid.recording import Markers

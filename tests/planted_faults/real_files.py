@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from trc_files import write_trc
 
 from planted_faults.real_sessions import RealSession
 from torchid.conventions import LOADED_N, y_up_to_z_up
 from torchid.io import ReadOptions, read_trial
 from torchid.io.c3d_write import write_c3d
 from torchid.io.storage import write_storage
-from torchid.io.trc import write_trc
 from torchid.model.marker_set import load_marker_set
 from torchid.recording import Forces, Markers, Trial
 

@@ -15,9 +15,9 @@ from planted_faults.real_files import Recorded, with_markers, with_wrench
 from planted_faults.real_plates import RealPlate, channel, mapped, plates_of, to_plate, to_world, used_plates
 from planted_faults.real_truth import Answer, Inapplicable, Truth, plates_answer
 from torchid.conventions import LOADED_N
-from torchid.dynamics.rows import runs
 from torchid.effects.scene import PlateFrame
 from torchid.recording import Trial
+from torchid.runs import runs
 
 Draw = np.random.Generator
 STANCE_S = (0.25, 2.5)

@@ -9,8 +9,8 @@ import torch
 from planted_faults.real_files import Recorded, with_markers
 from planted_faults.real_forces import Draw
 from planted_faults.real_truth import Answer, Inapplicable, Truth
-from torchid.dynamics.rows import runs
 from torchid.recording import Trial
+from torchid.runs import runs
 
 CHEST = ("thorax", "abdomen")
 """Segments whose markers do not keep their distances: shoulders are part of them."""

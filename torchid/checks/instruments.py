@@ -1,5 +1,6 @@
 """Findings that several rooms make, in the same words: a zero, a clock, a gain, a weight."""
 
+from torchid.checks.clocks import Lateness
 from torchid.checks.finding import Cure, Finding, InstrumentFault, Severity
 from torchid.conventions import GRAVITY
 
@@ -23,21 +24,19 @@ def unloaded_reading(
     )  # fmt: skip
 
 
-def late_forces(seconds: float, sd: float, code: str, source: str = "") -> Finding:
+def late_forces(late: Lateness, code: str, source: str = "") -> Finding:
     """Return that forces come late, or early.
 
     Args:
-        seconds: by how much they come late.
-        sd: standard deviation of that [s].
+        late: by how much.
         code: under which it is known.
         source: trial; empty for a stream or a whole session.
     """
-    way = "late" if seconds > 0.0 else "early"
-    line = f"forces_as: {{lag_ms: {1e3 * seconds:.1f}}}"
-    seen = f"Forces come {1e3 * abs(seconds):.0f} ms (sd {1e3 * sd:.0f} ms) {way}"
-    cure = Cure("their clock is off by that", line, f"lag_ms={1e3 * seconds:.1f}")
+    lag_ms = 1e3 * late.seconds
+    seen = f"Forces come {abs(lag_ms):.0f} ms (sd {1e3 * late.sd:.0f} ms) {'late' if lag_ms > 0.0 else 'early'}"
+    cure = Cure("their clock is off by that", f"forces_as: {{lag_ms: {lag_ms:.1f}}}", f"lag_ms={lag_ms:.1f}")
     return Finding(
-        InstrumentFault.CLOCK, code, seen, source, (), seconds, sd, "s", (cure,),
+        InstrumentFault.CLOCK, code, seen, source, (), late.seconds, late.sd, "s", (cure,),
         severity=Severity.WARNING,
     )  # fmt: skip
 

@@ -14,6 +14,7 @@ from torchid.checks.marker_tracks.clusters import Clusters
 from torchid.checks.marker_tracks.session import look_at_trial
 from torchid.checks.marker_tracks.statement import notes_of
 from torchid.checks.plates import PlateCheck, check_plate, moved_mass, plate_weight
+from torchid.conventions import ZERO_WRONG_N
 from torchid.errors import Note
 from torchid.recording import Trial
 
@@ -25,8 +26,6 @@ MANY_GAPS = 40.0
 """Share of missing samples [%] above which a marker is worth naming."""
 MOST_MARKERS = 200
 """Resolution. Labels above which tracks are not looked at without a marker set: such files hold points of programs."""
-LARGE_BASELINE = 5.0
-"""Unloaded reading [N] above which an offset is worth a cure."""
 
 FAULTS = {
     "markers.held": InstrumentFault.FROZEN,
@@ -222,7 +221,7 @@ def plate_problems(
 def _of_plates(plates: tuple[PlateCheck, ...], source: str) -> list[Finding]:
     found = []
     for plate in plates:
-        if plate.baseline is not None and abs(plate.baseline) > LARGE_BASELINE:
+        if plate.baseline is not None and abs(plate.baseline) > ZERO_WRONG_N:
             found.append(unloaded_reading(plate.name, plate.baseline, "plates.offset", source))
         if plate.outside > OUTSIDE:
             seen = (

@@ -13,10 +13,17 @@ from torch import Tensor
 
 from torchid.contact.options import ContactOptions
 from torchid.contact.others import Others, assign_others, floor_plates
-from torchid.contact.runs import dilate, lasting
-from torchid.contact.support import assign_plates, near_plates, over_each, supported_feet
-from torchid.contact.touching import belt_velocity, point_speed, touching_points
+from torchid.contact.support import (
+    assign_plates,
+    belt_velocity,
+    near_plates,
+    over_each,
+    point_speed,
+    supported_feet,
+    touching_points,
+)
 from torchid.recording import Forces
+from torchid.runs import dilate, lasting
 
 
 @dataclass(frozen=True)
@@ -129,10 +136,8 @@ def find_contact(
         soles: points of the sole of each foot in W, the first at the heel and the last at the tip of the toes.
         forces: on the clock of the markers; NaN outside their overlap.
         seen: frames whose motion is known.
-        rate_hz: frames per second.
         spread_s: how far the force filter carries a missing force into the frames beside it.
-        options: thresholds.
-        short: frames in which the plates miss a part of the weight (``balance.falls_short``), where that is known.
+        short: frames in which the plates miss a part of the weight (``standing.falls_short``), where that is known.
         others: contacts other than feet.
     """
     options = options or ContactOptions()

@@ -7,13 +7,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import NearPlace, OtherContact
-from torchid.contact.runs import runs
-from torchid.contact.support import OVER_FLOOR_M, over_plates
-from torchid.contact.touching import LOWEST, REST
+from torchid.contact.options import ContactOptions, NearPlace, OtherContact
+from torchid.contact.support import LOWEST, OVER_FLOOR_M, REST, over_plates
 from torchid.io.mend import number_of
 from torchid.recording import Forces, Plate
+from torchid.runs import runs
 
 
 @dataclass(frozen=True)
@@ -54,9 +52,7 @@ def find_others(
     """Tell when the contacts of a trial bear; None where the options name none.
 
     Args:
-        options: with the contacts.
         middles: middle of each contact's points in W [m].
-        trial: its name.
         time: of the frames [s].
         forces: on the clock of the frames; None where nothing was measured.
     """
@@ -72,12 +68,7 @@ def find_others(
 
 
 def plate_of(one: OtherContact, forces: Forces | None) -> int:
-    """Return the index of the plate that measures a contact, -1 where the trial has none.
-
-    Args:
-        one: the contact.
-        forces: of the trial.
-    """
+    """Return the index of the plate that measures a contact, -1 where the trial has none."""
     numbers = [] if forces is None else [number_of(plate, k) for k, plate in enumerate(forces.plates)]
     return numbers.index(one.plate) if one.plate in numbers else -1
 
@@ -121,7 +112,6 @@ def floor_plates(
 
     Args:
         soles: points of each foot in W [m].
-        forces: of all plates.
         others: contacts that name plates.
         margin_m: by which a foot may stand over an edge.
     """
@@ -150,8 +140,6 @@ def assign_others(
 
     Args:
         plate: foot that each plate carries, as of ``Contact.plate``.
-        others: contacts that name plates.
-        feet: number of feet.
         on: feet that touch over each plate.
     """
     found = plate.clone()
@@ -170,11 +158,6 @@ def assign_others(
 def feet_alone(options: ContactOptions, trial: str, forces: Forces) -> Forces | None:
     """Return forces as far as feet must answer for them: without plates of other contacts, and without the frames in
     which one is known to bear that no plate measures; None where nothing is left.
-
-    Args:
-        options: with the contacts.
-        trial: name of the trial.
-        forces: of the trial.
     """
     named = {plate_of(one, forces) for one in options.others.values()}
     kept = [p for p in range(len(forces.plates)) if p not in named]

@@ -59,8 +59,6 @@ def action(element: Element, state: DynamicState, q: Float[Tensor, "dofs frames"
 
     Args:
         element: with a coordinate, an axis or a path; supports with recorded forces have no length.
-        state: poses of the human model.
-        q: its coordinates.
 
     Raises:
         ConfigError: ``device.segment`` or ``device.coordinate`` where the model has no such thing.
@@ -93,7 +91,6 @@ def refuse_foreign(device: Device, tree: Tree) -> None:
 
     Args:
         device: as its sheet says it.
-        tree: of the human model.
 
     Raises:
         ConfigError: ``device.segment`` or ``device.coordinate``.
@@ -151,9 +148,7 @@ def point_in_world(point: SegmentPoint, state: DynamicState, element: str) -> Fl
     """Return where a point is in W [m].
 
     Args:
-        point: on a segment, or in W.
         state: poses.
-        element: name, for the error.
 
     Raises:
         ConfigError: ``device.marker`` where it is a marker's that nobody placed, or ``device.segment``.

@@ -12,10 +12,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.devices.action import ElementAction, action
-from torchid.devices.device import Device, Element, Handle
+from torchid.devices.device import Device, Element, Handle, SheetValue
 from torchid.devices.forces import CHUNK, device_forces, element_force, filtered, states
 from torchid.devices.laws import Channels
-from torchid.devices.values import SheetValue
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import WrenchTrial
 
@@ -54,7 +53,6 @@ class Acting:
 
         Args:
             numbers: where the derivative is taken.
-            names: parameters.
         """
         found = []
         for name in names:
@@ -70,7 +68,6 @@ def acting(element: Element, trial: WrenchTrial, recorded: Channels) -> Acting:
     Args:
         element: not a support with recorded forces.
         trial: whose motion it follows.
-        recorded: channels on its frames.
 
     Raises:
         ConfigError: ``device.segment`` or ``device.coordinate``.
@@ -102,7 +99,6 @@ def known_external(device: Device, trial: WrenchTrial, recorded: Channels) -> Fl
     Args:
         device: whose other elements are left out.
         trial: with the motion.
-        recorded: channels on its frames.
     """
     own = tuple(one for one in device.elements if one.grounded and not one.unknown)
     total = torch.zeros_like(trial.wrench)
@@ -118,7 +114,6 @@ def heard(trial: WrenchTrial, support: Float[Tensor, "frames 6"]) -> WrenchTrial
     """Return a trial without the frames in which nobody knows what supports carried.
 
     Args:
-        trial: with the device.
         support: its wrench, NaN where it was not recorded.
     """
     return replace(trial, used=trial.used & torch.isfinite(support).all(dim=1))

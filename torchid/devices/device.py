@@ -5,11 +5,31 @@ coordinate or an axis carries a torque, positive in the sense of the coordinate 
 against the first).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from torchid.devices.values import Number, SheetValue, Triple
+from torchid.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class SheetValue:
+    """A number of a sheet and how well it is known."""
+
+    value: float
+    sd: float = 0.0
+    """Standard deviation in the same unit; zero where the sheet states none."""
+
+    def __format__(self, spec: str) -> str:
+        """Write the number, and its standard deviation where there is one."""
+        return f"{self.value:{spec}}" + (f" +- {self.sd:{spec}}" if self.sd else "")
+
+
+Number = SheetValue | None
+"""A number, or None for one that is to be identified."""
+Triple = tuple[float, float, float]
+"""Coordinates of a point or a direction in the axes that its field names."""
+
 
 WORLD = "world"
 """Name of the ground among the segments of an element."""
@@ -196,3 +216,40 @@ class Device:
     def element(self, name: str) -> Element:
         """Return the element called ``name``, which exists."""
         return next(one for one in self.elements if one.name == name)
+
+
+Places = Mapping[str, tuple[str, Triple]]
+"""Label of a marker: its segment, and its place p_BM_B there [m]."""
+
+
+def placed(device: Device, places: Places) -> Device:
+    """Return the device with the points that are markers' where those are on their segments.
+
+    Args:
+        places: of the markers, as the geometric fit found them.
+
+    Raises:
+        ConfigError: ``device.marker`` where one is unknown or rides on another segment than the sheet says.
+    """
+
+    def settled(point: SegmentPoint, element: str) -> SegmentPoint:
+        if not point.marker:
+            return point
+        segment, place = places.get(point.marker, ("", None))
+        if place is None or segment != point.segment:
+            raise ConfigError(
+                "device.marker", "no such marker on this segment", place=element,
+                found=f"{point.marker} on {segment or 'no segment'}, {point.segment} in the sheet",
+                remedy="Name a marker of the recordings, and the segment that it rides on",
+            )  # fmt: skip
+        return replace(point, place=place)
+
+    def moved(element: Element) -> Element:
+        line = element.line
+        if isinstance(line, Path):
+            return replace(element, line=replace(line, points=tuple(settled(p, element.name) for p in line.points)))
+        if isinstance(line, Handle):
+            return replace(element, line=replace(line, point=settled(line.point, element.name)))
+        return element
+
+    return replace(device, elements=tuple(moved(element) for element in device.elements))

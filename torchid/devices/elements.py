@@ -14,15 +14,38 @@ from torchid.devices.device import (
     Handle,
     Law,
     Line,
+    Number,
     SegmentPoint,
     Sensor,
+    SheetValue,
+    Triple,
 )
-from torchid.devices.device import (
-    Path as Run,
-)
-from torchid.devices.faults import fault, number
-from torchid.devices.sheet import ElementSheet, ProfileSheet
-from torchid.devices.values import SheetValue, Triple
+from torchid.devices.device import Path as Run
+from torchid.devices.sheet import ElementSheet, ProfileSheet, VectorWithSd, WithSd
+from torchid.errors import ConfigError
+
+
+def fault(code: str, message: str, source: str | Path, place: str = "", found: str = "", *, remedy: str) -> ConfigError:
+    """Return the error ``device.<code>`` of a place of a sheet."""
+    return ConfigError(f"device.{code}", message, source=source, place=place, found=found, remedy=remedy)
+
+
+def number(text: Any) -> Number:
+    """Return a number of a sheet; None where it is unknown."""
+    if text == "unknown":
+        return None
+    return SheetValue(text.value, text.sd) if isinstance(text, WithSd) else SheetValue(float(text))
+
+
+def vector(text: Any) -> tuple[SheetValue, SheetValue, SheetValue] | None:
+    """Return a vector of a sheet; None where it is unknown."""
+    if text == "unknown":
+        return None
+    values, sd = (text.value, text.sd) if isinstance(text, VectorWithSd) else (text, 0.0)
+    spread = sd if isinstance(sd, tuple) else (sd, sd, sd)
+    x, y, z = (SheetValue(float(v), float(s)) for v, s in zip(values, spread, strict=True))
+    return x, y, z
+
 
 LINEAR = {
     "stiffness": "stiffness_N_m", "rest": "rest_m", "preload": "preload_N", "free_play": "free_play_m",
@@ -40,7 +63,6 @@ def element_of(sheet: ElementSheet, k: int, path: Path) -> Element:
     """Make an element of its sheet.
 
     Args:
-        sheet: its keys.
         k: number in the list.
         path: the file, from whose folder profiles are found.
 
@@ -82,11 +104,8 @@ def _line(sheet: ElementSheet, place: str, path: Path) -> Line:
         return Axis(_unit(sheet.axis, f"{place}.axis", path))
     inner = [SegmentPoint(via.segment, via.point_m, via.marker or "") for via in sheet.via]
     rail = None if sheet.rail is None else _unit(sheet.rail, f"{place}.rail", path)
-    begin, end = (
-        SegmentPoint(first, sheet.from_m, sheet.from_marker or ""),
-        SegmentPoint(last, sheet.to_m, sheet.to_marker or ""),
-    )
-    run = (begin, *inner, end)
+    begin = SegmentPoint(first, sheet.from_m, sheet.from_marker or "")
+    run = (begin, *inner, SegmentPoint(last, sheet.to_m, sheet.to_marker or ""))
     if any((point.place is None) != bool(point.marker) for point in run):
         raise fault("element", "a point is given twice or not at all", path, place, remedy="Give point or marker.")
     return Run(run, rail)

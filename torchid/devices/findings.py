@@ -12,7 +12,7 @@ from typing import Literal
 import torch
 
 from torchid.devices.base_columns import has_line
-from torchid.devices.device import Device, Element
+from torchid.devices.device import Device, Element, SheetValue
 from torchid.devices.identify import identify_device
 from torchid.devices.measured import MeasuredElement, measured_by
 from torchid.devices.options import DeviceOptions
@@ -20,7 +20,6 @@ from torchid.devices.places import carried_elsewhere, moved
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import fit_law
 from torchid.devices.supports import Recorded
-from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 
 SURE = 3.0
@@ -76,9 +75,6 @@ def device_findings(
     Args:
         device: the sheet; its unknown numbers are no findings.
         body: inertia as trials without the device told it.
-        trials: with the device.
-        recorded: channels of the device by trial.
-        options: what is assumed.
 
     Raises:
         DataError, ConfigError: as of ``identify_device``.
@@ -105,11 +101,7 @@ def device_findings(
 
 
 def opened(device: Device) -> Device:
-    """Return the device with masses and what laws and commands are made of unknown; its places stay.
-
-    Args:
-        device: the sheet.
-    """
+    """Return the device with masses and what laws and commands are made of unknown; its places stay."""
 
     def law(element: Element) -> Element:
         own = element.law

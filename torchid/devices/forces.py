@@ -56,9 +56,7 @@ def element_force(
     Args:
         element: all of its numbers known.
         act: its line at these frames.
-        v: rates of the coordinates.
         time: of the frames [s].
-        recorded: channels on the frames.
 
     Raises:
         ConfigError: ``device.unknown`` or ``device.channel``.
@@ -83,8 +81,6 @@ def device_forces(
 
     Args:
         device: every number that a force needs known.
-        tree: of the human model.
-        geometry: of the human model.
         motion: q, v, a at marker rate.
         recorded: channels of the device on the motion's frames as recorded, by name; ``phase`` for profiles over
             phase. Commands and forces go through the motion's filter, as everything else has. An element whose sensor
@@ -108,7 +104,6 @@ def smoothed(values: Float[Tensor, " frames"], motion: Motion) -> Float[Tensor, 
 
     Args:
         values: on the motion's frames, NaN where nothing was recorded.
-        motion: with the filter.
     """
     values = values.to(motion.time)
     known = torch.isfinite(values)
@@ -130,7 +125,6 @@ def filtered(elements: Iterable[Element], recorded: Channels, motion: Motion) ->
     Args:
         elements: whose commands and handles are forces.
         recorded: channels on the motion's frames, by name.
-        motion: with the filter.
     """
     names = {one.drive.channel for one in elements if one.drive is not None}
     names |= {name for one in elements if isinstance(one.line, Handle) for name in one.line.channels}
@@ -141,9 +135,7 @@ def readings(elements: Iterable[Element], recorded: Channels, motion: Motion) ->
     """Return what sensors read of elements' forces, through the filter of the motion; NaN where they read nothing.
 
     Args:
-        elements: with their sensors.
         recorded: channels on the motion's frames, by name.
-        motion: with the filter.
 
     Returns:
         Channels of sensors that tell anything (``tells``), by name.

@@ -8,15 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import Inertial
-from torchid.devices.base_columns import (
-    INNER,
-    acting,
-    has_line,
-    heard,
-    known_external,
-    seen_share,
-)
-from torchid.devices.device import Device, Element, Part
+from torchid.devices.base_columns import INNER, acting, has_line, heard, known_external, seen_share
+from torchid.devices.device import Device, Element, Part, SheetValue
 from torchid.devices.forces import tells
 from torchid.devices.joint_fit import JointFit
 from torchid.devices.measured import measured_by
@@ -25,11 +18,10 @@ from torchid.devices.parts import PartsPrior, parts_prior
 from torchid.devices.result import BodyBelief, Determined, IdentifiedDevice, NotDeterminable
 from torchid.devices.sensor import LawFit, fit_law
 from torchid.devices.supports import KnownParameters, Recorded, fit_by_base_rows, stated
-from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError
 from torchid.inertia.posterior import com_jacobian
-from torchid.inertia.pseudo import com
+from torchid.model.pseudo import com
 
 
 def identify_device(
@@ -46,7 +38,6 @@ def identify_device(
     numbers come from the element's sensor, and without one they are not determinable.
 
     Args:
-        device: the sheet.
         body: inertia as trials without the device told it.
         trials: with the device, followed by the same geometry as those without.
         recorded: channels of the device on each trial's frames, by trial; samples as recorded, unfiltered.

@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import Inertial
+from torchid.devices.device import SheetValue
 from torchid.devices.parts import LEAST_SD, PartsPrior
 from torchid.devices.result import BodyBelief
-from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 from torchid.dynamics.whitening import (
     BlockSpectrum,
@@ -30,7 +30,7 @@ from torchid.dynamics.whitening import (
 )
 from torchid.inertia.cone import LinearConstraints, project
 from torchid.inertia.identify import ROUNDS
-from torchid.inertia.pseudo import relative_map
+from torchid.model.pseudo import relative_map
 
 FLOOR = 1e-6
 """Smallest eigenvalue of a pseudo-inertia relative to its reference's, as of ``InertiaOptions.floor``."""

@@ -5,8 +5,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.devices.device import Drive, Element, Law
-from torchid.devices.values import Number
+from torchid.devices.device import Drive, Element, Law, Number
 from torchid.errors import ConfigError
 
 Channels = dict[str, Tensor]
@@ -51,7 +50,6 @@ def law_force(
 
     Args:
         law: all of its numbers known, but for a stiffness that a table replaces.
-        element: whose law it is, for the error.
         x: length [m] or angle [rad].
         rate: of x, per second.
 
@@ -76,7 +74,6 @@ def interpolated(table: tuple[tuple[float, float], ...], x: Tensor) -> Tensor:
 
     Args:
         table: abscissa and value, rising.
-        x: where it is asked for.
     """
     at, value = (x.new_tensor(column) for column in zip(*table, strict=True))
     k = (torch.bucketize(x.contiguous(), at) - 1).clamp(0, len(at) - 2)
@@ -91,10 +88,8 @@ def drive_force(
 
     Args:
         drive: what is commanded.
-        element: whose drive it is, for errors.
         x: length or angle of the element.
         time: of the frames [s].
-        recorded: channels on the frames.
 
     Raises:
         ConfigError: ``device.unknown`` or ``device.channel``.

@@ -53,8 +53,6 @@ def measured_by(element: Element, trials: Sequence[WrenchTrial], recorded: Recor
 
     Args:
         element: with a line of its own.
-        trials: with the device.
-        recorded: channels by trial.
 
     Raises:
         ConfigError: ``device.segment`` or ``device.coordinate``.

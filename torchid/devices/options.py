@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from torchid.bounds import NonNegative, Positive
-from torchid.devices.values import SheetValue
+from torchid.devices.device import SheetValue
 
 UNKNOWN: Mapping[str, SheetValue] = MappingProxyType(
     {

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from torchid.conventions import INERTIA_PAIRS, Inertial
 from torchid.devices.action import segment_index
-from torchid.devices.device import Device, Part
-from torchid.devices.values import SheetValue
+from torchid.devices.device import Device, Part, SheetValue
 from torchid.model.tree import Tree
 
 DRAWS = 4096
@@ -55,7 +54,6 @@ def parts_prior(device: Device, tree: Tree, com: Float[Tensor, "bodies 3"]) -> P
 
     Args:
         device: with parts on segments of the tree.
-        tree: of the human model.
         com: centres of mass of the human segments, about which parts without a stated one scatter [m].
 
     Raises:

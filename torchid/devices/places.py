@@ -8,7 +8,7 @@ from torchid.devices.joint_fit import Extra, fit_jointly
 from torchid.devices.parts import parts_prior
 from torchid.devices.result import BodyBelief
 from torchid.dynamics.rows import WrenchTrial
-from torchid.inertia.pseudo import com
+from torchid.model.pseudo import com
 from torchid.model.tree import Tree
 
 ELSEWHERE = 5.0
@@ -37,7 +37,6 @@ def carried_elsewhere(device: Device, body: BodyBelief, trials: Sequence[WrenchT
     others look misplaced that are not.
 
     Args:
-        device: the sheet.
         body: inertia as trials without the device told it.
         trials: with the device; without used frames nothing comes back.
     """
@@ -59,12 +58,7 @@ def carried_elsewhere(device: Device, body: BodyBelief, trials: Sequence[WrenchT
 
 
 def moved(device: Device, places: Sequence[CarriedPart]) -> Device:
-    """Return the device with the parts that are sure to be elsewhere on the segments that carry them.
-
-    Args:
-        device: the sheet.
-        places: of its parts.
-    """
+    """Return the device with the parts that are sure to be elsewhere on the segments that carry them."""
     other = {one.part: one.segment for one in places if one.sure}
     for k, part in enumerate(device.parts):
         device = _carried(device, k, other[part.name]) if part.name in other else device

@@ -8,15 +8,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from torchid.devices.device import Device, Part
-from torchid.devices.elements import element_of
-from torchid.devices.faults import fault, number, vector
-from torchid.devices.links import attached_parts
+from torchid.devices.device import Device, Part, SheetValue
+from torchid.devices.elements import element_of, fault, number, vector
 from torchid.devices.sheet import AttachedLink, DeviceSheet, ElementSheet, MatrixWithSd, PartSheet
-from torchid.devices.values import SheetValue
 from torchid.errors import ConfigError
+from torchid.model.mechanics import phi_to_centre, rpy_to_matrix
+from torchid.model.urdf import read_urdf
 from torchid.storage.documents import read_document
 
 SUFFIXES = (".yaml", ".yml", ".json")
@@ -148,3 +148,40 @@ def _keys(place: tuple[str | int, ...]) -> list[str]:
         else:
             section = _SECTIONS.get(str(step), section)
     return list(section.model_fields)
+
+
+def attached_parts(path: Path, attachments: Mapping[str, str | AttachedLink]) -> list[Part]:
+    """Read the links of a URDF file as parts of segments; links behind fixed joints are part of their parents.
+
+    Args:
+        attachments: link: segment whose axes and origin are the link's, or the link's pose on one. Without any, the
+            links carry the names of segments.
+
+    Raises:
+        ConfigError: ``device.attachment`` where a link is on no segment or an attachment has no link.
+        InputError: the file cannot be read.
+    """
+    model, _ = read_urdf(path)
+    names = model.tree.names
+    where = dict(attachments) or dict(zip(names, names, strict=True))
+    for name in where:
+        if name not in names:
+            near = get_close_matches(name, names, n=1, cutoff=0.5)
+            remedy = f"Did you mean '{near[0]}'?" if near else f"Links that move by themselves: {', '.join(names)}."
+            raise fault("attachment", "no such link", path, f"attach.{name}", remedy=remedy)
+    lost = [name for name in names if name not in where]
+    if lost:
+        remedy = "List under `attach` the segment of every link that moves by itself."
+        raise fault("attachment", "a link is on no segment", path, "attach", ", ".join(lost), remedy=remedy)
+    phi = model.inertia.mean.numpy()
+    return [_part_of_link(name, where[name], phi[k]) for k, name in enumerate(names)]
+
+
+def _part_of_link(name: str, attachment: str | AttachedLink, phi: np.ndarray) -> Part:
+    at = attachment if isinstance(attachment, AttachedLink) else AttachedLink(segment=attachment)
+    R = rpy_to_matrix(*at.rpy)
+    mass, centre, inertia = phi_to_centre(phi, name)
+    x, y, z = (SheetValue(float(v)) for v in np.array(at.xyz) + R @ centre)
+    turned = R @ inertia @ R.T
+    a, b, c, d, e, f = (SheetValue(float(turned[i, j])) for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))
+    return Part(name, at.segment, SheetValue(mass), (x, y, z), (a, b, c, d, e, f))

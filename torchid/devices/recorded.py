@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import InputError
-from torchid.io.c3d_data import read_analogs
+from torchid.io.c3d import read_analogs
 from torchid.io.c3d_header import read_header
 from torchid.io.c3d_layout import resolve_layout
 from torchid.io.files import FileBytes, read_lines

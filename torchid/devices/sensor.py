@@ -15,11 +15,11 @@ from scipy.optimize import least_squares
 from torch import Tensor
 
 from torchid.devices.base_columns import SCALE
+from torchid.devices.device import SheetValue
 from torchid.devices.forces import smoothed
 from torchid.devices.measured import MeasuredElement
 from torchid.devices.options import DeviceOptions
 from torchid.devices.sandwich import sandwich
-from torchid.devices.values import SheetValue
 from torchid.dynamics.whitening import white_scatter
 
 ROUNDS = 4
@@ -64,10 +64,8 @@ def fit_law(
     """Fit some parameters of an element to its sensor.
 
     Args:
-        measured: by trial.
         names: parameters that are fitted.
         numbers: values of all others.
-        options: what is assumed.
     """
     noise = _sensor_noise(measured)
     length_sd, best = 0.0, _start(measured, names, numbers)

@@ -8,13 +8,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.devices.base_columns import Acting, about_root, acting, heard, known_external
-from torchid.devices.device import Device, Element
+from torchid.devices.device import Device, Element, SheetValue
 from torchid.devices.joint_fit import Considered, Extra, JointFit, fit_jointly
 from torchid.devices.laws import Channels
 from torchid.devices.options import DeviceOptions
 from torchid.devices.parts import PartsPrior
 from torchid.devices.result import BodyBelief
-from torchid.devices.values import SheetValue
 from torchid.dynamics.rows import WrenchTrial
 
 PASSES = 3
@@ -55,11 +54,7 @@ def fit_by_base_rows(
     Args:
         device: numbers that sensors told filled in.
         supports: elements that base rows see and whose numbers are unknown.
-        trials: with the device.
         body: as trials without the device told it.
-        prior: of the parts.
-        recorded: channels by trial.
-        options: what is assumed.
     """
     own = [[acting(e, t, recorded.get(t.name, {})) for t in trials] for e in supports]
     names = [(e, name) for e in supports for name in e.unknown]

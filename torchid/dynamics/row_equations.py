@@ -89,11 +89,10 @@ class NormalEquations:
         finite = bool(torch.isfinite(self.gram).all() and torch.isfinite(self.moment).all())
         if not (finite and torch.isfinite(torch.tensor(float(self.square)))):
             raise DataError(
-                "equations.not_finite",
-                "the accumulated equations hold NaN or infinity",
+                "equations.not_finite", "the accumulated equations hold NaN or infinity",
                 found=f"{int((~torch.isfinite(self.gram)).sum())} entries of the Gram matrix",
                 remedy="Leave out frames without motion or force before summing",
-            )
+            )  # fmt: skip
         norm, values, vectors = self.unit_spectrum
         unit = torch.where(norm > 0, 1 / norm, 0.0)
         asymmetry = float((self.gram - self.gram.mT).abs().mul(unit[:, None] * unit).max())
@@ -102,9 +101,8 @@ class NormalEquations:
         best = float(((vectors.mT @ (unit * self.moment))[solid].square() / values[solid]).sum())
         if float(values[0]) < -_ROUNDING * top or asymmetry > _ROUNDING or best > self.square * (1 + 1e3 * _ROUNDING):
             raise DataError(
-                "equations.inconsistent",
-                "the accumulated equations cannot come from one set of rows",
+                "equations.inconsistent", "the accumulated equations cannot come from one set of rows",
                 found=f"smallest eigenvalue {float(values[0]):.1e} of {top:.1e}, asymmetry {asymmetry:.1e}, "
                 f"explained {best:.6e} of {self.square:.6e}",
                 remedy="Sum gram, moment and square over the same rows, in float64",
-            )
+            )  # fmt: skip

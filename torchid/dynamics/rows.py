@@ -11,6 +11,7 @@ from torchid.dynamics.equations_of_motion import base_rows, body_rows, dynamic_s
 from torchid.model.model import Geometry
 from torchid.model.tree import Tree
 from torchid.motion import Motion
+from torchid.runs import runs
 
 BLOCK = 512
 """Frames per block at most; memory does not grow with the trial."""
@@ -55,13 +56,6 @@ class WrenchTrial:
             pieces = -(-(stop - start) // BLOCK)
             edges = [start + round(k * (stop - start) / pieces) for k in range(pieces + 1)]
             yield from (slice(a, b) for a, b in zip(edges, edges[1:], strict=False))
-
-
-def runs(flag: Bool[Tensor, " frames"]) -> list[tuple[int, int]]:
-    """Start and end (exclusive) of every run of True."""
-    edges = torch.diff(torch.nn.functional.pad(flag.long(), (1, 1)))
-    starts, stops = (edges == 1).nonzero()[:, 0], (edges == -1).nonzero()[:, 0]
-    return list(zip(starts.tolist(), stops.tolist(), strict=True))
 
 
 def predict(trial: WrenchTrial, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "frames 6"]:

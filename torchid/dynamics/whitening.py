@@ -132,7 +132,6 @@ def spectrum(
     Args:
         Y: regressor.
         F: wrench.
-        rate_hz: frames per second.
         cutoff_hz: of the filter that both have gone through.
     """
     frames = F.shape[1]

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.checks.clocks import USUAL_LAG_S
 from torchid.effects.kinds import ReadingEffect, SlidingMarkers
 from torchid.effects.marker_scene import Sight, Slid, View
 from torchid.effects.parameter import Parameter, value_of
@@ -22,10 +23,21 @@ from torchid.effects.traits import Correction, Origin, Proof, Response, Site
 from torchid.filters import Smoother
 from torchid.wording import stated
 
-USUAL_LAG_S = {"vertical": 0.004, "horizontal": 0.005}
-"""Estimator. Mean over sessions, and as large its standard deviation, of the lag of forces behind the bones of living
-bodies, whose soft parts follow late: of seven sessions of four laboratories six lay at 1 to 8 ms in the vertical and
-at 3 to 13 ms in the horizontal, one at -6 and -3 ms (`docs/decisions.md`)."""
+
+def delayed(
+    time: Float[Tensor, " frames"], signal: Float[Tensor, "frames channels"], lags_s: Sequence[float]
+) -> Float[Tensor, "lags frames channels"]:
+    """Return a signal as it was some lags ago, by a cubic spline; what comes beyond an end is the sample there.
+
+    Args:
+        time: of the samples [s].
+        signal: what is read of it.
+        lags_s: by how much each comes late [s]; negative: early.
+    """
+    clock = time.cpu().numpy()
+    spline = scipy.interpolate.make_interp_spline(clock, signal.cpu().numpy(), k=3)
+    late = np.stack([spline(np.clip(clock - lag_s, clock[0], clock[-1])) for lag_s in lags_s])
+    return torch.as_tensor(late, dtype=signal.dtype, device=signal.device)
 
 
 class LateReading(ReadingEffect):
@@ -34,14 +46,11 @@ class LateReading(ReadingEffect):
     response = Response.TIME_SHIFT
 
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
-        """Readings as they were a lag ago, by a cubic spline; what comes before the first sample is that sample."""
+        """Readings as they were a lag ago (``delayed``)."""
         if not covers(place, reading.trial):
             return reading
-        time, lag = reading.time.cpu().numpy(), float(theta[0])
-        flat = reading.wrench.flatten(1).cpu().numpy()
-        late = scipy.interpolate.make_interp_spline(time, flat, k=3)(np.clip(time - lag, time[0], time[-1]))
-        wrench = torch.as_tensor(late, dtype=reading.wrench.dtype, device=reading.wrench.device)
-        return replace(reading, wrench=wrench.reshape(reading.wrench.shape), unborne=None)
+        late = delayed(reading.time, reading.wrench.flatten(1), (float(theta[0]),))
+        return replace(reading, wrench=late.reshape(reading.wrench.shape), unborne=None)
 
     def _told(self, finding: NamedEffect) -> str:
         lag, sd = of(finding, "lag_s")

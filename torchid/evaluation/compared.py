@@ -65,18 +65,13 @@ class Compared(Protocol):
         ...
 
     def devices(self, condition: str) -> tuple[str, ...]:
-        """Names of what was worn; none where nothing was.
-
-        Args:
-            condition: its name.
-        """
+        """Names of what was worn; none where nothing was."""
         ...
 
     def course(self, one: Comparison, condition: str, share: str) -> Estimate:
         """Mean courses of a condition with their band, points times ``one.courses``.
 
         Args:
-            one: the comparison.
             condition: its own or the reference.
             share: human, demand, device, or template.
         """

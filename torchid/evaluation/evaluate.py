@@ -14,18 +14,16 @@ from torchid.config import Config
 from torchid.config.conditions import EvaluateOptions
 from torchid.devices import Device, refuse_foreign
 from torchid.errors import ConfigError, DataError
-from torchid.evaluation.corrections import corrections_of
 from torchid.evaluation.cycle_measures.cycles import Course, Cycle, find_cycles, outliers
 from torchid.evaluation.cycle_measures.layout import MeasureLayout, make_layout
 from torchid.evaluation.cycle_measures.rows import CycleRows, RowScene, cycle_rows, joined
-from torchid.evaluation.evaluation import Evaluation
+from torchid.evaluation.evaluation import Evaluation, corrections_of
 from torchid.evaluation.gaps import find_gaps
 from torchid.evaluation.simulation import with_conditions
 from torchid.evaluation.statistics.answers import BodyAnswer, answer
 from torchid.evaluation.torque_shares.back import lever_arms
 from torchid.evaluation.torque_shares.contacts import FeetWrenches, count_contacts, feet_of, refuse_twice
-from torchid.evaluation.torque_shares.device_draws import device_deviations
-from torchid.evaluation.torque_shares.draws import torque_deviations
+from torchid.evaluation.torque_shares.draws import device_deviations, torque_deviations
 from torchid.evaluation.torque_shares.shares import shares
 from torchid.evaluation.torque_shares.wearing import Worn, channels_of, identified_devices, worn_devices
 from torchid.evaluation.trials import ConditionTrial, condition_trials, refuse_faulty, refuse_still
@@ -84,11 +82,7 @@ def evaluate(config: Config, progress: OnStage = lambda stage, fraction: None) -
 
 
 def refuse_nothing(config: Config) -> None:
-    """Raise ConfigError where a config has no conditions to compare.
-
-    Args:
-        config: of the evaluation.
-    """
+    """Raise ConfigError where a config has no conditions to compare."""
     if len(config.conditions) < 2:
         raise ConfigError(
             "evaluate.no_conditions", "there is nothing to compare", place="conditions",
@@ -109,9 +103,6 @@ def gather(config: Config, outcome: Outcome, trials: tuple[ConditionTrial, ...],
     """Cycles, columns, devices and their channels.
 
     Args:
-        config: of the evaluation.
-        outcome: of the body's run.
-        trials: of all conditions.
         devices: by condition, None for none.
 
     Raises:
@@ -135,7 +126,6 @@ def all_cycles(trials: Sequence[ConditionTrial], options: EvaluateOptions) -> di
     """Cycles of all trials by name.
 
     Args:
-        trials: of all conditions.
         options: how cycles are found.
     """
     found = {}
@@ -163,8 +153,6 @@ def judge(config: Config, outcome: Outcome, material: Material) -> Evaluation:
     """Both bodies' answers, and what cannot be answered.
 
     Args:
-        config: of the evaluation.
-        outcome: of the body's run.
         material: from ``gather``.
     """
     options, trials = config.evaluate, material.trials

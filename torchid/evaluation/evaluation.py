@@ -7,7 +7,6 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.evaluation.compared import Gap
-from torchid.evaluation.corrections import AppliedCorrection
 from torchid.evaluation.cycle_measures.cycles import Cycle
 from torchid.evaluation.cycle_measures.layout import MeasureLayout, from_file, usual_body
 from torchid.evaluation.statistics.answers import BodyAnswer, sided_courses
@@ -15,7 +14,34 @@ from torchid.evaluation.statistics.comparing import Comparison
 from torchid.evaluation.statistics.effects import Estimate
 from torchid.evaluation.torque_shares.wearing import Worn
 from torchid.evaluation.trials import ConditionTrial
+from torchid.report.cause_sentences import name, told
 from torchid.session import Outcome
+
+
+@dataclass(frozen=True)
+class AppliedCorrection:
+    """A cause that the body's run has corrected for."""
+
+    label: str
+    what: str
+    """Fault, place, size and time in a sentence."""
+    effect: str
+    where: tuple[str, ...]
+    confidence: float
+    """Probability that it, or one that cannot be told from it, is there."""
+    trials: tuple[str, ...]
+    """Trials in which it acts."""
+
+
+def corrections_of(outcome: Outcome) -> tuple[AppliedCorrection, ...]:
+    """Causes of a run's diagnosis that were applied."""
+    if outcome.diagnosis is None or outcome.base is None:
+        return ()
+    return tuple(
+        AppliedCorrection(name(cause), told(cause), cause.effect, cause.where, cause.confidence, cause.trials)
+        for cause in outcome.diagnosis.causes
+        if cause.applied
+    )
 
 
 @dataclass(frozen=True)
@@ -99,11 +125,7 @@ class Evaluation:
         return f"file_{chosen}" if from_file(self.config) else chosen
 
     def devices(self, condition: str) -> tuple[str, ...]:
-        """Name of what was worn; none where nothing was.
-
-        Args:
-            condition: its name.
-        """
+        """Name of what was worn; none where nothing was."""
         device = self.worn[condition].device
         return () if device is None else (device.name,)
 
@@ -112,7 +134,6 @@ class Evaluation:
 
         Args:
             one: a comparison; all have the same courses.
-            condition: its name.
             share: human, demand, device, or template.
         """
         answer = self.template if share == "template" else self.identified

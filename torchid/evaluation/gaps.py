@@ -102,11 +102,7 @@ def _tests(found: Evaluation) -> Iterator[Gap]:
 
 
 def untested(one: Comparison) -> Iterator[Gap]:
-    """A comparison in which no finding is possible, and what it needs.
-
-    Args:
-        one: the comparison.
-    """
+    """A comparison in which no finding is possible, and what it needs."""
     if not one.testable:
         yield Gap(f"whether {one.condition} against {one.reference} differs", one.needed.said)
 
@@ -164,12 +160,7 @@ def _device(found: Evaluation) -> Iterator[Gap]:
 
 
 def unweighed(found: Evaluation, condition: str) -> float:
-    """Mean vertical force of a condition's plates beyond what body and device need, as a mass [kg]; 0 without plates.
-
-    Args:
-        found: the evaluation.
-        condition: its name.
-    """
+    """Mean vertical force of a condition's plates beyond what body and device need, as a mass [kg]; 0: no plates."""
     tree, phi, worn = found.outcome.fit.model.tree, found.outcome.phi, found.worn[condition]
     rows = [t.followed.wrench for t in found.trials if t.condition == condition]
     left = [(r.wrench - predict(r, carried(worn, tree, phi)))[r.used, 2] for r in rows if r is not None]

@@ -48,27 +48,17 @@ class Ledger:
             self._value[key], self._unit[key] = float(value), unit
 
     def has(self, key: Key) -> bool:
-        """Whether there is a number under a key.
-
-        Args:
-            key: perhaps of nothing.
-        """
+        """Whether there is a number under a key."""
         return key in self._value
 
     def value(self, key: Key) -> float:
-        """The number under a key.
-
-        Args:
-            key: one that is there.
-        """
+        """The number under a key."""
         return self._value[key]
 
     def show(self, key: Key, digits: int = 1, factor: float = 1.0) -> str:
         """Text of a number, remembered for the CSV.
 
         Args:
-            key: one that is there.
-            digits: decimals.
             factor: by which the value is multiplied, 100 for percent.
         """
         text = number(self._value[key], digits, factor)
@@ -83,12 +73,7 @@ class Ledger:
         return self.show(key, digits, factor * sign)
 
     def say(self, section: str, text: str) -> str:
-        """Text that has numbers of its own, remembered for the CSV as it is.
-
-        Args:
-            section: of its key.
-            text: a sentence.
-        """
+        """Text that has numbers of its own, remembered for the CSV as it is."""
         key = Key(section, "text", item=str(len(self._value)))
         self._value[key], self._unit[key], self._shown[key] = math.nan, "", [text]
         return text

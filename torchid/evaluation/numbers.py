@@ -1,5 +1,6 @@
 """Every number of an evaluation, with its key and unit, for the ledger."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 import torch
@@ -11,12 +12,11 @@ from torchid.evaluation.cycle_measures.layout import BACK
 from torchid.evaluation.cycle_measures.measures import divides_by_mass, unit_of
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import BODIES, Key
-from torchid.evaluation.loads import load_change
+from torchid.evaluation.loads import beyond_need, load_change
 from torchid.evaluation.statistics.answers import BodyAnswer
 from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn
 from torchid.evaluation.statistics.effects import COVERAGE, Estimate
 from torchid.evaluation.torque_shares.back import NIOSH_N
-from torchid.evaluation.torque_shares.beyond import beyond_need
 
 Entry = tuple[Key, float, str]
 INTERVAL = ("value", "low", "high")
@@ -25,11 +25,7 @@ PRESSED = ("L5/S1", "peak_compression_N")
 
 
 def all_numbers(found: Evaluation) -> Iterator[Entry]:
-    """Key, value and unit of every number.
-
-    Args:
-        found: the evaluation.
-    """
+    """Key, value and unit of every number."""
     yield from common_numbers(found)
     yield from _method(found)
     yield from _cycles(found)
@@ -45,11 +41,7 @@ def all_numbers(found: Evaluation) -> Iterator[Entry]:
 
 
 def common_numbers(found: Compared) -> Iterator[Entry]:
-    """Numbers of method, tests and p-values of courses, which one subject and a study have alike.
-
-    Args:
-        found: the evaluation or the study.
-    """
+    """Numbers of method, tests and p-values of courses, which one subject and a study have alike."""
     yield Key("method", "level"), found.level, ""
     yield Key("method", "coverage"), COVERAGE, ""
     yield Key("method", "limit", "", *PRESSED), NIOSH_N, "N"
@@ -81,7 +73,6 @@ def percent_of(point: int, points: int) -> str:
 
     Args:
         point: from zero.
-        points: of the cycle.
     """
     return f"{100.0 * point / (points - 1):g}"
 
@@ -101,15 +92,11 @@ def difference_numbers(one: Comparison, body: str, per_mass: bool) -> Iterator[E
     """Numbers of all differences of a comparison.
 
     Args:
-        one: the comparison.
         body: identified or template.
-        per_mass: whether torques are divided by mass.
     """
     for k, column in enumerate(one.columns):
-        key, own = (
-            Key("difference", "", one.condition, column.where, column.measure, body),
-            column_unit(column, per_mass),
-        )
+        key = Key("difference", "", one.condition, column.where, column.measure, body)
+        own = column_unit(column, per_mass)
         yield from interval_numbers(key, one.difference, k, own)
         yield key._replace(statistic="sd"), float(one.difference.sd[k]), own
         for name, source in (("g", "value"), ("g_low", "low"), ("g_high", "high")):
@@ -124,8 +111,6 @@ def interval_numbers(key: Key, estimate: Estimate, k: int, unit: str) -> Iterato
     Args:
         key: without its statistic.
         estimate: of several.
-        k: which of them.
-        unit: of it.
     """
     for name in INTERVAL:
         yield key._replace(statistic=name), float(getattr(estimate, name)[k]), unit
@@ -136,9 +121,7 @@ def course_numbers(key: Key, one: Comparison, mean: Estimate, per_mass: bool) ->
 
     Args:
         key: with section, condition and body.
-        one: the comparison.
         mean: flattened points times courses.
-        per_mass: whether torques are divided by mass.
     """
     width, points = len(one.courses), len(one.tested.points)
     for at in range(len(mean.value)):
@@ -176,25 +159,21 @@ def _cycles(found: Evaluation) -> Iterator[Entry]:
         yield Key("cycle", "trials", condition), len([t for t in found.trials if t.condition == condition]), ""
         yield Key("cycle", "cycles", condition), len(own), ""
         yield Key("cycle", "apart", condition), int((found.apart[own] > APART).sum()), ""
-    seen: dict[str, int] = {}
     times = {trial.name: trial.followed.motion.time for trial in found.trials}
-    for k, cycle in enumerate(found.cycles):
-        seen[cycle.trial] = seen.get(cycle.trial, 0) + 1
-        item = cycle_name(cycle.trial, seen[cycle.trial], cycle.side)
+    for k, (item, cycle) in enumerate(zip(cycle_names(found), found.cycles, strict=True)):
         for name, frame in (("t0", cycle.start), ("t1", cycle.stop)):
             yield Key("cycle", name, found.conditions[k], item=item), float(times[cycle.trial][frame]), "s"
         yield Key("cycle", "score", found.conditions[k], item=item), float(found.apart[k]), ""
 
 
-def cycle_name(trial: str, count: int, side: str) -> str:
-    """Name of a cycle: trial, number within it, side.
-
-    Args:
-        trial: its name.
-        count: from one.
-        side: l, r or empty.
-    """
-    return f"{trial}_{count}{side}"
+def cycle_names(found: Evaluation) -> list[str]:
+    """Name of every cycle: trial, number within it from one, side."""
+    seen = Counter[str]()
+    names = []
+    for cycle in found.cycles:
+        seen[cycle.trial] += 1
+        names.append(f"{cycle.trial}_{seen[cycle.trial]}{cycle.side}")
+    return names
 
 
 def _contacts(found: Evaluation) -> Iterator[Entry]:
@@ -232,10 +211,8 @@ def _measures(found: Evaluation, answer: BodyAnswer, body: str) -> Iterator[Entr
         own = answer.cycles_of(condition)
         mean = answer.mean(condition, answer.sample.values, answer.sample.draws)
         for k, column in enumerate(answer.sample.columns):
-            key, unit = (
-                Key("measure", "", condition, column.where, column.measure, body),
-                column_unit(column, found.per_mass),
-            )
+            key = Key("measure", "", condition, column.where, column.measure, body)
+            unit = column_unit(column, found.per_mass)
             yield from interval_numbers(key, mean, k, unit)
             yield key._replace(statistic="sd"), float(mean.sd[k]), unit
             count = int(torch.isfinite(answer.sample.values[own, k]).sum())

@@ -37,8 +37,6 @@ def simulate_conditions(
     """Simulate a session and, under every condition, the motions of ``options.conditions``; write it into a folder.
 
     Args:
-        options: of the session.
-        seed: of everything.
         devices: as they are, every number known; by condition, None for none.
         out: folder for C3D files, channels as CSV, ``config.yaml`` with a condition of every trial, and ``truth/``.
 
@@ -86,7 +84,6 @@ def with_conditions(config: Config, devices: Mapping[str, Device | None]) -> Con
 
     Args:
         config: of an evaluation.
-        devices: by condition, as they are.
 
     Raises:
         ConfigError: as of ``simulate_conditions``.
@@ -118,7 +115,6 @@ def true_shares(
     Args:
         subject: without the device.
         item: the trial with its truth.
-        device: as it is.
     """
     tree, motion = subject.model.tree, item.truth.motion
     feet = [Load(f"foot_{side}", item.truth.feet.wrench[:, k]) for k, side in enumerate("lr")]

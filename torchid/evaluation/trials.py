@@ -42,12 +42,6 @@ def condition_trials(
 ) -> tuple[ConditionTrial, ...]:
     """All trials that have a condition, in the order of the config.
 
-    Args:
-        config: of the evaluation.
-        outcome: of the body's run.
-        folder: for stages.
-        progress: called with stages and fractions.
-
     Raises:
         TorchidError: a recording is at fault, or shows no marker that the body has.
     """
@@ -74,7 +68,6 @@ def refuse_faulty(config: Config, folder: OutputFolder) -> None:
     """Read the trials that were recorded with a device on, before the body is identified, and refuse what is wrong.
 
     Args:
-        config: of the evaluation.
         folder: where to put recordings while others are read.
 
     Raises:
@@ -130,11 +123,7 @@ def _follow(
 
 
 def refuse_still(trials: tuple[ConditionTrial, ...]) -> None:
-    """Raise DataError where a trial of a condition has too few frames to move.
-
-    Args:
-        trials: of all conditions.
-    """
+    """Raise DataError where a trial of a condition has too few frames to move."""
     for trial in trials:
         if trial.recording.role == "static" or len(trial.followed.motion.time) < 2:
             raise InputError(

@@ -24,27 +24,20 @@ def chain_cost(problem: MarkerProblem, q: Tensor, xi: Tensor, part: slice) -> Te
     Args:
         problem: markers, weights and priors of all frames.
         q: coordinates of all frames (dofs, frames).
-        xi: geometry and marker places.
         part: frames to take.
 
     Returns:
         The cost of markers and postures, a scalar, without the prior on xi.
     """
     piece = problem.frames(part)
-    geometry, place = problem.split(xi)
-    body = torch.tensor(problem.plan.order, device=q.device)[problem.body]
-    p = chain_points(problem.plan.tree, q[:, part].T, geometry, body, place)
-    residual = p.permute(1, 2, 0) - piece.target
-    return piece.robust_cost(residual)[0].sum() + piece.posture.pull(q[:, part])[0].sum()
+    return piece.robust_cost(chain_residual(piece, q[:, part], xi))[0].sum() + piece.posture.pull(q[:, part])[0].sum()
 
 
 def chain_residual(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
     """Return the residuals of the markers through the chain, (markers, 3, frames) [m].
 
     Args:
-        problem: markers and geometry.
         q: coordinates (dofs, frames).
-        xi: geometry and marker places.
     """
     geometry, place = problem.split(xi)
     body = torch.tensor(problem.plan.order, device=q.device)[problem.body]
@@ -56,7 +49,6 @@ def accumulate_gradients(problem: MarkerProblem, q: Tensor, xi: Tensor) -> float
     """Add the gradients of the whole cost to q and xi, chunk by chunk, and return the cost.
 
     Args:
-        problem: markers, weights and priors.
         q: coordinates (dofs, frames), a leaf that requires a gradient, because every chunk frees its graph.
         xi: geometry and marker places, a leaf likewise.
 
@@ -80,7 +72,6 @@ def solve_adam(
     """Minimise with Adam (Kingma & Ba 2015) on a cosine schedule of the learning rates.
 
     Args:
-        problem: markers, weights and priors.
         q: coordinates to start from (dofs, frames).
         xi: geometry and marker places to start from.
         iterations: number of steps, all of which are taken.
@@ -114,7 +105,6 @@ def solve_lbfgs(
     xi is scaled by its prior scatter and q by ``Q_SCALE``.
 
     Args:
-        problem: markers, weights and priors.
         q: coordinates to start from (dofs, frames).
         xi: geometry and marker places to start from.
         iterations: limit of evaluations of the cost.

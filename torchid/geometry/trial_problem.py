@@ -22,8 +22,6 @@ def trial_problem(
     """Build the problem of the subject's markers in one trial, weighed by their scatter.
 
     Args:
-        fit: model, markers and their scatter.
-        markers: paths of the trial's markers.
         posture: prior of the postures, from ``posture_prior``.
         index: frames to take; None takes all.
     """
@@ -73,7 +71,6 @@ def settled(
 
     Args:
         fit: geometry, places of the markers and rest.
-        problem: frames of one trial.
         near: postures that are nearly right and need only be mended; None starts from rest.
     """
     if near is None:

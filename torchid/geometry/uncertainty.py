@@ -57,11 +57,6 @@ def chain_jacobian(
 
     The base's rotation is differentiated by a turn in W about its origin.
 
-    Args:
-        problem: markers and geometry.
-        q: coordinates.
-        xi: geometry and marker places.
-
     Returns:
         Two Jacobians, whose rows are the markers' coordinates, marker by marker, x y z.
     """
@@ -82,10 +77,8 @@ def chain_jacobian(
     raw = p.new_zeros(*p.shape[:2], n + len(problem.geometry.constant), 3)
     raw.index_add_(2, chain.q_rows, column)
     raw = raw.transpose(2, 3).reshape(len(p), 3 * p.shape[1], -1)
-    J_q, J_g = (
-        tree.fold(q, raw[:, :, :n].permute(2, 1, 0)).permute(2, 1, 0).clone(),
-        raw[:, :, n:] @ problem.geometry.map,
-    )
+    J_q = tree.fold(q, raw[:, :, :n].permute(2, 1, 0)).permute(2, 1, 0).clone()
+    J_g = raw[:, :, n:] @ problem.geometry.map
     J_q[:, :, :BASE_DOFS] = _base_columns(p - q[:3].T[:, None])
     return J_q, torch.cat([J_g, _place_columns(problem, X[:, frame, :3, :3])], dim=2)
 

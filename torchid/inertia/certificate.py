@@ -19,9 +19,9 @@ from torchid.inertia.base_parameters import Structure
 from torchid.inertia.cone import ConeSolution
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.problem import Problem
-from torchid.inertia.pseudo import params_to_pseudo
 from torchid.inertia.spectrum import Spectrum, cholesky, total_mass
 from torchid.inertia.weights import Weights
+from torchid.model.pseudo import params_to_pseudo
 
 EIGENVALUE_LIMIT = -1e-9
 """Smallest pseudo-inertia eigenvalue over trace of an accepted result."""

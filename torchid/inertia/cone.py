@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from torchid.errors import DataError
-from torchid.inertia.pseudo import TRIANGLE
+from torchid.model.pseudo import TRIANGLE
 
 Matrix = Float[np.ndarray, "params params"]
 Vector = Float[np.ndarray, " params"]

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchid.inertia.cone import ConeSolution, LinearConstraints, Matrix, Vector, no_solution, squares, unit_axes
 from torchid.inertia.newton import Objective, Surface, polish
-from torchid.inertia.pseudo import triangle, untriangle
+from torchid.model.pseudo import triangle, untriangle
 
 _TOUCHED = 1e-5
 """Multiplier, over the largest or 1, above which a linear row counts as touched."""

@@ -14,11 +14,11 @@ from torchid.inertia.cone import ConeSolution
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.posterior import InertiaUncertainty, Progress, progress, uncertainty
 from torchid.inertia.problem import pose
-from torchid.inertia.pseudo import com, inertia_com, mass
 from torchid.inertia.solve import solve
 from torchid.inertia.spectrum import diagonalise
 from torchid.inertia.weights import Weights, choose_weights
 from torchid.model.model import InertialPrior
+from torchid.model.pseudo import com, inertia_com, mass
 
 NO_DATA = Weights(1.0, 1.0, 0.0)
 """Of equations that determine nothing: the prior is the answer, whatever its weight."""
@@ -83,7 +83,6 @@ def fit_inertia(
     Args:
         equations: whitened sums over all fit trials.
         prior: mean and covariance, same bodies.
-        names: of the bodies.
         options: defaults to ``InertiaOptions()``.
         mass: total mass and its standard deviation [kg], when the prior does not hold it already.
         com_box: lower and upper corner of the box that holds each centre of mass, body axes [m].

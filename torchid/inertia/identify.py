@@ -52,11 +52,10 @@ def identify_inertia(
     by_trial = [spectra(trial) for trial in trials if any(True for _ in trial.blocks())]
     if not by_trial:
         raise DataError(
-            "inertia.no_frames",
-            "no trial has a run of frames with all contact on the plates",
+            "inertia.no_frames", "no trial has a run of frames with all contact on the plates",
             found=", ".join(f"{t.name}: {int(t.used.sum())} of {len(t.used)} frames" for t in trials) or "no trials",
             remedy="Record trials with both feet on plates, or check the plates with `torchid check`",
-        )
+        )  # fmt: skip
     return identify_spectra(by_trial, trials[0].tree.names, prior, options, mass, com_box)
 
 

@@ -30,7 +30,6 @@ def leave_out_each(
     Args:
         blocks: whitened sums of each block; together all that is fitted.
         prior: mean and covariance of the parameters.
-        names: of the bodies.
         options: those of the fit; they say which prior it is.
         omega_2: factor on the prior's precision.
         mass: total mass and its standard deviation [kg], as the fit had it.

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchid.conventions import Inertial
 from torchid.errors import ConfigError
-from torchid.inertia.pseudo import params_to_pseudo
+from torchid.model.pseudo import params_to_pseudo
 
 _FLAT = 1e-12
 """Eigenvalue of an ellipsoid's matrix, over its largest, that counts as zero."""
@@ -99,11 +99,10 @@ def check_ellipsoids(ellipsoids: Float[Tensor, "bodies 4 4"], names: tuple[str, 
             raise ConfigError(
                 "rows.ellipsoid",
                 "the matrix is no ellipsoid that holds a body: no point x has [x; 1]' Q [x; 1] > 0, or it is unbounded "
-                "to the wrong side",
-                place=f"ellipsoids, body {name}",
+                "to the wrong side", place=f"ellipsoids, body {name}",
                 found=f"asymmetry {asymmetry:.1e}, eigenvalues of Q {_list(whole)}, of its 3 x 3 block {_list(block)}",
                 remedy="Build Q with torchid.inertia.linear.ellipsoid_matrix: its 3 x 3 block is negative definite",
-            )
+            )  # fmt: skip
 
 
 def check_boxes_meet(
@@ -120,12 +119,11 @@ def check_boxes_meet(
         inside = float(point @ Q @ point)
         if inside < -_OUTSIDE * float(np.abs(point) @ np.abs(Q) @ np.abs(point)):
             raise ConfigError(
-                "rows.bounds_conflict",
-                "the box of the centre of mass does not meet the bounding ellipsoid",
+                "rows.bounds_conflict", "the box of the centre of mass does not meet the bounding ellipsoid",
                 place=f"com_box and ellipsoids, body {name}",
                 found=f"[x; 1]' Q [x; 1] = {inside:.3g} at the box's best point {np.round(nearest, 4).tolist()} m",
                 remedy="Widen one of the two, or check that both are in the body's axes, about its origin, in metres",
-            )
+            )  # fmt: skip
 
 
 def _list(values: Tensor) -> str:

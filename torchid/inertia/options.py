@@ -43,21 +43,15 @@ class IdentifyOptions:
         for name, value in positive.items():
             if not 0 < value < float("inf"):
                 raise OptionError(
-                    "inertia.option",
-                    "must be a positive number",
-                    place=name,
-                    found=str(value),
+                    "inertia.option", "must be a positive number", place=name, found=str(value),
                     remedy=f"The default is {type(self).__dataclass_fields__[name].default}",
-                )
+                )  # fmt: skip
         if not 0 < self.prior_weight_range[0] <= self.prior_weight_range[1]:
             found = str(self.prior_weight_range)
             raise OptionError(
-                "inertia.option",
-                "must be (low, high)",
-                place="prior_weight_range",
-                found=found,
+                "inertia.option", "must be (low, high)", place="prior_weight_range", found=found,
                 remedy="Give two positive numbers, the smaller one first",
-            )
+            )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import Inertial
-from torchid.inertia.pseudo import com, inertia_matrix, mass
 from torchid.inertia.spectrum import Spectrum
+from torchid.model.pseudo import com, inertia_matrix, mass
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from torchid.errors import ConfigError
 from torchid.inertia import entropic
 from torchid.inertia.linear import box_rows, ellipsoid_rows, total_mass_row
 from torchid.inertia.options import IdentifyOptions
-from torchid.inertia.pseudo import params_to_pseudo, relative_map
 from torchid.model.model import InertialPrior
+from torchid.model.pseudo import params_to_pseudo, relative_map
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from torchid.inertia.certificate import Certificate, InertiaStatus, judge
 from torchid.inertia.options import InertiaOptions
 from torchid.inertia.problem import pose
 from torchid.inertia.rows_input import Limits, RowsPrior, array, column_order, read_data, read_limits, read_prior
-from torchid.inertia.rows_result import RowsFit, assemble
-from torchid.inertia.rows_solution import certify_solution, solve_bounded, solve_weighed
+from torchid.inertia.rows_result import RowsFit, assemble, certify_solution, solve_bounded, solve_weighed
 
 EVIDENCE_RANGE = (1e-6, 1e6)
 """Range in which the evidence looks for the prior's weight: nothing is known of the caller's scale."""

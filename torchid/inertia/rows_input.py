@@ -17,8 +17,8 @@ from torchid.conventions import INERTIAL_NAMES
 from torchid.dynamics.row_equations import NormalEquations
 from torchid.errors import ConfigError, DataError
 from torchid.inertia.linear import check_boxes_meet, check_ellipsoids
-from torchid.inertia.pseudo import params_to_pseudo, relative_map
 from torchid.model.model import InertialPrior
+from torchid.model.pseudo import params_to_pseudo, relative_map
 
 Numbers = np.ndarray | Tensor | Sequence[Any]
 """An array in any form that NumPy understands."""

@@ -87,10 +87,9 @@ def cholesky(covariance: Float[Tensor, "params params"]) -> Float[Tensor, "param
         if int(info) == 0:
             return sd[:, None] * factor
     raise ConfigError(
-        "prior.covariance",
-        "the prior covariance of the inertial parameters is not positive definite",
+        "prior.covariance", "the prior covariance of the inertial parameters is not positive definite",
         remedy="Give every parameter a standard deviation above zero and no two a correlation of one",
-    )
+    )  # fmt: skip
 
 
 def total_mass(basis: Float[Tensor, "params params"]) -> Vector:

@@ -85,9 +85,8 @@ def _noise_range(spectrum: Spectrum) -> tuple[float, float, float]:
         raise DataError(
             "inertia.no_noise",
             "the noise cannot be estimated: right-hand sides and what the prior mean predicts are zero in every row",
-            found=f"{spectrum.rows} rows",
-            remedy="Leave such rows out, or state the noise",
-        )
+            found=f"{spectrum.rows} rows", remedy="Leave such rows out, or state the noise",
+        )  # fmt: skip
     # Of data that equal the prior mean's prediction, rounding leaves any residual, zero and less among them.
     largest = max(spectrum.square, spectrum.smallest)
     residual = spectrum.residual(spectrum.solve(1.0, 1.0))
@@ -107,12 +106,9 @@ def choose_weights(
     if options.prior_weight == "cross_validation":
         if len(trials) < 2 or covariance is None:
             raise ConfigError(
-                "inertia.cross_validation",
-                "cross-validation needs at least two fit trials",
-                place="inertia.prior_weight",
-                found=f"{len(trials)}",
-                remedy="Use prior_weight: evidence",
-            )
+                "inertia.cross_validation", "cross-validation needs at least two fit trials",
+                place="inertia.prior_weight", found=f"{len(trials)}", remedy="Use prior_weight: evidence",
+            )  # fmt: skip
         omega_2 = _cross_validate(trials, spectrum.mean, covariance, mass, options)
         notes = _at_bound(omega_2, options.prior_weight_range)
     elif not isinstance(options.prior_weight, str):

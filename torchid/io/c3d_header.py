@@ -137,13 +137,10 @@ def read_header(data: bytes | FileBytes, source: str | Path) -> C3dHeader:
         raise _truncated(source, f"the parameter section starts at byte {parameters}", len(data))
     if data[parameters + 3] not in list(Processor):
         raise InputError(
-            "c3d.processor",
-            "the number format of the file is unknown",
-            source=source,
-            place=f"byte {parameters + 3}",
+            "c3d.processor", "the number format of the file is unknown", source=source, place=f"byte {parameters + 3}",
             found=str(data[parameters + 3]),
             remedy="Export the file again; 84, 85 and 86 (Intel, DEC, MIPS) are defined",
-        )
+        )  # fmt: skip
     processor = Processor(data[parameters + 3])
     words = struct.unpack(processor.order + "10H", data[start : start + 20])
     scale, rate = processor.floats(data[start + 12 : start + 16])[0], processor.floats(data[start + 20 : start + 24])[0]
@@ -176,24 +173,17 @@ def _start(data: bytes | FileBytes, source: str | Path, notes: list[Note]) -> in
                 notes.append(Note("c3d.leading_zeros", f"{start} zero bytes before the header skipped", str(source)))
             return start
     raise InputError(
-        "c3d.signature",
-        "this is no C3D file",
-        source=source,
-        place="byte 1",
+        "c3d.signature", "this is no C3D file", source=source, place="byte 1",
         found=f"{len(data)} bytes beginning with {bytes(data[:8])!r}",
         remedy="Give a .c3d file as the recording system exported it",
-    )
+    )  # fmt: skip
 
 
 def _truncated(source: str | Path, where: str, size: int) -> InputError:
     return InputError(
-        "c3d.truncated",
-        "the file ends within its header or parameters",
-        source=source,
-        place=where,
-        found=f"{size} bytes",
-        remedy="Copy or export the file again",
-    )
+        "c3d.truncated", "the file ends within its header or parameters", source=source, place=where,
+        found=f"{size} bytes", remedy="Copy or export the file again",
+    )  # fmt: skip
 
 
 def _walk(

@@ -87,13 +87,10 @@ def _rate(header: C3dHeader, notes: list[Note]) -> float:
     stated = [rate for rate in (parameter, header.rate) if 0.0 < rate < MAX_RATE]
     if not stated:
         raise InputError(
-            "c3d.rate",
-            "the camera rate is missing or none that a camera has",
-            source=header.source,
-            place="POINT:RATE",
-            found=f"{header.spelled('POINT', 'RATE')}, in the header {header.rate:g}",
+            "c3d.rate", "the camera rate is missing or none that a camera has", source=header.source,
+            place="POINT:RATE", found=f"{header.spelled('POINT', 'RATE')}, in the header {header.rate:g}",
             remedy="Export the file again with its frame rate",
-        )
+        )  # fmt: skip
     third = (header.number("ANALOG", "RATE") or 0.0) / header.ratio if header.ratio else 0.0
     repeated = [rate for rate in stated if abs(rate - third) <= MAX_RATE_MISMATCH * rate]
     chosen = (repeated or stated)[0]
@@ -118,13 +115,9 @@ def _scale(header: C3dHeader, real: bool) -> float:
 
 def _bad_scale(header: C3dHeader, message: str, found: str) -> InputError:
     return InputError(
-        "c3d.scale",
-        message,
-        source=header.source,
-        place="POINT:SCALE",
-        found=found,
+        "c3d.scale", message, source=header.source, place="POINT:SCALE", found=found,
         remedy="Export the file again as reals",
-    )
+    )  # fmt: skip
 
 
 def _refuse_analog_rate(header: C3dHeader, rate: float, ratio: int) -> None:
@@ -141,13 +134,10 @@ def _refuse_analog_rate(header: C3dHeader, rate: float, ratio: int) -> None:
     if whole and abs(parameter - header.rate) <= SAME * rate:
         return
     raise InputError(
-        "c3d.analog_rate",
-        "analog and camera rates contradict each other",
-        source=header.source,
-        place="ANALOG:RATE",
+        "c3d.analog_rate", "analog and camera rates contradict each other", source=header.source, place="ANALOG:RATE",
         found=f"{analog_rate:g} Hz against {ratio} samples per frame at {rate:g} Hz",
         remedy="Export the file again; the ratio of the rates must be whole",
-    )
+    )  # fmt: skip
 
 
 def _first_frame(header: C3dHeader, frames: int, notes: list[Note]) -> int:
@@ -206,11 +196,7 @@ def _refuse_truncated(header: C3dHeader, declared: int, present: int, allow_trun
     text = f"{declared} frames declared, {present} present"
     if declared - present > 1 and not allow_truncated:
         raise InputError(
-            "c3d.truncated",
-            "the data section ends early",
-            source=header.source,
-            place="data section",
-            found=text,
+            "c3d.truncated", "the data section ends early", source=header.source, place="data section", found=text,
             remedy="Copy or export the file again, or set allow_truncated: true to read what is there",
-        )
+        )  # fmt: skip
     notes.append(Note("c3d.truncated", f"the data section ends early: {text}; read what is there", header.source))

@@ -114,13 +114,10 @@ def choose_shape(header: C3dHeader, data: bytes | FileBytes, rate: float) -> tup
     shapes = list(_candidates(header, said, len(data)))
     if not shapes:
         raise InputError(
-            "c3d.data_start",
-            "the file does not say where its data begin",
-            source=header.source,
+            "c3d.data_start", "the file does not say where its data begin", source=header.source,
             place="header word 9 and POINT:DATA_START",
-            found=f"{header.data_block} and {header.spelled('POINT', 'DATA_START')}",
-            remedy="Export the file again",
-        )
+            found=f"{header.data_block} and {header.spelled('POINT', 'DATA_START')}", remedy="Export the file again",
+        )  # fmt: skip
     fitting = [shape for shape in shapes if shape.fits(header, len(data))]
     support = {shape: sum(one.backs(shape) for one in said) for shape in fitting or shapes}
     best = [shape for shape, count in support.items() if count == max(support.values())]
@@ -236,10 +233,7 @@ def _contradiction(
     shapes = "; or ".join(str(shape) for shape in best[:4])
     verdict = "these fit the file's size alike" if fits else "none fits the file's size"
     return InputError(
-        "c3d.contradiction",
-        "header and parameters contradict each other about the layout of the data",
-        source=header.source,
-        place="data section",
-        found=f"{stated}: {shapes}; {verdict}, {size} bytes",
+        "c3d.contradiction", "header and parameters contradict each other about the layout of the data",
+        source=header.source, place="data section", found=f"{stated}: {shapes}; {verdict}, {size} bytes",
         remedy="Copy or export the file again, so that header and parameters agree",
-    )
+    )  # fmt: skip

@@ -87,12 +87,10 @@ def _put_forces(file: ezc3d.c3d, forces: Forces | None, trial: Trial, rate: floa
     uneven = abs(forces.rate / (rate * ratio) - 1.0) > 1e-6 if len(forces.time) > 1 else False
     if len(wrench) < frames * ratio or late > 1e-3 or uneven or not np.isfinite(wrench).all():
         raise InputError(
-            "write.forces",
-            "the forces do not fit beside the markers",
-            place=f"trial {trial.name}",
+            "write.forces", "the forces do not fit beside the markers", place=f"trial {trial.name}",
             found=f"{len(forces.time)} samples at {forces.rate:g} Hz for {frames} frames at {rate:g} Hz",
             remedy="Give finite forces from the first frame on, a whole number of samples per frame",
-        )
+        )  # fmt: skip
     setups = [_place(plate) for plate in forces.plates]
     channels = [_channels(wrench[:, k], *setup[:2]) for k, setup in enumerate(setups)]
     file["data"]["analogs"] = np.concatenate(channels, axis=1).T[None]

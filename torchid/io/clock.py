@@ -64,7 +64,6 @@ def uniform_clock(
     Args:
         times: as stored [s], or in ms where ``nominal`` proves it.
         lines: of the file in which they stand.
-        source: the file.
         notes: rounding, missing rows and ms are said here.
         nominal: rate that the file states [Hz]; used where it fits the column at least as well as first and last time.
 
@@ -105,13 +104,11 @@ def _unit(step: float, nominal: float | None, lines: np.ndarray, source: str, no
     if step * SLOWEST <= 1.0 or nominal and abs(step * nominal - 1.0) <= MS_MATCH:
         return 1.0
     raise InputError(
-        "time.unit",
-        "the time column cannot be in seconds",
-        source=source,
+        "time.unit", "the time column cannot be in seconds", source=source,
         place=f"lines {lines[0]} to {lines[-1]}, column time",
         found=f"a row every {step:g}, which would be {1 / step:.3g} Hz",
         remedy="Divide the times by 1000 if they are in ms; they must be in s",
-    )
+    )  # fmt: skip
 
 
 def _rows(times: np.ndarray, nominal: float | None) -> Int[np.ndarray, " rows"]:
@@ -145,10 +142,7 @@ def _gaps(times: np.ndarray, rows: np.ndarray, lines: np.ndarray, source: str) -
 
 def _bad_time(code: str, message: str, row: int, times: np.ndarray, lines: np.ndarray, source: str) -> InputError:
     return InputError(
-        code,
-        message,
-        source=source,
-        place=f"line {lines[row]}, column time",
+        code, message, source=source, place=f"line {lines[row]}, column time",
         found=f"{times[row]:g} after {times[row - 1]:g}" if row else f"{times[row]:g}",
         remedy="Correct that cell, or export the file again with every sample on one clock",
-    )
+    )  # fmt: skip

@@ -2,7 +2,7 @@
 
 Told are axes of a frame, copies, points between two others, points fixed to three others, and values that are no
 places. What is computed in another way, such as a joint centre beside nothing but markers, is told by its name alone
-(``torchid.io.output_names``): the marker of a knee keeps its distance from the computed centre just as exactly.
+(``torchid.io.labels``): the marker of a knee keeps its distance from the computed centre just as exactly.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from torchid.errors import Note
-from torchid.io.output_names import loose
+from torchid.io.labels import loose
 
 EXACT = 2e-6
 """Lengths [m] that differ by less in every frame are the same number: single precision stores 2 m to 0.2 um, cameras

@@ -20,12 +20,9 @@ class FileBytes:
             self.size = path.stat().st_size
             if self.size > MAX_BYTES:
                 raise InputError(
-                    "file.unreadable",
-                    "the file is too large",
-                    source=path,
-                    found=f"{self.size} bytes",
+                    "file.unreadable", "the file is too large", source=path, found=f"{self.size} bytes",
                     remedy="Split the recording",
-                )
+                )  # fmt: skip
             path.open("rb").close()
 
     def __len__(self) -> int:
@@ -56,12 +53,9 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(
-            "file.unreadable",
-            "the file cannot be read",
-            source=path,
-            found=error.strerror or str(error),
+            "file.unreadable", "the file cannot be read", source=path, found=error.strerror or str(error),
             remedy="Check the path and the permissions",
-        ) from error
+        ) from error  # fmt: skip
 
 
 def read_bytes(path: Path) -> bytes:

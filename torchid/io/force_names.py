@@ -106,13 +106,9 @@ def _plate_name(column: str, key: tuple[str, ...]) -> str:
 
 def _refused(message: str, names: tuple[str, ...], source: str) -> InputError:
     return InputError(
-        "mot.columns",
-        message,
-        source=source,
-        place="column names",
-        found=", ".join(names[:40]),
+        "mot.columns", message, source=source, place="column names", found=", ".join(names[:40]),
         remedy="Name them like ground_force_1_vx, ground_force_1_px, ground_force_1_mx (also y, z)",
-    )
+    )  # fmt: skip
 
 
 def refuse_forces(labels: list[str], source: str) -> None:
@@ -127,13 +123,9 @@ def refuse_forces(labels: list[str], source: str) -> None:
     named = [label for label in labels if OWN.search(label)] or _force_table(labels)
     if named:
         raise InputError(
-            "trc.forces",
-            "these are forces, not markers",
-            source=source,
-            place="label line",
-            found=", ".join(named[:12]),
-            remedy="Name the file under forces: and give the marker file under file:",
-        )
+            "trc.forces", "these are forces, not markers", source=source, place="label line",
+            found=", ".join(named[:12]), remedy="Name the file under forces: and give the marker file under file:",
+        )  # fmt: skip
 
 
 def _force_table(labels: list[str]) -> list[str]:

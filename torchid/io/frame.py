@@ -10,8 +10,10 @@ from torch import Tensor
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.errors import InputError, Note
 from torchid.io.options import ReadOptions
-from torchid.io.units import METRES
 from torchid.recording import Forces
+
+METRES = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
+"""Length of each unit [m]."""
 
 WORDS = {
     "millimetres": "mm", "millimeters": "mm", "centimetres": "cm", "centimeters": "cm", "metres": "m", "meters": "m",
@@ -65,13 +67,9 @@ def length_unit(
 def _ask(code: str, message: str, stated: str, extent: float, likely: list[str], source: str) -> InputError:
     found = f"{stated!r}, markers {extent:.4g} units apart"
     return InputError(
-        code,
-        message,
-        source=source,
-        place="units",
-        found=found,
+        code, message, source=source, place="units", found=found,
         remedy=f"Give units: ({' or '.join(likely) if likely else 'mm, cm, m or in'})",
-    )
+    )  # fmt: skip
 
 
 def _extent(position: np.ndarray) -> float:
@@ -106,8 +104,6 @@ def vertical_axis(
         forces: in the file's axes, or None.
         stated: ``y``, ``z`` or empty.
         customary: the axis that the format usually has, taken where there is nothing to turn.
-        options: of the reading.
-        source: the file.
         beside: forces of another file, whose axes may be others; asked last.
 
     Raises:
@@ -141,13 +137,10 @@ def vertical_axis(
 def _unknown_axis(position: np.ndarray, source: str) -> InputError:
     sides = ", ".join(f"{side:.2f} m along {name}" for name, side in zip("XYZ", _extents(position), strict=True))
     return InputError(
-        "axes.unknown",
-        "nothing in the file shows which axis is vertical",
-        source=source,
-        place="axes",
+        "axes.unknown", "nothing in the file shows which axis is vertical", source=source, place="axes",
         found=f"no loaded plate, no stated axis, and a marker cloud of {sides}",
         remedy="Name it in the config, beside file:, with up: z or up: y",
-    )
+    )  # fmt: skip
 
 
 def refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
@@ -158,13 +151,9 @@ def refuse_axis(pushed: str, chosen: str, by: str, source: str) -> None:
     """
     if pushed == "x":
         raise InputError(
-            "axes.unsupported",
-            "the ground reaction points along X",
-            source=source,
-            place="force plates",
-            found="X vertical",
-            remedy="Rotate the laboratory's axes so that Y or Z is vertical",
-        )
+            "axes.unsupported", "the ground reaction points along X", source=source, place="force plates",
+            found="X vertical", remedy="Rotate the laboratory's axes so that Y or Z is vertical",
+        )  # fmt: skip
     if pushed and chosen and pushed != chosen:
         raise InputError(
             "axes.contradiction",

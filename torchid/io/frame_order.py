@@ -45,7 +45,6 @@ def frames_out_of_order(position: Float[np.ndarray, "frames markers 3"], source:
 
     Args:
         position: markers [m], NaN where not seen.
-        source: the file.
     """
     often = np.flatnonzero(np.isfinite(position[:: 1 + len(position) // PIECE, :, 0]).mean(axis=0) > OFTEN)
     if len(often) < MARKERS[0] or len(position) < 4:

@@ -62,8 +62,6 @@ def forces_from_storage(
     load. Missing rows, missing values under load, and single cells that leap away are gaps (NaN), and said.
 
     Args:
-        storage: the file's columns.
-        source: the file.
         moment_gain: factor of the free moments of a plate, by its number: what the user says of their unit.
 
     Raises:
@@ -141,13 +139,10 @@ def _missing(plate: PlateRows, notes: list[Note]) -> Bool[np.ndarray, " rows"]:
     row, column = np.argwhere(bad)[0]
     if rows.mean() > MANY_GAPS:
         raise InputError(
-            "mot.nan",
-            f"{plate.name} has {rows.sum()} of {len(rows)} rows with missing values",
-            source=plate.source,
-            place=f"line {plate.lines[row]}, column {plate.columns[column]}",
-            found=f"{plate.together[row, column]}",
+            "mot.nan", f"{plate.name} has {rows.sum()} of {len(rows)} rows with missing values", source=plate.source,
+            place=f"line {plate.lines[row]}, column {plate.columns[column]}", found=f"{plate.together[row, column]}",
             remedy="Export the forces without gaps, with zeros where nothing is on the plate",
-        )
+        )  # fmt: skip
     text = f"{rows.sum()} rows with missing values left as gaps ({_listed(plate.lines[rows])}; the first in column"
     notes.append(Note("mot.gaps", f"{plate.name}: {text} {plate.columns[column]})", plate.source))
     return rows
@@ -164,13 +159,9 @@ def _refuse_units(plate: PlateRows) -> None:
     if distance > FAR or far > MANY_FAR:
         spread = f", {100 * far:.0f} % of the loaded rows over {REACH:g} m from their median" if far > MANY_FAR else ""
         raise InputError(
-            "mot.cop_units",
-            "centres of pressure lie too far away for metres",
-            source=plate.source,
-            place=plate.name,
-            found=f"median {distance:.3g} from the origin{spread}",
-            remedy="Write them in m",
-        )
+            "mot.cop_units", "centres of pressure lie too far away for metres", source=plate.source, place=plate.name,
+            found=f"median {distance:.3g} from the origin{spread}", remedy="Write them in m",
+        )  # fmt: skip
 
 
 def _bad_cells(plate: PlateRows, rate: float, notes: list[Note]) -> Bool[np.ndarray, " rows"]:
@@ -225,11 +216,9 @@ def _refuse_sustained(plate: PlateRows, gaps: np.ndarray) -> None:
         raise InputError(
             "mot.force_units",
             f"forces of {(size > MOST_FORCE).sum()} rows exceed {MOST_FORCE / 1e3:g} kN, more than a person can bear",
-            source=plate.source,
-            place=f"line {plate.lines[row]}, column {plate.columns[axis]}",
-            found=f"{plate.force[row, axis]:g}",
-            remedy="Write forces in N",
-        )
+            source=plate.source, place=f"line {plate.lines[row]}, column {plate.columns[axis]}",
+            found=f"{plate.force[row, axis]:g}", remedy="Write forces in N",
+        )  # fmt: skip
 
 
 def _listed(lines: np.ndarray) -> str:

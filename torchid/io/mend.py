@@ -92,20 +92,15 @@ def in_config(value: object) -> str:
     """A value as a config writes it."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(in_config, value))}]"
-    return (
-        {True: "true", False: "false"}[value]
-        if isinstance(value, bool)
-        else f"{value:.6g}"
-        if isinstance(value, float)
-        else str(value)
-    )
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def number_of(plate: Plate, index: int) -> int:
     """The number by which a config names a plate: the one in its name (``plate 2``), else its place in the file.
 
     Args:
-        plate: the plate.
         index: its place among the plates, for one that reading has not counted.
     """
     if plate.number is not None:
@@ -137,10 +132,8 @@ def mend(forces: Forces, file: ForcesAs, plates: PlatesAs, source: str = "") -> 
     applies ``corners``, ``turn_deg`` and ``corner_unit`` of a plate first.
 
     Args:
-        forces: as read, in W.
         file: what holds for the whole file.
         plates: what holds for single plates, by number.
-        source: the file, for errors.
 
     Raises:
         InputError: ``plates.number`` for a plate that the file lacks, ``plates.corners`` where a change needs corners
@@ -192,13 +185,9 @@ def _refuse_unknown(plates: PlatesAs, index: dict[int, int], source: str) -> Non
     asked = {n for n, p in plates.items() if p != PlateAs(use=False)} | {p.reads for p in plates.values() if p.reads}
     if not asked <= set(index):
         raise InputError(
-            "plates.number",
-            "the file has no such force plate, or it could not be read",
-            source=source,
-            place="plates",
-            found=", ".join(map(str, sorted(asked - set(index)))),
-            remedy=f"Known: {', '.join(map(str, index))}",
-        )
+            "plates.number", "the file has no such force plate, or it could not be read", source=source, place="plates",
+            found=", ".join(map(str, sorted(asked - set(index)))), remedy=f"Known: {', '.join(map(str, index))}",
+        )  # fmt: skip
 
 
 def _mended(forces: Forces, k: int, change: PlateAs | None, index: dict[int, int], source: str) -> Tensor:
@@ -217,13 +206,10 @@ def _mended(forces: Forces, k: int, change: PlateAs | None, index: dict[int, int
 def _with_corners(plate: Plate, source: str) -> Plate:
     if plate.corners is None:
         raise InputError(
-            "plates.corners",
-            "this change needs the plate's corners, which the file does not have",
-            source=source,
-            place=plate.name,
-            found="no corners",
+            "plates.corners", "this change needs the plate's corners, which the file does not have", source=source,
+            place=plate.name, found="no corners",
             remedy="Use forces_as: with up, turn_deg or mirror for the axes of the whole file",
-        )
+        )  # fmt: skip
     return plate
 
 

@@ -40,7 +40,6 @@ def within_limits(forces: Forces, source: str) -> tuple[Forces | None, list[Note
 
     Args:
         forces: in W, as the user says that they are.
-        source: the file, for the notes.
 
     Returns:
         Forces, None where no plate is left; notes; and the numbers of the plates that are left out.

@@ -13,9 +13,9 @@ from jaxtyping import Float
 
 from torchid.errors import Note
 from torchid.io.c3d_header import C3dHeader
+from torchid.io.frame import METRES
 from torchid.io.mend import PlateAs, PlatesAs, ordered_corners
 from torchid.io.plate_axes import frame_of
-from torchid.io.units import METRES
 
 CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6, 7: 8}
 """Channels of the types that are read; type 7 is type 3 behind a calibration of 8 by 8, as type 4 is type 2."""
@@ -58,7 +58,6 @@ def plate_setups(
     their own: USED is then the one witness against the others.
 
     Args:
-        header: of the file.
         channels: analog channels that the data hold.
         metres: length of the file's unit of position [m].
         changes: what the user says about the corners of single plates.

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.conventions import LOADED_N
+from torchid.conventions import LOADED_N, ZERO_MOST_N
 from torchid.errors import Note
 from torchid.io.c3d_header import C3dHeader
 from torchid.io.mend import PlateAs, PlatesAs
@@ -33,7 +33,6 @@ def read_plates(
     """Wrenches of all usable plates.
 
     Args:
-        header: of the file.
         read: gives the scaled samples of the analog channels asked for.
         shape: samples and channels of the file.
         metres: length of the file's unit of position [m].
@@ -158,13 +157,13 @@ def baseline(vertical: Float[np.ndarray, " samples"]) -> float | None:
     """Median vertical force [N] of a plate while nobody stands on it, None where it is never free.
 
     Free are the samples within ``LOADED_N`` of the level that the smallest twentieth reaches, provided that this level
-    is itself small and that a tenth of the samples share it.
+    is a zero's (``ZERO_MOST_N``) and that a tenth of the samples share it.
     """
     size = np.abs(vertical[np.isfinite(vertical)])
     if not len(size):
         return None
     level = float(np.quantile(size, 0.05))
     free = np.abs(size - level) < LOADED_N
-    if level > 3 * LOADED_N or free.mean() < 0.1 or math.isclose(level, 0.0) and not free.any():
+    if level > ZERO_MOST_N or free.mean() < 0.1 or math.isclose(level, 0.0) and not free.any():
         return None
     return float(np.median(vertical[np.isfinite(vertical)][free]))

@@ -6,23 +6,18 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from torchid.conventions import SAMPLE_LOADED_N
+from torchid.conventions import SAMPLE_LOADED_N, ZERO_NOTED_N
 from torchid.errors import InputError, Note
 from torchid.io.computed import left_out_as_computed
 from torchid.io.frame import SAMPLES, force_axis, refuse_axis, to_world, turn_to_world, vertical_axis
 from torchid.io.frame_order import frames_out_of_order
 from torchid.io.mend import ForcesAs, PlateAs, in_words, mend, turned_up
-from torchid.io.missing import held_samples, missing_samples
+from torchid.io.missing import frame_repeats, held_samples, missing_samples
 from torchid.io.options import ReadOptions
 from torchid.io.plate_limits import within_limits
 from torchid.io.plates import baseline
-from torchid.io.repeats import frame_repeats
 from torchid.io.spikes import marker_spikes, plate_spikes
 from torchid.recording import Event, Forces, Markers, Trial
-
-SMALL_BASELINE = 1.0
-"""An unloaded reading [N] below this is not worth a note."""
-
 
 Measured = tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]
 """Forces of a file of their own, its notes and facts."""
@@ -180,7 +175,7 @@ def _levels(forces: Forces, source: str) -> list[Note]:
             text = f"{plate.name} pulls the subject down ({loaded.mean():.0f} N while loaded): its sign is reversed"
             notes.append(Note("plates.sign", text, source))
         offset = baseline(vertical)
-        if offset is not None and abs(offset) > SMALL_BASELINE:
+        if offset is not None and abs(offset) > ZERO_NOTED_N:
             text = f"{plate.name} reads {offset:.1f} N while nobody is on it; left as it is"
             notes.append(Note("plates.baseline", text, source))
     return notes
@@ -193,13 +188,10 @@ def _overlap(forces: Forces, raw: RawTrial) -> list[Note]:
     begin, end = float(forces.time[0]), float(forces.time[-1])
     if begin >= raw.time[-1] or end <= raw.time[0]:
         raise InputError(
-            "trial.no_overlap",
-            "markers and forces share no time",
-            source=raw.source,
-            place="time",
+            "trial.no_overlap", "markers and forces share no time", source=raw.source, place="time",
             found=f"markers {raw.time[0]:g} to {raw.time[-1]:g} s, forces {begin:g} to {end:g} s",
             remedy="Give the forces of the same trial, on the same clock",
-        )
+        )  # fmt: skip
     if begin <= raw.time[0] + frame and end >= raw.time[-1] - frame:
         return []
     text = f"forces last from {begin:g} to {end:g} s, markers from {raw.time[0]:g} to {raw.time[-1]:g} s; overlap used"

@@ -28,7 +28,6 @@ def to_clock(forces: Forces, time: Float[Tensor, " frames"], source: str = "", p
     forces' own time and within a new period of a missing sample.
 
     Args:
-        forces: of a trial.
         time: the other clock [s].
         source, place: the file and the trial, for errors.
 

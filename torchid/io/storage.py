@@ -61,24 +61,16 @@ def read_storage(path: str | Path) -> Storage:
     names = next((k for k in range((end or 0) + 1, len(lines)) if lines[k].strip()), None)
     if end is None or names is None:
         raise InputError(
-            "storage.header",
-            "this is no MOT or STO file",
-            source=source,
-            place="header",
-            found=repr(lines[0][:40]),
+            "storage.header", "this is no MOT or STO file", source=source, place="header", found=repr(lines[0][:40]),
             remedy="A line endheader must stand before the line of column names",
-        )
+        )  # fmt: skip
     columns = _columns(lines[names])
     header, notes = _header(lines[:end]), []
     if not columns or columns[0].lower() != "time":
         raise InputError(
-            "storage.header",
-            "the first column is not time",
-            source=source,
-            place=f"line {names + 1}",
-            found=", ".join(columns[:8]),
-            remedy="Export the file again",
-        )
+            "storage.header", "the first column is not time", source=source, place=f"line {names + 1}",
+            found=", ".join(columns[:8]), remedy="Export the file again",
+        )  # fmt: skip
     stored = len(columns)
     if _is_vectors(header, source):
         columns = ("time", *(f"{name}_{axis}" for name in columns[1:] for axis in "xyz"))
@@ -95,13 +87,9 @@ def _is_vectors(header: dict[str, str], source: str) -> bool:
     kind = header.get("datatype", "double").lower()
     if kind not in ("double", "vec3", "unitvec3"):
         raise InputError(
-            "storage.type",
-            "columns of this type are not read",
-            source=source,
-            place="header, DataType",
-            found=header["datatype"],
-            remedy="Write plain columns (DataType=double) or vectors (DataType=Vec3)",
-        )
+            "storage.type", "columns of this type are not read", source=source, place="header, DataType",
+            found=header["datatype"], remedy="Write plain columns (DataType=double) or vectors (DataType=Vec3)",
+        )  # fmt: skip
     return kind != "double"
 
 

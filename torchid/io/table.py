@@ -51,12 +51,10 @@ def number(cell: str, source: str, line: int, column: int) -> float:
     comma = cell.count(",") == 1 and cell.replace(",", "", 1).lstrip("+-").replace(".", "", 1).isdigit()
     raise InputError(
         "text.decimal_comma" if comma else "text.number",
-        "numbers are written with a comma" if comma else "a cell is not a number",
-        source=source,
-        place=f"line {line}, column {column}",
-        found=repr(cell[:40]),
+        "numbers are written with a comma" if comma else "a cell is not a number", source=source,
+        place=f"line {line}, column {column}", found=repr(cell[:40]),
         remedy="Export the file with decimal points" if comma else "Correct or export the file again",
-    )
+    )  # fmt: skip
 
 
 def parse_rows(lines: list[str], first: int, width: int, source: str, notes: list[Note], more: bool = False) -> Rows:

@@ -6,14 +6,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from torchid.conventions import y_up_to_z_up
 from torchid.errors import InputError, Note
 from torchid.io.clock import Clock, uniform_clock
 from torchid.io.files import read_lines
 from torchid.io.force_names import refuse_forces
 from torchid.io.table import Rows, parse_rows, split_row
-from torchid.recording import Markers
-from torchid.storage.files import write_text
 
 PARTLY = 0.5
 """Share of a marker's points that may lack a coordinate: cells are damaged now and then, not in every other row."""
@@ -72,23 +69,15 @@ def _refuse_others(lines: list[str], source: str) -> None:
     """Refuse files that are no TRC, and those that end before their labels."""
     if not lines[0].lstrip().lower().startswith("pathfiletype"):
         raise InputError(
-            "trc.signature",
-            "this is no TRC file",
-            source=source,
-            place="line 1",
-            found=repr(lines[0][:40]),
+            "trc.signature", "this is no TRC file", source=source, place="line 1", found=repr(lines[0][:40]),
             remedy="The first line must begin with PathFileType",
-        )
+        )  # fmt: skip
     if not any(line.strip() for line in lines[3:]):
         last = max(k for k, line in enumerate(lines) if line.strip())
         raise InputError(
-            "trc.header",
-            "the file ends in its header: it has no labels and no frames",
-            source=source,
-            place=f"line {last + 1}, the last",
-            found=repr(lines[last][:60]),
-            remedy="Copy or export the file again",
-        )
+            "trc.header", "the file ends in its header: it has no labels and no frames", source=source,
+            place=f"line {last + 1}, the last", found=repr(lines[last][:60]), remedy="Copy or export the file again",
+        )  # fmt: skip
 
 
 def _labels(line: str, source: str) -> list[str]:
@@ -172,38 +161,10 @@ def _whole_points(position: np.ndarray, labels: list[str], lines: np.ndarray, so
     if often.any():
         named = ", ".join(labels[k] for k in np.flatnonzero(often)[:5])
         raise InputError(
-            "trc.shifted",
-            "columns are shifted: cells are missing in the rows",
-            source=source,
-            place=place,
+            "trc.shifted", "columns are shifted: cells are missing in the rows", source=source, place=place,
             found=f"{named} with fewer than three coordinates in most rows",
             remedy="Export the file again, with three cells for every marker",
-        )
+        )  # fmt: skip
     position[whole] = np.nan
     text = f"{partly.sum()} points lack one or two coordinates and are taken as missing, the first {place}"
     return [Note("trc.partial", text, source)]
-
-
-def write_trc(path: str | Path, markers: Markers, y_up: bool = True) -> None:
-    """Write markers as TRC in m, with Y up as OpenSim expects or in W; gaps are blank cells. Whole or not at all."""
-    position = markers.position
-    for _ in range(3 if y_up else 0):
-        # The rotation by +90 degrees about X taken three times is its inverse.
-        position = y_up_to_z_up(position)
-    values = position.detach().cpu().numpy()
-    count, rate = len(markers.labels), markers.rate if len(markers.time) > 1 else 0.0
-    keys = ("DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame")
-    facts = (f"{rate:.10g}", f"{rate:.10g}", len(values), count, "m", f"{rate:.10g}", 1, len(values))
-    head = [
-        f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",
-        "\t".join((*keys, "OrigNumFrames")),
-        "\t".join(str(fact) for fact in facts),
-        "Frame#\tTime\t" + "\t\t\t".join(markers.labels) + "\t\t",
-        "\t\t" + "\t".join(f"{axis}{k + 1}" for k in range(count) for axis in "XYZ"),
-        "",
-    ]
-    rows = (
-        "\t".join([str(k + 1), f"{float(t):.10g}", *("" if np.isnan(x) else f"{x:.9g}" for x in frame.ravel())])
-        for k, (t, frame) in enumerate(zip(markers.time, values, strict=True))
-    )
-    write_text(path, "\n".join([*head, *rows]) + "\n")

@@ -7,7 +7,7 @@ import numpy as np
 
 from torchid.errors import InputError
 from torchid.io.c3d import read_c3d
-from torchid.io.frame import length_unit
+from torchid.io.frame import METRES, length_unit
 from torchid.io.grf import forces_from_storage
 from torchid.io.labels import select_markers
 from torchid.io.mend import PlateAs
@@ -15,7 +15,6 @@ from torchid.io.options import ReadOptions
 from torchid.io.raw import Measured, RawTrial, assemble
 from torchid.io.storage import read_storage
 from torchid.io.trc import read_trc
-from torchid.io.units import METRES
 from torchid.recording import Forces, Trial
 
 ROLES = ("static", "fit", "heldout")
@@ -42,20 +41,14 @@ def read_trial(
     suffix = file.suffix.lower()
     if role not in ROLES:
         raise InputError(
-            "trial.role",
-            "this role does not exist",
-            place=f"trial {name}",
-            found=role,
+            "trial.role", "this role does not exist", place=f"trial {name}", found=role,
             remedy=f"Use one of {', '.join(ROLES)}",
-        )
+        )  # fmt: skip
     if suffix not in (".c3d", ".trc"):
         raise InputError(
-            "trial.format",
-            "markers are read from .c3d and .trc files",
-            source=file,
-            found=file.suffix or "no suffix",
+            "trial.format", "markers are read from .c3d and .trc files", source=file, found=file.suffix or "no suffix",
             remedy="Export the markers as C3D or TRC; forces (.mot, .sto) are given under forces:",
-        )
+        )  # fmt: skip
     measured = _read_forces(None if forces is None else Path(forces), options)
     options = options if forces is None else replace(options, moments_read=True)
     if suffix == ".trc":
@@ -95,13 +88,10 @@ def _refuse_other_clock(time: np.ndarray, measured: Forces | None, file: str, fo
     longer, ratio = (forces, other / own) if other > own else (file, own / other)
     if abs(ratio / 1e3 - 1.0) <= SAME_TRIAL:
         raise InputError(
-            "time.unit",
-            "the times of markers and forces differ by a factor of a thousand",
-            source=longer,
-            place="column time",
-            found=f"markers last {own:g}, forces {other:g}",
+            "time.unit", "the times of markers and forces differ by a factor of a thousand", source=longer,
+            place="column time", found=f"markers last {own:g}, forces {other:g}",
             remedy="Divide the times of this file by 1000; they must be in s",
-        )
+        )  # fmt: skip
 
 
 def _read_forces(path: Path | None, options: ReadOptions) -> Measured:
@@ -109,12 +99,9 @@ def _read_forces(path: Path | None, options: ReadOptions) -> Measured:
         return None, (), ()
     if path.suffix.lower() not in (".mot", ".sto"):
         raise InputError(
-            "trial.format",
-            "forces are read from .mot and .sto files",
-            source=path,
-            found=path.suffix or "no suffix",
+            "trial.format", "forces are read from .mot and .sto files", source=path, found=path.suffix or "no suffix",
             remedy="Give a MOT or STO of ground reactions",
-        )
+        )  # fmt: skip
 
     def moment_gain(number: int) -> float:
         return options.forces_as.moment_gain * options.plates.get(number, PlateAs()).moment_gain

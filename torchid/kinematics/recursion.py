@@ -99,7 +99,6 @@ def poses(plan: Plan, q: Float[Tensor, "dofs frames"], geometry: Geometry | Join
     """Walk the tree: poses of all bodies; the axes of their joints follow from them on demand.
 
     Args:
-        plan: walking order of the tree.
         q: coordinates, frames last [m, rad].
         geometry: offsets and hinge angles, or the joints made of them.
     """
@@ -128,7 +127,6 @@ def body_motion(plan: Plan, at: Poses, v: Float[Tensor, "dofs frames"], a: Float
     """Velocities and accelerations of all bodies at poses ``at``.
 
     Args:
-        plan: walking order of the tree.
         at: the poses of the same frames.
         v: velocities: base linear and angular in W, then time derivatives of the joint coordinates.
         a: accelerations, likewise.

@@ -36,7 +36,6 @@ class Tables:
     all_turn: bool
     """Every body but the root has a turn."""
     turn_row: Int[Tensor, " turns"]
-    turn_body: Int[Tensor, " turns"]
     turn_parent: Int[Tensor, " turns"]
     hinge_parent: Int[Tensor, " hinges"]
     hinge_before: Int[Tensor, " hinges"]
@@ -120,7 +119,6 @@ def make_tables(plan: Plan, dtype: torch.dtype, device: torch.device) -> Tables:
         last=index(last.get(k, len(plan.turns)) for k in range(1, bodies)),
         all_turn=len(last) == bodies - 1,
         turn_row=index(c.row for c in plan.turns),
-        turn_body=turn_body,
         turn_parent=index(position[plan.tree.parents[c.body]] for c in plan.turns),
         hinge_parent=index(position[plan.tree.parents[c.body]] for c in plan.hinges),
         hinge_before=index(c.before if c.before >= 0 else len(plan.turns) for c in plan.hinges),

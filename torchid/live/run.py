@@ -19,8 +19,7 @@ from torchid.live.estimation.pipeline import Moment, Pipeline
 from torchid.live.exercises.exercises import Possibilities
 from torchid.live.exercises.guidance import make_guide
 from torchid.live.sources.recorder import Recorder
-from torchid.live.sources.replay import Replay
-from torchid.live.sources.stream import Source
+from torchid.live.sources.stream import Replay, Source
 from torchid.model.model import InertialPrior
 from torchid.run.sequence import GEOMETRY, run_key
 from torchid.session import Outcome, Session
@@ -75,11 +74,8 @@ def run_live(
             ``xdf:FILE``, a recording of such streams; ``qualisys``, ``qualisys:HOST`` or ``qualisys:HOST:PORT``,
             Qualisys Track Manager; or a source of the caller's own.
         speed: multiple of a recording's own pace; infinite: as fast as it is worked off.
-        seconds: longest duration.
         record: folder for what comes; None keeps nothing. A disk that gets full ends the recording alone.
-        progress: called with stages and fractions.
         page: opens what shows the stream; None shows nothing.
-        opened: called with the page's address.
         possibilities: of a subject who is to be advised; None gives no advice.
         half_life_s: time after which a row counts half, for a body that changes; infinite: all count alike.
 
@@ -120,9 +116,7 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     """Geometry and prior of a config's subject, from a run of it that is finished, else from its static trials alone.
 
     Args:
-        config: with a static trial.
         folder: where the geometry is stored, and taken up again.
-        progress: called with stages and fractions.
 
     Returns:
         The subject, and an outcome that has everything but an inertia.

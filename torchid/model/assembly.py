@@ -49,7 +49,6 @@ def assemble(
 
     Args:
         links: in any order.
-        source: the file.
         landmarks: name: (link, place in the link's axes [m]).
         scatter: how uncertain the numbers of the file are.
 

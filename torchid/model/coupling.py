@@ -62,11 +62,7 @@ class Coupling:
         return tuple(found)
 
     def axes(self, q: Float[Tensor, "dofs frames"]) -> Float[Tensor, "axes frames"]:
-        """Return s at q [rad, m].
-
-        Args:
-            q: coordinates.
-        """
+        """Return s at q [rad, m]."""
         return torch.cat([q, self._values(q)])
 
     def _values(self, q: Tensor) -> Tensor:

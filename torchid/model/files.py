@@ -16,7 +16,6 @@ def load_model(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mo
     """Model of a ``.urdf``, MJCF ``.xml`` or ``.osim`` file, and what was changed in reading it.
 
     Args:
-        path: the file.
         scatter: how uncertain its numbers are; default ``FileScatter()``.
 
     Raises:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchid.conventions import Inertial
 from torchid.errors import ConfigError
-from torchid.io.output_names import AUGMENTED, loose
+from torchid.io.labels import AUGMENTED, loose
 from torchid.model.landmarks import LANDMARKS
 from torchid.model.model import Landmark, Model
 from torchid.model.skeleton import SEGMENTS

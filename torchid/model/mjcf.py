@@ -14,13 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from torchid.errors import Note
 from torchid.model.assembly import ModelLink, assemble, check_body
-from torchid.model.markup import Element, fault, numbers, place, read_xml
+from torchid.model.markup import Element, fault, numbers, place, read_xml, unread
 from torchid.model.mechanics import Array, axis_rotation, pose, pseudo_inertia
 from torchid.model.mjcf_shapes import shape_inertia, z_to
 from torchid.model.mjcf_words import WORDS
 from torchid.model.model import Model
 from torchid.model.tree_of_links import FileScatter, LinkAxis
-from torchid.model.vocabulary import unread
 
 REFUSED = ("include", "frame", "replicate", "attach", "composite", "flexcomp", "plugin")
 COMPILED = "Let MuJoCo write the compiled model: <compiler saveinertial='true'/>, then mujoco.mj_saveLastXML."
@@ -55,7 +54,6 @@ def read_mjcf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
     A ball joint becomes three turns about X, Y, Z. A root without free joint floats all the same, and a note says so.
 
     Args:
-        path: the file.
         scatter: how uncertain its numbers are; default ``FileScatter()``.
 
     Raises:

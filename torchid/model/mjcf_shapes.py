@@ -1,6 +1,7 @@
 """Mass and inertia of MuJoCo's simple shapes, where a body has no inertial of its own."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -79,18 +80,6 @@ def _ellipsoid(a: float, b: float, c: float) -> _Unit:
     return 4.0 / 3.0 * math.pi * a * b * c, (a * a / 5.0, b * b / 5.0, c * c / 5.0)
 
 
-def _sphere(r: float) -> _Unit:
-    return _ellipsoid(r, r, r)
-
-
-def _box(a: float, b: float, c: float) -> _Unit:
-    return 8.0 * a * b * c, (a * a / 3.0, b * b / 3.0, c * c / 3.0)
-
-
-def _cylinder(r: float, h: float) -> _Unit:
-    return 2.0 * math.pi * r * r * h, (r * r / 4.0, r * r / 4.0, h * h / 3.0)
-
-
 def _capsule(r: float, h: float) -> _Unit:
     """A cylinder and two half spheres, whose centres lie 3/8 r beyond its ends."""
     tube, caps = 2.0 * math.pi * r * r * h, 4.0 / 3.0 * math.pi * r**3
@@ -100,4 +89,10 @@ def _capsule(r: float, h: float) -> _Unit:
     return tube + caps, (across, across, along)
 
 
-_UNIT = {"sphere": _sphere, "ellipsoid": _ellipsoid, "box": _box, "cylinder": _cylinder, "capsule": _capsule}
+_UNIT: dict[str, Callable[..., _Unit]] = {
+    "sphere": lambda r: _ellipsoid(r, r, r),
+    "ellipsoid": _ellipsoid,
+    "box": lambda a, b, c: (8.0 * a * b * c, (a * a / 3.0, b * b / 3.0, c * c / 3.0)),
+    "cylinder": lambda r, h: (2.0 * math.pi * r * r * h, (r * r / 4.0, r * r / 4.0, h * h / 3.0)),
+    "capsule": _capsule,
+}

@@ -1,6 +1,6 @@
 """The elements and attributes of MJCF that the reader looks at, as MuJoCo's own schema lists them (mj_printSchema)."""
 
-from torchid.model.vocabulary import Vocabulary
+from torchid.model.markup import Vocabulary
 
 WORDS: Vocabulary = {
     "mujoco": (

@@ -149,7 +149,6 @@ def leaning_turn(name: str, unit: Array, row: int, hinges: list[str], angles: li
     Args:
         name: of the axis, from which the leans have theirs.
         unit: the axis, in the axes reached so far.
-        row: row of the axis values.
         hinges: names of the tree's hinge angles so far; those of the leans are appended.
         angles: the angles [rad], likewise.
     """

@@ -14,7 +14,19 @@ from torch import Tensor
 
 from torchid.errors import InputError, Note
 from torchid.model.assembly import ModelLink, assemble, check_body
-from torchid.model.markup import Element, document, fault, node, numbers, place, plain_name, read_xml, spelt, write_xml
+from torchid.model.markup import (
+    Element,
+    document,
+    fault,
+    node,
+    numbers,
+    place,
+    plain_name,
+    read_xml,
+    spelt,
+    unread,
+    write_xml,
+)
 from torchid.model.mechanics import (
     Array,
     MarkerTable,
@@ -28,7 +40,6 @@ from torchid.model.mechanics import (
 from torchid.model.model import Geometry, Model
 from torchid.model.tree import Body, Dof, Tree
 from torchid.model.tree_of_links import FileScatter, LinkAxis
-from torchid.model.vocabulary import unread
 
 UNLIMITED = 1e9
 """Written for a limit that does not exist, where URDF demands one; read as none [m, rad]."""
@@ -54,7 +65,6 @@ def read_urdf(path: str | Path, scatter: FileScatter | None = None) -> tuple[Mod
     """Model of a URDF file, and what was merged or repaired.
 
     Args:
-        path: the file.
         scatter: how uncertain its numbers are; default ``FileScatter()``.
 
     Raises:

@@ -10,7 +10,6 @@ from torchid.model.geometry_prior import whole_body_geometry
 from torchid.model.landmarks import whole_body_landmarks
 from torchid.model.model import GeometryPrior, Model
 from torchid.model.proportions import proportions, stature
-from torchid.model.skeleton import joint_table as tree_table
 from torchid.model.skeleton import whole_body_tree
 from torchid.model.tree import BASE_DOFS, Body, Tree
 
@@ -48,11 +47,6 @@ def whole_body(height: float | None, mass: float | None, sex: str = "unknown", m
         height=tall,
         sources=sources,
     )
-
-
-def joint_table(model: Model) -> str:
-    """Markdown table: body, parent, axes in order, coordinates, limits [deg or m]."""
-    return tree_table(model.tree)
 
 
 def lock_bodies(model: Model, bodies: tuple[str, ...]) -> tuple[Model, tuple[Note, ...]]:

@@ -7,7 +7,8 @@ alike in a session stands for what bodies and tables of inertia share in all its
 
 from typing import NamedTuple
 
-from torchid.effects.timing import USUAL_LAG_S
+from torchid.checks.clocks import OWN_LAG_SD_S, USUAL_LAG_S
+from torchid.conventions import ZERO_SD_N, ZERO_SD_NM
 
 
 class Scatter(NamedTuple):
@@ -28,10 +29,9 @@ RECORD_PART = 0.01
 SCATTER = {
     "mass": Scatter(0.004, 0.0),  # what is alike is the record's
     "gain": Scatter(0.008, 0.0),
-    "clock_vertical": Scatter(0.002, USUAL_LAG_S["vertical"], USUAL_LAG_S["vertical"], "s"),
-    "clock_horizontal": Scatter(0.003, USUAL_LAG_S["horizontal"], USUAL_LAG_S["horizontal"], "s"),
+    **{f"clock_{way}": Scatter(OWN_LAG_SD_S[way], usual, usual, "s") for way, usual in USUAL_LAG_S.items()},
     "lean_x": Scatter(0.005, 0.003), "lean_y": Scatter(0.005, 0.003),
-    **{f"zero_f{axis}": Scatter(1.5, 0.0, unit="N") for axis in "xyz"},
-    **{f"zero_m{axis}": Scatter(0.5, 0.0, unit="N m") for axis in "xyz"},
+    **{f"zero_f{axis}": Scatter(ZERO_SD_N, 0.0, unit="N") for axis in "xyz"},
+    **{f"zero_m{axis}": Scatter(ZERO_SD_NM, 0.0, unit="N m") for axis in "xyz"},
     "pressure_lateral": Scatter(0.008, 0.012, unit="m"), "pressure_along": Scatter(0.016, 0.03, unit="m"),
 }  # fmt: skip

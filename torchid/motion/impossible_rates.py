@@ -43,9 +43,7 @@ def impossible_steps(tree: Tree, q: Float[Tensor, "frames dofs"], rate_hz: float
     """Return all steps in which a joint turns faster than any body can.
 
     Args:
-        tree: whose coordinates they are.
         q: coordinates of consecutive frames, unfiltered [m, rad].
-        rate_hz: frames per second.
     """
     found = []
     for k, body in enumerate(tree.bodies):
@@ -70,13 +68,7 @@ def _turned(R: Float[Tensor, "frames 3 3"]) -> Float[Tensor, " steps"]:
 
 
 def frames_of(steps: list[ImpossibleStep], frames: int, rate_hz: float) -> Bool[Tensor, " frames"]:
-    """Return the frames on either side of impossible steps, and those between two steps of a joint that follow soon.
-
-    Args:
-        steps: of one trial.
-        frames: how many the trial has.
-        rate_hz: frames per second.
-    """
+    """Return the frames on either side of impossible steps, and those between two steps of a joint that follow soon."""
     marked = torch.zeros(frames, dtype=torch.bool)
     last: dict[str, int] = {}
     for one in steps:

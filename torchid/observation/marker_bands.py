@@ -165,11 +165,7 @@ class MarkerStatistics:
         return replace(self, gram=_some(self.gram, some), moment=self.moment[:, some])
 
     def left(self, theta: Float[Tensor, " columns"]) -> Float[Tensor, " bands"]:
-        """Return the energy of the residual in each band at some parameters.
-
-        Args:
-            theta: parameters of the columns.
-        """
+        """Return the energy of the residual in each band at some parameters."""
         return self.energy - 2.0 * self.moment @ theta + torch.einsum("bij,i,j->b", self.gram, theta, theta)
 
 
@@ -196,7 +192,6 @@ def marker_statistics(
     """Return Gram matrix and moment of the columns against the last one, which is the markers' error.
 
     Args:
-        bands: averaged rows of the trial.
         spectra: coefficients of what postures leave of the columns, the error last, from ``MarkerBands.spectrum``;
             they may lie in a file, in which those of one frequency stand together.
         least: as in ``MarkerStatistics``.
@@ -230,8 +225,6 @@ def retaken_statistics(
     """Return the statistics after a few columns were taken at other parameters.
 
     Args:
-        bands: averaged rows of the trial.
-        own: statistics of all columns as they were.
         shifts: displacements [m] of all columns as they are now, some at a time.
         some: indices of the columns that have changed.
         left: what postures leave of these, from ``MarkerBands.left``.

@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.dynamics.rows import runs
 from torchid.dynamics.whitening import QUIET, cosine_matrix
+from torchid.runs import runs
 
 WINDOW = 64
 """Resolution. Number of frames whose energy is one piece of evidence on the noise."""
@@ -35,9 +35,7 @@ def marker_scatter(
 
     Args:
         error: measured minus modelled places [m].
-        seen: frames in which each marker is seen.
         kept: share of each marker's noise that postures leave.
-        rate_hz: frames per second.
     """
     bands = QUIET, (min(NEAR_HZ[0] / rate_hz, QUIET[0]), min(NEAR_HZ[1] / rate_hz, QUIET[1]))
     found = error.new_full((len(seen), 2), float("nan"))

@@ -83,11 +83,7 @@ class MarkerResponse:
         return levers(self.sight.scene)
 
     def jacobian(self, which: slice | Tensor) -> Float[Tensor, "frames rows dofs"]:
-        """Return the Jacobian of the markers' places [m/rad, m/m] in some frames, rows x, y, z of each marker in turn.
-
-        Args:
-            which: the frames.
-        """
+        """Return the Jacobian of the markers' places [m/rad, m/m] in some frames, rows x, y, z marker by marker."""
         own = self.carriage[which].unflatten(1, (-1, 6))[:, self.sight.body]
         arm = self.arm.permute(2, 0, 1)[which]
         turned = torch.linalg.cross(own[:, :, 3:], arm[..., None].expand_as(own[:, :, 3:]), dim=2)
@@ -173,7 +169,6 @@ class MarkerResponse:
         """Return the response to markers that cameras see elsewhere than the bodies carry them.
 
         Args:
-            which: numbers of the markers.
             by: their displacement in W per unit of each parameter [m].
         """
         rows = self._rows(tuple(which))

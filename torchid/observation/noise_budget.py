@@ -68,11 +68,7 @@ def make_noise_budget(
 
 
 def _least(count: Float[Tensor, " bands"]) -> Float[Tensor, " bands"]:
-    """Return the value below which the mean of ``count`` squares of unit normals falls with the chance ``SCARCE``.
-
-    Args:
-        count: number of squares in each band.
-    """
+    """Return the value below which the mean of ``count`` squares of unit normals falls with the chance ``SCARCE``."""
     found = scipy.stats.chi2.ppf(SCARCE, count.clamp(min=1.0).cpu().numpy()) / count.clamp(min=1.0).cpu().numpy()
     return torch.as_tensor(found).to(count)
 

@@ -26,10 +26,6 @@ def draw_noise(motion: Motion, response: MarkerResponse) -> Iterator[Motion]:
 
     Noise is white up to the scatter that differs below and above ``NEAR_HZ``; postures follow it (``MarkerResponse``),
     and the result passes the motion's filter. The seed is the trial's name.
-
-    Args:
-        motion: found motion of the trial.
-        response: markers of the trial.
     """
     # Each trial has draws of its own: the same ones in all trials would err alike, and their mean no less.
     generator = torch.Generator().manual_seed(zlib.crc32(response.sight.scene.trial.encode()))

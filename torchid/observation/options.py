@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from torchid.bounds import Count, NonNegative, Positive
+from torchid.conventions import ZERO_MOST_N
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,7 @@ class ObservationOptions:
     noise_frames: Count = 50
     """Derived. Frames that tell the noise of a plate that bears nothing: its standard deviation is known to
     (2 * 50)^-0.5, a tenth."""
-    zero_most_N: Positive = 100.0
+    zero_most_N: Positive = ZERO_MOST_N
     """Derived. Reading beyond which no plate's zero lies: half of the weight of a child of 20 kg, so that a plate that
     never reads less was stood on all the time."""
     unloaded_least_s: Positive = 0.2

@@ -22,11 +22,7 @@ class ResponseCache:
     """Responses of one trial's markers to displacements in fixed ways, made when they are first asked for and kept."""
 
     def __init__(self, response: MarkerResponse) -> None:
-        """Keep the markers of the trial.
-
-        Args:
-            response: markers of the trial.
-        """
+        """Keep the markers of the trial."""
         self.response = response
         self._made: dict[tuple[str, Hashable], Tensor] = {}
 
@@ -59,11 +55,7 @@ class ResponseCache:
         return self.response.moved(bodies.unbind()).nine.contiguous()
 
     def shown(self, ways: Along | CarriedMarkers) -> Float[Tensor, "ways bins rows"]:
-        """Return the displacement of the markers (``RowResponse.shift``) in every way [m].
-
-        Args:
-            ways: displacements of markers or of bodies.
-        """
+        """Return the displacement of the markers (``RowResponse.shift``) in every way [m]."""
         middle = self.response.bands.middle
         if isinstance(ways, CarriedMarkers):
             return self._once("shown", ways, lambda: self.response.shown(ways.bodies()[..., middle]))

@@ -33,19 +33,11 @@ class RowResponse:
         return self.shown()
 
     def spectrum(self, bands: MarkerBands) -> Float[Tensor, "columns kept rows"]:
-        """Return the coefficients of what postures leave of the shift, as ``MarkerBands.spectrum`` does.
-
-        Args:
-            bands: averaged rows of the trial.
-        """
+        """Return the coefficients of what postures leave of the shift, as ``MarkerBands.spectrum`` does."""
         return bands.spectrum(bands.left(self.shift)) if self.spectral is None else self.spectral()
 
     def per(self, step: Float[Tensor, " columns"]) -> "RowResponse":
-        """Return the response to unit parameters of which this one's parameters were parts.
-
-        Args:
-            step: those parts, one a column.
-        """
+        """Return the response to unit parameters of which this one's parameters were parts."""
         return RowResponse(lambda: self.nine / step[:, None, None], lambda: self.shift / step[:, None, None])
 
     def __add__(self, other: "RowResponse") -> "RowResponse":
@@ -54,9 +46,5 @@ class RowResponse:
 
 
 def concatenate(answers: Sequence[RowResponse]) -> RowResponse:
-    """Return the response to the parameters of all the given ones, one after the other.
-
-    Args:
-        answers: responses of one trial.
-    """
+    """Return the response to the parameters of all the given ones, one after the other."""
     return RowResponse(lambda: torch.cat([a.nine for a in answers]), lambda: torch.cat([a.shift for a in answers]))

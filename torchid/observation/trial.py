@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchid.conventions import LOADED_N
 from torchid.dynamics.equations_of_motion import wrench_about
-from torchid.dynamics.rows import WrenchTrial, measured, runs
+from torchid.dynamics.rows import WrenchTrial, measured
 from torchid.dynamics.whitening import white_scatter
 from torchid.effects.marker_scene import Sight, View
 from torchid.effects.scene import PlateFrame, Reading, Scene, make_scene, reading
@@ -26,6 +26,7 @@ from torchid.observation.noise_draws import DRAWS, LOUD_DRAWS, MOST_DRAWS, draw_
 from torchid.observation.options import ObservationOptions
 from torchid.observation.unloaded_plates import UnloadedPlates, find_unloaded
 from torchid.recording import Forces, Markers
+from torchid.runs import runs
 from torchid.storage.snapshot import in_memory
 
 OVER_CUTOFF = 6.0
@@ -104,9 +105,6 @@ class TrialObservation:
 
         It is made again whenever it is asked for, because the scenes of all draws take more memory than is worth
         keeping.
-
-        Args:
-            motion: the other motion.
         """
         rows, scene = self.rows, self.view.scene
         found = make_scene(rows.name, rows.tree, rows.geometry, motion, scene.phi)
@@ -130,11 +128,7 @@ class TrialObservation:
         return replace(self, rows=rows, view=replace(view, sight=response.sight), response=response)
 
     def bore(self, scene: Scene) -> Reading:
-        """Return the wrenches that the plates bore by the model in a scene, about the origin of W [N, N m].
-
-        Args:
-            scene: motion and inertia.
-        """
+        """Return the wrenches that the plates bore by the model in a scene, about the origin of W [N, N m]."""
         return _borne(self.view.measured, *(needed.T for needed in scene.needed_by(scene.phi, self.phi)))
 
     @property
@@ -182,7 +176,6 @@ def observe_trial(
         rows: motion and total wrench of the trial.
         forces: readings of its plates, unfiltered, on the clock of the motion.
         measured: frames whose wrench is on plates.
-        frames: frames of its plates.
         known: inertia before and after the fit.
         seen: geometry, markers and the coordinates that follow them; None: nothing is asked of the markers.
         options: thresholds of what is believed.

@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.conventions import LOADED_N
-from torchid.dynamics.rows import runs
 from torchid.dynamics.whitening import white_scatter
 from torchid.effects.columns import STEP
 from torchid.effects.effect import Effect
@@ -17,6 +16,7 @@ from torchid.effects.plate_map import ZeroError, to_plate
 from torchid.effects.scene import Reading
 from torchid.observation.options import ObservationOptions
 from torchid.observation.stated import Stated
+from torchid.runs import runs
 
 LOWEST = 0.02
 """Estimator. Part of the frames that lie below the lowest value that counts."""
@@ -43,7 +43,6 @@ def find_unloaded(raw: Reading, rate: float, options: ObservationOptions = Obser
     Args:
         raw: readings of the plates before any filter.
         rate: samples per second [Hz].
-        options: thresholds by which a plate is unloaded.
     """
     found = []
     for k, frame in enumerate(raw.frames):

@@ -2,12 +2,34 @@
 
 from dataclasses import replace
 
-from torchid.diagnosis.verdict.records import Alternative, Cause
+from torchid.diagnosis.verdict.records import Alternative, Cause, NearestEffect, Refuted
 from torchid.effects.catalogue import effect
 from torchid.effects.place_words import motion_words
 from torchid.effects.recommendations import tell_apart
-from torchid.report.effect_words import called
+from torchid.effects.traits import Site
 from torchid.wording import clean, listing, number, percent
+
+
+def called(one: Cause | Alternative | NearestEffect | Refuted) -> str:
+    """An effect and where it sits, as part of a sentence."""
+    return effect(one.effect).called(one.where)
+
+
+def place(one: Cause | Alternative | NearestEffect | Refuted) -> str:
+    """Where an effect sits: segments and joints with their article, plates, trials and markers by name."""
+    return effect(one.effect).located(one.where)
+
+
+def noun(name: str) -> str:
+    """What the effect called ``name`` is called in words, as the beginning of a line."""
+    words = effect(name).noun
+    return words[0].upper() + words[1:]
+
+
+def of_markers(cause: Cause) -> bool:
+    """Whether the places of a cause are markers."""
+    return effect(cause.effect).site is Site.MARKER
+
 
 FEW = 6
 """Intervals that are listed."""

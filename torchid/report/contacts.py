@@ -12,9 +12,9 @@ from torch import Tensor
 
 from torchid.contact.contact import Contact
 from torchid.contact.sharing.records import WrenchSource
-from torchid.dynamics.rows import runs
 from torchid.report.blocks import Figure
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, SHADE, draw, tidy
+from torchid.runs import runs
 from torchid.session import Followed, Outcome
 from torchid.wording import clean, plural
 
@@ -70,9 +70,7 @@ def may_be_on(contact: Contact, k: int, plate: int) -> bool:
     """Return whether a contact is ever looked for on a plate: feet on those of the floor, others on their own.
 
     Args:
-        contact: of a trial.
         k: number of the contact, feet first.
-        plate: index of the plate.
     """
     if contact.others is not None and k >= len(contact.feet):
         return contact.others.column[k - len(contact.feet)] == plate

@@ -11,9 +11,8 @@ from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
 from torchid.report.before_after import Sides, draw_curves, draw_spectrum, sides, telling_trial, trial_rows
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
-from torchid.report.cause_sentences import name, surely, told
+from torchid.report.cause_sentences import called, name, noun, of_markers, place, surely, told
 from torchid.report.decisions import why
-from torchid.report.effect_words import called, noun, of_markers, place
 from torchid.report.marker_distances import draw_markers, marker_error
 from torchid.report.rival_bars import rival_bars
 from torchid.report.witness_table import witness_table

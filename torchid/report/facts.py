@@ -11,8 +11,8 @@ from torch import Tensor
 from torchid.conventions import GRAVITY
 from torchid.dynamics.rows import measured, predict
 from torchid.session import Outcome
-from torchid.session.judges import Judges as Judges
-from torchid.session.judges import judges as judges
+from torchid.session.judging import Judges as Judges
+from torchid.session.judging import judges as judges
 from torchid.session.tables import rms
 from torchid.storage.snapshot import release
 

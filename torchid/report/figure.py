@@ -60,7 +60,6 @@ def draw(key: str, size: tuple[float, float], describe: str, paint: Callable[[Ca
         key: prefix of its ids, so that figures of one page do not share them.
         size: width and height [inch]; 7.5 inches fill the page.
         describe: what a reader without the picture is told.
-        paint: draws on the canvas.
     """
     with style():
         canvas = Canvas(figsize=size, layout="constrained")

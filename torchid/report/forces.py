@@ -11,11 +11,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from torch import Tensor
 
-from torchid.dynamics.rows import runs
 from torchid.report.blocks import Block, Figure, Paragraph, Section, Table
 from torchid.report.contacts import contacts_figure
 from torchid.report.facts import Judges, Wrenches, body_weight, force_rms, improved, judges, only, some, used_frames
 from torchid.report.figure import IDENTIFIED, MEASURED, MUTED, SCALED, SHADE, draw, tidy
+from torchid.runs import runs
 from torchid.session import Outcome, Residual
 from torchid.wording import ABSENT, change, clean, number, percent, plural
 

@@ -73,10 +73,8 @@ def render_page(
     """Sections as one page of text; every name from the data is escaped by the template.
 
     Args:
-        title: of the page.
         chapters: in the order in which they are read.
         failure: why the rest was not found; said at the top.
-        replay: a trial in three dimensions.
         styles: more rules beside those that all pages share.
     """
     environment = Environment(
@@ -106,10 +104,7 @@ def write_report(
     """Write ``report.html``: one self-contained page about a run.
 
     Args:
-        outcome: what the run found.
-        path: the file.
         failure: why the rest was not found; said at the top.
-        replay: a trial in three dimensions.
 
     Raises:
         InputError: the file cannot be written.

@@ -6,14 +6,12 @@ from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
 from torchid.errors import DataError
 from torchid.report.blocks import Block, Items, Paragraph, Section, Table
-from torchid.report.cause_sentences import likely, told
+from torchid.report.cause_sentences import called, likely, told
 from torchid.report.data_handling import grouped
-from torchid.report.effect_words import called
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
 from torchid.session import Outcome
-from torchid.session.judging import quality_of
-from torchid.session.masses import Mass, Masses, masses
-from torchid.session.quality import ORDER, Quality, QualityLevel
+from torchid.session.judging import Mass, Masses, masses, quality_of
+from torchid.session.outcome import ORDER, Quality, QualityLevel
 from torchid.session.tables import largest
 from torchid.wording import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
 

@@ -6,8 +6,7 @@ from torchid.conventions import GRAVITY
 from torchid.dynamics.rows import residual_rms
 from torchid.errors import DataError
 from torchid.session import Outcome
-from torchid.session.judging import STATURE_M
-from torchid.session.masses import masses
+from torchid.session.judging import STATURE_M, masses
 from torchid.session.standing import carried
 from torchid.wording import clean
 

@@ -25,8 +25,7 @@ from torchid.session import Followed, Outcome, Residual, Session
 from torchid.session.contact_wrenches import sharing_notes, wrenches_under
 from torchid.session.fitting import OnStage, fit_session, identify
 from torchid.session.following import Following, cutoff, follow, subject_prior, torques
-from torchid.session.judges import judges
-from torchid.session.judging import quality_of
+from torchid.session.judging import judges, quality_of
 from torchid.session.opening import open_session, read_each, setup_of
 from torchid.session.other_contacts import refuse_unknown_plates
 from torchid.session.standing import follow_session
@@ -120,12 +119,6 @@ def compute_outcome(
     config: Config, session: Session, folder: OutputFolder, progress: OnStage
 ) -> tuple[Outcome, DataError | None]:
     """Compute what a run finds from what was read, without its files and reports.
-
-    Args:
-        config: of the run.
-        session: all trials.
-        folder: for stages.
-        progress: called with stages and fractions.
 
     Returns:
         What was found, and what kept the rest from being found; None where nothing did.

@@ -30,8 +30,6 @@ def outcome_draws(
     Args:
         outcome: up to the inertia.
         names: trials whose torques are asked for; without forces they have those of a body in the air.
-        count: number of draws.
-        seed: of chance.
         plates: how wrong plates are.
     """
     generator = torch.Generator().manual_seed(seed)
@@ -48,7 +46,6 @@ def seen_trials(outcome: Outcome, names: Sequence[str]) -> list[SeenTrial]:
 
     Args:
         outcome: up to the inertia.
-        names: of the trials.
     """
     _, frames = plate_frames(outcome)
     found = []
@@ -69,7 +66,6 @@ def computed_loads(under: ContactWrenches, read: Mapping[str, Sequence[Load]]) -
 
     Args:
         under: wrenches of all contacts, shared and predicted ones with their doubts.
-        read: what plates have read, by contact.
     """
     found = []
     for k, contact in enumerate(under.contacts):
@@ -85,9 +81,7 @@ def plate_loads(followed: Followed, forces: Forces, plates: Sequence[str]) -> di
     """Return what each contact bears on each plate, through the filter of the motion.
 
     Args:
-        followed: motion and contact of the trial.
         forces: readings of its plates on the same clock.
-        plates: names of the plates in the session.
     """
     contact: Contact | None = followed.contact
     if contact is None:

@@ -11,16 +11,14 @@ from torch import Tensor
 
 from torchid.contact.sharing.records import WrenchSource
 from torchid.dynamics.equations_of_motion import wrench_about
-from torchid.dynamics.opensim_coordinates import file_forces
 from torchid.dynamics.rows import predict
 from torchid.errors import DataError
 from torchid.geometry.tracking import modelled
 from torchid.io.storage import write_storage
 from torchid.kinematics.chain import chain_poses
 from torchid.model.model import Model
-from torchid.model.opensim.identified import identified_model
 from torchid.model.opensim.model import CoordinateKind
-from torchid.model.opensim.writing_back import write_back
+from torchid.model.opensim.writing_back import identified_model, write_back
 from torchid.model.osim import osim_coordinates, osim_names, write_osim
 from torchid.model.urdf import write_urdf
 from torchid.recording import Plate
@@ -91,7 +89,6 @@ def opensim_tables(
     of those that are free.
 
     Args:
-        model: the model.
         q: coordinates [m, rad].
         torque: generalised forces [N, N m].
     """
@@ -105,7 +102,7 @@ def opensim_tables(
     kind = {
         one.name: "moment" if one.motion is CoordinateKind.ROTATIONAL else "force" for one in binding.model.coordinates
     }
-    found = file_forces(binding, tree, q, torque)
+    found = binding.forces(tree.dof_names, values, torque)
     table = dict(zip(binding.model.coordinate_names, values.unbind(1), strict=True))
     return table, {f"{name}_{kind[name]}": value for name, value in found.items()}
 

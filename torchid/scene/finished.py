@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from torchid.errors import InputError
 from torchid.scene.scene import Ground, Instant
-from torchid.scene.solids import Solids, solids
-from torchid.scene.sticks import sticks
+from torchid.scene.solids import Solids, solids, sticks
 from torchid.storage.netcdf import CHUNK
 
 WRENCHES = ("measured", "predicted", "extended")
@@ -48,7 +47,6 @@ class FinishedTrial:
         """Open a trial's files.
 
         Args:
-            name: of the trial.
             motion: its ``motion_*.nc``.
             forces: its ``forces_*.nc``, which need not be there.
             ends: far end of every body, in its axes [m].

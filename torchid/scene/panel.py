@@ -62,11 +62,6 @@ class SegmentCard:
         with gui.add_folder("Segment"):
             self._html = gui.add_html(card(None, {}))
 
-    @property
-    def choice(self) -> str | None:
-        """Return the name of the segment that is shown."""
-        return self._choice
-
     def choose(self, name: str) -> None:
         """Show another segment."""
         self._choice = name

@@ -25,12 +25,7 @@ class Player:
     """The page of a finished run."""
 
     def __init__(self, server: viser.ViserServer, run: FinishedRun) -> None:
-        """Draw the first trial's first frame.
-
-        Args:
-            server: an open page.
-            run: what is shown.
-        """
+        """Draw the first trial's first frame."""
         self._server, self._run, self._playing = server, run, False
         # Browsers change things from threads of their own, while ``play`` moves on in this one.
         self._turns = threading.RLock()
@@ -61,7 +56,6 @@ class Player:
         """Keep the page alive, and move on where it plays.
 
         Args:
-            seconds: how long.
             clock: monotonic time [s].
         """
         begun = last = clock()

@@ -17,7 +17,6 @@ def replay(run: FinishedRun, name: str) -> EmbeddedPage:
 
     Args:
         run: that has been written.
-        name: of the trial.
     """
     trial = run.trial(name)
     seconds = min(float(trial.time[-1] - trial.time[0]), LONGEST_S)

@@ -66,7 +66,6 @@ class PageScene:
         """Draw floor and plates.
 
         Args:
-            api: of a server.
             ground: what does not move.
         """
         self._api, self.names = api, ground.names
@@ -101,7 +100,6 @@ class PageScene:
         """Draw a body, or change its shape and colours.
 
         Args:
-            some: ellipsoids of its segments.
             progress: how much of each is known, 0 to 1.
         """
         self._solids = some

@@ -1,5 +1,6 @@
 """Segments as ellipsoids of even density that have their mass, centre of mass and inertia."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,6 @@ def solids(
     """Ellipsoids with given inertia: I_x = m (r_y^2 + r_z^2) / 5 and so on, solved for the half axes r.
 
     Args:
-        names: of the bodies.
         mass: of each [kg].
         centre: of mass, in the body's axes [m].
         inertia: about the centre of mass [kg m^2].
@@ -49,12 +49,7 @@ def solids(
 def placed(
     some: Solids, X_WB: Float[np.ndarray, "bodies 4 4"]
 ) -> tuple[Float[np.ndarray, "bodies 3"], Float[np.ndarray, "bodies 4"]]:
-    """Centres of ellipsoids in W [m], and their turns as quaternions wxyz.
-
-    Args:
-        some: the ellipsoids.
-        X_WB: poses of their bodies.
-    """
+    """Centres of ellipsoids in W [m], and their turns as quaternions wxyz."""
     R_WB = X_WB[:, :3, :3]
     centre = np.einsum("bij,bj->bi", R_WB, some.centre) + X_WB[:, :3, 3]
     return centre, quaternion(R_WB @ some.axes)
@@ -75,3 +70,20 @@ def quaternion(R: Float[np.ndarray, "some 3 3"]) -> Float[np.ndarray, "some 4"]:
     K[:, 1:, 1:] = R + R.transpose(0, 2, 1) - np.eye(3) * K[:, 0, 0, None, None]
     K[:, 0, 1:] = K[:, 1:, 0] = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], 1)
     return np.linalg.eigh(K)[1][:, :, -1]
+
+
+def sticks(
+    parents: Sequence[int], X_WB: Float[np.ndarray, "bodies 4 4"], ends: Float[np.ndarray, "bodies 3"]
+) -> Float[np.ndarray, "sticks 2 3"]:
+    """Return sticks from every joint to the next, and from the last ones to where their body ends [m].
+
+    Args:
+        parents: of the bodies, -1 for the root.
+        X_WB: poses of the bodies.
+        ends: far end of every body, in its axes [m].
+    """
+    above = np.asarray(parents)
+    origin, child = X_WB[:, :3, 3], np.flatnonzero(above >= 0)
+    last = np.setdiff1d(np.arange(len(above)), above)
+    tips = np.einsum("bij,bj->bi", X_WB[last, :3, :3], ends[last]) + origin[last]
+    return np.concatenate([np.stack([origin[above[child]], origin[child]], 1), np.stack([origin[last], tips], 1)])

@@ -10,7 +10,7 @@ from torchid.geometry.assign import assign_markers
 from torchid.recording import Trial
 from torchid.session.opening import given_of, setup_of
 from torchid.session.other_contacts import check_others, refuse_unknown_plates
-from torchid.session.tracks import look_at_session
+from torchid.session.session import look_at_session
 
 
 def check_session(config: Config) -> Iterator[CheckItem]:

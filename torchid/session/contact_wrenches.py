@@ -56,9 +56,7 @@ def wrenches_under(
 
     Args:
         followed: the trial's motion, and its contacts where it has forces.
-        fit: geometry of the body.
         phi: inertia of the body with what it carries.
-        trial: the recording.
         options: of contact; ``torques`` tells what may be shared or predicted.
         given: generalised forces of a device, supports from the ground included, NaN where nobody knows them; base
             rows about the root's origin in W. Neither contacts nor the person supply them.
@@ -161,11 +159,7 @@ def _effort(
 
 
 def sharing_notes(under: dict[str, ContactWrenches]) -> list[Note]:
-    """Return what a reader must hear of wrenches that no plate measured by itself.
-
-    Args:
-        under: wrenches of the contacts by trial.
-    """
+    """Return what a reader must hear of wrenches that no plate measured by itself."""
     notes = []
     for name, feet in under.items():
         frames = len(feet.source)

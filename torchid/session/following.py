@@ -58,12 +58,7 @@ class Following:
 
     @staticmethod
     def of(config: Config, cutoff_hz: float) -> "Following":
-        """As a config asks.
-
-        Args:
-            config: of the session.
-            cutoff_hz: of the filter.
-        """
+        """As a config asks."""
         return Following(cutoff_hz, config.motion.filter, config.contact, config.subject.mass_kg)
 
 
@@ -176,11 +171,6 @@ def torques(
     masked in frames without motion, the base in frames that are not used.
 
     Args:
-        followed: motion and contacts of the trial.
-        tree: the body.
-        geometry: of the body.
-        phi: inertia of the body.
-        trial: the recording.
         under: wrenches of the contacts, each with its source (``session.contact_wrenches.wrenches_under``); None takes
             what plates measure of one contact alone.
     """
@@ -192,8 +182,6 @@ def contact_loads(followed: Followed, trial: Trial, under: ContactWrenches | Non
     """Return the filtered wrench of each contact about the world's origin.
 
     Args:
-        followed: motion and contacts of the trial.
-        trial: the recording.
         under: wrenches of the contacts; None takes what plates measure of one contact alone.
     """
     if under is not None:
@@ -238,11 +226,6 @@ def legs(tree: Tree) -> dict[str, list[int]]:
 
 
 def limb(tree: Tree, body: str) -> list[int]:
-    """Return the rows of q of the joints between the root and a body, whose torques bear what the body is loaded with.
-
-    Args:
-        tree: of the model.
-        body: its name.
-    """
+    """Return the rows of q of the joints between the root and a body, whose torques bear what loads the body."""
     above = sorted(tree.ancestors[tree.index(body)])
     return list(dict.fromkeys(row for j in above for row in tree.driving(j)))

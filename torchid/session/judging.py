@@ -2,19 +2,77 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 
 from torchid.dynamics.rows import WrenchTrial, residual_rms
 from torchid.errors import DataError
 from torchid.inertia.certificate import InertiaStatus
-from torchid.session.judges import judges
-from torchid.session.masses import Mass, masses
-from torchid.session.outcome import Outcome
-from torchid.session.quality import Criterion, Quality, QualityLevel, graded
+from torchid.model.anthropometry import body_mass
+from torchid.session.outcome import Criterion, Outcome, Quality, QualityLevel, graded
+from torchid.session.standing import standing_weight
 from torchid.session.tables import largest, rms
 from torchid.wording import change, clean, number, percent, plural, segment
+
+
+@dataclass(frozen=True)
+class Mass:
+    """One statement of the subject's mass."""
+
+    value: float
+    """[kg]"""
+    sd: float
+    """Standard deviation [kg]."""
+
+    def apart(self, other: "Mass") -> float:
+        """Distance from another statement in standard deviations of both, with its sign."""
+        return (self.value - other.value) / math.hypot(self.sd, other.sd)
+
+
+@dataclass(frozen=True)
+class Masses:
+    """All statements there are; None where nobody made one."""
+
+    identified: Mass | None
+    recorded: Mass | None
+    standing: Mass | None
+    trials: tuple[str, ...] = ()
+    """Static trials in which the subject stands on plates."""
+
+
+def masses(outcome: Outcome) -> Masses:
+    """The subject's mass as recorded, as static trials read it, and as it was identified."""
+    who, found = outcome.config.subject, outcome.identified
+    recorded = standing = None
+    if who.mass_kg:
+        # The height bears on the mass only where none is recorded.
+        recorded = Mass(*body_mass(1.0, who.mass_kg, who.mass_sd_kg))
+    weight = standing_weight(outcome.followed.values(), outcome.session, outcome.config.subject.mass_kg)
+    if weight is not None:
+        standing = Mass(weight.mass, weight.sd)
+    identified = None if found is None else Mass(float(found.fit.mass.sum()), float(found.fit.sd.total_mass))
+    return Masses(identified, recorded, standing, () if weight is None else weight.trials)
+
+
+@dataclass(frozen=True)
+class Judges:
+    """Trials on which the model is judged."""
+
+    names: tuple[str, ...]
+    words: str
+    """``held-out trials``, or what stands in for them."""
+    heldout: bool
+
+
+def judges(outcome: Outcome, stage: str = "geometry") -> Judges:
+    """Held-out trials that ``stage`` is judged on; where there are none, the fit trials, and without these all."""
+    for role, words in (("heldout", "held-out trials"), ("fit", "fit trials")):
+        names = tuple(outcome.session.part(role, stage))
+        if names:
+            return Judges(names, words, role == "heldout")
+    return Judges(tuple(outcome.session.trials), "trials", False)
+
 
 OPENSIM = "OpenSim, checklist for evaluating a simulation (simtk.org)"
 HICKS = "Hicks et al., J Biomech Eng 137:020905 (2015)"
@@ -46,7 +104,6 @@ def quality_of(outcome: Outcome, failure: DataError | None = None) -> Quality:
     """What a run is worth, by its held-out trials where there are some, with the figures that weigh most first.
 
     Args:
-        outcome: what was found.
         failure: what kept the rest from being found, or why no body could give it.
     """
     found = [*_failed(failure), *_residuals(outcome), *_markers(outcome), *_masses(outcome), *_segments(outcome)]

@@ -24,7 +24,7 @@ from torchid.model.whole_body import whole_body
 from torchid.recording import Trial
 from torchid.session import Session
 from torchid.session.other_contacts import check_others
-from torchid.session.tracks import look_at_session, taken_out
+from torchid.session.session import look_at_session, taken_out
 
 OWN = "model"
 """Wording. The ``markers`` of a config that are the model's own."""
@@ -51,11 +51,7 @@ class Setup:
     """What becomes of labels that the marker set does not list."""
 
     def reading(self, file: TrialFile) -> ReadOptions:
-        """How a trial is to be read.
-
-        Args:
-            file: of the trial.
-        """
+        """How a trial is to be read."""
         forces_as = self.forces_as if file.forces_as is None else file.forces_as
         plates = self.plates if file.plates is None else file.plates
         return ReadOptions(
@@ -65,9 +61,6 @@ class Setup:
 
 def setup_of(config: Config) -> Setup:
     """What the recordings of a config are opened with.
-
-    Args:
-        config: of the session.
 
     Raises:
         TorchidError: the model or the marker set is at fault.
@@ -83,7 +76,6 @@ def read_session(config: Config, keep: Callable[[Trial], Trial] = lambda trial: 
     """Read all trials of the config and assign their markers to the model.
 
     Args:
-        config: which trials, on which model.
         keep: where to put a trial while others are read (``OutputFolder.aside``).
 
     Raises:
@@ -99,7 +91,6 @@ def open_session(
 
     Args:
         setup: model, markers, and what is said of the recordings.
-        files: of the trials.
         keep: where to put a trial while others are read.
 
     Raises:
@@ -116,7 +107,6 @@ def join_trials(
     """Read more trials of the subject of a session, for the model on which its markers are assigned already.
 
     Args:
-        session: as it was read.
         setup: what its recordings are opened with.
         files: of the further trials.
         keep: where to put a trial while others are read.
@@ -140,8 +130,6 @@ def open_trials(
     """Read trials by name, forces on the clock of the markers; whoever uses a recording of a config opens it here.
 
     Args:
-        setup: what they are opened with.
-        files: of the trials.
         keep: where to put a trial while others are read.
         everywhere: whether these are all trials of the session, so that a line may be advised for all of them.
 
@@ -160,8 +148,6 @@ def open_as_recorded(setup: Setup, file: TrialFile, keep: Callable[[Trial], Tria
     """Read one trial by itself, its forces on their own clock.
 
     Args:
-        setup: what it is opened with.
-        file: of the trial.
         keep: where to put it while it is looked at.
 
     Raises:
@@ -230,12 +216,7 @@ def read_recording(file: TrialFile, setup: Setup) -> Trial:
 
 
 def given_of(file: TrialFile, setup: Setup) -> Given:
-    """A trial of a session as checks read and judge it, whoever asks.
-
-    Args:
-        file: of the trial.
-        setup: what it is opened with.
-    """
+    """A trial of a session as checks read and judge it, whoever asks."""
     options = setup.reading(file)
     return Given(
         file.name, file.file, file.forces, file.role, options, setup.mass_kg,
@@ -245,10 +226,6 @@ def given_of(file: TrialFile, setup: Setup) -> Given:
 
 def read_each(setup: Setup, files: Iterable[TrialFile]) -> Iterator[Trial]:
     """Read trials one by one, as they are asked for.
-
-    Args:
-        setup: what they are opened with.
-        files: of the trials.
 
     Raises:
         TorchidError: a file is at fault.
@@ -261,7 +238,6 @@ def on_feet(trial: Trial, contact: ContactOptions) -> Trial:
     """Return the trial with the forces that feet must answer for.
 
     Args:
-        trial: as read.
         contact: with the contacts other than feet.
     """
     if not contact.others or trial.forces is None:

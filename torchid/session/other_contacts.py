@@ -8,13 +8,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.contact.options import ContactOptions
-from torchid.contact.other_options import OtherContact, Point
+from torchid.contact.options import ContactOptions, OtherContact, Point
 from torchid.contact.others import Others, find_others
 from torchid.contact.sharing.patches import Patch, axes_about
 from torchid.errors import ConfigError, DataError
-from torchid.geometry.assign import Assignment
-from torchid.geometry.attachment import Attachment
+from torchid.geometry.assign import Assignment, Attachment
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked
 from torchid.io.mend import number_of
@@ -60,8 +58,6 @@ def check_others(contact: ContactOptions, assignment: Assignment, trials: Mappin
 
     Args:
         contact: with the contacts other than feet.
-        assignment: markers of the session on its model.
-        trials: of the session.
 
     Raises:
         ConfigError: ``contact.segment``, ``contact.name``, ``contact.points``, ``contact.push``.
@@ -113,7 +109,6 @@ def refuse_plates(contact: ContactOptions, *plates: Sequence[Plate]) -> None:
 
     Args:
         contact: with the contacts other than feet.
-        plates: of each recording or stream.
 
     Raises:
         ConfigError: ``contact.plate``.
@@ -152,12 +147,9 @@ def _push(one: OtherContact, place: str = "") -> str | Point:
     if usual is not None:
         return usual.push
     raise ConfigError(
-        "contact.push",
-        "nothing usual is known of contacts of this segment",
-        place=place,
-        found=one.segment,
+        "contact.push", "nothing usual is known of contacts of this segment", place=place, found=one.segment,
         remedy="Give push: up, forward, free, or a direction in W",
-    )
+    )  # fmt: skip
 
 
 def _usual(one: OtherContact) -> Usual | None:
@@ -175,12 +167,8 @@ def local_points(
     """Return where a contact touches its segment, in the segment's axes [m].
 
     Args:
-        one: the contact.
-        tree: of the model.
         offset: from each body's parent to its joint, in the parent's axes [m].
-        attachment: markers of the session on the bodies.
         p_BM_B: places of these markers [m].
-        place: in the config.
 
     Raises:
         ConfigError: ``contact.points`` where a marker is not one of the segment's, or no contact points are defined;
@@ -228,13 +216,7 @@ def _middle(usual: Usual, one: OtherContact, tree: Tree, offset: Tensor, place: 
 def place_others(
     fit: GeometryFit, tracked: Tracked, options: ContactOptions
 ) -> dict[str, tuple[Float[Tensor, "frames _ 3"], Float[Tensor, "frames 3"]]]:
-    """Return the points of every contact in W [m], and the forward axis of its segment, frame by frame.
-
-    Args:
-        fit: geometry of the body.
-        tracked: its coordinates.
-        options: with the contacts.
-    """
+    """Return the points of every contact in W [m], and the forward axis of its segment, frame by frame."""
     tree, plan = fit.model.tree, plan_tree(fit.model.tree)
     given = tree, fit.geometry.offset, fit.attachment, fit.place
     local = {name: local_points(one, *given) for name, one in options.others.items()}
@@ -252,14 +234,7 @@ def place_others(
 
 
 def others_of(fit: GeometryFit, tracked: Tracked, trial: Trial, options: ContactOptions) -> Others | None:
-    """Return which contacts other than feet bear in a trial; None where the config names none.
-
-    Args:
-        fit: geometry of the body.
-        tracked: coordinates of the trial.
-        trial: the recording.
-        options: with the contacts.
-    """
+    """Return which contacts other than feet bear in a trial; None where the config names none."""
     middles = {name: points.mean(dim=1) for name, (points, _) in place_others(fit, tracked, options).items()}
     forces: Forces | None = trial.forces
     return find_others(options, middles, trial.name, trial.markers.time, forces)
@@ -271,9 +246,6 @@ def patches_of(
     """Return what every contact presses with.
 
     Args:
-        fit: geometry of the body.
-        tracked: coordinates of the trial.
-        options: with the contacts.
         bearing: frames in which each bears, over which a forward axis is averaged.
     """
     found = {}

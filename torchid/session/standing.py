@@ -1,12 +1,12 @@
 """What standing on plates tells: the weight, which frames of other trials miss a part of it, and the mass."""
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.contact.balance import Weight, falls_short
 from torchid.contact.options import ContactOptions
 from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
 from torchid.dynamics.rows import WrenchTrial, predict
@@ -15,9 +15,58 @@ from torchid.geometry.tracking import Tracked
 from torchid.model.model import InertialPrior
 from torchid.motion import Motion
 from torchid.recording import Trial
+from torchid.runs import spread
 from torchid.session import Followed, Session
 from torchid.session.following import Following, follow, put_aside
 from torchid.storage.results import OutputFolder
+
+ALWAYS = 0.98
+"""Share of the loaded frames from which on a lack is that of the whole trial."""
+KNOWN = 0.95
+"""Level of what plates seem to bear too much that stands for the error of the balance."""
+
+
+@dataclass(frozen=True)
+class Weight:
+    """What a subject weighs, from standing on plates."""
+
+    mass: float
+    """[kg]"""
+    sd: float
+    """Of the mass [kg]: of the plates' gains, which standing does not show."""
+    trials: tuple[str, ...]
+    """That it was read in."""
+
+
+def falls_short(
+    vertical: Float[Tensor, " frames"],
+    needed: Float[Tensor, " frames"],
+    weight: Weight,
+    rate_hz: float,
+    options: ContactOptions,
+) -> Bool[Tensor, " frames"]:
+    """Frames of a run in which a share of the weight is missing.
+
+    Args:
+        vertical: force of all plates [N], smoothed as the motion is.
+        needed: mass times gravity and the vertical acceleration of the centre of mass [N].
+        weight: from standing.
+        options: how much may be missing, and for how long.
+    """
+    missing = (needed - vertical) / (GRAVITY * weight.mass) - weight.sd / weight.mass
+    bearing = vertical > 0.5 * GRAVITY * weight.mass
+    if not bool(bearing.any()):
+        return missing > options.missing_share
+    # No plate bears more than there is: what it seems to bear too much tells how well the acceleration is known.
+    share = max(options.missing_share, float((-missing[bearing]).quantile(KNOWN)))
+    width = max(1, round(options.shortest_s * rate_hz)) | 1
+    padded = torch.nn.functional.pad(missing[None, None], (width // 2, width // 2), mode="replicate")
+    lasting = torch.nn.functional.avg_pool1d(padded, width, stride=1)[0, 0]
+    short = spread(lasting > share, missing > 0.5 * share)
+    # Where a share is missing throughout, no contact comes or goes: that is for the diagnosis.
+    loaded = vertical > options.loaded_n
+    return short if float((missing > share)[loaded].double().mean()) < ALWAYS else torch.zeros_like(short)
+
 
 STANDS = 0.9
 """Who stands keeps the median of the force at this share of its largest value."""
@@ -34,10 +83,7 @@ def follow_each(
     """All trials followed by one model, static ones first: what they weigh tells which frames of the others count.
 
     Args:
-        fit: the model.
-        session: the trials.
         tracked: coordinates of a trial by its name.
-        way: how they are followed.
         prior: inertia of the model, whose shares of mass tell what the plates should bear.
     """
     levels: dict[str, float] = {}
@@ -62,12 +108,7 @@ def follow_session(
     """Return all trials followed by one model, in the order of the session, what is as long as they are in files.
 
     Args:
-        fit: the model.
-        session: the trials.
         tracked: coordinates of a trial by its name.
-        way: how they are followed.
-        prior: inertia of the model.
-        folder: for what is as long as a recording.
     """
     found = {one.name: put_aside(one, folder) for one in follow_each(fit, session, tracked, way, prior)}
     return {name: found[name] for name in session.trials}

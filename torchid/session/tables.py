@@ -15,8 +15,7 @@ from torchid.effects.kinds import AttachedLoad
 from torchid.geometry.result import GeometryFit
 from torchid.inertia.fit import InertiaFit
 from torchid.model.model import InertialPrior
-from torchid.session.outcome import Outcome
-from torchid.session.quality import Quality
+from torchid.session.outcome import Outcome, Quality
 
 PIECE = 1 << 15
 """Frames whose errors are looked at together."""

@@ -22,8 +22,7 @@ from torchid.kinematics.recursion import points, poses
 from torchid.motion.motion import Motion, smooth_motion
 from torchid.simulate.balance import GAIN, Moving, needed_wrench, pendulum, wanted_pressure
 from torchid.simulate.legs import stand
-from torchid.simulate.script import Script
-from torchid.simulate.signals import passages
+from torchid.simulate.script import Script, passages
 from torchid.simulate.subject import SimulatedSubject
 
 COUNTERMOVEMENT = (0.62, 0.42, 0.22, 0.07)

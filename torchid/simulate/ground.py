@@ -94,10 +94,3 @@ def _standing_on(subject: SimulatedSubject, script: Script, plates: tuple[Plate,
 def _flat_sole(subject: SimulatedSubject, base: Tensor, yaw: float) -> list[Tensor]:
     c, s = np.cos(yaw), np.sin(yaw)
     return [base[:, :2] + base.new_tensor([c * x - s * y, s * x + c * y]) for x, y, _ in subject.sole.corners()]
-
-
-def clearance(subject: SimulatedSubject, R_WB: list[Tensor], p_WB: list[Tensor]) -> Float[Tensor, " frames"]:
-    """Height of the lowest corner of the soles over the floor, for poses of both feet [m]."""
-    corners = p_WB[0].new_tensor(subject.sole.corners())
-    heights = [p[:, 2:3] + (R[:, 2] @ corners.T) for R, p in zip(R_WB, p_WB, strict=True)]
-    return torch.cat(heights, 1).amin(1)

@@ -11,8 +11,7 @@ from torch import Tensor
 from torchid.errors import ConfigError
 from torchid.model.skeleton import SIDES
 from torchid.simulate.flight import COUNTERMOVEMENT, leap_height
-from torchid.simulate.script import TRANSFER, FootStep, Script, foot_path, random_stance, weight_share
-from torchid.simulate.signals import passages, wander
+from torchid.simulate.script import TRANSFER, FootStep, Script, foot_path, passages, random_stance, wander, weight_share
 from torchid.simulate.subject import LEFT, RIGHT, SimulatedSubject, Stance
 
 Range = tuple[int | float, int | float]

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from torchid.effects.effect import Planted
 from torchid.errors import ConfigError
-from torchid.inertia.pseudo import params_to_pseudo
 from torchid.model.anthropometry import BMI, inertial_prior
 from torchid.model.landmarks import ANKLE_FROM_HEEL
 from torchid.model.marker_set import MarkerSpec, load_marker_set, marker_prior
 from torchid.model.model import Geometry, GeometryPrior, Model
 from torchid.model.proportions import STATURE, proportions
+from torchid.model.pseudo import params_to_pseudo
 from torchid.model.skeleton import SIDES
 from torchid.model.whole_body import whole_body
 from torchid.simulate.options import SimulateOptions

@@ -20,7 +20,7 @@ from torchid.motion.motion import Motion
 from torchid.recording import Forces, Markers, Trial
 from torchid.simulate.balance import Moving, balance
 from torchid.simulate.flight import leap
-from torchid.simulate.ground import WEIGHTLESS, FootLoad, clearance, force_plates, plate_wrenches, share_load
+from torchid.simulate.ground import WEIGHTLESS, FootLoad, force_plates, plate_wrenches, share_load
 from torchid.simulate.motions import make_script
 from torchid.simulate.noise import lose_markers, noisy_markers, noisy_plates, skin_shift
 from torchid.simulate.options import ANALOG_RATIO, SimulateOptions
@@ -52,8 +52,6 @@ class TrialTruth:
     feet: FootLoad
     complete: Bool[Tensor, " frames"]
     """Every foot that bears stands on a plate."""
-    clearance: Float[Tensor, " frames"]
-    """Lowest corner of the soles over the floor [m]."""
     miss: float
     """Largest distance of the centre of pressure from the one intended [m]."""
 
@@ -99,12 +97,7 @@ def simulate_trial(
 
 
 def with_margins(seconds: float, rate_hz: float) -> Float[Tensor, " frames"]:
-    """Times of the frames of a trial that begins at zero, and of those before and after it that are cut away [s].
-
-    Args:
-        seconds: duration of the trial.
-        rate_hz: frames per second.
-    """
+    """Times of the frames of a trial that begins at zero, and of those before and after it that are cut away [s]."""
     margin = round(MARGIN_S * rate_hz)
     return torch.arange(-margin, round(seconds * rate_hz) + margin, dtype=torch.float64) / rate_hz
 
@@ -132,9 +125,9 @@ def record(
     fine = _upsample(time, plate_wrenches(load, len(plates)), rate, frames)
     kept = _cut_motion(moving.motion, cut)
     load = FootLoad(load.wrench[cut], load.plate[cut], load.pressure[cut])
-    position, low = _markers(subject, kept, options), lowest_sole(subject, kept)
+    position = _markers(subject, kept, options)
     bears = load.wrench[:, :, 2] > BEARS
-    truth = TrialTruth(kept, position, moving.wrench[cut], load, ~(bears & (load.plate < 0)).any(1), low, moving.miss)
+    truth = TrialTruth(kept, position, moving.wrench[cut], load, ~(bears & (load.plate < 0)).any(1), moving.miss)
     clock = torch.arange(frames * ANALOG_RATIO, dtype=torch.float64) / (rate * ANALOG_RATIO)
     trial = Trial(
         name=subject.trial,
@@ -171,7 +164,6 @@ def impossible(subject: SimulatedSubject, moving: Moving) -> str:
 
     Args:
         subject: who moves.
-        moving: the motion.
     """
     dofs, q = subject.model.tree.dofs, moving.motion.q
     low, high = (q.new_tensor([getattr(dof, side) for dof in dofs]) for side in ("lower", "upper"))
@@ -206,8 +198,9 @@ def lowest_sole(subject: SimulatedSubject, motion: Motion) -> Float[Tensor, " fr
     tree, plan = subject.model.tree, plan_tree(subject.model.tree)
     at = poses(plan, motion.q.T.contiguous(), subject.geometry)
     feet = [plan.position[tree.index(f"foot_{side}")] for side in SIDES]
-    R = [at.R[k].permute(2, 1, 0) for k in feet]
-    return clearance(subject, R, [at.p[k].T for k in feet])
+    corners = at.p.new_tensor(subject.sole.corners())
+    heights = [at.p[k].T[:, 2:3] + at.R[k].permute(2, 1, 0)[:, 2] @ corners.T for k in feet]
+    return torch.cat(heights, 1).amin(1)
 
 
 def _markers(subject: SimulatedSubject, motion: Motion, options: SimulateOptions) -> Float[Tensor, "frames markers 3"]:
@@ -233,10 +226,8 @@ def measure(
     """Return a recording with the noise and the gaps that a laboratory adds.
 
     Args:
-        subject: whose markers they are.
         simulated: from ``record``.
         options: sizes of the noise.
-        rng: source of the noise.
     """
     trial = simulated.trial
     assert trial.forces is not None

@@ -76,12 +76,9 @@ def writing(path: str | Path) -> Iterator[None]:
 def unwritable(path: Path, error: OSError) -> InputError:
     """The error ``results.unwritable`` with the system's reason."""
     return InputError(
-        "results.unwritable",
-        "cannot be written",
-        source=path,
-        found=error.strerror or str(error),
+        "results.unwritable", "cannot be written", source=path, found=error.strerror or str(error),
         remedy="Make room or choose another `out`.",
-    )
+    )  # fmt: skip
 
 
 @contextmanager

@@ -18,7 +18,6 @@ def write_netcdf(path: str | Path, pieces: Iterable[xarray.Dataset]) -> None:
     """A netCDF-4 file through h5netcdf, deflated, atomically.
 
     Args:
-        path: the file.
         pieces: the dataset, cut along its dimension ``time`` where it is long; only one piece is held at a time.
 
     Raises:

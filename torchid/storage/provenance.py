@@ -77,7 +77,7 @@ def _update(digest: Any, value: Any) -> None:
 
 def code_sha256() -> str:
     """Hash of torchid's own source files, so that no result outlives the code that made it."""
-    root = Path(__file__).parent
+    root = Path(__file__).parents[1]
     files = sorted(path for path in root.rglob("*") if path.suffix in (".py", ".yaml"))
     return hashlib.sha256("".join(f"{f.relative_to(root)}{file_sha256(f)}" for f in files).encode()).hexdigest()
 

@@ -51,12 +51,9 @@ class Publication:
         if foreign:
             more = f" and {len(foreign) - 1} more" if foreign[1:] else ""
             raise InputError(
-                "results.foreign",
-                "stands where a result goes, and torchid did not write it or it was changed since",
-                source=self.out / foreign[0],
-                found=f"{foreign[0]}{more}",
-                remedy="Move it, or choose another `out`.",
-            )
+                "results.foreign", "stands where a result goes, and torchid did not write it or it was changed since",
+                source=self.out / foreign[0], found=f"{foreign[0]}{more}", remedy="Move it, or choose another `out`.",
+            )  # fmt: skip
 
     def publish(self) -> None:
         """Everything in ``new`` takes its place; what earlier runs put there and this one did not write is removed.

@@ -50,12 +50,9 @@ class OutputFolder:
             self._lock.acquire()
         except Timeout as error:
             raise InputError(
-                "results.locked",
-                "another run is writing here",
-                source=self.out,
-                found=f"process {self._owner()}",
+                "results.locked", "another run is writing here", source=self.out, found=f"process {self._owner()}",
                 remedy="Wait for it, or choose another `out`.",
-            ) from error
+            ) from error  # fmt: skip
         except OSError as error:
             raise unwritable(self.out, error) from error
         try:

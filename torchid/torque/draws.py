@@ -56,9 +56,7 @@ def torque_draws(
     Args:
         fit: geometry that the motions were found with.
         phi: inertia that is published.
-        trials: motions, markers and loads.
         bodies: drawn with the same fit.
-        generator: source of chance.
         plates: how wrong plates are.
     """
     names = sorted({load.plate for trial in trials for load in trial.loads if load.plate is not None})

@@ -45,10 +45,7 @@ def joint_torques(
 
     Args:
         tree: whose coordinates the motion has.
-        geometry: of the subject.
         phi: inertial parameters of the bodies [kg, kg m, kg m^2].
-        motion: coordinates with their rates.
-        loads: wrenches of the contacts.
 
     Returns:
         Torques of the joints [N m], forces of slides [N]; columns 0 to 5 are the force [N] and moment [N m] at the

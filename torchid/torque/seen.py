@@ -47,7 +47,6 @@ def by_body(
     the same coordinates, and postures take back what they can.
 
     Args:
-        trial: its markers and motion.
         fit: geometry that the motion was found with.
         xi: the other geometries, marker places included.
         skin: how far markers have slid in W [m].
@@ -68,9 +67,7 @@ def by_markers(trial: SeenTrial, count: int, generator: torch.Generator) -> Iter
     residual shows, are not among them.
 
     Args:
-        trial: its markers and motion.
         count: number of draws.
-        generator: source of the phases.
     """
     response, left = trial.response, count
     kept = response.bands.kept.view(-1, 3).mean(1).clamp(min=KEPT)
@@ -89,7 +86,6 @@ def shifted(motion: Motion, by: Float[Tensor, "frames dofs"]) -> Motion:
     """Return a motion whose coordinates were found elsewhere, through its own filter.
 
     Args:
-        motion: as it was found.
         by: displacement of the coordinates before the filter [m, rad]; columns 3 to 5 turn the base in W.
     """
     return displaced(motion, motion.smoother(by))

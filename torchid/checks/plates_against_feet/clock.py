@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.checks.clocks import BY_FEET, FEET_SD_S, Lateness
 from torchid.checks.plates_against_feet.changes import Change
 from torchid.checks.plates_against_feet.evidence import BELT_M_S, pressure_centre, slowest_point, weighted_quantile
 from torchid.checks.plates_against_feet.feet import Feet, find_feet
@@ -20,12 +21,9 @@ LONGEST_S = 0.5
 SHORTEST_CONTACT_S = 0.1
 SEEN = 0.8
 """A lag counts where this share of the load meets a foot that was seen."""
-EARLY_S, LATE_S, CLEAR = -0.030, 0.045, 1.5
-"""A lag is believed beyond these, where undoing it makes the loaded foot this much slower (root mean square). Feet tell
-clocks to 20 ms, and rather late than early: of 52 public recordings the largest are 32 ms with a factor of 1.1 and
-24 ms with 1.6, and in four of them forces that were made 20 ms late look 36 to 43 ms late."""
-FEET_SD_S = 0.020
-"""Estimator. Standard deviation with which feet tell a clock, see there."""
+CLEAR = 1.5
+"""Calibrated. A lag is believed where undoing it makes the loaded foot this much slower (root mean square), by the 52
+public recordings of ``BY_FEET``."""
 MOVES_M_S = 0.05
 """And by this speed [m/s]: who stands has no clock in the feet."""
 SAME_S = 0.05
@@ -77,7 +75,12 @@ class Lag:
     def late(self) -> bool:
         """Whether it is beyond doubt."""
         now, then = float(self.cost[len(self.cost) // 2]), float(self.cost.min())  # infinite: the foot is not there
-        return now > CLEAR**2 * then and now - then > MOVES_M_S**2 and not EARLY_S < self.seconds < LATE_S
+        return now > CLEAR**2 * then and now - then > MOVES_M_S**2 and self.lateness.wrong(BY_FEET)
+
+    @property
+    def lateness(self) -> Lateness:
+        """By how much its forces come late."""
+        return Lateness(self.seconds, FEET_SD_S)
 
 
 def contact_lag(feet: Feet, forces: Forces, k: int, height: float, rate: float) -> Lag | None:
@@ -150,7 +153,7 @@ def _contacts(loaded: Tensor, least: int) -> list[tuple[int, int]]:
 
 
 def clock_findings(trial: Trial) -> tuple[ForceFinding, ...]:
-    """Forces that are early or late by more than ``EARLY_S`` or ``LATE_S``, plate by plate or all alike."""
+    """Forces that are early or late by more than ``BY_FEET``, plate by plate or all alike."""
     forces, rate = trial.forces, trial.markers.rate
     assert forces is not None
     feet = find_feet(trial.markers, torch.arange(min(len(trial.markers.time), MOST_FRAMES)))
@@ -177,7 +180,11 @@ def clock_findings(trial: Trial) -> tuple[ForceFinding, ...]:
 def _of_plate(plate: Plate, k: int, lag: Lag) -> ForceFinding:
     n = number_of(plate, k)
     change = Change(
-        "its clock is off by that", plates={n: PlateAs(lag_ms=_rounded(lag))}, size=lag.seconds, sd=FEET_SD_S, unit="s"
+        "its clock is off by that",
+        plates={n: PlateAs(lag_ms=_rounded(lag))},
+        size=lag.seconds,
+        sd=lag.lateness.sd,
+        unit="s",
     )
     return ForceFinding(f"{plate.name} is {_in_words(lag)}", (change,), without(n))
 

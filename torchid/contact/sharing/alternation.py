@@ -15,9 +15,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.contact.sharing.cones import drawn_to_cones
-from torchid.contact.sharing.options import SolverOptions
-from torchid.contact.sharing.problem import SharingProblem, grasp, moved_rows, summed
+from torchid.contact.options import SolverOptions
+from torchid.contact.sharing.problem import SharingProblem, drawn_to_cones, grasp, moved_rows, summed
 from torchid.dynamics.equations_of_motion import wrench_about
 
 RELAXATION = 1.6

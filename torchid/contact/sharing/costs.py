@@ -8,10 +8,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.contact.options import ContactOptions
+from torchid.contact.options import ContactOptions, SolverOptions
 from torchid.contact.sharing.expected import expected_rows, spread_of_shares
 from torchid.contact.sharing.likely import FeetOnGround, likely
-from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.patches import Patch, Rest, patch_rows
 from torchid.contact.sharing.problem import SharingProblem
 from torchid.contact.sharing.soles import sole_patch

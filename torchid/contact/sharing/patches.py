@@ -64,7 +64,6 @@ def patch_rows(patch: Patch, load: Float[Tensor, " frames"]) -> Float[Tensor, "f
     anywhere on its patch alike, leans and twists somewhat.
 
     Args:
-        patch: of the contact.
         load: that a surface may bear, to which its deviations are in proportion [N].
     """
     zero, axes = torch.zeros(3, 3).to(patch.axes), patch.axes

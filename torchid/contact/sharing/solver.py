@@ -7,10 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.contact.options import SolverOptions
 from torchid.contact.sharing.alternation import alternate, bending, frame_blocks
-from torchid.contact.sharing.cones import project_on_cones
-from torchid.contact.sharing.options import SolverOptions
-from torchid.contact.sharing.problem import SharingProblem, checked, grasp
+from torchid.contact.sharing.problem import SharingProblem, checked, grasp, project_on_cones
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.errors import DataError
 

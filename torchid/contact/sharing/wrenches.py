@@ -7,16 +7,15 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.contact.contact import Contact
-from torchid.contact.options import ContactOptions
-from torchid.contact.runs import dilate, spread
+from torchid.contact.options import ContactOptions, SolverOptions
 from torchid.contact.sharing.costs import Costs, Effort, ShareSolution, Task, untouched
-from torchid.contact.sharing.options import SolverOptions
 from torchid.contact.sharing.patches import Patch, rest_of
 from torchid.contact.sharing.records import ContactWrenches, Needed, WrenchSource
 from torchid.contact.sharing.solver import worse
 from torchid.contact.support import over_each
 from torchid.filters import Smoother
 from torchid.recording import Forces
+from torchid.runs import dilate, spread
 
 WIDER_S = 0.05
 """Chosen: a foot may bear for so long before and after it is seen to touch [s]: heels strike at up to 1 m/s, which
@@ -49,7 +48,6 @@ def contact_wrenches(
         needed: what the body needs; None where only plates count.
         effort: rows of joint torques; None leaves them out.
         options: of contact; those of ``find_contact``.
-        solver: of the sharing.
         patches: of the contacts other than feet, in the order of ``contact.others``.
 
     Returns:

@@ -89,7 +89,6 @@ def turning(tree: Tree, geometry: Geometry) -> dict[str, Float[Tensor, " 3"]]:
 
     Args:
         tree: of a model whose bodies' axes are parallel then.
-        geometry: of the same.
     """
     count = len(tree.dofs)
     rest = geometry.offset.new_tensor([dof.rest for dof in tree.dofs])
@@ -102,11 +101,7 @@ def turning(tree: Tree, geometry: Geometry) -> dict[str, Float[Tensor, " 3"]]:
 
 
 def counterpart(dof: str) -> str:
-    """The built-in model's name of a coordinate that OpenSim's models call otherwise; its own name where none is known.
-
-    Args:
-        dof: of any model.
-    """
+    """The built-in model's name of a coordinate that OpenSim's models call otherwise; its own where none is known."""
     stem, _, side = dof.rpartition("_")
     if side in SIDED and f"{stem}_{{}}" in _OURS:
         return _OURS[f"{stem}_{{}}"].format(side)
@@ -146,7 +141,6 @@ def chosen(wanted: tuple[str, ...], dofs: tuple[str, ...]) -> tuple[tuple[str, .
     Args:
         wanted: coordinates; one without its side stands for both, and the built-in model's name for the counterpart
             that a file has.
-        dofs: of the model.
     """
     found, missing = [], []
     for name in wanted:

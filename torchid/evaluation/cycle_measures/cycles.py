@@ -4,8 +4,9 @@ A cycle is an interval of frames, both ends included. None is dropped for how it
 others is named (``outliers``), and what to do about it is the reader's decision.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from jaxtyping import Bool, Float
@@ -13,8 +14,8 @@ from torch import Tensor
 
 from torchid.config.conditions import CoordinateCycles, EvaluateOptions, EventCycles, GivenCycle
 from torchid.contact.contact import Contact
-from torchid.dynamics.rows import runs
 from torchid.recording import Event
+from torchid.runs import runs
 
 HELD_S = 0.1
 """Choice. A foot that is in the air, or on the ground, for less than this has not left, or not struck it [s]: the
@@ -83,35 +84,30 @@ def find_cycles(course: Course, options: EvaluateOptions) -> tuple[Cycle, ...]:
 
 
 def strides(course: Course) -> list[Cycle]:
-    """Cycles from one strike of a foot to its next.
-
-    Args:
-        course: its contact tells when a foot's sole rests on the ground, on plates or beside them.
-    """
-    if course.contact is None:
-        return []
-    rate = 1.0 / float(course.time[1] - course.time[0])
-    found = []
-    for k, foot in enumerate(course.contact.feet):
-        begins = strikes(course.contact.touching[:, k], rate)
-        found += [Cycle(course.trial, a, b, foot[-1]) for a, b in zip(begins, begins[1:], strict=False)]
-    return found
+    """Cycles from one strike of a foot to its next."""
+    return [
+        Cycle(course.trial, a, b, side)
+        for side, touching, rate in _feet(course)
+        for a, b in pairwise(strikes(touching, rate))
+    ]
 
 
 def stances(course: Course) -> list[Cycle]:
-    """Cycles from a strike of a foot to where it leaves the ground, for walkways too short for a stride.
+    """Cycles from a strike of a foot to where it leaves the ground, for walkways too short for a stride."""
+    return [
+        Cycle(course.trial, a, b, side)
+        for side, touching, rate in _feet(course)
+        for a, b in settled(touching, rate)
+        if a > 0 and b < len(course.time)
+    ]
 
-    Args:
-        course: its contact tells when a foot's sole rests on the ground.
-    """
-    if course.contact is None:
-        return []
-    rate = 1.0 / float(course.time[1] - course.time[0])
-    found = []
-    for k, foot in enumerate(course.contact.feet):
-        own = settled(course.contact.touching[:, k], rate)
-        found += [Cycle(course.trial, a, b, foot[-1]) for a, b in own if a > 0 and b < len(course.time)]
-    return found
+
+def _feet(course: Course) -> Iterator[tuple[str, Bool[Tensor, " frames"], float]]:
+    """Side of each foot, when its sole rests on the ground, on plates or beside them, and the frames per second."""
+    if course.contact is not None:
+        rate = 1.0 / float(course.time[1] - course.time[0])
+        for k, foot in enumerate(course.contact.feet):
+            yield foot[-1], course.contact.touching[:, k], rate
 
 
 def strikes(touching: Bool[Tensor, " frames"], rate_hz: float) -> list[int]:
@@ -119,7 +115,6 @@ def strikes(touching: Bool[Tensor, " frames"], rate_hz: float) -> list[int]:
 
     Args:
         touching: whether it rests on the ground.
-        rate_hz: frames per second.
     """
     return [start for start, _ in settled(touching, rate_hz) if start > 0]
 
@@ -129,7 +124,6 @@ def settled(touching: Bool[Tensor, " frames"], rate_hz: float) -> list[tuple[int
 
     Args:
         touching: whether the foot rests on the ground.
-        rate_hz: frames per second.
     """
     held = max(1, round(HELD_S * rate_hz))
     down = touching.clone()
@@ -157,12 +151,7 @@ def event_cycles(course: Course, label: str) -> list[Cycle]:
 
 
 def given_cycles(course: Course, given: Iterable[GivenCycle]) -> list[Cycle]:
-    """Cycles that a config lists for this trial.
-
-    Args:
-        course: the trial.
-        given: of all trials.
-    """
+    """Cycles that a config lists for this trial."""
     found = []
     for one in given:
         if one.trial == course.trial and _inside(course.time, one.t0) and _inside(course.time, one.t1):
@@ -175,7 +164,6 @@ def rest_cycles(course: Course, wanted: CoordinateCycles) -> list[Cycle]:
     """Cycles of a coordinate that leaves its rest, passes half of its range and comes back to rest.
 
     Args:
-        course: the trial's coordinates.
         wanted: which coordinate, and whether it leaves to low or to high values.
     """
     if wanted.coordinate not in course.dofs:
@@ -203,7 +191,6 @@ def normalise(
 
     Args:
         values: courses over the whole trial.
-        cycle: which frames.
         points: how many, both ends included.
     """
     place = torch.linspace(cycle.start, cycle.stop, points, dtype=values.dtype, device=values.device)

@@ -7,7 +7,7 @@ from torchid.config import Config
 from torchid.config.sections import BUILTIN_MODELS
 from torchid.evaluation.cycle_measures.conventions import chosen, side_of, spellings
 from torchid.evaluation.cycle_measures.cycles import Cycle
-from torchid.evaluation.cycle_measures.spatiotemporal import STANCE, STRIDE, WHOLE
+from torchid.evaluation.cycle_measures.measures import STANCE, STRIDE, WHOLE
 from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.torque_shares.back import trunk_of
 from torchid.model.model import Model
@@ -60,20 +60,12 @@ class MeasureLayout:
 
 
 def from_file(config: Config) -> bool:
-    """Whether the model is a file's: its coordinates keep their names, and its inertia is what would have been taken.
-
-    Args:
-        config: of the evaluation.
-    """
+    """Whether the model is a file's: coordinates keep their names, and its inertia is what would have been taken."""
     return config.model not in BUILTIN_MODELS
 
 
 def usual_body(config: Config) -> str:
-    """What would have been taken instead of the identified body, in words.
-
-    Args:
-        config: of the evaluation.
-    """
+    """What would have been taken instead of the identified body, in words."""
     return "model as shipped" if from_file(config) else "scaled template"
 
 

@@ -9,8 +9,15 @@ from torch import Tensor
 
 from torchid.evaluation.cycle_measures.cycles import Cycle, normalise
 from torchid.evaluation.cycle_measures.layout import MeasureLayout
-from torchid.evaluation.cycle_measures.measures import measure, trapezoid
-from torchid.evaluation.cycle_measures.spatiotemporal import STANCE, WHOLE, stance_values, stride_values, whole_values
+from torchid.evaluation.cycle_measures.measures import (
+    STANCE,
+    WHOLE,
+    measure,
+    stance_values,
+    stride_values,
+    trapezoid,
+    whole_values,
+)
 from torchid.evaluation.torque_shares.back import LowBack
 from torchid.evaluation.torque_shares.shares import Shares
 from torchid.evaluation.trials import ConditionTrial
@@ -58,8 +65,6 @@ def cycle_rows(
     """Measures and courses of the cycles of one trial.
 
     Args:
-        scene: the trial and its cycles.
-        layout: which columns.
         own: shares of the torques.
         deviations: torques with other bodies minus those of ``own``; None for none.
         points: of a normalised course.

@@ -34,9 +34,6 @@ def draw_courses(found: Compared, one: Comparison, courses: Sequence[int], key: 
     """Panels of courses of one comparison, two abreast.
 
     Args:
-        found: the evaluation or the study.
-        one: the comparison.
-        courses: numbers of its courses.
         key: prefix of the drawing's ids.
     """
     lines, worn = -(-len(courses) // 2), bool(found.devices(one.condition))
@@ -101,12 +98,7 @@ def _handles(found: Compared, one: Comparison, worn: bool) -> list[Line2D | Patc
 
 
 def courses_section(found: Compared, ledger: Ledger) -> Section:
-    """All courses over the cycle.
-
-    Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-    """
+    """All courses over the cycle."""
     blocks: list[Block] = [
         Figure(draw_courses(found, one, range(len(one.courses)), f"c{k}"),
                f"{clean(one.condition)} and {clean(one.reference)}, in the sense of the coordinate.")
@@ -118,12 +110,7 @@ def courses_section(found: Compared, ledger: Ledger) -> Section:
 
 
 def marked(found: Compared, ledger: Ledger) -> str:
-    """What a bar in a panel marks; empty where nothing could be tested.
-
-    Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-    """
+    """What a bar in a panel marks; empty where nothing could be tested."""
     if not any(one.testable for one in found.comparisons):
         return ""
     level = ledger.show(Key("method", "level"), 0, 100.0)

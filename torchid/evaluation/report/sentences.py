@@ -5,12 +5,11 @@ from collections.abc import Sequence
 
 from torchid.evaluation.compared import Compared, Gap
 from torchid.evaluation.ledger import Key, Ledger
-from torchid.evaluation.loads import load_change
+from torchid.evaluation.loads import LEAST_PART, load_change
 from torchid.evaluation.numbers import PRESSED, column_unit
 from torchid.evaluation.report.words import column_words, digits_of, where_words
 from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn
 from torchid.evaluation.torque_shares.back import NIOSH_N
-from torchid.evaluation.torque_shares.beyond import LEAST_PART
 from torchid.wording import ABSENT, clean, listing
 
 SIGNED = ("max_torque_Nm", "min_torque_Nm", "mean_torque_Nm", "negative_work_J")
@@ -23,8 +22,6 @@ def difference_key(one: Comparison, column: MeasureColumn, statistic: str, body:
     """Key of a number of a difference.
 
     Args:
-        one: the comparison.
-        column: its measure.
         statistic: value, low, high, p, p_adjusted, g, agree, ...
         body: identified or template.
     """
@@ -35,9 +32,6 @@ def interval(ledger: Ledger, key: Key, digits: int, factor: float = 1.0) -> str:
     """``LOW to HIGH`` of a number, a dash where one unit does not say how units scatter.
 
     Args:
-        ledger: of its numbers.
-        key: of its value.
-        digits: decimals.
         factor: by which the values are multiplied.
     """
     low, high = (ledger.show(key._replace(statistic=end), digits, factor) for end in ("low", "high"))
@@ -48,9 +42,7 @@ def change(ledger: Ledger, key: Key, digits: int, own: str) -> str:
     """A difference in words: ``4.2 N m lower``.
 
     Args:
-        ledger: of its number.
         key: of a difference's value.
-        digits: decimals.
         own: its unit.
     """
     behind = own if own in ("", "°") else f" {own}"
@@ -63,10 +55,6 @@ def changed(found: Compared, ledger: Ledger, one: Comparison, k: int, body: str 
     """The difference of a column in words.
 
     Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-        one: a comparison.
-        k: number of its column.
         body: identified or template.
     """
     column = one.columns[k]
@@ -78,9 +66,6 @@ def finding(found: Compared, ledger: Ledger, one: Comparison, k: int) -> str:
     """One difference in a few sentences, and what the scaled template would have said.
 
     Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-        one: a comparison.
         k: number of its column.
     """
     column, digits = one.columns[k], digits_of(one.columns[k].measure, found.per_mass)
@@ -116,12 +101,7 @@ def _template(found: Compared, ledger: Ledger, one: Comparison, k: int) -> str:
 
 
 def headline(found: Compared, ledger: Ledger) -> str:
-    """The whole evaluation or study in a few sentences, each condition's verdict first.
-
-    Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-    """
+    """The whole evaluation or study in a few sentences, each condition's verdict first."""
     said = [part for one in found.comparisons for part in _verdict(found, ledger, one)]
     if any(one.testable and one.units.kind == "blocks" for one in found.comparisons):
         said.append("Single trials cannot tell whether the condition did it.")
@@ -186,12 +166,7 @@ def _beyond(found: Compared, ledger: Ledger, one: Comparison) -> list[str]:
 
 
 def back_line(found: Compared, ledger: Ledger) -> str:
-    """Peak compression of the low back against NIOSH's limit; empty where no condition has any.
-
-    Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-    """
+    """Peak compression of the low back against NIOSH's limit; empty where no condition has any."""
     said, above = [], False
     for condition in found.names:
         key = Key("measure", "value", condition, *PRESSED)
@@ -217,7 +192,6 @@ def gap_lines(ledger: Ledger, gaps: Sequence[Gap]) -> tuple[str, ...]:
     """What cannot be said, remembered for the CSV.
 
     Args:
-        ledger: of the numbers.
         gaps: what and why.
     """
     return tuple(ledger.say("gap", clean(f"{gap.what}: {gap.why}.", 600)) for gap in gaps)

@@ -1,13 +1,13 @@
-"""Tables of differences, with the scaled template's beside them."""
+"""The first page of a report, tables of differences with the scaled template's beside them, and what the method was."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from torchid.evaluation.compared import Compared
 from torchid.evaluation.ledger import Key, Ledger
-from torchid.evaluation.report.sentences import difference_key, interval
+from torchid.evaluation.report.sentences import back_line, difference_key, finding, gap_lines, headline, interval
 from torchid.evaluation.report.words import digits_of, headed, labelled
 from torchid.evaluation.statistics.comparing import Comparison
-from torchid.report.blocks import Block, Section, Table
+from torchid.report.blocks import Block, Figure, Items, Paragraph, Section, Table
 from torchid.wording import clean
 
 
@@ -17,11 +17,6 @@ def difference_rows(
     """Table of differences, findings in bold.
 
     Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-        one: a comparison.
-        columns: numbers of its columns.
-        title: of the table.
         effects: whether all of standardised effects is shown.
     """
     rows = [_row(found, ledger, one, k, effects) for k in columns]
@@ -58,12 +53,7 @@ def _row(found: Compared, ledger: Ledger, one: Comparison, k: int, effects: bool
 
 
 def differences_section(found: Compared, ledger: Ledger) -> Section:
-    """All differences.
-
-    Args:
-        found: the evaluation or the study.
-        ledger: of its numbers.
-    """
+    """All differences."""
     blocks: list[Block] = [
         difference_rows(found, ledger, one, one.ranked(), f"{clean(one.condition)} minus {clean(one.reference)}")
         for one in found.comparisons
@@ -80,3 +70,97 @@ def differences_section(found: Compared, ledger: Ledger) -> Section:
         tested = "Nothing could be tested."
     said = f"{over}Intervals are {percent} % each. {tested}"
     return Section("differences", "All differences", said, tuple(blocks))
+
+
+FINDINGS, ROWS, PANELS, GAPS = 3, 6, 4, 3
+"""Choice. Of findings, differences, panels and gaps, so many fit on the first page, shared by the comparisons; all of
+them are behind it."""
+Picture = Callable[[Comparison, int, str], Figure | None]
+"""Of a comparison, so many panels, with a prefix of the drawing's ids."""
+
+
+def summary_section(
+    found: Compared, ledger: Ledger, who: Table, picture: Picture, more: Sequence[str] = ()
+) -> Section:  # fmt: skip
+    """The page that can be handed on alone.
+
+    Args:
+        more: sentences, an empty one left out.
+    """
+    first, share = headline(found, ledger), len(found.comparisons)
+    blocks: list[Block] = [who]
+    for number, one in enumerate(found.comparisons):
+        order = one.ranked()
+        own = [k for k in order if k in one.found(found.level)][: max(1, FINDINGS // share)]
+        blocks += [Items(tuple(finding(found, ledger, one, k) for k in own))] if own else []
+        drawn = picture(one, PANELS // share, f"s{number}") if PANELS // share > 1 else None
+        blocks += [drawn] if drawn is not None else []
+        if share == 1:
+            title = f"Largest differences, {clean(one.condition)} minus {clean(one.reference)}"
+            blocks.append(difference_rows(found, ledger, one, order[:ROWS], title, effects=False))
+    blocks += [Paragraph(text) for text in (*more, back_line(found, ledger)) if text]
+    some = gap_lines(ledger, found.gaps[: max(1, GAPS // share)])
+    blocks += [Paragraph("Not determinable, or left out:"), Items(some)] if some else []
+    return Section("summary", "Summary", first, tuple(blocks))
+
+
+SIGNS = {
+    "torchid": "flexion, adduction, internal rotation, dorsiflexion and inversion are positive (signs of ISB)",
+    "isb": "names and signs of ISB: flexion, adduction, internal rotation, dorsiflexion and inversion are positive",
+    "opensim": "names and signs of OpenSim (Rajagopal et al. 2016): lumbar extension is positive",
+    "file_torchid": "names and signs of the model's own file",
+    "file_opensim": "names and signs of the model's own file",
+    "file_isb": "names and signs of ISB where the file's coordinate turns about the same axis, else the file's own",
+}
+"""By ``Evaluation.signs``."""
+BODIES = {
+    "scaled template": "The scaled template has tabulated inertia and lengths scaled to the markers.",
+    "model as shipped": "The model as shipped has the joints and the inertia of its file, and the same markers placed "
+    "on it anew.",
+}
+"""What is held beside the identified body, by ``Evaluation.usual``."""
+ADJUSTED = (
+    "p-values are adjusted by the step-down maximum over all measures and all courses (Westfall & Young 1993), and by "
+    "the number of conditions that are compared."
+)
+HUMAN = (
+    "Human torque: inverse dynamics of the identified body and of the parts that it carries, minus the plates, minus "
+    "the device's generalised force."
+)
+
+
+def method_section(found: Compared, ledger: Ledger, intervals: str, more: Sequence[str] = ()) -> Section:
+    """The chapter on method.
+
+    Args:
+        intervals: what they hold.
+        more: items behind those that one subject and a study have alike.
+    """
+    paired = any(one.units.paired for one in found.comparisons)
+    effect = (
+        "Effect size: Hedges' g of paired differences, their mean over their standard deviation; interval of the "
+        "non-central t distribution (Cumming & Finch 2001)."
+        if paired else "Effect size: Hedges' g, the difference over the pooled standard deviation between units."
+    )  # fmt: skip
+    items = [
+        f"{HUMAN}{' Every subject was evaluated alone, and is one unit here.' if paired else ''}",
+        *(BODIES[one] for one in found.usual.split(" or ")),
+        f"Coordinates: {SIGNS[found.signs]}.",
+        *(_test(ledger, one) for one in found.comparisons),
+        *([ADJUSTED] if any(one.testable for one in found.comparisons) else []),
+        intervals, effect, *more,
+    ]  # fmt: skip
+    mass = Key("method", "mass")
+    said = f"Torques are divided by {ledger.show(mass, 1)} kg. " if ledger.has(mass) else ""
+    return Section(
+        "method", "Method", f"{said}Equations and limits: docs/evaluate.md of torchid.", (Items(tuple(items)),)
+    )
+
+
+def _test(ledger: Ledger, one: Comparison) -> str:
+    first, second = (ledger.show(Key("test", name, one.condition), 0) for name in ("units_reference", "units"))
+    least = ledger.show(Key("test", "least_p", one.condition), 4)
+    what = "blocks of cycles" if one.units.kind == "blocks" else one.units.kind
+    done = (f"signs of {second} subjects' differences were flipped (Nichols & Holmes 2002)" if one.units.paired
+            else f"{first} {what} of the reference against {second} were exchanged")  # fmt: skip
+    return f"{clean(one.condition)}: {done}; no p-value can be below {least}."

@@ -26,11 +26,7 @@ _SIDES = {"l": "left", "r": "right"}
 
 
 def where_words(where: str) -> str:
-    """A coordinate's name in words: ``hip_l_flexion`` is ``left hip flexion``; other names stay as they are.
-
-    Args:
-        where: of a column.
-    """
+    """A coordinate's name in words: ``hip_l_flexion`` is ``left hip flexion``; other names stay as they are."""
     if where in ("L5/S1", WHOLE_BODY):
         return where
     parts = where.split("_")
@@ -40,32 +36,19 @@ def where_words(where: str) -> str:
 
 
 def measure_words(measure: str) -> str:
-    """A measure's name in words.
-
-    Args:
-        measure: of a column.
-    """
+    """A measure's name in words."""
     return MEASURES.get(measure, measure.replace("_", " "))
 
 
 def column_words(column: MeasureColumn) -> str:
-    """``peak torque, left hip flexion``.
-
-    Args:
-        column: of measures.
-    """
+    """``peak torque, left hip flexion``."""
     if column.where == WHOLE_BODY:
         return measure_words(column.measure)
     return f"{measure_words(column.measure)}, {where_words(column.where)}"
 
 
 def labelled(column: MeasureColumn, per_mass: bool) -> str:
-    """``peak torque, left hip flexion [N m]``.
-
-    Args:
-        column: of measures.
-        per_mass: whether torques are divided by mass.
-    """
+    """``peak torque, left hip flexion [N m]``."""
     own = column_unit(column, per_mass)
     return f"{column_words(column)}{f' [{own}]' if own else ''}"
 
@@ -74,17 +57,11 @@ def headed(head: Sequence[str], usual: str) -> tuple[str, ...]:
     """Head of a table whose column ``Template`` is of what the identified body is held against.
 
     Args:
-        head: of the table.
         usual: as of ``Evaluation.usual``.
     """
     return tuple("Shipped" if one == "Template" and "template" not in usual else one for one in head)
 
 
 def digits_of(measure: str, per_mass: bool) -> int:
-    """Decimals with which a measure is shown.
-
-    Args:
-        measure: of a column.
-        per_mass: whether torques are divided by mass.
-    """
+    """Decimals with which a measure is shown."""
     return DECIMALS.get(measure, 3 if per_mass and measure != "range_deg" else 1)

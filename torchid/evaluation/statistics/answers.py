@@ -26,11 +26,7 @@ class BodyAnswer:
     """Of every condition with the reference."""
 
     def cycles_of(self, condition: str) -> list[int]:
-        """Numbers of the cycles of a condition.
-
-        Args:
-            condition: its name.
-        """
+        """Numbers of the cycles of a condition."""
         return [k for k, name in enumerate(self.sample.conditions) if name == condition]
 
     def mean(
@@ -42,7 +38,6 @@ class BodyAnswer:
         """Mean over the trials of a condition; over its cycles where there is one trial.
 
         Args:
-            condition: its name.
             values: of all cycles, such as the sample's.
             draws: the same with other bodies.
         """
@@ -60,11 +55,7 @@ def answer(
     """What one body says of all conditions.
 
     Args:
-        config: of the evaluation.
-        layout: columns and courses.
-        cycles: of all trials.
         conditions: condition of every cycle.
-        rows: measures and courses of the cycles.
     """
     trials, sides = tuple(c.trial for c in cycles), tuple(c.side for c in cycles)
     curves = sided_courses(rows.human, layout, cycles)
@@ -80,13 +71,7 @@ def answer(
 def sided_courses(
     courses: Float[Tensor, "cycles points courses"], layout: MeasureLayout, cycles: Sequence[Cycle]
 ) -> Float[Tensor, "cycles points courses"]:
-    """Courses with NaN where a cycle is of the other side's foot.
-
-    Args:
-        courses: of all cycles.
-        layout: sides of the courses.
-        cycles: with their sides.
-    """
+    """Courses with NaN where a cycle is of the other side's foot."""
     found = courses.clone()
     for k, cycle in enumerate(cycles):
         for j, column in enumerate(layout.courses):

@@ -3,6 +3,17 @@
 Unpaired units, trials or blocks of successive cycles, have a label each, and all ways of dealing the labels are equally
 likely (Anderson 2001, Can J Fish Aquat Sci 58:626). Paired units, subjects, have a difference each, whose sign is as
 likely either way (Nichols & Holmes 2002, Hum Brain Mapp 15:1).
+
+Permutation tests look at many columns at once, with the family-wise error rate controlled by the largest statistic.
+The statistic of an unpaired column is the correlation r between the label and the value, which is a monotone function
+of Student's t, t^2 = (n - 2) r^2 / (1 - r^2), whose denominator does not depend on the label. Adjusted p-values are
+those of the step-down maximum (Westfall & Young 1993, Resampling-Based Multiple Testing, algorithm 4.1): the dependence
+between joints and measures is in the permutations, and nothing has to be assumed about it.
+
+Courses over the cycle are in the same family. The statistic of a course is that of its largest point, made as small as
+that of a single measure whose chance is ``COURSE_COUNTS`` times the point's own by Student's t: courses of a hundred
+points would drown measures else. The family-wise rate is exact whatever that number is, since all arrangements are
+treated alike.
 """
 
 import math
@@ -11,9 +22,123 @@ from itertools import combinations
 
 import torch
 from jaxtyping import Bool, Float
+from scipy import stats
 from torch import Generator, Tensor
 
-from torchid.evaluation.statistics.permutation import correlations, sign_means
+TIE = 1e-9
+"""Resolution. Statistics that differ by less are equal: sums of the same numbers in another order."""
+COURSE_COUNTS = 8
+"""Choice. Measures as which a course counts in the family: one more than a coordinate has by default."""
+
+
+@dataclass(frozen=True)
+class Tested:
+    """p-values of all columns and courses; NaN where one could not be tested."""
+
+    p: Float[Tensor, " columns"]
+    """Of each column alone."""
+    adjusted: Float[Tensor, " columns"]
+    """Chance that any column or course would show so much if no label meant anything."""
+    statistic: Float[Tensor, " columns"]
+    """Of the observed arrangement, positive where the second condition has the larger values."""
+    courses: Float[Tensor, " courses"]
+    """Adjusted p-values of whole courses."""
+    points: Float[Tensor, "points courses"]
+    """Adjusted p-values of all points of the courses."""
+
+
+def correlations(
+    values: Float[Tensor, "units columns"], second: Bool[Tensor, "arrangements units"]
+) -> Float[Tensor, "arrangements columns"]:
+    """Correlation of value and label in every arrangement, over the units that have a value.
+
+    Args:
+        values: NaN where a unit has none.
+        second: units that carry the second label.
+
+    Returns:
+        Zero where fewer than two units of either label have a value, or all values are equal.
+    """
+    known = torch.isfinite(values)
+    mask = known.to(values.dtype)
+    count = mask.sum(0)
+    mean = torch.where(known, values, 0.0).sum(0) / count.clamp(min=1.0)
+    centred = torch.where(known, values - mean, 0.0)
+    size = centred.square().sum(0).sqrt()
+    labels = second.to(values.dtype)
+    own = labels @ mask
+    other = count - own
+    scale = (count / (own * other).clamp(min=1.0)).sqrt() / size.clamp(min=1e-300)
+    found = (labels @ centred) * scale
+    flat = size <= TIE * (mean.abs() * count.sqrt() + 1e-12)
+    return torch.where((own >= 2) & (other >= 2) & ~flat, found, 0.0)
+
+
+def sign_means(
+    values: Float[Tensor, "units columns"], signs: Float[Tensor, "arrangements units"]
+) -> Float[Tensor, "arrangements columns"]:
+    """Sum of paired differences over the root of their sum of squares, for every arrangement of signs.
+
+    Args:
+        values: differences of the units, NaN where one has none.
+        signs: of ``arrangements.flip``.
+    """
+    known = torch.isfinite(values)
+    size = torch.where(known, values, 0.0).square().sum(0).sqrt().clamp(min=1e-300)
+    return (signs @ torch.where(known, values, 0.0)) / size
+
+
+def counted_as_many(
+    size: Float[Tensor, "*any columns"], largest: Float[Tensor, " columns"], freedom: Float[Tensor, " columns"]
+) -> Float[Tensor, "*any columns"]:
+    """Statistics of single measures whose chance by Student's t is ``COURSE_COUNTS`` times that of these.
+
+    Args:
+        size: absolute statistics.
+        largest: that a column can have, and ``freedom`` of its t (``Arrangements.scale``).
+        freedom: degrees of freedom.
+    """
+    freedom = freedom.clamp(min=1.0)
+    r = (size / largest.clamp(min=1e-300)).clamp(max=1.0)
+    t = r * (freedom / (1.0 - r.square()).clamp(min=1e-300)).sqrt()
+    own = freedom.cpu().numpy()
+    chance = COURSE_COUNTS * stats.t.sf(t.cpu().numpy(), own)
+    less = r.new_tensor(stats.t.isf(chance.clip(max=0.5), own)).clamp(max=1e100)
+    return largest * less / (less.square() + freedom).sqrt()
+
+
+def step_down(
+    statistics: Float[Tensor, "arrangements columns"], courses: Float[Tensor, "arrangements courses"] | None = None,
+    points: Float[Tensor, "points courses"] | None = None,
+) -> Tested:  # fmt: skip
+    """p-values from the statistics of all arrangements, the observed one first.
+
+    Args:
+        statistics: of ``Arrangements.statistics``; a column that is zero as observed is not tested.
+        courses: statistics of whole courses, NaN of those that are not tested; absent: there are none.
+        points: statistics of their points as observed, NaN where one is not tested.
+    """
+    curves = statistics.new_zeros(len(statistics), 0) if courses is None else courses
+    every = torch.cat([statistics.abs(), curves.nan_to_num(0.0)], 1)
+    tested = torch.cat([statistics[0] != 0.0, curves[0].isfinite()])
+    own = (every >= every[0] - TIE).to(every.dtype).mean(0)
+    adjusted = torch.full_like(own, torch.nan)
+    order = every[0].argsort(descending=True)
+    order = order[tested[order]]
+    tail = every[:, order].flip(1).cummax(1).values.flip(1)
+    columns, running = statistics.shape[1], 0.0
+    shown = (
+        statistics.new_full((0, curves.shape[1]), torch.nan) if points is None else torch.full_like(points, torch.nan)
+    )
+    for k, column in enumerate(order.tolist()):
+        running = max(running, float((tail[:, k] >= every[0, column] - TIE).to(every.dtype).mean()))
+        adjusted[column] = running
+        if points is not None and column >= columns:
+            each = points[:, column - columns]
+            p = (tail[:, k, None] >= each - TIE).to(every.dtype).mean(0).clamp(min=running)
+            shown[:, column - columns] = torch.where(each.isfinite(), p, torch.nan)
+    p = torch.where(tested, own, torch.nan)
+    return Tested(p[:columns], adjusted[:columns], statistics[0], adjusted[columns:], shown)
 
 
 @dataclass(frozen=True)
@@ -65,7 +190,6 @@ def deal(second: Bool[Tensor, " units"], most: int, seed: int) -> Arrangements:
     Args:
         second: units that carry the second label as recorded.
         most: arrangements, the observed one included.
-        seed: of random ones.
     """
     units, own = len(second), int(second.sum())
     if count_arrangements(units - own, own) <= most:
@@ -84,7 +208,6 @@ def flip(units: int, most: int, seed: int) -> Arrangements:
     """Signs of paired differences, all or many ways, the observed one (all plus) first.
 
     Args:
-        units: number of differences.
         most: ways, the observed one included.
         seed: of random ones.
     """

@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.config.conditions import EvaluateOptions
-from torchid.evaluation.statistics.arrangements import Arrangements, deal, flip
+from torchid.evaluation.statistics.arrangements import Arrangements, Tested, counted_as_many, deal, flip, step_down
 from torchid.evaluation.statistics.effects import Estimate, difference_of, hedges, hedges_paired, mean_of
-from torchid.evaluation.statistics.permutation import Tested, counted_as_many, step_down
 from torchid.evaluation.statistics.units import LeastUnits, Units, choose_units, needed_for, unit_means
+from torchid.runs import runs
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,7 @@ class Sample:
     """Courses over the cycle, NaN where a cycle does not tell."""
 
     def of(self, names: Sequence[str]) -> "Sample":
-        """The cycles of some conditions.
-
-        Args:
-            names: of the conditions.
-        """
+        """The cycles of some conditions."""
         kept = [k for k, name in enumerate(self.conditions) if name in names]
         draws = None if self.draws is None else self.draws[:, kept]
         trials, conditions = (tuple(x[k] for k in kept) for x in (self.trials, self.conditions))
@@ -166,7 +162,6 @@ def compare(
         condition: the other one.
         options: units, level, number of permutations.
         seed: of random arrangements.
-        comparisons: conditions that are compared with the reference.
     """
     own = sample.of((reference, condition))
     units = choose_units(own.values, own.trials, [name == condition for name in own.conditions], options.units)
@@ -184,9 +179,7 @@ def compare_units(names: tuple[str, str], units: Units, rows: UnitRows, rule: Ru
     """Compare a condition with the reference over units that are given.
 
     Args:
-        names: of the reference and of the condition.
         units: trials, blocks or subjects.
-        rows: what they have.
         rule: level, permutations, and how many comparisons share the level.
     """
     second, paired = units.second, units.paired
@@ -233,12 +226,6 @@ def _shared(tested: Tested, comparisons: int) -> Tested:
 
 
 def spans(significant: Bool[Tensor, " points"]) -> list[tuple[float, float]]:
-    """Runs of points as parts of the cycle, in percent.
-
-    Args:
-        significant: points of one course.
-    """
+    """Runs of points of a course as parts of the cycle, in percent."""
     last = max(1, len(significant) - 1)
-    edges = torch.diff(torch.nn.functional.pad(significant.long(), (1, 1)))
-    starts, stops = (edges == 1).nonzero()[:, 0].tolist(), (edges == -1).nonzero()[:, 0].tolist()
-    return [(100.0 * a / last, 100.0 * (b - 1) / last) for a, b in zip(starts, stops, strict=True)]
+    return [(100.0 * a / last, 100.0 * (b - 1) / last) for a, b in runs(significant)]

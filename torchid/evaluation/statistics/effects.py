@@ -44,7 +44,6 @@ def mean_of(
     Args:
         units: NaN where a unit has no value.
         draws: the same with other bodies.
-        coverage: of the interval.
 
     Returns:
         The interval is NaN where there is one unit, which does not say how units scatter.
@@ -64,9 +63,7 @@ def difference_of(
 
     Args:
         units: NaN where a unit has no value.
-        second: units of the second condition.
         draws: the same with other bodies, each body the same in both conditions.
-        coverage: of the interval.
     """
     (a, va, fa), (b, vb, fb) = _moments(units[~second]), _moments(units[second])
     total = va + vb
@@ -82,8 +79,6 @@ def hedges(
 
     Args:
         units: NaN where a unit has no value.
-        second: units of the second condition.
-        coverage: of the interval.
     """
     (a, va, fa), (b, vb, fb) = _moments(units[~second]), _moments(units[second])
     na, nb = fa + 1.0, fb + 1.0
@@ -102,7 +97,6 @@ def hedges_paired(values: Float[Tensor, "subjects columns"], coverage: float = C
 
     Args:
         values: differences, NaN where a subject has none.
-        coverage: of the interval.
 
     Returns:
         NaN where fewer than three subjects have a value, of whom the correction leaves nothing; ``sd`` is what the

@@ -75,10 +75,8 @@ def needed_for(units: Units, least_p: float, permutations: int, level: float) ->
     """What a finding needs at a level.
 
     Args:
-        units: that there are.
         least_p: smallest p-value that they give.
         permutations: that are tried at most.
-        level: of one comparison.
     """
     wanted = (least_subjects if units.paired else least_units)(level)
     tries = math.ceil(1.0 / level - 1e-9)
@@ -108,7 +106,6 @@ def choose_units(
         values: measures of the cycles of both conditions in the order of recording.
         trials: trial of every cycle.
         second: whether a cycle is of the second condition.
-        kind: of units.
     """
     if kind == "trials":
         return trial_units(trials, second)
@@ -118,11 +115,7 @@ def choose_units(
 
 
 def subject_units(count: int) -> Units:
-    """Subjects, each with a difference.
-
-    Args:
-        count: of subjects.
-    """
+    """Subjects, each with a difference."""
     return Units("subjects", tuple(range(count)), torch.ones(count, dtype=torch.bool))
 
 
@@ -137,11 +130,7 @@ def trial_units(trials: Sequence[str], second: Sequence[bool] | None = None) -> 
 
 
 def least_units(level: float) -> int:
-    """Units of each of two conditions from which on a two-sided test can reach a level.
-
-    Args:
-        level: of the test.
-    """
+    """Units of each of two conditions from which on a two-sided test can reach a level."""
     return next(n for n in range(2, 100) if 2.0 / count_arrangements(n, n) <= level + 1e-12)
 
 
@@ -186,7 +175,6 @@ def unit_means(values: Float[Tensor, "*draws cycles columns"], units: Units) -> 
 
     Args:
         values: NaN where a cycle has none.
-        units: of the same cycles.
     """
     index = torch.tensor(units.index, device=values.device)
     own = [values[..., (index == k).nonzero()[:, 0], :].nanmean(-2) for k in range(len(units.second))]

@@ -26,11 +26,7 @@ from torchid.evaluation.torque_shares.back import NIOSH_N
 
 
 def study_numbers(found: Pooled) -> Iterator[Entry]:
-    """Key, value and unit of every number.
-
-    Args:
-        found: the study.
-    """
+    """Key, value and unit of every number."""
     yield from common_numbers(found)
     for condition in found.names:
         yield Key("test", "recorded", condition), len(found.having(condition)), ""
@@ -44,11 +40,7 @@ def study_numbers(found: Pooled) -> Iterator[Entry]:
 
 
 def columns_of(found: Pooled) -> tuple[MeasureColumn, ...]:
-    """Measures of all comparisons, in order.
-
-    Args:
-        found: the study.
-    """
+    """Measures of all comparisons, in order."""
     return tuple(dict.fromkeys(column for one in found.comparisons for column in one.columns))
 
 
@@ -56,8 +48,6 @@ def condition_values(found: Pooled, condition: str, body: str) -> Float[Tensor, 
     """Means of the subjects that have a condition, NaN where one has none.
 
     Args:
-        found: the study.
-        condition: its name.
         body: identified or template.
     """
     rows = [
@@ -69,12 +59,7 @@ def condition_values(found: Pooled, condition: str, body: str) -> Float[Tensor, 
 
 
 def taken(found: Pooled, one: Comparison) -> tuple[list[str], Float[Tensor, "subjects coordinates"]]:
-    """Coordinates, and the part of their load that the device takes, by subject; none where nothing was worn.
-
-    Args:
-        found: the study.
-        one: the comparison.
-    """
+    """Coordinates, and the part of their load that the device takes, by subject; none where nothing was worn."""
     if all(subject.devices[one.condition] is None for subject in found.having(one.condition)):
         return [], torch.zeros(len(found.having(one.condition)), 0, dtype=torch.float64)
     names = list(
@@ -103,10 +88,8 @@ def _measures(found: Pooled, body: str) -> Iterator[Entry]:
 def _differences(found: Pooled, one: Comparison, body: str) -> Iterator[Entry]:
     yield from difference_numbers(one, body, found.per_mass)
     for k, column in enumerate(one.columns):
-        key, unit = (
-            Key("difference", "", one.condition, column.where, column.measure, body),
-            column_unit(column, found.per_mass),
-        )
+        key = Key("difference", "", one.condition, column.where, column.measure, body)
+        unit = column_unit(column, found.per_mass)
         for name, count in zip(("agree", "subjects"), one.agreeing[k], strict=True):
             yield key._replace(statistic=name), count, ""
         for subject in found.having(one.condition):

@@ -1,11 +1,14 @@
 """The sequence of a study: every subject's evaluation, what they have in common, the comparisons, the files."""
 
 import logging
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from torchid.config import Config, Study, load_config
 from torchid.errors import ConfigError, DataError, TorchidError, said_of_defect
@@ -13,12 +16,55 @@ from torchid.evaluation.compared import Gap
 from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.gaps import untested
 from torchid.evaluation.ledger import BODIES
-from torchid.evaluation.statistics.comparing import Comparison
+from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn, Rule, UnitRows, compare_units
 from torchid.evaluation.statistics.effects import Estimate, mean_of
-from torchid.evaluation.study.compare import compare_condition, course_of
+from torchid.evaluation.statistics.units import subject_units
 from torchid.evaluation.study.subject import SHARES, StudySubject, read_subject
 from torchid.session.fitting import OnStage
 from torchid.wording import listing
+
+
+def compare_condition(
+    subjects: Sequence[StudySubject], condition: str, comparisons: int, study: Study, body: str
+) -> Comparison:  # fmt: skip
+    """Compare a condition with the reference over subjects, with one body.
+
+    Args:
+        body: identified or template.
+    """
+    keys = list(dict.fromkeys((w, m) for one in subjects for _, c, w, m in one.differences if c == condition))
+    values = [[_difference(one, body, condition, *key) for key in keys] for one in subjects]
+    courses = tuple(dict.fromkeys(column for one in subjects for column in one.courses[condition].columns))
+    share = SHARES[0] if body == "identified" else body
+    changes = [
+        course_of(one, condition, share, courses) - course_of(one, one.reference, share, courses) for one in subjects
+    ]
+    rows = UnitRows(
+        tuple(MeasureColumn(where, measure) for where, measure in keys), torch.tensor(values, dtype=torch.float64),
+        None, courses, torch.stack(changes),
+    )  # fmt: skip
+    rule = Rule(study.level, study.permutations, study.seed, comparisons)
+    return compare_units((subjects[0].reference, condition), subject_units(len(subjects)), rows, rule)
+
+
+def _difference(subject: StudySubject, body: str, condition: str, where: str, measure: str) -> float:
+    own = subject.differences.get((body, condition, where, measure))
+    return math.nan if own is None else own.value
+
+
+def course_of(
+    subject: StudySubject, condition: str, share: str, courses: Sequence[MeasureColumn]
+) -> Float[Tensor, "points courses"]:  # fmt: skip
+    """Courses of a subject's condition in a wanted order, NaN where it has none.
+
+    Args:
+        share: of ``SHARES``, or ``template``.
+    """
+    own = subject.courses[condition]
+    mean = own.mean[share]
+    blank = mean.new_full((len(mean),), torch.nan)
+    return torch.stack([mean[:, own.columns.index(c)] if c in own.columns else blank for c in courses], dim=1)
+
 
 log = logging.getLogger(__name__)
 
@@ -80,19 +126,11 @@ class Pooled:
         return " or ".join(dict.fromkeys(one.usual for one in self.subjects))
 
     def having(self, condition: str) -> tuple[StudySubject, ...]:
-        """Subjects that were recorded under a condition.
-
-        Args:
-            condition: its name.
-        """
+        """Subjects that were recorded under a condition."""
         return tuple(one for one in self.subjects if condition in one.conditions)
 
     def devices(self, condition: str) -> tuple[str, ...]:
-        """Names of what was worn; none where nobody wore anything.
-
-        Args:
-            condition: its name.
-        """
+        """Names of what was worn; none where nobody wore anything."""
         worn = (one.devices[condition] for one in self.having(condition))
         return tuple(dict.fromkeys(name for name in worn if name is not None))
 
@@ -100,7 +138,6 @@ class Pooled:
         """Mean courses over the subjects of a comparison with their band, flattened to points times courses.
 
         Args:
-            one: the comparison.
             condition: its own or the reference.
             share: of ``SHARES``, or ``template``.
         """
@@ -118,7 +155,6 @@ def subjects_of(
     Args:
         study: whom to read.
         progress: called with stages and the share of each that is done.
-        make: evaluates a config.
 
     Raises:
         ConfigError: ``study.twice`` where two subjects have one folder or one name; a config is at fault, which is said
@@ -169,7 +205,6 @@ def pool(study: Study, subjects: Sequence[StudySubject], refused: Sequence[Gap] 
     """Test all conditions over the subjects that have them.
 
     Args:
-        study: level, permutations and seed.
         subjects: at least two with a condition in common, else there is nothing to test.
         refused: who was left out already.
 

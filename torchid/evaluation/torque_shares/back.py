@@ -64,9 +64,6 @@ class LowBack:
 def trunk_of(tree: Tree) -> str | None:
     """Body that stands on the root by a joint of three turns, each driven by a coordinate of its own; None where the
     model has no such joint.
-
-    Args:
-        tree: of the model.
     """
     for name in TRUNKS:
         if name in tree.names:
@@ -84,9 +81,7 @@ def low_back(
 
     Args:
         tree: of the model; None comes back where it has no such joint.
-        geometry: of the subject.
         phi: inertial parameters of the bodies, a device's parts included.
-        motion: coordinates with their rates.
         loads: wrenches of the contacts; those on trunk, head, arms and hands are borne by the joint too.
     """
     trunk = trunk_of(tree)
@@ -117,9 +112,6 @@ def lever_arms(between: tuple[float, float], draws: int, like: Tensor, seed: int
 
     Args:
         between: the smaller and the larger one [m].
-        draws: how many.
-        like: a tensor of the wanted kind.
-        seed: of chance.
     """
     generator = torch.Generator().manual_seed(seed)
     low, high = between

@@ -35,13 +35,8 @@ def feet_of(
     Contacts bear what the body with the device's parts needs beyond what supports from the ground give.
 
     Args:
-        config: of the evaluation.
-        trials: of all conditions.
-        fit: geometry of the body.
         phi: inertia of the body alone.
         scaled: whether it is the scaled template that follows the markers.
-        worn: device of every condition.
-        recorded: channels of the device by trial.
 
     Raises:
         ConfigError: ``device.*``.
@@ -84,7 +79,6 @@ def count_contacts(trials: Sequence[ConditionTrial], feet: FeetWrenches) -> tupl
 
     Args:
         trials: of all conditions; those without forces have none of their contact measured.
-        feet: wrenches under the feet by trial.
     """
     found = []
     for condition in dict.fromkeys(trial.condition for trial in trials):

@@ -46,11 +46,8 @@ def shares(
     """Shares of one trial.
 
     Args:
-        trial: the recording.
         followed: its motion with this body.
-        fit: this body's geometry.
         phi: inertial parameters of this body alone.
-        worn: the condition's device.
         recorded: the device's channels on the motion's frames.
         under: wrenches of the contacts, shared and predicted ones too; None takes what plates bear of one alone.
 

@@ -27,14 +27,14 @@ from torchid.devices import (
     tells,
     told_of,
 )
-from torchid.devices.draws import parts_draws
 from torchid.devices.parts import parts_prior
+from torchid.devices.result import parts_draws
 from torchid.dynamics.equations_of_motion import dynamic_state, generalised_forces, wrench_about
 from torchid.dynamics.rows import WrenchTrial
 from torchid.errors import DataError, InputError
 from torchid.evaluation.trials import ConditionTrial
-from torchid.inertia.pseudo import com
 from torchid.model.model import Geometry
+from torchid.model.pseudo import com
 from torchid.model.tree import Tree
 from torchid.motion import Motion
 from torchid.session import Outcome
@@ -78,9 +78,6 @@ class DeviceAction:
 def worn_devices(config: Config) -> dict[str, Device | None]:
     """The device of every condition, None where none is worn.
 
-    Args:
-        config: of the evaluation.
-
     Raises:
         ConfigError: a device's file or name is at fault.
     """
@@ -101,12 +98,8 @@ def identified_devices(
     """The devices with their unknowns found from the trials in which they were worn, with the identified body.
 
     Args:
-        devices: by condition.
-        outcome: of the body's run.
-        trials: of all conditions.
         recorded: channels of the devices, of every trial.
         draws: number of other devices that are drawn.
-        seed: of chance.
 
     Raises:
         ConfigError: ``device.*``.
@@ -165,8 +158,6 @@ def carried(worn: Worn, tree: Tree, phi: Float[Tensor, "bodies 10"]) -> Float[Te
     """Inertial parameters of the body with a device's parts on it.
 
     Args:
-        worn: the condition's device.
-        tree: of the model.
         phi: of the body alone.
     """
     if worn.parts is not None:
@@ -184,7 +175,6 @@ def channels_of(
 
     Args:
         trial: whose time counts.
-        file: of the trial.
         condition: names of the columns.
 
     Raises:
@@ -207,13 +197,6 @@ def channels_of(
 def acting(worn: Worn, tree: Tree, geometry: Geometry, motion: Motion, recorded: dict[str, Tensor]) -> DeviceAction:
     """What a device does in one trial.
 
-    Args:
-        worn: the condition's device.
-        tree: of the model.
-        geometry: of the subject.
-        motion: coordinates with their rates.
-        recorded: channels on the motion's frames.
-
     Raises:
         ConfigError: ``device.unknown``, ``device.channel``, ``device.segment`` or ``device.coordinate``.
     """
@@ -229,9 +212,6 @@ def supported(
     """Generalised forces of wrenches from the ground on segments.
 
     Args:
-        tree: of the model.
-        geometry: of the subject.
-        motion: coordinates with their rates.
         external: wrench on each segment about the origin of W [N, N m].
     """
     out = torch.zeros_like(motion.q)

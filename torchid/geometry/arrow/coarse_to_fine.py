@@ -30,7 +30,6 @@ def coarse_problem(problem: MarkerProblem, few: Tensor) -> MarkerProblem:
     """Return the problem on few frames, with the prior on xi as weak against them as against all.
 
     Args:
-        problem: all frames.
         few: indices of the frames to take.
     """
     loose = (problem.target.shape[2] / len(few)) ** 0.5
@@ -46,7 +45,6 @@ def between(solved: Tensor, few: Tensor, frames: int) -> Tensor:
     Args:
         solved: coordinates of the given frames (dofs, len(few)).
         few: indices of the given frames, ascending.
-        frames: number of all frames.
 
     Returns:
         Coordinates of all frames (dofs, frames).
@@ -76,10 +74,8 @@ def better_start(problem: MarkerProblem, q: Tensor, other: Tensor, xi: Tensor, c
     """Choose, frame by frame, the one of two starts with the smaller cost.
 
     Args:
-        problem: all frames.
         q: first start (dofs, frames).
         other: second start (dofs, frames).
-        xi: geometry and marker places.
         chunk: frames to evaluate at a time.
     """
     picked = torch.empty_like(q)

@@ -37,8 +37,6 @@ def eliminate(partition: Partition, pieces: BlockPieces, damping: Tensor) -> Eli
     """Factorise every frame's damped block; a coordinate that nothing determines stays where it is.
 
     Args:
-        partition: branches and core.
-        pieces: twists and wrenches of the frames.
         damping: Levenberg-Marquardt damping, relative to the diagonal, (frames,).
     """
     core, columns = partition.core, pieces.columns
@@ -117,8 +115,6 @@ def reduce_shared(partition: Partition, eliminated: Eliminated, S: Tensor, rhs: 
     """Subtract V_x' V_x from S and V_x' V_g from rhs, in place.
 
     Args:
-        partition: branches and core.
-        eliminated: factors of one chunk of frames.
         S: normal matrix of xi (xi, xi), in the order of the elimination.
         rhs: gradient of xi (xi,), in the order of the elimination.
     """
@@ -135,8 +131,6 @@ def back_substitute(partition: Partition, eliminated: Eliminated, dx: Tensor) ->
     From L' d = -y with y = V_g + V_x dx follow d' (H + damping) d = y' y and d' H_qx dx = -y' (y - V_g).
 
     Args:
-        partition: branches and core.
-        eliminated: factors of one chunk of frames.
         dx: step of xi (xi,), in the order of the elimination.
 
     Returns:

@@ -38,12 +38,7 @@ class Prepared:
 
 
 def prepare(problem: MarkerProblem, xi: Float[Tensor, " xi"]) -> Prepared:
-    """Return what every call of ``solve_poses`` needs for problems that differ in their frames alone.
-
-    Args:
-        problem: any of them.
-        xi: geometry and marker places.
-    """
+    """Return what every call of ``solve_poses`` needs for problems that differ in their frames alone."""
     layout = make_layout(problem, STEP_DTYPE)
     inside = layout.within(layout.motion_body, layout.motion_body)
     return Prepared(layout, make_partition(problem.plan, layout, 0), problem.shape(xi), inside)
@@ -64,7 +59,6 @@ def solve_poses(
     Args:
         problem: markers, weights and posture prior of all frames.
         q: coordinates to start from.
-        xi: geometry and marker places.
         iterations: most Levenberg-Marquardt steps of a frame.
         tolerance: relative fall of a frame's cost, as predicted for the next step, at which the frame stops.
         prepared: from ``prepare``, for who calls often; None prepares.

@@ -76,8 +76,6 @@ def make_partition(plan: Plan, layout: ArrowLayout, n_xi: int) -> Partition:
     """Divide the coordinates of a problem into branches and core.
 
     Args:
-        plan: tree with its branches.
-        layout: index tables of the problem.
         n_xi: number of entries of xi; 0 leaves xi out.
     """
     branches = plan.branches
@@ -125,8 +123,6 @@ def _group(
     """Build the group of some coordinates of motion.
 
     Args:
-        layout: index tables.
-        motion: coordinates of motion of the group.
         core: coordinates of motion of the core; none for the core itself.
         order: xi in the order of the elimination.
         where: places in that order of the columns of xi that meet the group.

@@ -1,36 +1,149 @@
 """This module makes the blocks of the arrow, the normal matrix of a chunk of frames, without any marker Jacobian.
 
 Given q, a marker's position is linear in the offsets and in its own place; H_qq is the mass matrix of point masses
-w_m at the markers, the gradient a subtree sum of wrenches. The dense blocks of this module serve covariances and are
-what the elimination by branches is tested against.
+w_m at the markers, the gradient a subtree sum of wrenches.
+
+Every coordinate, of motion or of geometry, moves the markers of one subtree as a rigid body. All twists and wrenches
+are taken about the origin of the root body of each frame, in W axes. Columns: six of the base, turns, hinge entries,
+slides, offset entries (``ArrowLayout``).
 """
 
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchid.geometry.arrow.index_tables import ArrowLayout
-from torchid.geometry.arrow.twists import Twists, column_gradient, column_twists, moments, with_markers
 from torchid.geometry.problem import MarkerProblem, ProblemPoint
+from torchid.kinematics.recursion import Poses, cross
 
 
 @dataclass(frozen=True)
-class NormalBlocks:
-    """The quadratic model of the cost of a chunk, with frames first and the columns of motion as in the layout."""
+class Twists:
+    """The twist, wrench and gradient of every column, with frames first."""
 
-    cost: Tensor
-    """Cost (frames,), posture included."""
-    g_q: Tensor
-    """Gradient of motion (frames, motion)."""
-    H_qq: Tensor
-    """Lower triangle of the block of motion (frames, motion, motion)."""
-    H_qx: Tensor | None = None
-    """Mixed block (frames, motion, xi)."""
-    g_x: Tensor | None = None
-    """Gradient of xi (frames, xi)."""
-    H_xx: Tensor | None = None
-    """Block of xi (xi, xi), summed over the frames."""
+    S: Tensor
+    """Twists (frames, columns, 6)."""
+    F: Tensor
+    """Wrenches (frames, columns, 6) of the subtree's markers, point masses of their weight, that move with S."""
+    g: Tensor
+    """Gradient of the markers' cost (frames, columns)."""
+
+
+def moments(layout: ArrowLayout, weight: Tensor, p: Tensor, pull: Tensor) -> Tensor:
+    """Sum weights and residuals over the markers of each subtree.
+
+    Args:
+        weight: weights of the markers (markers, frames).
+        p: the markers' positions from the root's origin (markers, 3, frames).
+        pull: weighted residuals (markers, 3, frames).
+
+    Returns:
+        Sums (bodies, 16, frames): mass, three first and six second moments of the weights, then force and moment of
+        the weighted residuals.
+    """
+    markers, _, frames = p.shape
+    stacked = torch.empty(markers, 16, frames, dtype=p.dtype, device=p.device)
+    stacked[:, 0] = weight
+    wp = torch.mul(weight[:, None], p, out=stacked[:, 1:4])
+    torch.mul(wp[:, :1], p, out=stacked[:, 4:7])
+    torch.mul(wp[:, 1:2], p[:, 1:], out=stacked[:, 7:9])
+    torch.mul(wp[:, 2], p[:, 2], out=stacked[:, 9])
+    stacked[:, 10:13] = pull
+    stacked[:, 13:16] = cross(p, pull)
+    return (layout.subtree @ stacked.flatten(1)).view(len(layout.subtree), 16, frames)
+
+
+def column_twists(layout: ArrowLayout, at: Poses, sums: Tensor, shared: bool) -> Twists:
+    """Compute the twists of the columns of motion, and of geometry.
+
+    Args:
+        at: poses of all bodies, measured from the root's origin.
+        sums: from ``moments``.
+        shared: False leaves geometry out.
+    """
+    z, t = column_axes(layout, at, shared)
+    turning, sliding = layout.turning_body[: len(z)], layout.sliding_body[: len(t)]
+    twist = z.new_empty(6 + len(z) + len(t), 6, z.shape[2])
+    wrench = torch.empty_like(twist)
+    _fill_base(layout.composite, sums[0], twist[:6], wrench[:6])
+    _fill_turns(at, sums.index_select(0, turning), turning, z, twist[6 : 6 + len(z)], wrench[6 : 6 + len(z)])
+    _fill_slides(sums.index_select(0, sliding), t, twist[6 + len(z) :], wrench[6 + len(z) :])
+    g = torch.empty_like(twist[:, 0])
+    g[:6] = sums[0, 10:]
+    pull = sums[:, 10:].index_select(0, torch.cat([turning, sliding]))
+    torch.sum(twist[6:] * pull, dim=1, out=g[6:])
+    return Twists(_frames_first(twist), _frames_first(wrench), g.T)
+
+
+def column_axes(layout: ArrowLayout, at: Poses, shared: bool) -> tuple[Tensor, Tensor]:
+    """Return the axes of turns and hinge entries, and the directions of slides and offset entries."""
+    z, t = at.turn_axis.index_select(0, layout.turn_order), at.slide_axis
+    if not shared:
+        return z, t
+    frames = z.shape[2]
+    hinge = (layout.hinge_map @ at.hinge_axis.flatten(1)).view(len(layout.hinge_map), 3, frames)
+    offset = (layout.offset_map @ at.R.flatten(0, 1).flatten(1)).view(len(layout.offset_map), 3, frames)
+    return torch.cat([z, hinge]), torch.cat([t, offset])
+
+
+def _frames_first(x: Tensor) -> Tensor:
+    """Turn (n, 6, frames) into (frames, n, 6) by a transpose of matrices, which torch copies fast."""
+    return x.flatten(0, 1).T.contiguous().view(x.shape[2], x.shape[0], 6)
+
+
+def _fill_base(composite: Tensor, sums: Tensor, twist: Tensor, wrench: Tensor) -> None:
+    """Fill in the root's translations and rotations: the identity, and the composite inertia of all markers."""
+    twist.copy_(torch.eye(6, dtype=twist.dtype, device=twist.device)[:, :, None])
+    torch.mm(composite, sums[:10], out=wrench.view(36, -1))
+
+
+def _fill_turns(at: Poses, sums: Tensor, body: Tensor, z: Tensor, twist: Tensor, wrench: Tensor) -> None:
+    """Fill in the turns about axes z through the origins of their bodies."""
+    mass, first, second = sums[:, :1], sums[:, 1:4], sums[:, 4:10]
+    v = cross(at.p.index_select(0, body), z)
+    twist[:, :3], twist[:, 3:] = v, z
+    torch.addcmul(cross(z, first), mass, v, out=wrench[:, :3])
+    moment = torch.addcmul(cross(first, v), second[:, 0:1] + second[:, 3:4] + second[:, 5:6], z)
+    for row, entries in enumerate(((0, 1, 2), (1, 3, 4), (2, 4, 5))):
+        for column, k in enumerate(entries):
+            moment[:, row].addcmul_(second[:, k], z[:, column], value=-1)
+    wrench[:, 3:] = moment
+
+
+def _fill_slides(sums: Tensor, t: Tensor, twist: Tensor, wrench: Tensor) -> None:
+    """Fill in the translations along t."""
+    twist[:, :3] = t
+    twist[:, 3:] = 0.0
+    torch.mul(sums[:, :1], t, out=wrench[:, :3])
+    wrench[:, 3:] = cross(sums[:, 1:4], t)
+
+
+def with_markers(columns: Twists, R: Tensor, p: Tensor, weight: Tensor, pull: Tensor) -> Twists:
+    """Append the columns of some markers' places: three each, along the axes of the marker's body.
+
+    Args:
+        columns: twists of motion and named parameters.
+        R: columns of R_WB of each marker's body (markers, 3 columns, 3, frames).
+        p: the markers' positions from the root's origin (markers, 3, frames).
+        weight: weights of the markers (markers, frames).
+        pull: weighted residuals (markers, 3, frames).
+    """
+    n, frames = len(p), p.shape[2]
+    twist, wrench = (torch.zeros(n, 3, 6, frames, dtype=p.dtype, device=p.device) for _ in range(2))
+    twist[:, :, :3] = R
+    f = torch.mul(weight[:, None, None], R, out=wrench[:, :, :3])
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        torch.mul(p[:, None, i], f[:, :, j], out=wrench[:, :, 3 + k])
+        wrench[:, :, 3 + k].addcmul_(p[:, None, j], f[:, :, i], value=-1)
+    g = (R * pull[:, None]).sum(2).flatten(0, 1).T
+    return Twists(
+        torch.cat([columns.S, _frames_first(twist.flatten(0, 1))], dim=1),
+        torch.cat([columns.F, _frames_first(wrench.flatten(0, 1))], dim=1),
+        torch.cat([columns.g, g], dim=1),
+    )
 
 
 @dataclass(frozen=True)
@@ -55,9 +168,7 @@ def fold_matrix(layout: ArrowLayout, q: Tensor, dtype: torch.dtype) -> Tensor | 
     """Return the derivatives of the columns of motion by the coordinates (frames, columns, dofs); None for identity.
 
     Args:
-        layout: index tables.
         q: coordinates (dofs, frames).
-        dtype: precision of the result.
     """
     if layout.coupling is None:
         return None
@@ -85,9 +196,6 @@ def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: ProblemPoint,
     """Compute twists, wrenches and gradients of all frames of a problem, in the layout's precision.
 
     Args:
-        problem: markers and tree.
-        layout: index tables of the problem.
-        seen: the problem at the point where the pieces are wanted.
         shared: False leaves the columns of xi out.
     """
     dtype = layout.subtree.dtype
@@ -103,73 +211,22 @@ def make_pieces(problem: MarkerProblem, layout: ArrowLayout, seen: ProblemPoint,
     return BlockPieces(seen.cost, columns, pull, curvature, total, fold_matrix(layout, seen.at.q, dtype))
 
 
-def make_gradient(
-    problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the cost and its gradient alone, without any block.
-
-    Args:
-        problem: markers, weights and posture prior.
-        layout: index tables of the problem.
-        q: coordinates (dofs, frames).
-        xi: geometry and marker places.
-        shared: False leaves the entries out.
-
-    Returns:
-        Cost (frames,), gradient in motion (motion, frames), and gradient in the entries (entries, frames).
-    """
-    seen = problem.evaluate(q, problem.shape(xi))
-    at, pull = seen.at.about_root(q.dtype), seen.weight[:, None] * seen.residual
-    columns = column_gradient(layout, at, seen.p - seen.at.p[:1], pull, shared)
-    g_q = columns.index_select(0, layout.motion if shared else layout.motion_alone)
-    fold = fold_matrix(layout, q, q.dtype)
-    g_q = g_q if fold is None else torch.einsum("tcd,ct->dt", fold, g_q)
-    g_q += seen.pull.index_select(0, layout.dof_rows)
-    if not shared:
-        return seen.cost, g_q, columns[:0]
-    free = problem.free
-    R = at.R.index_select(0, problem.body[free])
-    places = (R * pull[free, None]).sum(2).flatten(0, 1)
-    return seen.cost, g_q, torch.cat([columns[layout.entries[: layout.geometric]], places])
-
-
-def assemble(problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor, shared: bool) -> NormalBlocks:
-    """Compute the dense blocks of all frames of a problem.
-
-    Args:
-        problem: markers, weights and posture prior.
-        layout: index tables of the problem.
-        q: coordinates (dofs, frames).
-        xi: geometry and marker places.
-        shared: False leaves the columns of xi out.
-    """
-    pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared)
-    motion = layout.motion if shared else layout.motion_alone
-    S, F = pieces.columns.S[:, motion], pieces.columns.F[:, motion]
-    H_qq, g_q = torch.bmm(F, S.mT).mul_(lower_mask(layout, layout.motion_body)), pieces.columns.g[:, motion, None]
+def posture_block(
+    problem: MarkerProblem, layout: ArrowLayout, q: Tensor, xi: Tensor
+) -> Float[Tensor, "frames motion motion"]:
+    """Return the lower triangle of the block of motion of every frame, at q (dofs, frames) and without the entries."""
+    pieces = make_pieces(problem, layout, problem.evaluate(q, problem.shape(xi)), shared=False)
+    S, F = pieces.columns.S[:, layout.motion_alone], pieces.columns.F[:, layout.motion_alone]
+    H_qq = torch.bmm(F, S.mT).mul_(lower_mask(layout, layout.motion_body))
     if pieces.fold is not None:
-        H_qq, g_q = fold_rows(pieces.fold, H_qq, g_q)
+        H_qq, _ = fold_rows(pieces.fold, H_qq, H_qq[:, :, :0])
     torch.diagonal(H_qq, dim1=1, dim2=2).add_(pieces.curvature)
-    blocks = NormalBlocks(pieces.cost, g_q[:, :, 0] + pieces.pull, H_qq)
-    return _with_shared(layout, pieces, blocks, S, F, len(xi)) if shared else blocks
+    return H_qq
 
 
 def lower_mask(layout: ArrowLayout, body: Tensor) -> Tensor:
     """Return the matrix (body, body) with 1 in the lower triangle where the row's support lies within the column's."""
     return torch.tril(layout.within(body, body))
-
-
-def _with_shared(
-    layout: ArrowLayout, pieces: BlockPieces, blocks: NormalBlocks, S: Tensor, F: Tensor, n_xi: int
-) -> NormalBlocks:
-    """Return the blocks with the columns of xi added: named parameters, then places of free markers."""
-    Se, Fe = pieces.columns.S[:, layout.entries], pieces.columns.F[:, layout.entries]
-    inside, around = layout.nesting(layout.motion_body)
-    fold = torch.nn.functional.one_hot(layout.entry_xi, n_xi).to(S)
-    H_qx = (torch.bmm(F, Se.mT) * inside + torch.bmm(S, Fe.mT) * around) @ fold
-    H_qx = H_qx if pieces.fold is None else pieces.fold.mT @ H_qx
-    g_x = pieces.columns.g[:, layout.entries] @ fold
-    return NormalBlocks(blocks.cost, blocks.g_q, blocks.H_qq, H_qx, g_x, fold.T @ shared_block(layout, pieces) @ fold)
 
 
 def shared_block(layout: ArrowLayout, pieces: BlockPieces) -> Tensor:
@@ -192,8 +249,6 @@ def shared_curve(layout: ArrowLayout, pieces: BlockPieces, dx: Tensor) -> Tensor
     A frame's quadratic model needs the term: without it, a good model looks like a bad one.
 
     Args:
-        layout: index tables.
-        pieces: twists and wrenches of the frames.
         dx: step of xi (xi,).
     """
     geometric, step = layout.geometric, dx[layout.entry_xi]

@@ -76,12 +76,10 @@ def solve_arrow(
     """Minimise the cost of a problem over q and xi together.
 
     Args:
-        problem: markers, weights and priors.
         q: coordinates to start from.
         xi: geometry and marker places to start from.
         iterations: most steps.
         tolerance: relative fall of the cost at which to stop.
-        progress: called with the iteration and the cost.
 
     Returns:
         The last point; not converged if the steps ran out or no step lowered the cost any more.
@@ -185,7 +183,6 @@ def _backtrack(problem: MarkerProblem, q: tuple[Tensor, Tensor], xi: tuple[Tenso
     time than new blocks (`docs/decisions.md`, Geometry).
 
     Args:
-        problem: markers, weights and priors.
         q: coordinates and their step.
         xi: geometry and marker places, and their step.
         cost: cost before the step.

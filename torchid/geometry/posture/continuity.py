@@ -15,6 +15,7 @@ from torch import Tensor
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
 from torchid.geometry.problem import MarkerProblem
 from torchid.kinematics.recursion import Poses
+from torchid.runs import dilate
 
 TURN = 0.35
 """A segment that turns by more than this from one frame to the next breaks off [rad]; chosen, as markers 60 mm apart
@@ -41,7 +42,6 @@ def continuous(
     Args:
         problem: consecutive frames of one trial.
         q: postures of all frames, each found by itself.
-        xi: geometry and marker places.
         rate_hz: frame rate [Hz].
         near: other postures to begin from too.
 
@@ -86,7 +86,6 @@ def breaks(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Te
     Args:
         problem: consecutive frames of one trial.
         q: postures of all frames.
-        xi: geometry and marker places.
     """
     at, _, residual = problem.residual(q, xi)
     seen = problem.weight > 0
@@ -102,9 +101,7 @@ def _breaks_off(R: Tensor, then: Tensor, residual: Tensor, later: Tensor, seen: 
 def _around(broken: Bool[Tensor, " steps"], frames: int) -> Bool[Tensor, " frames"]:
     """Return frames within so many of a break, and one more on either side."""
     beside = torch.nn.functional.pad(broken, (1, 0)) | torch.nn.functional.pad(broken, (0, 1))
-    n = 2 * (frames + 1) + 1
-    wide = torch.nn.functional.max_pool1d(beside.double()[None, None], n, stride=1, padding=frames + 1)
-    return wide[0, 0] > 0.0
+    return dilate(beside, frames + 1)
 
 
 def _runs(some: Tensor) -> list[slice]:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchid.filters import Smoother
 from torchid.geometry.arrow.index_tables import make_layout
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
-from torchid.geometry.arrow.normal_blocks import assemble
+from torchid.geometry.arrow.normal_blocks import posture_block
 from torchid.geometry.problem import MarkerProblem, PosturePrior
 
 SMOOTH = 0.06
@@ -34,7 +34,6 @@ def bridge_gaps(
     Args:
         problem: consecutive frames of one trial.
         q: solution without the prior (dofs, frames).
-        xi: geometry and marker places.
         typical: variance (dofs, 1) of each coordinate in the trial that these frames are part of; None takes that in
             these frames.
         rounds: number of times that course and frames are found again from each other.
@@ -66,7 +65,6 @@ def smooth_course(problem: MarkerProblem, q: Tensor, xi: Tensor, typical: Tensor
     Args:
         problem: consecutive frames of one trial.
         q: solution without the course (dofs, frames).
-        xi: geometry and marker places.
         typical: variance (dofs, 1) of each coordinate with all markers; None takes the median of these frames.
     """
     variance = _variance(problem, q, xi)
@@ -97,7 +95,7 @@ def _variance(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
     layout, out = make_layout(problem), torch.empty_like(q)
     for start in range(0, q.shape[1], CHUNK):
         part = slice(start, start + CHUNK)
-        H = assemble(problem.frames(part), layout, q[:, part], xi, shared=False).H_qq
+        H = posture_block(problem.frames(part), layout, q[:, part], xi)
         torch.diagonal(H, dim1=1, dim2=2).add_(1e-3)
         L = torch.linalg.cholesky(H)
         eye = torch.eye(H.shape[1], dtype=H.dtype, device=H.device).expand_as(H)

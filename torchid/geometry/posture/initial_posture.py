@@ -1,6 +1,7 @@
 """This module finds where the solvers start.
 
 The root's pose comes in closed form, joints start at rest, and frames that went astray start again from others.
+A joint's rotation is expressed by those of its equivalent angles that the joint can take.
 """
 
 from dataclasses import replace
@@ -11,10 +12,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
-from torchid.geometry.posture.angle_wrapping import turned_back
-from torchid.geometry.problem import MarkerProblem
+from torchid.geometry.problem import MarkerProblem, PosturePrior
 from torchid.kinematics.recursion import poses
-from torchid.model.tree import BASE_DOFS
+from torchid.model.tree import BASE_DOFS, Tree
 
 ASTRAY = 3.0
 """A frame whose cost per marker is this many times that of the best fiftieth restarts from a neighbour; chosen."""
@@ -32,11 +32,6 @@ def initial_posture(problem: MarkerProblem, xi: Float[Tensor, " xi"], rest: Floa
     Markers of the root body count fully; those of its neighbours, taken at the resting pose, help with a hundredth
     of the weight, so that a frame with fewer than three root markers still gets a pose. A frame without any of them
     takes the pose of the nearest frame that has one.
-
-    Args:
-        problem: frames of one trial.
-        xi: geometry and marker places.
-        rest: resting coordinates.
 
     Returns:
         The coordinates (dofs, frames).
@@ -91,9 +86,7 @@ def settle(problem: MarkerProblem, q: Tensor, xi: Tensor, rounds: int = 12) -> T
     limits are turned back before they pass for good neighbours, and before a robust loss could give up their markers.
 
     Args:
-        problem: frames of one trial.
         q: coordinates to start from (dofs, frames).
-        xi: geometry and marker places.
         rounds: most restarts from good neighbours.
 
     Returns:
@@ -122,9 +115,7 @@ def mended(problem: MarkerProblem, q: Tensor, xi: Tensor) -> Tensor:
     Least squares comes first here too: markers may have been corrected by more than a robust loss believes.
 
     Args:
-        problem: frames of one trial.
         q: coordinates to start from (dofs, frames).
-        xi: geometry and marker places.
     """
     q, _ = solve_poses(replace(problem, robust=None), q, xi)
     return q if problem.robust is None else solve_poses(problem, q, xi)[0]
@@ -201,3 +192,47 @@ def _retried(problem: MarkerProblem, q: Tensor, cost: Tensor, xi: Tensor, index:
     better = new < 0.99 * cost[index]
     q[:, index[better]], cost[index[better]] = again[:, better], new[better]
     return bool(better.any())
+
+
+FULL = 2.0 * torch.pi
+"""A full turn [rad]."""
+
+
+def turned_back(tree: Tree, posture: PosturePrior, q: Float[Tensor, "dofs frames"]) -> Float[Tensor, "dofs frames"]:
+    """Return coordinates of the same poses, each joint by the angles that the posture prior finds likeliest.
+
+    Every rotation has two triples of angles about three different axes, and every angle is the same a full turn away.
+    From rest, an arm overhead may end on those beyond the joint's limits, where least squares stays for good: no angle
+    changes without leaving the markers. A robust loss would then give up the limb's markers for the limits' sake.
+    A hinge without limits stays as it is, because from frame to frame it has no far side; so does a coordinate that
+    drives more than its turn, which is elsewhere after a full one.
+
+    Args:
+        tree: joints with their axes.
+        posture: prior of the coordinates, with soft limits.
+    """
+    found = q.clone()
+    bounded = (posture.upper - posture.lower).expand(len(q), -1)[:, 0] < 2.0 * FULL
+    for k, body in enumerate(tree.bodies):
+        moving = tree.own_turns(k)
+        rows = [turn.row for turn in moving]
+        if len(moving) == len(body.turns) == len({turn.axis for turn in moving}) == 3:
+            found[rows] = _likelier(posture.rows(rows), q[rows], _triples(q[rows]))
+        else:
+            for row in (row for row in rows if bounded[row]):
+                found[[row]] = _likelier(posture.rows([row]), q[[row]], q[[row]][None])
+    return found
+
+
+def _triples(q: Float[Tensor, "3 frames"]) -> Float[Tensor, "2 3 frames"]:
+    """Return both triples of angles of one rotation; the other one is (a1 + pi, pi - a2, a3 + pi)."""
+    return torch.stack([q, torch.stack([q[0] + torch.pi, torch.pi - q[1], q[2] + torch.pi])])
+
+
+def _likelier(
+    posture: PosturePrior, q: Float[Tensor, "angles frames"], ways: Float[Tensor, "ways angles frames"]
+) -> Float[Tensor, "angles frames"]:
+    """Return the likeliest of q and the ways, these with each angle within half a turn of the expected one."""
+    options = torch.cat([q[None], ways - FULL * torch.round((ways - posture.mean) / FULL)])
+    best = posture.cost(options).sum(1).argmin(0)
+    return options.gather(0, best.expand(1, *q.shape))[0]

@@ -8,8 +8,8 @@ import viser
 from jaxtyping import Float
 
 from torchid.inertia.fit import InertiaFit
-from torchid.inertia.pseudo import com, inertia_com, mass
 from torchid.model.model import InertialPrior
+from torchid.model.pseudo import com, inertia_com, mass
 from torchid.scene import colours
 from torchid.scene.panel import KNOWN, Cameras, Chart, SegmentCard
 from torchid.scene.scene import Ground, Instant, PageScene
@@ -30,14 +30,7 @@ class Board:
     def __init__(
         self, server: viser.ViserServer, ground: Ground, names: tuple[str, ...], prior: InertialPrior
     ) -> None:  # fmt: skip
-        """Draw what is known before the first frame.
-
-        Args:
-            server: an open page.
-            ground: plates.
-            names: of the bodies.
-            prior: of their inertia.
-        """
+        """Draw what is known before the first frame."""
         self._server, self._names, self._prior = server, names, prior
         gui = server.gui
         gui.set_panel_label("torchid · live")

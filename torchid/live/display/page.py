@@ -28,7 +28,7 @@ from torchid.live.exercises.advice import Advice
 from torchid.recording import Plate
 from torchid.scene.scene import Ground, Instant
 from torchid.scene.server import open_page
-from torchid.scene.sticks import sticks
+from torchid.scene.solids import sticks
 from torchid.storage.snapshot import from_bytes, to_bytes
 
 log = logging.getLogger(__name__)
@@ -78,12 +78,6 @@ class Page:
         self, subject: LiveSubject, labels: tuple[str, ...], plates: tuple[Plate, ...], where: Address
     ) -> None:
         """Start the process and wait until the page is open.
-
-        Args:
-            subject: whose geometry is drawn.
-            labels: of the stream.
-            plates: of the stream.
-            where: port and host.
 
         Raises:
             ConfigError: ``scene.host``; ``live.page``, the page does not open.
@@ -181,10 +175,7 @@ class Show:
         """Begin with nothing.
 
         Args:
-            board: the page.
-            fit: geometry of the subject.
             columns: for every marker of the stream its place in the fit, -1 where it has none.
-            cutoff_hz: of the filter.
             drawings: of exercises by their names.
         """
         self._board, self._fit, self._columns, self._drawings = board, fit, np.array(columns), drawings
@@ -214,11 +205,9 @@ class Show:
         """Draw an instant, and beside it the forces of the instant that the identifier has reached."""
         self._seen_s = time.monotonic()
         self._found_q = self._found_q or bool(np.isfinite(some.error).any())
-        X_WB = (
-            None
-            if not self._found_q
-            else chain_poses(self._fit.model.tree, torch.from_numpy(some.q)[None], self._fit.geometry)[0].numpy()
-        )
+        X_WB = None
+        if self._found_q:
+            X_WB = chain_poses(self._fit.model.tree, torch.from_numpy(some.q)[None], self._fit.geometry)[0].numpy()
         error = np.append(some.error, np.nan)[self._columns]
         at = some.time_s - self._delay_s
         while len(self._forces) > 1 and self._forces[1][0] <= at:
@@ -239,7 +228,6 @@ def drawn(fit: GeometryFit, postures: Float[Tensor, "postures dofs"]) -> Drawing
     """Return postures side by side as sticks, to the left of where the subject stands.
 
     Args:
-        fit: geometry of the subject.
         postures: what an exercise looks like.
     """
     tree, mean = fit.model.tree, fit.model.inertia.mean

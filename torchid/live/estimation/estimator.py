@@ -5,16 +5,67 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchid.dynamics.row_equations import NormalEquations
-from torchid.dynamics.whitening import BlockSpectrum, accumulate, estimate_whitening, initial_whitening
+from torchid.dynamics.rows import BLOCK, SHORTEST, WrenchTrial
+from torchid.dynamics.whitening import BlockSpectrum, accumulate, estimate_whitening, initial_whitening, spectrum
 from torchid.errors import DataError
 from torchid.inertia.fit import InertiaFit, fit_inertia
 from torchid.inertia.identify import Identified, determined, identify_spectra
 from torchid.inertia.options import IdentifyOptions, of_whitened_rows
 from torchid.model.model import InertialPrior
+from torchid.runs import runs
+
+
+class Gatherer:
+    """Rows of the frames since the last one that could not be used, in blocks of at most ``BLOCK`` frames.
+
+    A block of a second would hold its mean and little that is slow: the stream would weigh the same frames otherwise
+    than a run does, and find other masses where the model is not exact.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing."""
+        self._rows: list[tuple[Tensor, Tensor]] = []
+        self._frames, self._begun_s = 0, 0.0
+        self._rate = self._cutoff_hz = 1.0
+
+    def add(self, rows: WrenchTrial) -> list[tuple[float, BlockSpectrum]]:
+        """Take in frames that follow the last ones, and return the blocks that are complete, by their middle [s]."""
+        self._rate, self._cutoff_hz = rows.rate, rows.motion.smoother.cutoff_hz
+        done: list[tuple[float, BlockSpectrum]] = []
+        for start, stop in runs(rows.used):
+            done += self.close() if start > 0 else []
+            while start < stop:
+                end = min(stop, start + BLOCK - self._frames)
+                self._take(rows, slice(start, end))
+                done += self.close() if self._frames == BLOCK else []
+                start = end
+        return done + ([] if bool(rows.used[-1]) else self.close())
+
+    @property
+    def open(self) -> BlockSpectrum | None:
+        """Return the block that still grows; None where it is too short to count."""
+        if self._frames < SHORTEST:
+            return None
+        Y, F = (torch.cat(part, -1) for part in zip(*self._rows, strict=True))
+        return spectrum(Y, F, self._rate, self._cutoff_hz)
+
+    def close(self) -> list[tuple[float, BlockSpectrum]]:
+        """End the block that grows, and return it where it counts."""
+        block, middle_s = self.open, self._begun_s + 0.5 * self._frames / self._rate
+        self._rows, self._frames = [], 0
+        return [] if block is None else [(middle_s, block)]
+
+    def _take(self, rows: WrenchTrial, part: slice) -> None:
+        if not self._frames:
+            self._begun_s = float(rows.motion.time[part.start])
+        self._rows.append(rows.rows(part))
+        self._frames += part.stop - part.start
+
 
 log = logging.getLogger(__name__)
 EAGER = 8
@@ -39,9 +90,6 @@ class Estimator:
         """Begin with the prior alone.
 
         Args:
-            names: of the bodies.
-            prior: of their parameters.
-            options: of the fit.
             mass: total mass and its standard deviation [kg]; None where nothing but the prior tells it.
             com_box: as for ``fit_inertia``.
             half_life_s: time after which a row counts half, for a body that changes.

@@ -8,16 +8,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.contact.balance import Weight
-from torchid.contact.runs import dilate
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.rows import SHORTEST, WrenchTrial, predict
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked
 from torchid.inertia.identify import Identified
 from torchid.io.resample import to_clock
-from torchid.live.estimation.estimator import Estimator
-from torchid.live.estimation.gather import Gatherer
+from torchid.live.estimation.estimator import Estimator, Gatherer
 from torchid.live.estimation.instruments import InstrumentRows
 from torchid.live.estimation.pose import Postures
 from torchid.live.estimation.watch import Notice, Watch, WatchedBlock
@@ -25,10 +22,11 @@ from torchid.live.exercises.guidance import Guide
 from torchid.live.sources.timeline import Timeline
 from torchid.model.model import InertialPrior
 from torchid.recording import Forces, Markers, Plate, Trial
+from torchid.runs import dilate
 from torchid.session import Followed
 from torchid.session.fitting import com_boxes
 from torchid.session.following import ENDS, Following, follow
-from torchid.session.standing import short_of
+from torchid.session.standing import Weight, short_of
 
 BLOCK_S = 1.0
 """Choice. Frames whose rows are taken together: a second holds what a body does most slowly, and is soon over."""
@@ -87,14 +85,7 @@ class Identifier:
     """
 
     def __init__(self, subject: LiveSubject, rate_hz: float, plates: tuple[Plate, ...], force_rate_hz: float) -> None:
-        """Wait for frames.
-
-        Args:
-            subject: geometry and prior.
-            rate_hz: frames per second.
-            plates: force plates.
-            force_rate_hz: samples per second.
-        """
+        """Wait for frames."""
         self._subject, self._rate, self._plates, self._force_rate = subject, rate_hz, plates, force_rate_hz
         names = subject.fit.model.tree.names
         box = com_boxes(subject.prior) if subject.config.inertia.com_boxes else None
@@ -121,7 +112,6 @@ class Identifier:
         """Take in what came.
 
         Args:
-            index: numbers of the frames.
             postures: at these frames.
             sample: numbers of force samples.
             wrench: of the plates [N, N m].

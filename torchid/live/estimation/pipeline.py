@@ -17,9 +17,8 @@ from torchid.live.estimation.identifier import BLOCK_S, LAG_PERIODS, LiveSubject
 from torchid.live.estimation.pose import PostureFollower, Postures
 from torchid.live.estimation.refining import MessagePiece
 from torchid.live.estimation.watch import Notice
-from torchid.live.sources.intake import Intake
+from torchid.live.sources.intake import Intake, Stamps
 from torchid.live.sources.recorder import Recorder
-from torchid.live.sources.stamps import Stamps
 from torchid.live.sources.stream import Packet, Source
 from torchid.model.model import InertialPrior
 from torchid.recording import Markers
@@ -57,8 +56,6 @@ class Pipeline:
         """Start the identifier; ``close`` or a ``with`` block ends it.
 
         Args:
-            subject: geometry and prior.
-            source: of the stream.
             recorder: keeps what came; None keeps nothing.
         """
         self._source, self._recorder, self._cutoff_hz = source, recorder, subject.cutoff_hz

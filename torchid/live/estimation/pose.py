@@ -60,7 +60,6 @@ class PostureFollower:
 
         Args:
             fit: geometry, places of the markers and their scatter.
-            labels: of the stream.
         """
         nothing = Markers(labels, torch.zeros(1), fit.xi.new_full((1, len(labels), 3), torch.nan))
         self._fit, self._problem = fit, trial_problem(fit, nothing, posture_prior(fit))
@@ -76,7 +75,6 @@ class PostureFollower:
 
         Args:
             fit: geometry, places of the markers and their scatter.
-            labels: of the stream.
         """
         other = PostureFollower(fit, labels)
         other._near, other._rate = self._near, self._rate
@@ -90,9 +88,7 @@ class PostureFollower:
         Args:
             markers: of the stream, rising in time.
         """
-        target, seen = self._targets(markers)
-        weight = (seen / self._fit.sigma.square()[:, None]).contiguous()
-        problem = replace(self._problem, target=target, weight=weight)
+        problem, seen = self._of(markers)
         time = float(markers.time[-1])
         q, cost = solve_poses(problem, self._expected(markers.time), self._fit.xi, STEPS, TOLERANCE, self._prepared)
         if STALE_S < float(markers.time[0]) - self._held_s < math.inf:  # a limb may be elsewhere, and look as good
@@ -119,12 +115,9 @@ class PostureFollower:
         From frame to frame a robust loss keeps to the markers that it has given up, and is never quite there.
 
         Args:
-            markers: of the stream.
             q: postures that are nearly right.
         """
-        target, seen = self._targets(markers)
-        weight = (seen / self._fit.sigma.square()[:, None]).contiguous()
-        problem, found = replace(self._problem, target=target, weight=weight), q.T.contiguous()
+        problem, found = self._of(markers)[0], q.T.contiguous()
         for loss in (None, problem.robust):
             some = replace(problem, robust=loss)
             found = solve_poses(some, found, self._fit.xi, MENDING_STEPS, MENDING_TOLERANCE, self._prepared)[0]
@@ -144,12 +137,14 @@ class PostureFollower:
         near = 0.0 < elapsed < AHEAD_S
         self._rate = (self._near - before) / elapsed if near else torch.zeros_like(self._near)
 
-    def _targets(self, markers: Markers) -> tuple[Float[Tensor, "markers 3 frames"], Bool[Tensor, "markers frames"]]:
-        """Measured places of the fit's markers, zero where missing, and where they are seen."""
+    def _of(self, markers: Markers) -> tuple[MarkerProblem, Bool[Tensor, "markers frames"]]:
+        """The problem with measured places of the fit's markers, zero where missing, and where they are seen."""
         lacking = markers.position.new_full((len(markers.time), 1, 3), torch.nan)
         position = torch.cat([markers.position, lacking], 1)[:, self._column].permute(1, 2, 0).to(self._fit.xi)
         seen = torch.isfinite(position).all(1)
-        return torch.where(seen[:, None], position, 0.0).contiguous(), seen
+        weight = (seen / self._fit.sigma.square()[:, None]).contiguous()
+        target = torch.where(seen[:, None], position, 0.0).contiguous()
+        return replace(self._problem, target=target, weight=weight), seen
 
     def _judged(
         self, problem: MarkerProblem, q: Float[Tensor, "dofs frames"]

@@ -59,11 +59,7 @@ class Refining:
         """Wait for frames.
 
         Args:
-            subject: geometry and prior to begin with.
             labels: of the stream's markers.
-            rate_hz: frames per second.
-            plates: force plates.
-            force_rate_hz: samples per second.
         """
         self._stream = labels, rate_hz, plates, force_rate_hz
         self._by, self._next = ByGeometry(subject, *self._stream), None
@@ -223,7 +219,6 @@ def refined(subject: LiveSubject, past: Sequence[MessagePiece], labels: tuple[st
     """Return the subject with geometry and prior from its standing trial and some of what came since.
 
     Args:
-        subject: with a standing trial.
         past: frames of the stream.
         labels: of the stream's markers.
 

@@ -7,19 +7,15 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.checks.clocks import BY_BODY
 from torchid.checks.finding import Finding, InstrumentFault, Severity
 from torchid.checks.instruments import late_forces, unlike_gains, unloaded_reading
 from torchid.contact.contact import Contact
+from torchid.conventions import ZERO_WRONG_N
 from torchid.live.estimation.instruments import Instruments
 
 SHARE = 0.5
 """Choice. Part of a block for which something must last before it is said: a stance, and no foot that grazes."""
-OFFSET_N = 4.0
-"""Choice. Mean vertical reading of a plate that nobody is on: less is what drift and cables do."""
-CLOCK_S = 0.02
-"""Choice. How late forces may come: those of living bodies come up to 15 ms late by themselves (``body_lag``)."""
-CLOCK_SD = 3.0
-"""Choice. Standard deviations by which a clock must be off by more than that."""
 GAIN_SD = 6.0
 """Choice. Standard deviations by which plates must disagree: motion that is modelled wrongly is no noise."""
 GAIN = 0.05
@@ -126,15 +122,14 @@ class Watch:
             return
         for k, plate in enumerate(self._plates):
             free = block.contact.plate[:, k] == -1
-            if _lasts(free) and abs(mean := float(block.vertical[free, k].mean())) > OFFSET_N:
+            if _lasts(free) and abs(mean := float(block.vertical[free, k].mean())) > ZERO_WRONG_N:
                 yield Notice.of(unloaded_reading(plate, mean, "live.offset", severity=Severity.WARNING))
 
     def _late(self, block: WatchedBlock) -> Iterator[Notice]:
         if (found := block.instruments) is None:
             return
-        late_s = found.late_s
-        if abs(late_s) - CLOCK_SD * found.late_sd_s > CLOCK_S:
-            yield Notice.of(late_forces(late_s, found.late_sd_s, "live.clock"))
+        if found.late.wrong(BY_BODY):
+            yield Notice.of(late_forces(found.late, "live.clock"))
 
     def _gains(self, block: WatchedBlock) -> Iterator[Notice]:
         if block.instruments is None or len(self._plates) < 2:

@@ -102,7 +102,6 @@ def promises(guide: Guide, outlook: Outlook, known: Knowledge) -> tuple[Promise,
     call for more, and nothing that cannot be determined calls for anything. Where all are known, information counts.
 
     Args:
-        guide: the library.
         outlook: what it tells under the present noise.
         known: what is known now.
     """
@@ -125,12 +124,7 @@ class Adviser:
     """Advises after every block, and keeps which rows came under which advice."""
 
     def __init__(self, guide: Guide, rate_hz: float) -> None:
-        """Begin before any row.
-
-        Args:
-            guide: the library.
-            rate_hz: frames per second of the stream.
-        """
+        """Begin before any row."""
         self._guide, self._rate_hz = guide, rate_hz
         self._whitening: Whitening | None = None
         self._information = torch.zeros(0)
@@ -144,7 +138,6 @@ class Adviser:
 
         Args:
             estimator: with all rows so far.
-            now_s: time of the stream.
         """
         found = self._promises(estimator)
         best = max(found, key=lambda one: one.worth)
@@ -157,12 +150,7 @@ class Adviser:
         return self.advice
 
     def account(self, estimator: Estimator, identified: Identified) -> Account:
-        """Return what each interval has brought, all under the noise and the weights of the end.
-
-        Args:
-            estimator: with all rows.
-            identified: from all rows.
-        """
+        """Return what each interval has brought, all under the noise and the weights of the end."""
         guide, omega_2 = self._guide, identified.fit.omega_2
         labels = [self._advised(time_s) for time_s in estimator.times]
         begin = Knowledge.begin(estimator.prior, guide.mass, omega_2)  # of the geometry that was refined

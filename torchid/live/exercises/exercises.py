@@ -21,8 +21,7 @@ from torchid.motion import Motion, smooth_motion
 from torchid.simulate.balance import balance
 from torchid.simulate.legs import LEG
 from torchid.simulate.motions import ARMS, QUIET, TRUNK, Range, make_script
-from torchid.simulate.script import Script
-from torchid.simulate.signals import wander
+from torchid.simulate.script import Script, wander
 from torchid.simulate.subject import SimulatedSubject, Sole
 
 Need = Literal["standing", "sitting", "arms"]
@@ -70,11 +69,7 @@ class Exercise:
     """Joints it is for, besides those of the legs, which every body has that is advised; sided names hold for both."""
 
     def lacking(self, tree: Tree) -> tuple[str, ...]:
-        """Return the joints it is for that do not move in a body, such as those that no marker tells of.
-
-        Args:
-            tree: of the body.
-        """
+        """Return the joints it is for that do not move in a body, such as those that no marker tells of."""
         moving = {re.sub("_[lr]_", "_", name) for name in tree.dof_names}
         return tuple(joint for joint in self.joints if not any(name.startswith(f"{joint}_") for name in moving))
 
@@ -141,11 +136,7 @@ room beyond two plates is needed."""
 
 
 def allowed(possibilities: Possibilities) -> tuple[Exercise, ...]:
-    """Return the exercises of the library that a subject can do; one that sits does them all on the chair.
-
-    Args:
-        possibilities: of the subject.
-    """
+    """Return the exercises of the library that a subject can do; one that sits does them all on the chair."""
     found = [one for one in LIBRARY if possibilities.allow(one)]
     return tuple(replace(one, motion=SEATED) if possibilities.seated else one for one in found)
 
@@ -154,8 +145,6 @@ def stand_in(fit: GeometryFit, phi: Float[Tensor, "bodies 10"], sex: str) -> Sim
     """Return one who moves in the subject's place: identified geometry, and the inertia that is expected.
 
     Args:
-        fit: geometry of the subject.
-        phi: inertial parameters.
         sex: as in the config; the sole's outline is that of the proportions.
 
     Raises:
@@ -186,8 +175,6 @@ def perform(
         exercise: one of ``allowed``.
         who: moves; from ``stand_in`` or simulated.
         possibilities: arms that may not be moved hang still.
-        seed: of the motion.
-        rate_hz: frames per second.
     """
     margin = round(MARGIN_S * rate_hz)
     frames = round(exercise.seconds * rate_hz)
@@ -226,9 +213,7 @@ def intended(
     """Return what one who stands intends to do in an exercise; arguments are those of ``make_script``.
 
     Args:
-        exercise: what is to be done.
         who: moves.
-        rng: draws the motion.
         time: of the frames [s].
         seconds: duration, from time zero on.
         effort: below one it is somewhat easier.

@@ -74,7 +74,6 @@ class Knowledge:
         """Return what is known before any row.
 
         Args:
-            prior: of the parameters.
             mass: total mass and its standard deviation [kg].
             omega_2: factor on the prior's precision, as the fit has chosen it.
         """
@@ -153,12 +152,7 @@ class Guide:
     """Exercises of the library that are not asked for, or without a part, and why."""
 
     def information(self, whitening: Whitening, rate_hz: float) -> Float[Tensor, "exercises params params"]:
-        """Return what a second of each exercise is expected to bring under the present noise.
-
-        Args:
-            whitening: noise of the stream.
-            rate_hz: frames per second of the stream.
-        """
+        """Return what a second of each exercise is expected to bring under the present noise."""
         return torch.stack([one.information(whitening, rate_hz) for one in self.rehearsals])
 
     def outlook(self, information: Float[Tensor, "exercises params params"], omega_2: float = 1.0) -> Outlook:
@@ -183,13 +177,7 @@ def make_guide(
     """Rehearse all exercises that a subject can do; takes seconds.
 
     Args:
-        fit: geometry of the subject.
-        prior: of the inertia.
         mass: total mass and its standard deviation [kg].
-        sex: as in the config.
-        cutoff_hz: of the stream's filter.
-        possibilities: of the subject.
-        kind: of the filter.
 
     Raises:
         ConfigError: as ``stand_in`` and ``rehearse``.
@@ -206,10 +194,8 @@ def rehearse(
 
     Args:
         who: of the identified geometry.
-        prior: of the inertia.
         mass: total mass and its standard deviation [kg].
         smoother: at ``RATE_HZ``.
-        possibilities: of the subject.
 
     Raises:
         ConfigError: ``guidance.none``, no exercise is possible for the subject.
@@ -248,8 +234,6 @@ def rows_of(
     """Return the rows of a motion as a stream's, in blocks of a second.
 
     Args:
-        tree: of the body.
-        geometry: of the body.
         motion: at the rate of the filter.
         smoother: the filter.
         wrench: measured, about the origin of W; zeros where it does not matter.

@@ -56,11 +56,7 @@ class ChannelLayout:
     """Corners (4, 3) of plates in W [m], of those that have some."""
 
     def read(self, values: Float[Tensor, "samples channels"]) -> Float[Tensor, "samples items parts"]:
-        """Return samples in W and SI units, NaN where a part has no channel or a marker is at exactly (0, 0, 0).
-
-        Args:
-            values: samples as they came.
-        """
+        """Return samples in W and SI units, NaN where a part has no channel or a marker is at exactly (0, 0, 0)."""
         lacking = values.new_full((len(values), 1), torch.nan)
         found = torch.cat([values, lacking], dim=1)[:, self.columns] * self.scale
         if self.columns.shape[1] == len(POSITION):
@@ -68,11 +64,7 @@ class ChannelLayout:
         return to_world(found, self.up)
 
     def having(self, names: tuple[str, ...]) -> "ChannelLayout":
-        """Return the layout of some markers or plates, in their order; the channels of unknown ones are -1.
-
-        Args:
-            names: whatever is looked for.
-        """
+        """Return the layout of some markers or plates, in their order; the channels of unknown ones are -1."""
         columns = self.columns.new_full((len(names), self.columns.shape[1]), -1)
         scale = self.scale.new_ones(columns.shape)
         for k, name in enumerate(names):
@@ -115,7 +107,6 @@ def marker_layout(info: Tree, source: str) -> ChannelLayout:
 
     Args:
         info: description of a stream of type ``MoCap``.
-        source: the stream, for errors.
 
     Raises:
         InputError: ``live.lsl`` where it does not tell all that is needed.
@@ -128,7 +119,6 @@ def plate_layout(info: Tree, source: str) -> ChannelLayout:
 
     Args:
         info: description of a stream of type ``ForcePlate``.
-        source: the stream, for errors.
 
     Raises:
         InputError: ``live.lsl`` where it does not tell all that is needed.
@@ -140,12 +130,7 @@ def plate_layout(info: Tree, source: str) -> ChannelLayout:
 
 
 def channel_labels(info: Tree, count: int) -> tuple[str, ...]:
-    """Return the labels of a stream's channels; those without one are called by the stream's name and their number.
-
-    Args:
-        info: description of a stream.
-        count: of its channels.
-    """
+    """Return the labels of a stream's channels; those without one are called by the stream's name and their number."""
     channels = _all(_first(_first(info, "desc"), "channels"), "channel")
     labels = [text(one, "label").strip() for one in channels][:count]
     labels += [""] * (count - len(labels))
@@ -218,9 +203,7 @@ def rate_of(layout: ChannelLayout, time: Float[Tensor, " samples"], source: str)
     """Return the rate that a stream states, or else that of its times, which lost samples and jitter make uneven [Hz].
 
     Args:
-        layout: what the stream states.
         time: of some samples, rising [s].
-        source: the stream, for errors.
 
     Raises:
         InputError: ``live.lsl`` where it states none and sends too little.
@@ -244,12 +227,7 @@ def _number(of: Tree, name: str, source: str) -> float:
 
 
 def text(of: Tree, name: str) -> str:
-    """Return a text, empty where there is none.
-
-    Args:
-        of: tree that may have it.
-        name: of the child.
-    """
+    """Return a text, empty where there is none."""
     found = of.get(name)
     return found[0].strip() if found and isinstance(found[0], str) else ""
 
@@ -269,12 +247,5 @@ def _list(names: Any, most: int = LISTED) -> str:
 
 
 def fault(source: str, message: str, found: str, remedy: str) -> InputError:
-    """Return the error of a stream.
-
-    Args:
-        source: the stream.
-        message: what is wrong with it.
-        found: what it says.
-        remedy: what to do.
-    """
+    """Return the error of a stream."""
     return InputError("live.lsl", message, source=source, found=found[:200], remedy=remedy)

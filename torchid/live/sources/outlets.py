@@ -8,8 +8,7 @@ import pylsl
 from torch import Tensor
 
 from torchid.live.sources.description import FORCE_PLATE, MOCAP, POSITION, WRENCH
-from torchid.live.sources.replay import Replay
-from torchid.live.sources.stream import Packet
+from torchid.live.sources.stream import Packet, Replay
 from torchid.recording import Plate, Trial
 
 BETWEEN_S = 3.0
@@ -24,9 +23,6 @@ def describe_markers(labels: tuple[str, ...], rate_hz: float, name: str, source_
     """Return the description of a stream of markers, in metres and Z up, by XDF's conventions.
 
     Args:
-        labels: of the markers.
-        rate_hz: frames per second.
-        name: of the stream.
         source_id: by which the stream is known again after a restart.
     """
     info = pylsl.StreamInfo(name, MOCAP, 3 * len(labels), rate_hz, pylsl.cf_double64, source_id)
@@ -40,8 +36,6 @@ def describe_plates(plates: tuple[Plate, ...], rate_hz: float, name: str, source
 
     Args:
         plates: with unique names.
-        rate_hz: samples per second.
-        name: of the stream.
         source_id: by which the stream is known again after a restart.
     """
     info = pylsl.StreamInfo(name, FORCE_PLATE, 6 * len(plates), rate_hz, pylsl.cf_double64, source_id)
@@ -75,7 +69,6 @@ class Outlets:
         """Open them.
 
         Args:
-            trial: whose markers and plates they are.
             name: of both streams, by which they are known again after a restart.
         """
         markers, forces = trial.markers, trial.forces
@@ -113,7 +106,6 @@ def play(
 
     Args:
         trial: what is sent.
-        outlets: where.
         speed: multiple of the recording's own pace.
         loop: begin again after the end, with a pause.
         stop: asked before every packet.

@@ -28,7 +28,6 @@ class QtmLink(QTMProtocol):
 
         Args:
             loop: in which it lives.
-            source: the server, for errors.
         """
         super().__init__(loop=loop)
         self.lost: asyncio.Future[InputError] = loop.create_future()
@@ -50,11 +49,7 @@ class QtmLink(QTMProtocol):
         return super().send_command(*words, **options)
 
     def data_received(self, data: bytes) -> None:
-        """Read every packet that is whole.
-
-        Args:
-            data: whatever came.
-        """
+        """Read every packet that is whole."""
         self.heard_s, self._rest = time.monotonic(), self._rest + data
         try:
             while self._why is None and (packet := self._packet()):

@@ -51,7 +51,6 @@ class Run:
         """Wait for the first packet.
 
         Args:
-            settings: of this run.
             labels: in the order that is asked for; those that the run lacks are missing.
             after_s: time of the newest frame of the run before; None where there was none.
         """
@@ -75,9 +74,6 @@ class Run:
 
     def take(self, packet: QRTPacket) -> Arrival:
         """Return what is in a packet, and the samples that it completes.
-
-        Args:
-            packet: as it came.
 
         Raises:
             InputError: ``live.qualisys`` where it contradicts the run or its settings.

@@ -109,9 +109,6 @@ class Settings:
     def fitting(self, first: "Settings") -> "Settings":
         """Return these settings with the plates in the order of others, if a stream that began so can go on with them.
 
-        Args:
-            first: those with which it began.
-
         Raises:
             InputError: ``live.qualisys`` where rates differ, none of the labels is left, or plates are not the same.
         """
@@ -135,10 +132,6 @@ class Settings:
 
 def read_settings(xml: bytes, source: str) -> Settings:
     """Return what QTM states in answer to ``GetParameters General 3D Force``.
-
-    Args:
-        xml: its answer.
-        source: the server, for errors.
 
     Raises:
         InputError: ``live.qualisys`` where something is missing without which nothing can be identified.
@@ -208,12 +201,5 @@ def _number(of: etree._Element, path: str, source: str) -> float:
 
 
 def fault(source: str, message: str, found: str, remedy: str) -> InputError:
-    """Return the error of a server.
-
-    Args:
-        source: the server.
-        message: what is wrong with it.
-        found: what it says.
-        remedy: what to do.
-    """
+    """Return the error of a server."""
     return InputError("live.qualisys", message, source=source, found=found[:200], remedy=remedy)

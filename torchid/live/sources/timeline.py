@@ -12,21 +12,12 @@ class Timeline:
     """Samples by their number; those that have not come are NaN. What is forgotten makes room."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
-        """Begin empty.
-
-        Args:
-            shape: of a sample.
-        """
+        """Begin empty."""
         self._shape, self.start, self.stop = shape, 0, 0
         self._values = self._missing(0)
 
     def put(self, index: Int[Tensor, " some"], values: Float[Tensor, "some *shape"]) -> None:
-        """Put samples in their places; what lies before ``start`` is forgotten already.
-
-        Args:
-            index: numbers of the samples.
-            values: the samples.
-        """
+        """Put samples in their places; what lies before ``start`` is forgotten already."""
         recent = index >= self.start
         if not bool(recent.any()):
             return
@@ -38,11 +29,7 @@ class Timeline:
         self._values[place] = values[recent].to(self._values)
 
     def get(self, part: slice) -> Float[Tensor, "some *shape"]:
-        """Return the samples of a part, also of one that nobody has put yet.
-
-        Args:
-            part: numbers of samples.
-        """
+        """Return the samples of a part, also of one that nobody has put yet."""
         found = self._missing(max(0, part.stop - part.start))
         first, stop = max(part.start, self.start), min(part.stop, self.stop)
         if stop > first:

@@ -19,7 +19,7 @@ from torchid.live.sources.description import (
     rate_of,
     text,
 )
-from torchid.live.sources.replay import Replay
+from torchid.live.sources.stream import Replay
 from torchid.recording import Forces, Markers, Trial
 
 
@@ -29,7 +29,6 @@ def replay_xdf(path: Path, speed: float = 1.0) -> Replay:
     Clocks are synchronised as the file has measured them; times are not made even, and lost frames stay lost.
 
     Args:
-        path: an XDF file.
         speed: as for ``Replay``.
 
     Raises:
@@ -49,9 +48,6 @@ def replay_xdf(path: Path, speed: float = 1.0) -> Replay:
 
 def device_series(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return what a file recorded of streams that are neither markers nor plates, such as a device's own.
-
-    Args:
-        path: an XDF file.
 
     Returns:
         Times on the file's clock [s] and values of every numeric channel, by its label, or by the stream's name and a

@@ -33,7 +33,6 @@ def read_osim_model(path: str | Path, scatter: FileScatter | None = None) -> tup
     """Return the model of an OpenSim file of version 2, 3 or 4, and notes about what was changed in reading it.
 
     Args:
-        path: the file.
         scatter: how uncertain its numbers are; default ``FileScatter()``.
 
     Raises:

@@ -44,11 +44,7 @@ class OsimBinding:
         return tuple(self.model.coordinate_names[row] for row in self.root.rows)
 
     def group_of(self, body: int) -> int:
-        """Index in the tree of the body that a body of the file belongs to.
-
-        Args:
-            body: index in the file.
-        """
+        """Index in the tree of the body that a body of the file belongs to."""
         return next(k for k, members in enumerate(self.groups) if body in members)
 
     def base_pose(self, q: Float[Tensor, "frames coordinates"]) -> Float[Tensor, "frames 4 4"]:
@@ -107,7 +103,6 @@ class OsimBinding:
 
         Args:
             names: the tree's names of coordinates.
-            q: coordinates of the tree.
         """
         out = self.model.defaults.to(q).expand(len(q), -1).clone()
         rows = [self.model.coordinate_names.index(name) for name in names[BASE_DOFS:]]
@@ -118,15 +113,25 @@ class OsimBinding:
         out[:, list(self.root.rows)] = _root_values(self.root, step if self.root.outward else inverse(step))
         return coupled(self.model, out)
 
-    def root_forces(
-        self, q: Float[Tensor, "frames coordinates"], wrench: Float[Tensor, "frames 6"]
-    ) -> Float[Tensor, "frames 6"]:
-        """Return the generalised forces of the root joint's coordinates.
+    def forces(
+        self, names: tuple[str, ...], q: Float[Tensor, "frames coordinates"], tau: Float[Tensor, "frames dofs"]
+    ) -> dict[str, Float[Tensor, " frames"]]:
+        """Return the generalised forces of a tree by the file's names of coordinates, those of its first joint first.
+
+        A coordinate that leads others bears their share; these and locked ones have no force of their own.
 
         Args:
+            names: the tree's names of coordinates, whatever it holds still.
             q: all coordinates of the file [rad, m].
-            wrench: on the root, about its origin, in W [N, N m].
+            tau: generalised forces of the tree; those of the base are a wrench about the root's origin, in W [N, N m].
         """
+        found = dict(zip(self.root_names, self._root_forces(q, tau[:, :BASE_DOFS]), strict=True))
+        return found | dict(zip(names[BASE_DOFS:], tau[:, BASE_DOFS:].unbind(1), strict=True))
+
+    def _root_forces(
+        self, q: Float[Tensor, "frames coordinates"], wrench: Float[Tensor, "frames 6"]
+    ) -> list[Float[Tensor, " frames"]]:
+        """Generalised forces of the root joint's coordinates, of a wrench on the root about its origin in W."""
         X, columns = self.base_pose(q), []
         for row in self.root.rows:
             seed = torch.zeros_like(q)
@@ -134,15 +139,11 @@ class OsimBinding:
             rate = pushed(self.base_pose, (q,), (seed,))[1]
             twist = torch.cat([rate[:, :3, 3], _vee(rate[:, :3, :3] @ X[:, :3, :3].mT)], dim=1)
             columns.append((twist * wrench).sum(1))
-        return torch.stack(columns, dim=1)
+        return columns
 
 
 def affine(function: Function) -> tuple[float, float] | None:
-    """Return slope and intercept of a function of one coordinate; None where it is not straight.
-
-    Args:
-        function: any function.
-    """
+    """Return slope and intercept of a function of one coordinate; None where it is not straight."""
     if function.n_arguments != 1:
         return None
     low, start, high = (float(function(torch.tensor([x], dtype=torch.float64))) for x in (-7.3, 0.0, 7.3))

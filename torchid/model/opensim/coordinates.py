@@ -14,11 +14,7 @@ COUPLER = "CoordinateCouplerConstraint"
 
 
 def coordinate_elements(joint: Element) -> list[Element]:
-    """Return the elements of a joint's coordinates.
-
-    Args:
-        joint: the joint's element.
-    """
+    """Return the elements of a joint's coordinates."""
     return [*joint.findall("coordinates/Coordinate"), *joint.findall("CoordinateSet/objects/Coordinate")]
 
 
@@ -26,7 +22,6 @@ def motion_of(row: int, turns: Sequence[TransformAxis], slides: Sequence[Transfo
     """Return the kind of a coordinate, decided as OpenSim does: by the last axis that it moves in proportion 1.
 
     Args:
-        row: row of the coordinate.
         turns: turns of its joint.
         slides: slides of its joint.
     """
@@ -44,10 +39,7 @@ def joint_coordinates(
     """Return the coordinates of a joint in the order of their rows.
 
     Args:
-        joint: the joint's element.
         names: names that its axes use.
-        motions: kinds of the coordinates.
-        document: the file.
 
     Raises:
         InputError: ``osim.twice`` for two of one name, ``osim.coordinate`` for one that no axis uses,
@@ -89,10 +81,6 @@ def _coordinate(name: str, element: Element | None, motion: CoordinateKind, docu
 
 def read_couplers(names: Sequence[str], document: OsimDocument) -> tuple[Coupler, ...]:
     """Return the couplers that hold, each behind those that its leading coordinate needs.
-
-    Args:
-        names: names of all coordinates.
-        document: the file.
 
     Raises:
         InputError: ``osim.constraint`` for another constraint that holds, ``osim.coupler`` for a coupler that has not

@@ -33,9 +33,6 @@ class Stated:
 def body_elements(document: OsimDocument) -> dict[str, Element]:
     """Return the bodies of the file by name, without ground.
 
-    Args:
-        document: the file.
-
     Raises:
         InputError: ``osim.body`` for another element among them or a name that stands twice.
     """
@@ -52,12 +49,7 @@ def body_elements(document: OsimDocument) -> dict[str, Element]:
 
 
 def component_path(element: Element, document: OsimDocument) -> str:
-    """Return OpenSim's absolute path of a component.
-
-    Args:
-        element: the component's element.
-        document: the file.
-    """
+    """Return OpenSim's absolute path of a component."""
     parts: list[str] = []
     for one in (element, *element.iterancestors()):
         if one is document.model:
@@ -72,12 +64,7 @@ class Frames:
     """All frames of a file."""
 
     def __init__(self, document: OsimDocument, bodies: Mapping[str, Element]) -> None:
-        """Collect them.
-
-        Args:
-            document: the file.
-            bodies: bodies by name.
-        """
+        """Collect them."""
         self.document = document
         self.bodies = {"/ground": GROUND}
         self.bodies |= {f"/bodyset/{name}": index for index, name in enumerate(bodies)}
@@ -121,7 +108,6 @@ class Frames:
         """Return a frame offset from another one.
 
         Args:
-            base: the other frame.
             element: parent of the elements that state the offset.
             tags: names of these elements, translation [m] first, then angles [rad].
 

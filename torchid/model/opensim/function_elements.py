@@ -1,6 +1,7 @@
 """Elements that state functions, read into functions."""
 
 from collections.abc import Callable
+from functools import partial
 
 import torch
 
@@ -13,8 +14,9 @@ from torchid.model.opensim.functions import (
     Polynomial,
     ScaledFunction,
     Sine,
+    broken_line,
+    simm_spline,
 )
-from torchid.model.opensim.splines import broken_line, simm_spline
 from torchid.model.opensim.words import OsimDocument
 
 
@@ -23,11 +25,6 @@ def function_in(parent: Element, document: OsimDocument, tag: str = "function") 
 
     OpenSim 4 names the function's own element after the property, or leaves the name out; older files put it into an
     element of that name.
-
-    Args:
-        parent: element that has the property.
-        document: the file.
-        tag: name of the property.
 
     Raises:
         InputError: ``osim.function`` for one that is not known or has not what it needs; it names the line.
@@ -79,14 +76,6 @@ def _sine(element: Element, document: OsimDocument) -> Function:
     return Sine(*(document.number(element, tag, default) for tag, default in words))
 
 
-def _spline(element: Element, document: OsimDocument) -> Function:
-    return _points(element, document, simm_spline)
-
-
-def _broken_line(element: Element, document: OsimDocument) -> Function:
-    return _points(element, document, broken_line)
-
-
 def _points(
     element: Element, document: OsimDocument, through: Callable[[torch.Tensor, torch.Tensor], PiecewiseCubic]
 ) -> Function:
@@ -108,10 +97,8 @@ READERS: dict[str, Callable[[Element, OsimDocument], Function]] = {
     "LinearFunction": _linear,
     "PolynomialFunction": _polynomial,
     "MultiplierFunction": _scaled,
-    "SimmSpline": _spline,
-    "NaturalCubicSpline": _spline,
-    "natCubicSpline": _spline,
-    "PiecewiseLinearFunction": _broken_line,
+    **dict.fromkeys(("SimmSpline", "NaturalCubicSpline", "natCubicSpline"), partial(_points, through=simm_spline)),
+    "PiecewiseLinearFunction": partial(_points, through=broken_line),
     "Sine": _sine,
 }
 """Cited. Elements of OpenSim's Common library; OpenSim itself renames NaturalCubicSpline and natCubicSpline to

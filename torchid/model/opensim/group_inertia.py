@@ -9,51 +9,21 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.conventions import INERTIA_PAIRS, Inertial
+from torchid.conventions import Inertial
 from torchid.model.opensim.binding import OsimBinding
 from torchid.model.opensim.model import Inertias
 from torchid.model.opensim.rotations import inverse
-
-
-def phi_to_pseudo(phi: Float[Tensor, "*batch 10"]) -> Float[Tensor, "*batch 4 4"]:
-    """Return the pseudo-inertias of ten parameters each.
-
-    Args:
-        phi: in the order of ``conventions.Inertial``.
-    """
-    inertia = phi.new_zeros((*phi.shape[:-1], 3, 3))
-    for k, (i, j) in enumerate(INERTIA_PAIRS):
-        inertia[..., i, j] = inertia[..., j, i] = phi[..., Inertial.IXX + k]
-    trace = inertia.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-    P = phi.new_zeros((*phi.shape[:-1], 4, 4))
-    P[..., :3, :3] = 0.5 * trace * torch.eye(3).to(phi) - inertia
-    P[..., :3, 3] = P[..., 3, :3] = phi[..., Inertial.MCX : Inertial.MCZ + 1]
-    P[..., 3, 3] = phi[..., Inertial.M]
-    return P
-
-
-def pseudo_to_phi(P: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 10"]:
-    """Return the ten parameters of pseudo-inertias.
-
-    Args:
-        P: pseudo-inertias.
-    """
-    second = P[..., :3, :3]
-    trace = second.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-    inertia = trace * torch.eye(3).to(P) - second
-    moments = [inertia[..., i, j] for i, j in INERTIA_PAIRS]
-    return torch.cat([P[..., 3:, 3], P[..., :3, 3], torch.stack(moments, -1)], -1)
+from torchid.model.pseudo import params_to_pseudo, pseudo_to_params
 
 
 def of_groups(binding: OsimBinding, phi: Float[Tensor, "bodies 10"]) -> Float[Tensor, "groups 10"]:
     """Return the parameters of the tree's bodies, about their origins, in their axes.
 
     Args:
-        binding: tree and file.
         phi: parameters of the file's bodies, likewise in their own frames.
     """
-    P = binding.X_TB @ phi_to_pseudo(phi) @ binding.X_TB.mT
-    return pseudo_to_phi(torch.stack([P[list(members)].sum(0) for members in binding.groups]))
+    P = binding.X_TB @ params_to_pseudo(phi) @ binding.X_TB.mT
+    return pseudo_to_params(torch.stack([P[list(members)].sum(0) for members in binding.groups]))
 
 
 def of_bodies(binding: OsimBinding, phi: Float[Tensor, "groups 10"]) -> Inertias:
@@ -62,14 +32,10 @@ def of_bodies(binding: OsimBinding, phi: Float[Tensor, "groups 10"]) -> Inertias
     With P = U U' of a group before and now (U upper triangular), A = U_now U_before^-1 is an affine map: its last row
     moves no place into mass. A P_k A' of the group's bodies are pseudo-inertias again, and add up to the group's new
     one: all of its mass is moved and stretched alike.
-
-    Args:
-        binding: tree and file.
-        phi: parameters of the tree's bodies.
     """
-    P = binding.X_TB @ phi_to_pseudo(binding.model.inertias.phi) @ binding.X_TB.mT
+    P = binding.X_TB @ params_to_pseudo(binding.model.inertias.phi) @ binding.X_TB.mT
     new = torch.zeros_like(P)
-    for wanted, members in zip(phi_to_pseudo(phi), binding.groups, strict=True):
+    for wanted, members in zip(params_to_pseudo(phi), binding.groups, strict=True):
         rows = list(members)
         before, massless = _upper(P[rows].sum(0))
         if massless or len(rows) == 1:
@@ -78,7 +44,7 @@ def of_bodies(binding: OsimBinding, phi: Float[Tensor, "groups 10"]) -> Inertias
             A = _upper(wanted)[0] @ torch.linalg.inv(before)
             new[rows] = A @ P[rows] @ A.mT
     X_BT = inverse(binding.X_TB)
-    return _centred(pseudo_to_phi(X_BT @ new @ X_BT.mT))
+    return _centred(pseudo_to_params(X_BT @ new @ X_BT.mT))
 
 
 def _upper(P: Float[Tensor, "4 4"]) -> tuple[Float[Tensor, "4 4"], bool]:
@@ -89,7 +55,7 @@ def _upper(P: Float[Tensor, "4 4"]) -> tuple[Float[Tensor, "4 4"], bool]:
 
 def _centred(phi: Float[Tensor, "bodies 10"]) -> Inertias:
     """Mass, centre and inertia about the centre."""
-    P = phi_to_pseudo(phi)
+    P = params_to_pseudo(phi)
     mass, centre = P[:, 3, 3], P[:, :3, 3] / P[:, 3:, 3].clamp(min=torch.finfo(P.dtype).tiny)
     second = P[:, :3, :3] - mass[:, None, None] * centre[:, :, None] * centre[:, None]
     trace = second.diagonal(dim1=1, dim2=2).sum(1)[:, None, None]
@@ -102,12 +68,11 @@ def heavy_enough(phi: Float[Tensor, "groups 10"], least: float, extent: float) -
     A body without mass gets it at its origin, with ``extent`` [m] along every axis.
 
     Args:
-        phi: parameters of the tree's bodies.
         least: mass [kg].
         extent: root of the second moment per mass [m].
     """
     light = [k for k, mass in enumerate(phi[:, Inertial.M].tolist()) if mass < least]
-    point = phi_to_pseudo(phi.clone())
+    point = params_to_pseudo(phi.clone())
     for k in light:
         point[k] = torch.diag(phi.new_tensor([extent**2, extent**2, extent**2, 1.0])) * least
-    return pseudo_to_phi(point), light
+    return pseudo_to_params(point), light

@@ -45,11 +45,6 @@ class JointElement:
 def joint_elements(document: OsimDocument, frames: Frames, bodies: Mapping[str, Element]) -> list[JointElement]:
     """Return the joints of the file in its order: OpenSim 4 has a set of them, older files one in every body.
 
-    Args:
-        document: the file.
-        frames: its frames.
-        bodies: its bodies by name.
-
     Raises:
         InputError: ``osim.frame`` for a frame that is not there.
     """
@@ -82,7 +77,6 @@ def read_joint(stated: JointElement, first: int, document: OsimDocument) -> tupl
     Args:
         stated: the joint's element and frames.
         first: row of the joint's first coordinate.
-        document: the file.
 
     Raises:
         InputError: ``osim.joint`` for an unknown kind or a number of coordinates that the kind does not have,

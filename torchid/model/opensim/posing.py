@@ -17,7 +17,6 @@ def coordinate_values(
     """Return the rows of q of named values; coordinates without one have their default, and couplers hold.
 
     Args:
-        model: the model.
         values: name: values [rad, m], all of one shape or numbers.
 
     Raises:
@@ -39,7 +38,6 @@ def coupled(model: OsimModel, q: Float[Tensor, "*batch coordinates"]) -> Float[T
     """Return the coordinates with every dependent one set to what its coupler demands.
 
     Args:
-        model: the model.
         q: values [rad, m]; those of dependent coordinates are passed over.
     """
     rows = list(q.unbind(-1))
@@ -52,7 +50,6 @@ def body_poses(model: OsimModel, q: Float[Tensor, "*batch coordinates"]) -> Floa
     """Return the poses of all bodies in ground, in the order of ``model.bodies``; couplers hold.
 
     Args:
-        model: the model.
         q: values of all coordinates [rad, m].
     """
     q = coupled(model, q)
@@ -70,7 +67,6 @@ def joint_pose(joint: OsimJoint, q: Float[Tensor, "*batch coordinates"]) -> Floa
     """Return the pose of a joint's child frame in its parent frame.
 
     Args:
-        joint: the joint.
         q: values of all coordinates of the model [rad, m].
     """
     R = torch.eye(3).to(q).expand(*q.shape[:-1], 3, 3)
@@ -92,7 +88,6 @@ def marker_places(
     """Return the places of markers in ground [m]; couplers hold.
 
     Args:
-        model: the model.
         q: values of all coordinates [rad, m].
         names: markers that are wanted; all in the order of the model by default.
 

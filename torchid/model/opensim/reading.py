@@ -9,16 +9,75 @@ import torch
 
 from torchid.conventions import GRAVITY
 from torchid.errors import InputError, Note
-from torchid.model.markup import Element, parse_xml, read_bytes
-from torchid.model.opensim.bodies import read_inertias
-from torchid.model.opensim.consistent import consistent
+from torchid.model.markup import Element, Vocabulary, parse_xml, read_bytes, unread
+from torchid.model.opensim.bodies import consistent, read_inertias
 from torchid.model.opensim.coordinates import read_couplers
 from torchid.model.opensim.frames import Frames, Stated, body_elements
-from torchid.model.opensim.joints import JointElement, joint_elements, read_joint
+from torchid.model.opensim.function_elements import READERS
+from torchid.model.opensim.joints import KINDS, JointElement, joint_elements, read_joint
 from torchid.model.opensim.model import GROUND, Marker, OsimCoordinate, OsimJoint, OsimModel
-from torchid.model.opensim.vocabulary import WORDS
 from torchid.model.opensim.words import OsimDocument, child_text, objects
-from torchid.model.vocabulary import unread
+
+JOINTS = ("CustomJoint", *KINDS)
+CONSTRAINTS = (
+    "CoordinateCouplerConstraint", "ConstantDistanceConstraint", "PointConstraint", "PointOnLineConstraint",
+    "RollingOnSurfaceConstraint", "WeldConstraint",
+)  # fmt: skip
+_LOOKS = "FrameGeometry attached_geometry WrapObjectSet VisibleObject frame_geometry"
+_JOINT = (
+    "socket_parent_frame socket_child_frame coordinates frames components parent_body location_in_parent "
+    "orientation_in_parent location orientation location_in_child orientation_in_child CoordinateSet reverse"
+)
+_FUNCTIONS = " ".join(READERS)
+_POINTS = dict.fromkeys(
+    ("SimmSpline", "NaturalCubicSpline", "natCubicSpline", "PiecewiseLinearFunction"), ("name", "x y")
+)
+
+WORDS: Vocabulary = {
+    "Model": (
+        "name",
+        "Ground gravity credits publications length_units force_units assembly_accuracy components frames defaults "
+        "BodySet JointSet ConstraintSet MarkerSet ForceSet ControllerSet ContactGeometrySet ProbeSet ComponentSet "
+        "ModelVisualPreferences CoordinateSet AnalysisSet",
+    ),
+    **dict.fromkeys(("BodySet", "JointSet", "ConstraintSet", "MarkerSet", "CoordinateSet"), ("name", "objects groups")),
+    "objects": ("", " ".join(f"{tag}*" for tag in ("Body", "Marker", "Coordinate", *JOINTS, *CONSTRAINTS))),
+    "Body": (
+        "name",
+        f"mass mass_center inertia inertia_xx inertia_yy inertia_zz inertia_xy inertia_xz inertia_yz Joint components "
+        f"{_LOOKS}",
+    ),
+    "Joint": ("name", " ".join(JOINTS)),
+    **{kind: ("name", f"{_JOINT} SpatialTransform" if kind == "CustomJoint" else _JOINT) for kind in JOINTS},
+    "coordinates": ("", "Coordinate*"),
+    "Coordinate": (
+        "name",
+        "default_value default_speed_value range clamped locked prescribed prescribed_function "
+        "is_free_to_satisfy_constraints components motion_type initial_value",
+    ),
+    "frames": ("", "PhysicalOffsetFrame*"),
+    "PhysicalOffsetFrame": ("name", f"socket_parent translation orientation components {_LOOKS}"),
+    "SpatialTransform": ("name", "TransformAxis*"),
+    "TransformAxis": ("name", f"coordinates axis function {_FUNCTIONS}"),
+    "CoordinateCouplerConstraint": (
+        "name",
+        "isEnforced isDisabled coupled_coordinates_function independent_coordinate_names dependent_coordinate_name "
+        "scale_factor components",
+    ),
+    "coupled_coordinates_function": ("", _FUNCTIONS),
+    "function": ("", _FUNCTIONS),
+    "Marker": ("name", f"socket_parent_frame body location fixed components {_LOOKS}"),
+    "Constant": ("name", "value"),
+    "LinearFunction": ("name", "coefficients"),
+    "PolynomialFunction": ("name", "coefficients"),
+    "MultiplierFunction": ("name", "function scale"),
+    "Sine": ("name", "amplitude omega phase offset"),
+    **_POINTS,
+}
+"""Cited. The elements of OpenSim files that are looked into, and what may stand in them: properties that OpenSim 4
+lists of its classes (``Object::getPropertyByIndex``) and those of older versions that it renames on reading
+(``updateFromXMLNode`` of Body, Joint, Coordinate, Constraint and Marker)."""
+
 
 log = logging.getLogger(__name__)
 
@@ -44,9 +103,6 @@ def read_osim(path: str | Path) -> tuple[OsimModel, tuple[Note, ...]]:
 
     Muscles, other forces, wrapping and looks are passed over.
 
-    Args:
-        path: the file.
-
     Returns:
         The model, and notes about what was changed or passed over, which are logged as well.
 
@@ -63,10 +119,6 @@ def read_osim(path: str | Path) -> tuple[OsimModel, tuple[Note, ...]]:
 
 def open_document(content: bytes, path: Path) -> OsimDocument:
     """Return the document of a file's bytes.
-
-    Args:
-        content: the bytes.
-        path: the file.
 
     Raises:
         InputError: ``xml.*``, ``osim.version``, ``osim.model``.
@@ -88,9 +140,6 @@ def open_document(content: bytes, path: Path) -> OsimDocument:
 
 def parts_of(document: OsimDocument) -> Parts:
     """Return the elements of a document that state numbers.
-
-    Args:
-        document: the file.
 
     Raises:
         InputError: ``osim.body``, ``osim.name``, ``osim.frame``, ``osim.elsewhere`` for a part that is not read.
@@ -124,9 +173,6 @@ def _refuse_elsewhere(parts: Parts) -> None:
 
 def model_of(parts: Parts) -> tuple[OsimModel, tuple[Note, ...]]:
     """Return the model that elements state, and notes.
-
-    Args:
-        parts: the elements.
 
     Raises:
         InputError: as ``read_osim``.

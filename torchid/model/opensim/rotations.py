@@ -32,22 +32,13 @@ def body_xyz(angles: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
 
 
 def pose(R: Float[Tensor, "*batch 3 3"], p: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4 4"]:
-    """Return homogeneous matrices.
-
-    Args:
-        R: rotations.
-        p: translations.
-    """
+    """Return homogeneous matrices."""
     last = R.new_tensor([[0.0, 0.0, 0.0, 1.0]]).expand(*R.shape[:-2], 1, 4)
     return torch.cat([torch.cat([R, p[..., None]], dim=-1), last], dim=-2)
 
 
 def inverse(X: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
-    """Return the inverses of poses.
-
-    Args:
-        X: homogeneous matrices.
-    """
+    """Return the inverses of poses."""
     R = X[..., :3, :3].mT
     return pose(R, -(R @ X[..., :3, 3:])[..., 0])
 
@@ -56,7 +47,6 @@ def moved(X: Float[Tensor, "*#batch 4 4"], p: Float[Tensor, "*#batch 3"]) -> Flo
     """Return points carried by poses.
 
     Args:
-        X: homogeneous matrices.
         p: points in the axes of the poses.
     """
     return (X[..., :3, :3] @ p[..., None])[..., 0] + X[..., :3, 3]

@@ -89,7 +89,6 @@ def element_spans(content: bytes, elements: Iterable[Element], source: str | Pat
     Args:
         content: the file's bytes, well-formed and without a document type.
         elements: all elements of the file in the order in which they begin.
-        source: the file.
 
     Raises:
         InputError: ``osim.encoding`` for an encoding in which plain letters are not single bytes of ASCII.
@@ -113,13 +112,7 @@ def _encoding(source: str | Path, found: str) -> InputError:
 
 
 def new_text(span: Span, text: str, content: bytes) -> list[Edit]:
-    """Return the edits that give an element another text; the blanks around the old one stay.
-
-    Args:
-        span: the element, which has a text.
-        text: the new text.
-        content: the file's bytes.
-    """
+    """Return the edits that give an element another text; the blanks around the old one stay."""
     runs = [run for run in span.texts if content[slice(*run)].strip()]
     assert runs, "an element that was read has a text"
     (start, stop), *others = runs
@@ -134,8 +127,6 @@ def new_child(span: Span, tag: str, text: str) -> list[Edit]:
 
     Args:
         span: the parent, which has other children.
-        tag: the child's tag.
-        text: the child's text.
     """
     assert span.end > span.start, "a parent that was read has children"
     return [Edit(span.inside, span.inside, f"<{tag}>{text}</{tag}>".encode("ascii"))]
@@ -145,7 +136,6 @@ def edited(content: bytes, edits: Iterable[Edit]) -> bytes:
     """Return the bytes after edits that do not overlap.
 
     Args:
-        content: the file's bytes.
         edits: in any order; those at one place in the order in which they are given.
     """
     parts: list[bytes] = []

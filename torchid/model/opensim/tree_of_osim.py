@@ -6,7 +6,7 @@ add, so that those in any directions are three along the axes of its frame. Bodi
 """
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
@@ -33,9 +33,6 @@ SQUARE = 1e-9
 def tree_of_osim(model: OsimModel) -> tuple[Tree, Geometry, OsimBinding]:
     """Return the tree of an OpenSim model, its geometry, and how the two hang together.
 
-    Args:
-        model: the model.
-
     Raises:
         InputError: ``osim.root`` unless one joint with six coordinates, three turns and three slides at right angles,
             carries everything from ground; ``osim.reversed`` for a joint with slides whose child carries its parent.
@@ -48,16 +45,6 @@ def tree_of_osim(model: OsimModel) -> tuple[Tree, Geometry, OsimBinding]:
     for k, joint in enumerate(joints):
         builder.add(k, joint)
     return builder.tree(), builder.geometry(), binding
-
-
-def as_free(model: OsimModel) -> OsimModel:
-    """Return a model whose coordinates are all free: no couplers, none locked, as OpenSim's inverse dynamics sees it.
-
-    Args:
-        model: any model.
-    """
-    free = tuple(replace(one, locked=False) for one in model.coordinates)
-    return replace(model, coordinates=free, couplers=())
 
 
 def _refuse_other_roots(model: OsimModel) -> None:

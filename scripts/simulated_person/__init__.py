@@ -1,0 +1,1 @@
+"""A simulated person who stands, does what a page advises, and is measured in real time."""

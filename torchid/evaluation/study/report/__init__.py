@@ -1,1 +1,0 @@
-"""The page of a study that an ergonomist can hand on."""
