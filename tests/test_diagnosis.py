@@ -201,7 +201,8 @@ def test_a_body_is_late_and_a_clock_may_be_early(low, high, first):
 @pytest.mark.slow
 def test_what_held_out_motion_contradicts_is_refuted():
     """A clock that is late in the fit trials and early in the others is named by the former, and taken back; or it is
-    named as a clock of single recordings, which the others do not contradict."""
+    named as a clock of single recordings, which the others do not contradict; or it never was more than sound sessions
+    seem to have."""
     rng = np.random.default_rng([SEED, 7])
     lag, seed = draw(rng, 0.02, 0.03), int(rng.integers(2**31))
     late, early = (simulated((PlantedOptions("time_offset", ("session",), None, {"lag_s": s * lag}),), seed)
@@ -210,7 +211,10 @@ def test_what_held_out_motion_contradicts_is_refuted():
     found = [(c.effect, c.where, c.gain) for c in said.causes]
     clocks = {where for effect, where, _ in found if effect == "time_offset"}
     assert clocks <= {(trial.trial.name,) for trial in late.trials[:-1]}, (found, said.refuted)
-    assert clocks or ("time_offset", ("session",)) in {(r.effect, r.where) for r in said.refuted}, (found, said.refuted)
+    gone = {(r.effect, r.where) for r in said.refuted} | {
+        (s.effect, s.where) for s in said.trace if s.rule == "ordinary"
+    }
+    assert clocks or ("time_offset", ("session",)) in gone, (found, said.refuted)
     assert all(r.heldout_log_likelihood < 0.0 for r in said.refuted)
     assert not {(c.effect, c.where) for c in said.causes} & {(r.effect, r.where) for r in said.refuted}
 

@@ -1,7 +1,5 @@
 """Causes that evidence supports and that are none."""
 
-from dataclasses import replace
-
 import pytest
 import small_session as small
 import torch
@@ -9,23 +7,18 @@ from models import model_of
 
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.columns.design import Design
-from torchid.diagnosis.evidence.adequacy import assess_adequacy
 from torchid.diagnosis.evidence.gains import gains
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial, trial_posteriors
 from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
-from torchid.diagnosis.options import DiagnosisOptions
-from torchid.diagnosis.search import elimination
 from torchid.diagnosis.search.elimination import (
     SUPPORTED,
     drop_negative,
-    drop_opposed,
     drop_surely_negative,
     settle,
 )
 from torchid.diagnosis.search.result import SearchResult, support
-from torchid.diagnosis.verdict.confidence import trust, visible
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
 
@@ -46,25 +39,13 @@ def found(columns: torch.Tensor, rows: torch.Tensor) -> SearchResult:
     return SearchResult(model, chosen, (), model.fit(chosen))
 
 
-@pytest.mark.parametrize("opposed", [True, False])
-def test_causes_that_undo_each_other_are_none(opposed):
-    """Of three causes, two that nearly cancel are left out; those that add up, however alike, are kept."""
-    generator = torch.Generator().manual_seed(5)
-    one, other, third = torch.randn(3, 400, generator=generator, dtype=torch.float64)
-    near = one + 0.1 * other
-    rows = 30.0 * one - 28.0 * near if opposed else 30.0 * one + 28.0 * near
-    search = found(torch.stack([one, near, third], 1), rows + 9.0 * third)
-    kept = [c.place.where[0] for c in drop_opposed(search, ()).chosen]
-    assert kept == (["c"] if opposed else ["a", "b", "c"])
-
-
 @pytest.mark.parametrize("gone", [False, True])
 def test_what_stood_by_a_cause_goes_with_it(gone):
     """Two that nearly undo each other explain together what neither does alone."""
     one, other, third = torch.linalg.qr(torch.randn(400, 3, generator=torch.Generator().manual_seed(9)).double()).Q.T
     search = found(20.0 * torch.stack([one, 0.1 * other - one, third], 1), 60.0 * third + 10.0 * other)
     chosen = search.chosen[1:] if gone else search.chosen
-    search = settle(search.having(chosen), (), SUPPORTED)
+    search = settle(search.having(chosen), SUPPORTED)
     assert [c.place.where[0] for c in search.chosen] == (["c"] if gone else ["a", "b", "c"])
     assert len(search.posterior.chosen) == len(search.chosen)
 
@@ -74,55 +55,11 @@ def test_what_is_left_is_supported(seed):
     for k in range(60):
         draw = torch.Generator().manual_seed(seed + k)
         columns = torch.randn(40, 3, generator=draw, dtype=torch.float64) @ torch.randn(3, 3, generator=draw).double()
-        search = settle(found(columns, 1.5 * columns @ torch.rand(3, generator=draw).double()), (), SUPPORTED)
+        search = settle(found(columns, 1.5 * columns @ torch.rand(3, generator=draw).double()), SUPPORTED)
         least = search.options.naming.named_nats
         assert all(support(search.model.statistics, search.chosen, one) >= least for one in search.chosen), k
         left = {step.where[0] for step in search.trace if step.rule in ("unsupported", "negative")}
         assert left == set("abc") - {one.place.where[0] for one in search.chosen}, k
-
-
-def test_a_wrong_record_need_not_gain_in_forces(monkeypatch):
-    """Inertia takes on what the record lacks; of other causes that take nothing away, none is kept."""
-    search = found(torch.eye(3).double(), torch.ones(3).double())
-    names = ("body_mass", "drag", "marker_swap")
-    chosen = tuple(replace(one, effect=effect(name)) for one, name in zip(search.chosen, names, strict=True))
-    monkeypatch.setattr(elimination, "_takes_away", lambda *_: 0.0)
-    kept = elimination.drop_without_residual_gain(replace(search, chosen=chosen), ())
-    assert [one.effect.name for one in kept.chosen] == ["body_mass", "marker_swap"]
-    assert [(step.kind, step.effect, step.rule) for step in kept.trace] == [("leave", "drag", "no_residual_gain")]
-
-
-@pytest.mark.slow
-def test_what_one_short_trial_tells_is_half_as_sure():
-    """Nobody can say whether its residual is noise, and nothing else agrees; another trial does, held-out or not."""
-    (observed, *_) = small.observed().values()
-    used = torch.zeros_like(observed.rows.used)
-    used[40:52] = True
-    short, left = replace(observed, rows=replace(observed.rows, used=used)), torch.zeros_like(observed.rows.wrench)
-    alone, others = (
-        assess_adequacy([short], [left]),
-        (assess_adequacy([short] * 2, [left] * 2), assess_adequacy([short], [left], others=1)),
-    )
-    assert alone.alone and not alone.significant and "no other trial" in alone.description
-    assert all(not one.alone and "too few seconds" in one.description for one in others)
-    assert [trust(one, DiagnosisOptions()) for one in (alone, *others)] == [0.5, 1.0, 1.0]
-
-
-@pytest.mark.parametrize(
-    ("name", "where", "alone"),
-    [
-        ("marker_shift", "LANK", True),
-        ("soft_tissue", "thigh_l", True),
-        ("filter_lag", "session", False),
-        ("marker_scale", "session", False),
-        ("skin_lag", "pelvis", False),
-        ("drag", "pelvis", False),
-    ],
-)
-def test_of_what_all_markers_do_only_forces_tell(name, where, alone):
-    """A filter, or flesh that lags everywhere, makes another motion, and that is as good as any."""
-    one = found(torch.eye(3).double(), torch.ones(3).double()).chosen[0]
-    assert visible(replace(one, effect=effect(name), place=Place((where,)))) == alone
 
 
 @pytest.mark.parametrize(
@@ -132,7 +69,7 @@ def test_of_what_all_markers_do_only_forces_tell(name, where, alone):
 def test_a_negative_spring_is_none(softness, kept):
     """All of them always; one of many, surely so, when nothing else goes any more."""
     search = springs(torch.tensor(softness).double(), 1e6)
-    assert tuple(bool(rule(search, ()).chosen) for rule in (drop_negative, drop_surely_negative)) == kept
+    assert tuple(bool(rule(search).chosen) for rule in (drop_negative, drop_surely_negative)) == kept
 
 
 def test_springs_that_cannot_be_negative_have_the_evidence_of_half_a_prior():

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from models import with_candidates
 from test_doubtful import found as searched
 from torch.testing import assert_close
 
@@ -13,12 +12,10 @@ from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import NamingOptions
-from torchid.diagnosis.search.elimination import restore_record
 from torchid.diagnosis.search.estimates import estimate
 from torchid.diagnosis.search.result import reduced
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
-from torchid.diagnosis.trace import StepKind, step
 from torchid.diagnosis.verdict.causes import cause_of
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
@@ -61,7 +58,7 @@ def test_the_width_of_a_prior_names_no_cause(size):
     narrow, wide = by_place(round_.rivals)
     assert narrow.score - wide.score > 2.0
     narrow, wide = by_place(round_.compared)
-    assert abs(narrow.alike - wide.alike) < 1.0 and abs(narrow.likely(1) - wide.likely(1)) < 1.0
+    assert abs(narrow.alike - wide.alike) < 1.0 and abs(narrow.likely - wide.likely) < 1.0
 
 
 @pytest.mark.parametrize("alike", [True, False])
@@ -73,7 +70,7 @@ def test_what_is_there_too_makes_no_name_doubtful(alike):
     assert min(r.score for r in round_.rivals) > NAMING.named_nats
     best, rival = by_place(round_.compared)
     assert (abs(rival.alike - best.alike) < NAMING.alike_nats) == alike
-    assert (rival.likely(1) > best.likely(1) - NAMING.alike_nats) == alike
+    assert (rival.likely > best.likely - NAMING.alike_nats) == alike
 
 
 def test_what_is_strewn_keeps_its_prior():
@@ -86,10 +83,10 @@ def test_what_is_strewn_keeps_its_prior():
 def test_a_rival_counts_as_unlikely_as_its_place_is():
     """What it adds beside the best counts where it would be believed."""
     candidate = searched(torch.eye(3).double(), torch.ones(3).double()).chosen[0]
-    rival = Rival(replace(candidate, odds=1e-3), 11.0, 11.0, 11.0, beside=10.0)
-    odds = math.log(1e-3 / 26)
-    assert rival.alike == pytest.approx(1.0) and rival.likely(26) == pytest.approx(11.0 + odds)
-    assert replace(rival, beside=20.0).likely(26) == pytest.approx(-9.0)
+    rival = Rival(replace(candidate, odds=1e-3), 11.0, 11.0, 11.0, beside=5.0)
+    odds = math.log(1e-3 * NAMING.effect_odds)
+    assert rival.alike == pytest.approx(6.0) and rival.likely == pytest.approx(11.0 + odds)
+    assert replace(rival, beside=20.0).likely == pytest.approx(-9.0)
 
 
 def session_search():
@@ -105,7 +102,8 @@ def round_of(*rivals: tuple[Candidate, float, float]) -> Round:
     """Candidates with their scores by which they are named, and those by which they are told apart."""
     strict = tuple(Rival(c, x, x, x) for c, x, _ in rivals)
     compared = tuple(Rival(c, y, y, y) for c, _, y in rivals)
-    return Round(strict, {r.candidate.effect.name: 9.0 for r in strict}, compared=compared)
+    names = [r.candidate.effect.name for r in strict]
+    return Round(strict, dict.fromkeys(names, 9.0), dict.fromkeys(names, 0.0), compared=compared)
 
 
 @pytest.mark.parametrize(("lead", "twin"), [(-1.0, True), (2.0, True), (6.0, False), (-6.0, False)])
@@ -149,33 +147,3 @@ def test_causes_of_the_session_are_not_taken_for_each_other():
     said = cause_of(replace(search, rounds=tuple(rounds)), 2, {}, ("a", "b"))
     assert said.effect == "marker_scale" and said.confidence == pytest.approx(1.0, abs=1e-3)
     assert not said.indistinguishable
-
-
-def test_what_weighs_is_kept_to_the_end():
-    """Chosen or not, once."""
-    search = searched(torch.eye(3).double(), torch.ones(3).double())
-    drag, *others = search.chosen
-    both = [replace(one, effect=effect(name)) for one, name in zip(others, ("body_mass", "plate_gain"), strict=True)]
-    both[1] = replace(both[1], place=Place(("plate_1", "plate_2")))
-    model = with_candidates(search.model, (drag, *both))
-    rounds = [round_of((one, 9.0, 9.0)) for one in (drag, *both)]
-    found = reduced(model, [drag, both[0]], rounds, search.options, ())
-    assert found.scales[0] is found.chosen[1] and [c.effect.name for c in found.scales] == ["body_mass", "plate_gain"]
-
-
-@pytest.mark.parametrize(("dropped", "size", "named"), [(True, 9.0, True), (True, 0.05, False), (False, 9.0, False)])
-def test_weight_is_asked_about_again_when_forces_are_dropped(dropped, size, named):
-    """They may have stood for a wrong record; what the last scan came near to is still told of that."""
-    before = searched(torch.eye(3).double(), torch.tensor([size, 9.0, 9.0]).double())
-    place = Place(("session",), grid={"recorded_kg": 70.0})
-    weight = replace(before.chosen[0], effect=effect("body_mass"), place=place)
-    left = before.chosen[2:] if dropped else before.chosen[1:]
-    last = round_of((before.chosen[1], 1.0, 1.0))
-    before = replace(before, chosen=before.chosen[1:], scales=(weight,), rounds=(last,))
-    gone = [c for c in before.chosen if c not in left]
-    steps = [step(StepKind.LEAVE, one, "no_residual_gain", residual_part=0.0) for one in gone]
-    after = restore_record(before.having(left, *steps), ())
-    assert after.chosen == ((*left, weight) if named else left) == after.posterior.chosen
-    assert after.rounds[-1] is last and len(after.rounds) == 1 + named
-    if named:
-        assert cause_of(after, len(left), {}, ("a", "b")).effect == "body_mass"

@@ -15,7 +15,7 @@ from torchid.effects.place import Place
 from torchid.effects.plate_map import ZeroError, to_plate
 from torchid.effects.scene import Reading
 from torchid.observation.options import ObservationOptions
-from torchid.observation.stated import Stated
+from torchid.observation.statements import Statements
 from torchid.runs import runs
 
 LOWEST = 0.02
@@ -79,7 +79,7 @@ def _sudden(foot: Bool[Tensor, " frames"], *ends: int) -> bool:
     return all(0 <= k < len(foot) and bool(foot[k]) for k in ends)
 
 
-def zero_statistics(unloaded: UnloadedPlates, sources: Sequence[tuple[Effect, Place, slice]]) -> Stated | None:
+def zero_statistics(unloaded: UnloadedPlates, sources: Sequence[tuple[Effect, Place, slice]]) -> Statements | None:
     """Return what unloaded plates state of zero errors; None where no plate is unloaded.
 
     Args:
@@ -97,7 +97,7 @@ def zero_statistics(unloaded: UnloadedPlates, sources: Sequence[tuple[Effect, Pl
         X.append(own / error[:, None])
         y.append(mean / error)
     rows = torch.cat(X)
-    return Stated(columns, rows.T @ rows, rows.T @ torch.cat(y))
+    return Statements(columns, rows.T @ rows, rows.T @ torch.cat(y))
 
 
 def _responses(nothing: Reading, effect: Effect, place: Place) -> list[Reading]:

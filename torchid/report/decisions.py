@@ -83,10 +83,21 @@ def _unproven(n: Numbers) -> str:
     )
 
 
+def _ordinary(n: Numbers) -> str:
+    if "apparent_nats" in n:
+        return (
+            f"is not named: odds {odds(n['effect_nats'])}, but only {odds(n['effect_nats'] - n['apparent_nats'])} "
+            f"against what sound sessions seem to have of it (required {odds(n['least_nats'])})"
+        )
+    return (
+        f"is not named: odds {odds(n['evidence_nats'])}, with similar evidence at all locations "
+        f"({odds(n['background_nats'])}): not specific"
+    )
+
+
 RULES: dict[str, Callable[[Numbers], str]] = {
     "evidence": _entered(""),
     "evidence_under_its_own_noise": _entered(", under the noise that it would leave"),
-    "restored_record": lambda n: f"is named after forces that replaced it were removed: odds {odds(n['score_nats'])}",
     "missing_weight": lambda n: (
         f"is named before the search: up to {percent(n['missing_part'])} of the weight is borne where no plate is"
     ),
@@ -100,14 +111,6 @@ RULES: dict[str, Callable[[Numbers], str]] = {
     "negative": lambda n: (
         f"is removed: its load or spring would be negative by {number(-n['lowest_sd'])} standard deviations"
     ),
-    "opposed": lambda n: (
-        f"is removed with another cause: the two cancel each other but for {percent(n['remaining_part'])} of the "
-        "larger one's energy"
-    ),
-    "no_residual_gain": lambda n: (
-        f"is removed: it explains {percent(n['residual_part'], 1)} of the residual (required "
-        f"{percent(n['least_part'])}, as noise does not explain the rest)"
-    ),
     "heldout_density": lambda n: (
         f"is refuted: held-out trials speak against it (odds {odds(-n['heldout_nats'])}, tolerance "
         f"{number(n['leeway_nats'])} nats)"
@@ -117,54 +120,18 @@ RULES: dict[str, Callable[[Numbers], str]] = {
     ),
     "never_worse": _worse,
     "no_gain": _unproven,
-    "taken_back": lambda n: (
-        f"is removed: what model-free checks and body model find adds up to {number(n['size_sd'])} standard deviations "
-        f"(required {number(n['least_size_sd'])}), so the checks saw something else"
-    ),
-    "one_fault": lambda n: (
-        "is one fault with what model-free checks named: both sizes are added up "
-        f"({number(n['size_sd'])} standard deviations)"
-    ),
-    "only_refined": lambda n: (
-        f"is removed: with confidence {percent(n['confidence'])} it would only change the size of what model-free "
-        "checks named, which stays as it is"
-    ),
     "trials_disagree": lambda n: (
         f"is not named: odds {odds(n['evidence_nats'])} over all trials, but {odds(n['crossed_nats'])} with each trial "
         "predicted from the others; trials disagree"
     ),
-    "ordinary_everywhere": lambda n: (
-        f"is not named: odds {odds(n['evidence_nats'])}, with similar evidence at all locations "
-        f"({odds(n['background_nats'])}): not specific"
-    ),
+    "ordinary": _ordinary,
     "search_price": lambda n: (
         f"is not named: odds {odds(n['evidence_nats'])} at this place, {odds(n['effect_nats'])} corrected for the "
         f"number of places tried (required {odds(n['least_nats'])})"
     ),
-    "nothing_can_check": lambda n: f"keeps {percent(n['factor'])} of its confidence: one trial alone cannot confirm it",
     "residual_structure": lambda n: (
         f"keeps {percent(n['factor'])} of its confidence: the residual exceeds the noise of plates and markers"
     ),
     "position_dependence": _field,
-    "witnesses_name": lambda n: (
-        f"is named from model-free checks: {percent(n['probability'])} for this fault or one they cannot tell from it "
-        f"(required {percent(n['least_probability'])}); alone its odds are {odds(n['witness_nats'])}"
-    ),
-    "witnesses_disagree": lambda n: (
-        f"is not named: its odds are {odds(n['witness_nats'])}, but the model-free checks contradict each other "
-        f"(p {number(n['p_value'], 3)}, required {number(n['least_p_value'], 2)})"
-    ),
-    "witnesses_outdone": lambda n: (
-        f"is not named from model-free checks (odds {odds(n['witness_nats'])}): a fault such as exchanged cables "
-        f"explains them better ({odds(n['rival_nats'])}); the body model decides"
-    ),
-    "witnesses_contradict": lambda n: (
-        f"is not named: it would change a model-free check by {number(n['heard_sd'], 1)} standard deviations; the "
-        f"checks give it odds {odds(n['witness_nats'])}"
-    ),
-    "no_witness": lambda n: (
-        f"is only possible (keeps {percent(n['factor'])} of its confidence): no model-free check confirms it "
-        f"({odds(n['witness_nats'])})"
-    ),
 }
 """What each rule of the diagnosis says, by its name in the trace."""

@@ -21,7 +21,7 @@ from torchid.geometry.result import GeometryFit
 from torchid.observation.marker_bands import MarkerStatistics, marker_statistics, retaken_statistics
 from torchid.observation.marker_response import MarkerResponse
 from torchid.observation.response_cache import ResponseCache
-from torchid.observation.stated import positions
+from torchid.observation.statements import positions
 from torchid.observation.trial import TrialObservation
 from torchid.observation.unloaded_plates import zero_statistics
 from torchid.storage.snapshot import unload

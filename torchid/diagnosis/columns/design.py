@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.observation.marker_bands import MarkerStatistics
-from torchid.observation.stated import Stated, positions
+from torchid.observation.statements import Statements, positions
 from torchid.storage.snapshot import unload
 
 
@@ -31,7 +31,7 @@ class Terms:
     """Columns of the design that the trial has: those of the inertia, and of sources that could act in it."""
     markers: MarkerStatistics | None
     """Statistics of the columns that markers show; None where no camera is at hand."""
-    stated: Stated | None = None
+    stated: Statements | None = None
     """What unloaded plates and model-free checks state without a body model; None where they state nothing."""
     noise_scores: Float[Tensor, "bands 6 6 live"] | None = None
     """Products that noise of markers in the columns is expected to have with the noise of the total, by band, channel

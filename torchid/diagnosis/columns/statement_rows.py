@@ -15,7 +15,7 @@ from torch import Tensor
 from torchid.diagnosis.candidates.candidate import ColumnSource
 from torchid.diagnosis.columns.design import Columns, Design
 from torchid.model_free.panel import Panel
-from torchid.observation.stated import Stated
+from torchid.observation.statements import Statements
 
 
 def with_statements(design: Design, panel: Panel | None, names: Sequence[str]) -> Design:
@@ -50,13 +50,13 @@ def _stated(
     signature: Float[Tensor, "own params"],
     value: Float[Tensor, " own"],
     columns: Tensor,
-) -> Stated:
+) -> Statements:
     """Return the whitened statements of one trial, of the columns that change them."""
     heard = (signature != 0.0).any(0)
     L = torch.linalg.cholesky(covariance)
     white = torch.linalg.solve_triangular(L, torch.cat([signature[:, heard], value[:, None]], 1), upper=False)
     X, y = white[:, :-1], white[:, -1]
-    return Stated(columns[heard], X.T @ X, X.T @ y)
+    return Statements(columns[heard], X.T @ X, X.T @ y)
 
 
 def _signature(panel: Panel, source: ColumnSource) -> Float[Tensor, "statements params"]:
@@ -67,5 +67,5 @@ def _signature(panel: Panel, source: ColumnSource) -> Float[Tensor, "statements 
     return found * torch.tensor([one.trial == source.trial for one in panel.about])[:, None]
 
 
-def _having(columns: Columns, stated: Stated) -> Columns:
+def _having(columns: Columns, stated: Statements) -> Columns:
     return replace(columns, terms=replace(columns.terms, stated=stated))

@@ -29,7 +29,7 @@ from torchid.dynamics.whitening import BlockSpectrum, Whitening, accumulate
 from torchid.effects.place import Place
 from torchid.geometry.result import GeometryFit
 from torchid.model.model import InertialPrior
-from torchid.observation.stated import positions
+from torchid.observation.statements import positions
 from torchid.observation.trial import TrialObservation
 from torchid.storage.snapshot import unload
 

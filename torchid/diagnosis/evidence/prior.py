@@ -9,7 +9,7 @@ from torch import Tensor
 from torchid.diagnosis.columns.design import Design
 from torchid.diagnosis.evidence.statistics import TrialStatistics
 from torchid.model.model import InertialPrior
-from torchid.observation.stated import Stated
+from torchid.observation.statements import Statements
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,14 @@ class Prior:
         both[n:L, :n] = both[:n, n:L].T
         return TrialStatistics(live, both, torch.cat([self.inertia.T @ left[:n], scale * left[n:], left.new_zeros(1)]))
 
-    def standard_statements(self, stated: Stated) -> Stated:
+    def standard_statements(self, stated: Statements) -> Statements:
         """Return statements in terms of z; they are of columns behind the inertia's.
 
         Args:
             stated: of a trial, in terms of theta.
         """
         scale, left = self.scale[stated.columns - len(self.inertia)], stated.gram @ self.mean[stated.columns]
-        return Stated(stated.columns, scale[:, None] * stated.gram * scale, scale * (stated.moment - left))
+        return Statements(stated.columns, scale[:, None] * stated.gram * scale, scale * (stated.moment - left))
 
     def for_design(self, design: Design) -> "Prior":
         """Return the prior with the same inertia, for another design.

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.observation.stated import Stated, positions
+from torchid.observation.statements import Statements, positions
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class TrialStatistics:
     """Gram matrix; its last row and column, zero, are those of all columns that do not live."""
     moment: Float[Tensor, " live+1"]
     """Moment; its last element, zero, is that of all columns that do not live."""
-    stated: Stated | None = None
+    stated: Statements | None = None
     """The part of both that is stated without a body model."""
 
     @property

@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
-class Stated:
+class Statements:
     """Gram matrix and moment of whitened statements, dimensionless for unit parameters."""
 
     columns: Int[Tensor, " some"]
@@ -18,19 +18,19 @@ class Stated:
     moment: Float[Tensor, " some"]
     """Products of these columns with the statements."""
 
-    def only(self, some: Int[Tensor, " kept"]) -> "Stated":
+    def only(self, some: Int[Tensor, " kept"]) -> "Statements":
         """Return the statements in a design that kept some columns.
 
         Args:
             some: columns that it kept, ascending.
         """
         at, kept = positions(self.columns, some)
-        return Stated(kept, self.gram[at][:, at], self.moment[at])
+        return Statements(kept, self.gram[at][:, at], self.moment[at])
 
-    def __add__(self, other: "Stated") -> "Stated":
+    def __add__(self, other: "Statements") -> "Statements":
         columns = torch.cat([self.columns, other.columns]).unique()
         n = len(columns)
-        found = Stated(columns, self.gram.new_zeros(n, n), self.moment.new_zeros(n))
+        found = Statements(columns, self.gram.new_zeros(n, n), self.moment.new_zeros(n))
         for one in (self, other):
             at = torch.searchsorted(columns, one.columns)
             found.gram[at[:, None], at] += one.gram
