@@ -1,5 +1,6 @@
 """The page of a stream: it shows what comes, holds nobody up, and can be left and opened again."""
 
+import re
 import time
 from collections.abc import Iterator
 
@@ -162,6 +163,6 @@ def test_forces_are_shown_when_the_identifier_has_reached_them():
         show._seen_s -= 2.0
         board._placed = True
         show.wait()
-        assert "No frame for 2." in board._state.content
+        assert re.search(r"No frame for 2\.\d s", board._state.content), "a busy machine takes its tenths"
     finally:
         close_page(server)
