@@ -185,7 +185,7 @@ def taken_up(folder: Path) -> tuple[dict, Truth]:
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_report")
+@pytest.mark.usefixtures("tables_alone")
 def test_an_evaluation_with_the_laboratorys_own_model(data_dir: Path, tmp_path: Path) -> None:
     """From files: a knee spring's share is the sheet's at the file's coordinate, the other body is the model as it was
     shipped, and report, files and written model speak the file's names; another sheet is refused at once."""
@@ -219,7 +219,7 @@ def test_an_evaluation_with_the_laboratorys_own_model(data_dir: Path, tmp_path: 
 
 @pytest.mark.data
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_report")
+@pytest.mark.usefixtures("tables_alone")
 @pytest.mark.usefixtures("quick_children")
 def test_a_stream_of_a_body_of_functions_is_identified_as_a_recording_is(data_dir: Path, tmp_path: Path) -> None:
     """With the geometry of the finished evaluation's run; masses agree with the run's within their deviations, and with

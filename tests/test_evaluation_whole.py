@@ -65,7 +65,13 @@ def test_the_label_of_a_trial_changes_nothing_that_is_said_of_it(
     tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same recordings under the other condition, in another order: on this the exactness of permutations rests."""
-    plan = Plan("apart", ("squats",), trials=2, seed=seed % 1000)
+    plan, write = Plan("apart", ("squats",), trials=2, seed=seed % 1000), evaluation_whole.written
+
+    def written(*given):
+        config = write(*given)
+        return config.model_copy(update={"geometry": replace(config.geometry, max_frames=100)})
+
+    monkeypatch.setattr(evaluation_whole, "written", written)
 
     def swapped(subject, movement, options, key, name):
         return perform(subject, movement, options, (*key[:2], (key[2] + plan.trials) % (2 * plan.trials)), name)

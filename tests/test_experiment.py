@@ -126,7 +126,7 @@ def test_provenance_names_inputs_and_versions():
     assert content["versions"]["torch"].startswith(torch.__version__.split("+")[0])
 
 
-@pytest.mark.usefixtures("no_report")
+@pytest.mark.usefixtures("tables_alone")
 def test_a_second_run_takes_up_the_stages(tmp_path):
     """Nothing is computed twice, and the results are the same to the last bit."""
     before, folder = small.outcome(), tmp_path / "out"

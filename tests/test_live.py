@@ -195,7 +195,7 @@ def test_blocks_that_come_one_by_one_give_the_batch_solution(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("quick_children", "no_report")
+@pytest.mark.usefixtures("quick_children", "tables_alone")
 def test_a_finished_run_gives_its_geometry(tmp_path):
     """As long as its files and options are the stream's; otherwise standing does, whatever lies in the folder."""
 
@@ -207,8 +207,6 @@ def test_a_finished_run_gives_its_geometry(tmp_path):
             return prepare_subject(given, folder, lambda stage, share: None)[0]
 
     run = small_session.outcome()
-    assert run_live(config(), f"replay:{MOVING}", math.inf)["geometry"] == "static"
-    shutil.rmtree(tmp_path / "out")
     shutil.copytree(small_session.folder() / "out", tmp_path / "out")
     run_experiment(config())  # takes up the stages
     assert run_live(config(), f"replay:{MOVING}", math.inf)["geometry"] == "run"
@@ -297,6 +295,7 @@ def test_the_command_streams_a_trial_and_leaves_an_estimate(tmp_path):
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout.strip().splitlines()[-1])
     frames = len(moving().markers.time)
+    assert said["geometry"] == "static", "no run has left one"
     assert said["frames"] == frames and said["lost"] == said["again"] == said["late"] == 0
     assert said["latency_ms"]["pose"]["p99"] > 0.0 and said["latency_ms"]["parameters"]["delay_ms"] > 1000.0
     table = json.loads((out / "live.json").read_text())

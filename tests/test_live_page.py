@@ -1,5 +1,6 @@
 """The page of a stream: it shows what comes, holds nobody up, and can be left and opened again."""
 
+import re
 import time
 from collections.abc import Iterator
 
@@ -103,7 +104,7 @@ def test_a_page_that_stands_still_holds_nobody_up(page):
 def test_a_stream_shows_what_it_identifies(page):
     """Parameters come to the page with the forces that the identified dynamics reconstruct."""
     found = []
-    with Pipeline(subject(), Replay(moving(), 2.0)) as pipeline:
+    with Pipeline(subject(), Replay(moving(), 1.0)) as pipeline:
 
         def show(moment: Moment) -> None:
             page.show(moment)
@@ -162,6 +163,6 @@ def test_forces_are_shown_when_the_identifier_has_reached_them():
         show._seen_s -= 2.0
         board._placed = True
         show.wait()
-        assert "No frame for 2.0 s" in board._state.content
+        assert re.search(r"No frame for 2\.\d s", board._state.content), "a busy machine takes its tenths"
     finally:
         close_page(server)
