@@ -57,7 +57,11 @@ def planted(base: Outcome, name: str, place: Place, theta: torch.Tensor) -> Outc
         forces = trials[trial].forces
         assert forces is not None
         watched = next((w for w in panel(base).trials if w.name == trial), None)
-        if name in ("gravity_tilt", "body_weight_support") and watched is not None:
+        if name in ("gravity_tilt", "body_weight_support") and watched is None:
+            del trials[trial]  # held-out: what bears the load there is not at hand
+            continue
+        if name in ("gravity_tilt", "body_weight_support"):
+            assert watched is not None
             wrench = watched.under(effect(name), place, theta).reading.wrench
         else:
             wrench = effect(name).read(reading(trial, forces, own), place, theta).wrench
@@ -77,11 +81,17 @@ def undisturbed() -> Panel | None:
     return panel_of(outcome())
 
 
+ASKED = ("time_offset", "body_lag", "plate_gain", "plate_offset", "plate_pose", "plate_assignment", "gravity_tilt",
+         "body_mass", "payload", "body_weight_support")  # fmt: skip
+"""Effects that are asked about: those that are planted, and what they could be taken for."""
+
+
 def diagnosed(wrong: Outcome) -> Diagnosis:
     """The verdict on a session, followed and identified as it is recorded."""
     asked = Following.of(wrong.config, wrong.cutoff_hz)
     followed = {one.name: one for one in follow_each(wrong.fit, wrong.session, wrong.tracked, asked, wrong.prior)}
-    found, config = replace(wrong, followed=followed), wrong.config
+    config = wrong.config.model_copy(update={"diagnosis": wrong.config.diagnosis.model_copy(update={"include": ASKED})})
+    found = replace(wrong, followed=followed, config=config)
     found = replace(found, identified=identify(config.inertia, config.subject, found, lambda stage, fraction: None))
     verdict = diagnose_outcome(found, panel=panel_of(found))
     assert verdict is not None

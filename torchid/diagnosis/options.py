@@ -107,8 +107,7 @@ class ConfidenceOptions:
     """Limits of what a verdict may claim."""
 
     doubt: Share = 0.5
-    """Derived. Times the confidence of a cause that nothing can check, or that a test contradicts without an answer of
-    its own: even odds."""
+    """Derived. Times the confidence of a cause that a test contradicts without an answer of its own: even odds."""
     rivals: Count = 4
     """Derived. Number of rivals that are listed at most; what the others have stays in the confidence, so that no
     verdict hangs on it."""

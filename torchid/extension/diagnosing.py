@@ -48,7 +48,7 @@ def diagnose_outcome(
         outcome: up to the inertia; its config says what to try and by which thresholds.
         room: makes zeros of a shape, where columns lie until they are looked at (``OutputFolder.room``); without it
             they lie in memory.
-        panel: witnesses that may contradict causes; None: nobody does.
+        panel: what model-free checks state; None: nothing.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.

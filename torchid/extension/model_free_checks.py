@@ -1,4 +1,4 @@
-"""What witnesses say of the causes of a verdict: forces, distances between markers, and their quick motion."""
+"""What model-free checks say of the causes of a verdict: forces, distances between markers, and their quick motion."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ from torchid.session import Outcome
 
 
 def with_witnesses(outcome: Outcome, found: Diagnosis) -> Diagnosis:
-    """The verdict, each of its causes with what witnesses say of it, those that are only possible last.
+    """The verdict, each of its causes with what the checks say of it, those that are only possible last.
 
     Args:
         outcome: up to the inertia, from the recordings as they are.

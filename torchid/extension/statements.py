@@ -18,7 +18,7 @@ UNRECORDED = 1.0
 
 
 def panel_of(outcome: Outcome) -> Panel | None:
-    """The statements of witnesses on static and fit trials; None where there are none.
+    """The statements of model-free checks on static and fit trials; None where there are none.
 
     Args:
         outcome: up to the inertia.
@@ -35,7 +35,7 @@ def panel_of(outcome: Outcome) -> Panel | None:
 def _watched(
     outcome: Outcome, name: str, frames: tuple[PlateFrame, ...], recorded_kg: float, part: slice
 ) -> Watched | None:
-    """Part of a trial as witnesses see it; None where no contact is known."""
+    """Part of a trial as model-free checks see it; None where no contact is known."""
     item, trial = outcome.followed[name], outcome.session.trials[name]
     if item.contact is None or trial.forces is None:
         return None

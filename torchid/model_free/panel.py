@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from torchid.effects.effect import Effect
@@ -61,16 +61,30 @@ class Panel:
         """Standard deviation of each where nothing is wrong."""
         return (self.own + self.alike).diagonal().sqrt()
 
-    def covariance_of(self, some: Int[Tensor, " few"]) -> Float[Tensor, "few few"]:
-        """Return the covariance with which statements of one trial count beside those of the others.
+    def covariance_beside(self, more: Float[Tensor, "some some"]) -> Float[Tensor, "some some"]:
+        """Return the covariance with which statements of each trial count; between trials it means nothing.
 
         What all of a kind share counts in each of T trials with T times its variance, so that all together know no more
         of it than one could: exact where trials are alike, and cautious where they are not.
 
         Args:
-            some: indices of the trial's statements.
+            more: covariance of what faults of unknown sizes could make them say besides.
         """
-        return (self.own + len(self.trials) * self.alike)[some][:, some]
+        return self._with_bad_trial(more) + len(self.trials) * self.alike
+
+    def _with_bad_trial(self, more: Float[Tensor, "some some"]) -> Float[Tensor, "some some"]:
+        """Return the covariance of statements by themselves, larger for a trial that is likelier bad than not, whatever
+        faults there are."""
+        trials = [one.trial for one in self.about]
+        each, log_odds = [self.own], [math.log1p(-BAD_ODDS)]
+        for name in dict.fromkeys(trials):
+            bad = self.own.new_tensor([BAD if one == name else 1.0 for one in trials])
+            each.append(self.own * bad[:, None] * bad)
+            log_odds.append(math.log(BAD_ODDS / len(set(trials))))
+        L = torch.linalg.cholesky(torch.stack(each) + self.alike + more)
+        white = torch.linalg.solve_triangular(L, self.value[:, None].expand(len(L), -1, 1), upper=False)[..., 0]
+        density = self.own.new_tensor(log_odds) - 0.5 * white.square().sum(1) - L.diagonal(dim1=1, dim2=2).log().sum(1)
+        return each[int(density.argmax())]
 
     def signature(self, effect: Effect, place: Place) -> Float[Tensor, "some params"]:
         """Return what a unit of each parameter makes the witnesses say.
@@ -139,25 +153,7 @@ def make_panel(
     about = [subject for one in each for subject in one.about]
     own, alike = _scatter(about, torch.block_diag(*(one.covariance for one in each)), record_part)
     heard = tuple(trial for trial, _ in asked), tuple(own for _, own in asked)
-    return Panel(*heard, value, _with_bad_trial(value, own, alike, [one.trial for one in about]), alike)
-
-
-def _with_bad_trial(
-    value: Float[Tensor, " some"],
-    own: Float[Tensor, "some some"],
-    alike: Float[Tensor, "some some"],
-    trials: Sequence[str],
-) -> Float[Tensor, "some some"]:
-    """Return the covariance of statements by themselves, larger for the trial that is likely to be bad, if one is."""
-    each, log_odds = [own], [math.log1p(-BAD_ODDS)]
-    for name in dict.fromkeys(trials):
-        bad = own.new_tensor([BAD if one == name else 1.0 for one in trials])
-        each.append(own * bad[:, None] * bad)
-        log_odds.append(math.log(BAD_ODDS / len(set(trials))))
-    L = torch.linalg.cholesky(torch.stack(each) + alike)
-    white = torch.linalg.solve_triangular(L, value[:, None].expand(len(L), -1, 1), upper=False)[..., 0]
-    density = own.new_tensor(log_odds) - 0.5 * white.square().sum(1) - L.diagonal(dim1=1, dim2=2).log().sum(1)
-    return each[int(density.argmax())]
+    return Panel(*heard, value, own, alike)
 
 
 def witnesses_of(trial: Watched, options: WitnessOptions, observation: ObservationOptions) -> Iterator[Witness]:

@@ -34,12 +34,15 @@ def with_statements(design: Design, panel: Panel | None, names: Sequence[str]) -
         return design
     columns = torch.cat([torch.arange(s.columns.start, s.columns.stop) for s in sources])
     signature = torch.cat([_signature(panel, source) for source in sources], 1)
+    scale = torch.tensor([x for source in sources for x in source.effect.scale(source.place)], dtype=torch.float64)
+    unknown = signature * scale.to(signature)
+    covariance = panel.covariance_beside(unknown @ unknown.T)
     trial = torch.tensor([names.index(one.trial) if one.trial in names else 0 for one in panel.about])
     own = torch.tensor([not one.kind.startswith("zero") for one in panel.about])
     trials = []
     for k, one in enumerate(design.trials):
         here = (own & (trial == k)).nonzero()[:, 0]
-        stated = _stated(panel.covariance_of(here), signature[here], panel.value[here], columns)
+        stated = _stated(covariance[here][:, here], signature[here], panel.value[here], columns)
         before = one.terms.stated
         trials.append(_having(one, stated if before is None else before + stated))
     return replace(design, trials=tuple(trials))
