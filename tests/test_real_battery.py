@@ -386,7 +386,7 @@ def test_a_battery_goes_on_where_it_was_stopped(tmp_path, monkeypatch, data_dir)
     monkeypatch.setattr(real, "run_experiment", refuse)
     session = sessions(data_dir, False)["opensim_gait2354"]
     case = next(real.cases([session], ("gain",), SEED))
-    kept = real.perform(case, session, data_dir, tmp_path, real.whole)
+    kept = real.perform(case, session, data_dir, tmp_path)
     assert kept["exit"] == 3 and len(runs) == 1 and not any((tmp_path / "scratch").iterdir())
     (tmp_path / "verdicts.jsonl").write_text(json.dumps(kept) + "\n")
     assert "refused" in real.summary(tmp_path)

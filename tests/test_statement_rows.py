@@ -120,4 +120,4 @@ def test_other_proof_speaks_for_what_it_bears_out_and_against_what_it_does_not()
 
 
 def test_each_effect_says_how_often_it_is_mistaken():
-    assert all(0.0 < one.mistaken < 0.5 for one in CATALOGUE.values())
+    assert all(0.0 <= one.mistaken < 0.5 for one in CATALOGUE.values())

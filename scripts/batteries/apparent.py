@@ -62,7 +62,7 @@ def asked(session: RealSession, root: Path, out: Path) -> dict[str, Any]:
     def end(model: LinearModel, chosen: Sequence[Candidate], *rest: Any) -> Any:
         statistics, others = marginalise_per_trial(model.statistics.unstated, chosen)
         left = [one for one in model.design.candidates if not (one.effect.bodily or known(one))]
-        left = [one for one in left if not one.effect.all_or_nothing]
+        left = [one for one in left if one.effect.mistaken > 0.0]
         for rows, told, moment in informed(statistics, fit(statistics, others), left):
             nats = evidence_of_sizes(told, moment, torch.tensor(SIZES, dtype=torch.float64))
             for k, own in zip(rows, nats.tolist(), strict=True):

@@ -31,6 +31,8 @@ class MarkerSwap(SlidingMarkers):
     """Two labels are exchanged for a while. The parameter is how much of the swap is there: one, or nothing."""
 
     name = "marker_swap"
+    mistaken = 0.0
+    """No marker is half another: it is there in full or not at all."""
     proof = Proof.DISTANCES
     occurrence = Occurrence.INTERVALS
     correction = Correction.LABELS

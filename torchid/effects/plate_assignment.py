@@ -26,6 +26,7 @@ class PlateAssignment(ReadingEffect):
     """
 
     name = "plate_assignment"
+    mistaken = 0.0
     response = Response.ALL_OR_NOTHING
     site = Site.PLATE
     link = "of"

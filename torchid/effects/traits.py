@@ -107,7 +107,8 @@ class Traits:
     proof: ClassVar[Proof] = Proof.FORCES
     mistaken: ClassVar[float] = 0.03
     """Estimator. Share of sound sessions that seem to have as much of it as one that has it, by a body model alone, see
-    ``torchid.diagnosis.evidence.apparent``; this is where none of twelve public ones does."""
+    ``torchid.diagnosis.evidence.apparent``; this is where none of twelve public ones does. Zero: it is there in full or
+    not at all, and nothing else looks like it."""
     correction: ClassVar[Correction] = Correction.WRENCH
 
     @final

@@ -29,7 +29,7 @@ twelve public sessions of seven laboratories as recorded, none of them kept asid
 def apparent_evidence(statistics: Statistics, posterior: Posterior, candidates: Sequence[Candidate]) -> list[float]:
     """Return the log evidence of the appearance of each candidate over nothing [nat]; at least zero.
 
-    What bodies themselves do is no appearance, nor is what is there in full or not at all: zero.
+    What bodies themselves do is no appearance, nor what is there in full or not at all (``Traits.mistaken``): zero.
 
     Args:
         statistics: of all trials, without what is stated without a body model.
@@ -37,7 +37,7 @@ def apparent_evidence(statistics: Statistics, posterior: Posterior, candidates: 
         candidates: candidates, of the same design.
     """
     found = [0.0] * len(candidates)
-    which = [k for k, c in enumerate(candidates) if not (c.effect.bodily or c.effect.all_or_nothing)]
+    which = [k for k, c in enumerate(candidates) if c.effect.mistaken > 0.0 and not c.effect.bodily]
     sizes = torch.tensor(SIZES, dtype=torch.float64)
     for rows, told, left in informed(statistics, posterior, [candidates[k] for k in which]):
         nats = evidence_of_sizes(told, left, sizes.to(told))
