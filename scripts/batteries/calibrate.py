@@ -37,13 +37,12 @@ NEVER = 1e9
 """Nats and standard deviations that nothing has."""
 OFF: dict[str, tuple[float, tuple[str, ...]]] = {
     "NamingOptions.look_closer_part": (1.0, ()),
-    "EliminationOptions.residual_part": (0.0, ("no_residual_gain", "residual_structure")),
-    "EliminationOptions.opposed_part": (0.0, ("opposed",)),
+    "EliminationOptions.residual_part": (0.0, ("residual_structure",)),
     "EliminationOptions.negative_sd": (NEVER, ("negative",)),
     "HeldOutOptions.refuted_nats": (NEVER, ("heldout_density",)),
     "HeldOutOptions.error_part": (1.0, ("heldout_errors",)),
     "AdequacyOptions.position_part": (1.0, ("position_dependence",)),
-    "ConfidenceOptions.doubt": (1.0, ("nothing_can_check", "residual_structure", "position_dependence")),
+    "ConfidenceOptions.doubt": (1.0, ("residual_structure", "position_dependence")),
     "MissingWeightOptions.missing_part": (1.0, ("missing_weight",)),
 }  # fmt: skip
 """Values at which a threshold's rule does nothing, or as little as its bounds allow, and the rules one of which has

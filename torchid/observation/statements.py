@@ -1,4 +1,4 @@
-"""What a trial says of errors of measuring by itself, beside its rows of forces: normal equations of a few columns."""
+"""Statements of a trial on errors of measuring, beside its rows of forces: normal equations of a few columns."""
 
 from dataclasses import dataclass
 

@@ -32,7 +32,7 @@ class Terms:
     markers: MarkerStatistics | None
     """Statistics of the columns that markers show; None where no camera is at hand."""
     stated: Statements | None = None
-    """What unloaded plates and model-free checks state without a body model; None where they state nothing."""
+    """Statements of unloaded plates and model-free checks; None where there are none."""
     noise_scores: Float[Tensor, "bands 6 6 live"] | None = None
     """Products that noise of markers in the columns is expected to have with the noise of the total, by band, channel
     of the total and channel of the column; None where no camera shows the noise."""

@@ -1,4 +1,4 @@
-"""What model-free checks state of a session, as rows of the linear model beside those of the same trial's forces.
+"""Statements of model-free checks as rows of the linear model, beside those of the same trial's forces.
 
 A statement is a number that plates and the way of the centre of mass give without a body model: an apparent mass, a
 clock, a leaning force. Each effect changes it by its *signature*. What a trial's plates read in the air is no statement

@@ -1,4 +1,4 @@
-"""What sessions without an effect seem to have of it.
+"""The appearance of an effect: the amount that sessions without it seem to have of it.
 
 Bodies are no linkages: what a model of rigid segments leaves of a sound recording looks a little like a clock, a tilt
 or a pull, and in some recordings like a lot of it. Rows of forces do not know this, and speak for such an effect by any

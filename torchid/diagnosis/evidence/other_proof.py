@@ -1,4 +1,4 @@
-"""What measurements other than forces say for an effect: distances between markers, and how quick they still move."""
+"""Evidence of other measurements than forces: distances between markers, and how quick they still move."""
 
 import math
 from collections.abc import Collection, Mapping

@@ -33,7 +33,7 @@ class Rival:
     apparent: float = 0.0
     """Log evidence of what sessions without it seem to have of it, over nothing; at least zero [nat]."""
     told: float = 0.0
-    """What other proof than forces says for it [nat]."""
+    """Log likelihood ratio of other proof than forces [nat]."""
 
     @property
     def score(self) -> float:

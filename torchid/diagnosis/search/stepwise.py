@@ -50,7 +50,7 @@ class _State:
     limit: int
     options: DiagnosisOptions
     told: Told
-    """What other proof than forces says."""
+    """Places that other proof than forces bears out."""
     chosen: tuple[Candidate, ...] = ()
     rounds: tuple[Round, ...] = ()
     trace: Trace = ()
