@@ -147,3 +147,13 @@ def test_causes_of_the_session_are_not_taken_for_each_other():
     said = cause_of(replace(search, rounds=tuple(rounds)), 2, {}, ("a", "b"))
     assert said.effect == "marker_scale" and said.confidence == pytest.approx(1.0, abs=1e-3)
     assert not said.indistinguishable
+
+
+def test_what_all_places_have_and_what_sound_sessions_have_are_not_both_taken_off():
+    """Of a marker that moved far, evidence beyond the likelier of the two is what it is beyond its appearance."""
+    columns = apart(7, 27)
+    sizes = torch.tensor([2.0] * 3 + [0.05] * 24).double()
+    round_ = scanned(columns, columns @ sizes, [1.0] * 9, "marker_shift")
+    best = round_.rivals[0]
+    beyond = best.evidence - best.ordinary - best.apparent
+    assert best.ordinary > 10.0 and 0.0 < beyond <= -math.log(best.candidate.effect.mistaken) + 1e-9

@@ -5,7 +5,10 @@ import math
 import numpy as np
 import pytest
 import torch
+from batteries.apparent import measured
 from draws import seed_of
+from harness.command import ROOT
+from harness.rows import read_lines
 from rates import at_least
 
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
@@ -119,5 +122,10 @@ def test_other_proof_speaks_for_what_it_bears_out_and_against_what_it_does_not()
     assert told_nats({}, own) == told_nats({Proof.DISTANCES: SESSION.where}, own) == 0.0
 
 
-def test_each_effect_says_how_often_it_is_mistaken():
-    assert all(0.0 <= one.mistaken < 0.5 for one in CATALOGUE.values())
+def test_appearances_are_those_that_were_measured():
+    """On the sessions that the command keeps, to the digits that stand in the code."""
+    common, each = measured(read_lines(ROOT / "scripts" / "batteries" / "apparent.jsonl"))
+    np.testing.assert_allclose(SHARES, common[:-1] / common[:-1].sum(), atol=0.006)
+    assert {name for name, one in CATALOGUE.items() if one.mistaken > 0.0 and not one.bodily} == each.keys()
+    for name, own in each.items():
+        assert effect(name).mistaken == pytest.approx(own[-1], abs=0.015), name

@@ -6,7 +6,8 @@ Every shared session that is not kept aside is searched as recorded, with nothin
 known to be wrong with it; every other effect is then asked for the evidence of each size (``evidence/apparent.SIZES``).
 From these the shares of sizes are estimated by expectation maximisation, of all effects together and of each beside
 ``STRENGTH`` sessions that are like all. Prints the common shares and that of the largest size of each effect
-(``SHARES``, ``Traits.mistaken``). Sessions that a folder keeps are not searched again.
+(``SHARES``, ``Traits.mistaken``; ``apparent.jsonl`` keeps what sessions said when these were last set). Sessions that a
+folder keeps are not searched again.
 """
 
 import json
@@ -36,6 +37,7 @@ from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.spread import evidence_of_sizes
 from torchid.diagnosis.search import stepwise
+from torchid.effects.catalogue import effect
 from torchid.extension.diagnosing import diagnose_outcome
 from torchid.run import run_experiment
 
@@ -90,6 +92,16 @@ def shares(evidence: np.ndarray, like: np.ndarray | None = None) -> np.ndarray:
     return found
 
 
+def measured(rows: Sequence[dict[str, Any]]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Shares of sizes of all effects together and of each, from what sessions said."""
+    # Widespread effects, which bodies imitate at all places, are like no others.
+    alike = [own for row in rows for name, own in row["evidence"].items() if not effect(name).widespread]
+    common = shares(np.array(alike))
+    names = sorted({name for row in rows for name in row["evidence"]})
+    asked = {name: np.array([row["evidence"][name] for row in rows if name in row["evidence"]]) for name in names}
+    return common, {name: shares(own, common) for name, own in asked.items()}
+
+
 def main() -> None:
     """Search what is missing, print the shares."""
     given = Command(__doc__, jobs=2, out=(Path("out/apparent"), "folder of what sessions said")).asked()
@@ -97,12 +109,11 @@ def main() -> None:
     work = partial(asked, root=DATA, out=given.out)
     for one in performed(some, work, given.jobs, kept, "session"):
         print(one["session"], flush=True)
-    rows = {row["session"]: row["evidence"] for row in read_lines(kept)}
-    common = shares(np.array([own for evidence in rows.values() for own in evidence.values()]))
+    rows = read_lines(kept)
+    common, each = measured(rows)
     print(f"{len(rows)} sessions; sizes {SIZES}: {json.dumps(common.round(3).tolist())}")
-    for name in sorted({name for evidence in rows.values() for name in evidence}):
-        own = np.array([evidence[name] for evidence in rows.values() if name in evidence])
-        print(f"{name:24s}{json.dumps(shares(own, common).round(3).tolist())}")
+    for name, own in each.items():
+        print(f"{name:24s}{json.dumps(own.round(3).tolist())}")
 
 
 if __name__ == "__main__":

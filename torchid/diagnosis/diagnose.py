@@ -83,6 +83,7 @@ def _verdict(
     limits, extended = found.options, unseen.fit(found.named)
     names = [w.rows.name for w in (*observed, *unseen.trials)]
     bent = misfits(found, observed)
+    # Doubted for what is left where they were found; what is told to remain is what no name explains.
     searched = _remains(found, found.chosen, observed)
     causes, contradicted = discounted(found, observed, searched, causes_of(found, unseen, extended, names))
     causes, positions = bent_by_position(found, causes, bent)

@@ -25,6 +25,7 @@ class BodyMass(RecordEffect):
     """
 
     name = "body_mass"
+    mistaken = 0.05
     column_noise = ColumnNoise.CORRECTED
     grid_keys = ("recorded_kg",)
     parameters = (

@@ -51,6 +51,7 @@ class ExternalForce(PointForce):
     """A constant force in W: a cable over a pulley, a hand that steadies, wind."""
 
     name = "external_force"
+    mistaken = 0.07
     parameters = (
         Parameter("force_N", 20.0, 3, source="a choice: a hand that steadies, or a weight of 2 kg on a cable"),
     )
@@ -79,6 +80,7 @@ class BodyWeightSupport(PointForce):
     """A harness that carries part of the weight, whatever the body does."""
 
     name = "body_weight_support"
+    mistaken = 0.06
     parameters = (
         Parameter("force_N", 100.0, positive=True, source="a choice: 15 % of the weight of 70 kg, a harness that "
                   "carries little"),
@@ -135,6 +137,7 @@ class Tether(PointForce):
     """
 
     name = "tether"
+    mistaken = 0.09
     response = Response.NONLINEAR
     parameters = (
         Parameter("stiffness_N_m", 30.0, positive=True, source="a choice: a soft rubber band or a hose"),

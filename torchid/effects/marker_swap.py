@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.dynamics.rows import runs
 from torchid.effects.evidence import MarkerErrors, TrialEvidence
 from torchid.effects.kinds import SlidingMarkers
 from torchid.effects.marker_scene import Sight, Slid, View
@@ -16,6 +15,7 @@ from torchid.effects.parameter import Parameter
 from torchid.effects.place import Interval, Place, within
 from torchid.effects.quantities import NamedEffect
 from torchid.effects.traits import Correction, Occurrence, Proof, Site
+from torchid.runs import runs
 
 SWAPPED = 5
 """Proposal. Frames that a swap lasts at least."""

@@ -32,6 +32,7 @@ class MarkerShift(SlidingMarkers):
     """A marker was knocked or stuck on again: in some trials it sits elsewhere on its segment."""
 
     name = "marker_shift"
+    mistaken = 0.58
     proof = Proof.DISTANCES
     origin = Origin.IMITATED
     occurrence = Occurrence.SOME_RECORDINGS

@@ -84,7 +84,7 @@ class Payload(PointMass):
     """A load that a segment carries throughout."""
 
     name = "payload"
-    mistaken = 0.3
+    mistaken = 0.34
     response = Response.NONLINEAR
     parameters = LOAD
     noun = "a load"
@@ -107,7 +107,7 @@ class GraspedObject(PointMass):
     """A payload of a hand that comes and goes."""
 
     name = "grasped_object"
-    mistaken = 0.13
+    mistaken = 0.05
     occurrence = Occurrence.INTERVALS
     parameters = LOAD
     noun = "an object in the hand"

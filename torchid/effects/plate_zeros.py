@@ -16,7 +16,7 @@ class PlateOffset(ZeroError):
     """A constant wrench on every sample of a plate, loaded or not: it was zeroed under load, or not at all."""
 
     name = "plate_offset"
-    mistaken = 0.09
+    mistaken = 0.32
     usual = 0.1
     """0.5 N: a plate that was zeroed a while ago."""
     parameters = (
@@ -42,7 +42,7 @@ class PlateDrift(ZeroError):
     """An offset that grows with time since the recording began: charge amplifiers and warming bridges do that."""
 
     name = "plate_drift"
-    mistaken = 0.25
+    mistaken = 0.39
     usual = 0.02
     """0.01 N/s, which charge amplifiers are sold with."""
     parameters = (

@@ -36,6 +36,7 @@ class PlateGain(ReadingEffect):
     """
 
     name = "plate_gain"
+    mistaken = 0.06
     site = Site.PLATE
     link = "of"
     column_noise = ColumnNoise.CORRECTED
@@ -131,7 +132,7 @@ class PlateCrosstalk(PlateMap):
     """One channel of a plate leaks into another: bent sensors, a wrong or missing calibration matrix."""
 
     name = "plate_crosstalk"
-    mistaken = 0.09
+    mistaken = 0.1
     parameters = (
         Parameter("matrix_plate", 0.02, 30, source="two parts in a hundred, the most that makers of plates state of "
                   "any pair of channels; times the lever of a fifth of a metre, see ``scale``"),

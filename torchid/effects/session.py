@@ -60,7 +60,7 @@ class MarkerScale(SlidingMarkers):
     """The cameras were calibrated with a wand of another length: all lengths and accelerations err by one factor."""
 
     name = "marker_scale"
-    mistaken = 0.3
+    mistaken = 0.32
     proof = Proof.NOTHING
     parameters = (
         Parameter("excess", 0.02, source="a choice: a wand of another make, or its length typed wrong by a digit; a "

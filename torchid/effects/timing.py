@@ -63,6 +63,7 @@ class TimeOffset(LateReading):
     """Cameras and plates disagree about when: forces come late by a lag, in all trials or in one."""
 
     name = "time_offset"
+    mistaken = 0.11
     site = Site.TRIAL
     parameters = (
         Parameter("lag_s", 0.01, source="Lemaire & Kuo, bioRxiv 2024.06.24.600392 (2024): latencies within standard "
@@ -125,7 +126,7 @@ class FilterLag(SlidingMarkers):
     """
 
     name = "filter_lag"
-    mistaken = 0.06
+    mistaken = 0.08
     proof = Proof.SMOOTHNESS
     correction = Correction.WRENCH
     """No marker gives back what a filter took away."""

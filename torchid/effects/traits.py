@@ -105,10 +105,10 @@ class Traits:
     response: ClassVar[Response] = Response.LINEAR
     column_noise: ClassVar[ColumnNoise] = ColumnNoise.NEGLECTED
     proof: ClassVar[Proof] = Proof.FORCES
-    mistaken: ClassVar[float] = 0.03
-    """Estimator. Share of sound sessions that seem to have as much of it as one that has it, by a body model alone, see
-    ``torchid.diagnosis.evidence.apparent``; this is where none of twelve public ones does. Zero: it is there in full or
-    not at all, and nothing else looks like it."""
+    mistaken: ClassVar[float] = 0.04
+    """Estimator. Share of sound sessions that seem to have as much of it as one that has it, by a body model alone
+    (``torchid.diagnosis.evidence.apparent``): of thirteen public ones, beside four that are like all effects together;
+    this is where none does. Zero: it is there in full or not at all, and nothing else looks like it."""
     correction: ClassVar[Correction] = Correction.WRENCH
 
     @final

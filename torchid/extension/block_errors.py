@@ -17,12 +17,13 @@ from torch import Tensor
 from torchid.config import Config
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.row_equations import NormalEquations
-from torchid.dynamics.rows import SHORTEST, WrenchTrial, runs
+from torchid.dynamics.rows import SHORTEST, WrenchTrial
 from torchid.dynamics.whitening import Whitening, accumulate, block_spectrum
 from torchid.effects.place import inside_any
 from torchid.extension.diagnosing import forceful
 from torchid.inertia.left_out import leave_out_each
 from torchid.motion import Motion
+from torchid.runs import runs
 from torchid.session import Outcome
 from torchid.session.fitting import given_mass
 

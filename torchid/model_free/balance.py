@@ -18,10 +18,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.conventions import GRAVITY, LOADED_N
-from torchid.dynamics.rows import runs
 from torchid.model_free.options import WitnessOptions
 from torchid.model_free.statements import CheckSubject
 from torchid.model_free.watched import Watched
+from torchid.runs import runs
 
 UNSEEN = 1e-12
 """Resolution. Part of the largest eigenvalue below which a combination of columns is not there."""

@@ -62,7 +62,7 @@ class Panel:
         return (self.own + self.alike).diagonal().sqrt()
 
     def covariance_beside(self, more: Float[Tensor, "some some"]) -> Float[Tensor, "some some"]:
-        """Return the covariance with which statements of each trial count; between trials it means nothing.
+        """Return the covariance with which the statements of one trial count beside those of the others.
 
         What all of a kind share counts in each of T trials with T times its variance, so that all together know no more
         of it than one could: exact where trials are alike, and cautious where they are not.

@@ -114,13 +114,3 @@ def shape_of(trial: str, markers: Markers, labels: tuple[str, ...]) -> MarkerSha
     sd = MAD_SD * (distance - median).abs().nanmedian(dim=0).values
     known = torch.isfinite(distance).sum(dim=0) >= min(FEWEST, len(distance))
     return MarkerShape(trial, torch.where(known, median, torch.nan), torch.where(known, sd, torch.nan))
-
-
-def runs_of(mask: Bool[Tensor, " frames"]) -> list[tuple[int, int]]:
-    """Return start and end (exclusive) of each run of True.
-
-    Args:
-        mask: one value a frame.
-    """
-    edge = torch.nn.functional.pad(mask.to(torch.int8), (1, 1)).diff()
-    return list(zip((edge == 1).nonzero()[:, 0].tolist(), (edge == -1).nonzero()[:, 0].tolist(), strict=True))

@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchid.checks.marker_tracks.clusters import SCATTER_M, Clusters, MarkerShape, runs_of
+from torchid.checks.marker_tracks.clusters import SCATTER_M, Clusters, MarkerShape
 from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.recording import Markers
+from torchid.runs import runs
 
 SUSPECT_M = 0.02
 """Choice. A marker is looked at where a distance to another of its segment is off by this [m]: exchanged markers that
@@ -196,11 +197,11 @@ def _lasting(one: Told, rate: float) -> Bool[Tensor, " frames"]:
     if int((at & told).sum()) >= THROUGHOUT * max(int(told.sum()), 1):
         return ~(told & (one.now < one.undone))
     filled = at.clone()
-    for start, stop in runs_of(~at):
+    for start, stop in runs(~at):
         if 0 < start and stop < len(at) and stop - start <= BRIDGED_S * rate:
             filled[start:stop] = True
     out = torch.zeros_like(at)
-    for start, stop in runs_of(filled):
+    for start, stop in runs(filled):
         if int(at[start:stop].sum()) >= SHORTEST:
             out[start:stop] = True
     return out
@@ -210,7 +211,7 @@ def _statement(
     trial: str, markers: Markers, clusters: Clusters, one: Told, against: tuple[str, ...]
 ) -> TrackStatement:  # fmt: skip
     at, time, told = one.at, markers.time, torch.isfinite(one.now)
-    when = () if bool(at.all()) else tuple((float(time[a]), float(time[b - 1])) for a, b in runs_of(at))
+    when = () if bool(at.all()) else tuple((float(time[a]), float(time[b - 1])) for a, b in runs(at))
     labels = tuple(clusters.labels[k] for k in one.pair)
     share = float((at & told).sum()) / max(float(told.sum()), 1.0)
     size, left = (1e3 * float(x[at].nanmedian()) for x in (one.now, one.undone))

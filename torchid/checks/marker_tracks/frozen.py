@@ -4,9 +4,9 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchid.checks.marker_tracks.clusters import runs_of
 from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.recording import Markers
+from torchid.runs import runs
 
 STILL_M = 2e-5
 """Choice. Step from frame to frame of a marker that nobody measures [m]: a tenth of the noise of the best cameras."""
@@ -33,7 +33,7 @@ def find_frozen(
     still = position.diff(dim=0).norm(dim=2) < STILL_M
     found = []
     for k in still.any(dim=0).nonzero()[:, 0].tolist():
-        parts = [(a, b) for a, b in runs_of(still[:, k]) if b - a >= SHORTEST_S * markers.rate]
+        parts = [(a, b) for a, b in runs(still[:, k]) if b - a >= SHORTEST_S * markers.rate]
         ways = {part: _way(position[:, near[k]], part) for part in parts}
         bad = [part for part in parts if ways[part] > WAY_M]
         if bad:

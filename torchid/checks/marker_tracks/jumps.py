@@ -6,9 +6,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchid.checks.marker_tracks.clusters import Clusters, MarkerShape, runs_of, shape_of
+from torchid.checks.marker_tracks.clusters import Clusters, MarkerShape, shape_of
 from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.recording import Markers
+from torchid.runs import runs
 
 BESIDE = 5
 """Choice. Markers beside one: those of its segment, then those to which it keeps its distance best."""
@@ -132,7 +133,7 @@ def _away(off: Float[Tensor, "frames few"], seen: Bool[Tensor, " frames"], leaps
         leaps: frames after which it leaps.
     """
     cuts = [0, *(k + 1 for k in leaps), len(off)]
-    parts = [(a + i, a + j) for a, b in zip(cuts, cuts[1:], strict=False) for i, j in runs_of(seen[a:b])]
+    parts = [(a + i, a + j) for a, b in zip(cuts, cuts[1:], strict=False) for i, j in runs(seen[a:b])]
     middle = torch.stack([torch.nan_to_num(off[a:b].nanmedian(dim=0).values) for a, b in parts])
     right = _right(parts, middle.abs().mean(dim=1).tolist())
     unlike, wrong = (middle - middle[right]).abs().mean(dim=1), set[int]()
@@ -177,7 +178,7 @@ def _statement(
 ) -> TrackStatement:
     """Return what is said of a marker that is away in some frames."""
     time = markers.time
-    when = tuple((float(time[a]), float(time[b - 1])) for a, b in runs_of(mask))
+    when = tuple((float(time[a]), float(time[b - 1])) for a, b in runs(mask))
     kind = TrackFault.JUMP if len(when) == 1 else TrackFault.FLIP
     against = tuple(shape.trial for shape in references)
     return TrackStatement(

@@ -17,13 +17,14 @@ from torchid.contact.contact import Contact
 from torchid.diagnosis.candidates.touched_segment import BLOCK_S, centre_of, raised, touched
 from torchid.diagnosis.options import MissingWeightOptions
 from torchid.dynamics.equations_of_motion import wrench_about
-from torchid.dynamics.rows import predict, runs
+from torchid.dynamics.rows import predict
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.columns import columns
 from torchid.effects.contact import MOST_KNOTS, CoursedForce
 from torchid.effects.place import Interval, Place, inside_any
 from torchid.observation.trial import TrialObservation
 from torchid.recording import Forces
+from torchid.runs import runs
 
 EFFECT = next(one for one in CATALOGUE.values() if isinstance(one, CoursedForce))
 """The effect as which such weight is named."""

@@ -31,7 +31,7 @@ class Rival:
     options: NamingOptions = NamingOptions()
     """Thresholds of naming."""
     apparent: float = 0.0
-    """Log evidence of what sessions without it seem to have of it, over nothing; at least zero [nat]."""
+    """Log evidence of what sessions without it seem to have of it, over what is ordinary; at least zero [nat]."""
     told: float = 0.0
     """Log likelihood ratio of other proof than forces [nat]."""
 
@@ -73,7 +73,8 @@ class Round:
     families: dict[str, float]
     """Score of each effect [nat], averaged over its places: what was searched is paid for."""
     appearances: dict[str, float]
-    """Log evidence of what sessions without each effect seem to have of it [nat], averaged over its places."""
+    """Log evidence of what sessions without each effect seem to have of it, over what is ordinary [nat], averaged over
+    its places."""
     options: NamingOptions = NamingOptions()
     """Thresholds of naming."""
     compared: tuple[Rival, ...] = ()

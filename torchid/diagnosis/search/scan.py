@@ -76,8 +76,8 @@ def scan_all(
     apparent = apparent_evidence(bare, fit(bare, chosen), left)
     each = zip(left, gain, energy, _ordinary(statistics, posterior, left), apparent, strict=True)
     rivals = tuple(
-        Rival(c, g, g, e - 0.5 * c.size, usual, options=options, apparent=seeming, told=told_nats(told, c))
-        for c, g, e, usual, seeming in each
+        Rival(c, g, g, e - 0.5 * c.size, o, options=options, apparent=max(a - o, 0.0), told=told_nats(told, c))
+        for c, g, e, o, a in each
     )
     return Scanned(statistics, chosen, rivals, options)
 

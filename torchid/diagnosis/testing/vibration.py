@@ -15,9 +15,9 @@ from torch import Tensor
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.options import AdequacyOptions
-from torchid.dynamics.rows import runs
 from torchid.dynamics.whitening import BEYOND, QUIET
 from torchid.observation.trial import TrialObservation
+from torchid.runs import runs
 
 WIDTH_HZ, STEP_HZ, AROUND_HZ = 0.3, 0.1, 1.5
 """Resolution. Widths of a line, steps between lines that are tried, and distance to either side up to which a line is
