@@ -328,7 +328,7 @@ def option_cases() -> dict[str, tuple[dict[str, Any], str, str]]:
         "right-hand side": ({"data": (p.Y, spoiled(p.F, (4,), np.nan))}, "rows.not_finite", r"data, F.*\(4,\)"),
         "three": ({"data": (gram, moment, square)}, "rows.data", "3 items"),
         "gram": ({"data": (gram[:20, :20], moment, square, count)}, "rows.shape", "data, gram"),
-        "square": ({"data": (gram, moment, 0.1 * square, count)}, "equations.inconsistent", "explained"),
+        "square": ({"data": (gram, moment, 0.1 * square, count)}, "equations.inconsistent", "explains"),
         "count": ({"data": (gram, moment, square, 0)}, "rows.empty", "0 rows"),
         "no rows": ({"data": (p.Y[:0], p.F[:0])}, "rows.empty", "0 rows"),
         "zero rows": ({"data": (0 * p.Y, 0 * p.F)}, "rows.no_information", "rank 0"),
@@ -394,7 +394,7 @@ def test_rows_beyond_what_rounding_carries_are_not_called_fitted() -> None:
 def test_a_program_that_breaks_down_is_not_called_infeasible() -> None:
     """Where Clarabel gives up on the entropic program, the error says that, and not that nothing fulfils the limits."""
     error = refused("inertia.solver", "solver_error", prior=RowsPrior(small().mean, "entropic", 0.3), weight=1e12)
-    assert "there may be one" in error.message and "quadratic" in error.remedy
+    assert "there may be some" in error.message and "quadratic" in error.remedy
 
 
 def one_tight() -> Limits:

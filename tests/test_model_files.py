@@ -517,12 +517,12 @@ def test_other_suffixes_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("suffix", "text", "said"),
     [
-        (".urdf", _urdf(JOINT.format("revolute", "")).replace("axis xyz", "axis xzy"), "<axis> xzy: no name"),
-        (".urdf", _urdf(JOINT.format("revolute", "<lmit/>")), "<lmit>: no name"),
+        (".urdf", _urdf(JOINT.format("revolute", "")).replace("axis xyz", "axis xzy"), "<axis> xzy: not known"),
+        (".urdf", _urdf(JOINT.format("revolute", "<lmit/>")), "<lmit>: not known"),
         (".urdf", _urdf(JOINT.format("revolute", '<axis xyz="0 0 1"/>')), "<axis>: only the first"),
-        (".xml", _mjcf("", '<compilr angle="radian"/>'), "<compilr>: no name"),
-        (".xml", _mjcf('<body><joint axes="0 0 1"/><geom size="1"/></body>'), "<joint> axes: no name"),
-        (".xml", _mjcf("", '<default><gaom density="1"/></default>'), "<gaom>: no name"),
+        (".xml", _mjcf("", '<compilr angle="radian"/>'), "<compilr>: not known"),
+        (".xml", _mjcf('<body><joint axes="0 0 1"/><geom size="1"/></body>'), "<joint> axes: not known"),
+        (".xml", _mjcf("", '<default><gaom density="1"/></default>'), "<gaom>: not known"),
     ],
 )
 def test_names_that_the_format_lacks_are_said(suffix: str, text: str, said: str, tmp_path: Path) -> None:

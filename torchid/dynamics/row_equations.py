@@ -102,7 +102,7 @@ class NormalEquations:
         if float(values[0]) < -_ROUNDING * top or asymmetry > _ROUNDING or best > self.square * (1 + 1e3 * _ROUNDING):
             raise DataError(
                 "equations.inconsistent", "the accumulated equations cannot come from one set of rows",
-                found=f"smallest eigenvalue {float(values[0]):.1e} of {top:.1e}, asymmetry {asymmetry:.1e}, "
-                f"explained {best:.6e} of {self.square:.6e}",
+                found=f"the Gram matrix has eigenvalues {float(values[0]):.1e} to {top:.1e} and asymmetry "
+                f"{asymmetry:.1e}; its solution explains {best:.6e} of a sum of squares of {self.square:.6e}",
                 remedy="Sum gram, moment and square over the same rows, in float64",
             )  # fmt: skip

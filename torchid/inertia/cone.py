@@ -192,7 +192,7 @@ def no_solution(ending: str) -> DataError:
         message = "the solver finds no inertial parameters that fulfil all constraints"
         remedy = "Widen the centre-of-mass boxes and ellipsoids, look at the forces, or scale the rows to their noise"
     else:
-        message = "the computation broke down before a solution was found; there may be one"
+        message = "the solver broke down before it found inertial parameters; there may be some"
         remedy = (
             "Scale the rows to their noise or have it estimated, and look at units, weights and boxes far from the "
             "bodies; where the entropic prior breaks down, the quadratic one may not"

@@ -138,7 +138,7 @@ def _other_forces(forces: Forces, raw: RawTrial, axis: str, options: ReadOptions
         same, later = (min(end, last + by) - max(begin, first + by) for by in (0.0, begin))
         frame = (end - begin) / max(1, len(raw.time) - 1)
         shifted = later > max(same, 0.0) + frame
-        words = "counted from the first stored frame and shifted" if shifted else "taken as the clock of the markers"
+        words = "taken to begin with the first stored frame" if shifted else "taken as the clock of the markers"
         text = f"markers begin at {begin:g} s; the clock of the forces, {first:g} to {last:g} s, is {words}"
         notes.append(Note("trial.clock", text, raw.source))
         forces = replace(forces, time=forces.time + begin) if shifted else forces

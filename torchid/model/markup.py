@@ -144,7 +144,7 @@ def unread(root: Element, words: Vocabulary, source: str) -> tuple[Note, ...]:
     strange: list[str] = []
     twice: list[str] = []
     _look(root, words, strange, twice)
-    texts = (("unread", strange, "no name of this format, left out"), ("twice", twice, "only the first is read"))
+    texts = (("unread", strange, "not known to the format, ignored"), ("twice", twice, "only the first is read"))
     return tuple(
         Note(f"model.{code}", f"{'; '.join(found[:MOST])}{' ...' if len(found) > MOST else ''}: {text}", source)
         for code, found, text in texts

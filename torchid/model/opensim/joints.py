@@ -115,7 +115,7 @@ def _plain(element: Element, first: int, document: OsimDocument) -> _Axes:
     if len(names) != count:
         remedy = "State one coordinate for every turn and slide, or save the model again with OpenSim."
         found = f"{len(names)} instead of {count}"
-        raise document.fault(element, "osim.joint", "another number of coordinates than its kind", found, remedy=remedy)
+        raise document.fault(element, "osim.joint", "not as many coordinates as this joint has", found, remedy=remedy)
     itself = LinearFunction(torch.ones(1, dtype=torch.float64), 0.0)
     axes = [TransformAxis(_unit(axis), (first + k,), itself) for k, axis in enumerate(turns + slides)]
     return axes[: len(turns)], axes[len(turns) :], names

@@ -55,7 +55,7 @@ def _refuse_other_roots(model: OsimModel) -> None:
     grounded = [joint for joint in model.joints if joint.carrier.body == GROUND]
     root = model.joints[0]
     if len(grounded) != 1:
-        raise refuse("several bodies are joined to ground", ", ".join(joint.name for joint in grounded))
+        raise refuse("not exactly one body is joined to ground", ", ".join(joint.name for joint in grounded))
     axes = (*root.turns, *root.slides)
     led = sorted(row for axis in axes for row in axis.rows)
     straight = all(affine(axis.function) is not None for axis in axes)
