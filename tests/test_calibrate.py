@@ -282,5 +282,5 @@ def test_a_stopped_calibration_goes_on(tmp_path):
     go(range(4), {NAMED: 2.5})
     assert len(run) == 4, "rows of more thresholds will do"
     go(range(1), {NAMED: 3.0})
-    go(range(1), both | {"HeldOutOptions.error_part": 0.05})
+    go(range(1), both | {"AdequacyOptions.position_part": 0.05})
     assert run[4:] == [0, 0]

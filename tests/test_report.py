@@ -390,17 +390,22 @@ def test_what_is_only_possible_stands_apart(run):
     for causes, begins in (((cause("payload"), even), "The thorax"), ((even,), "No likely fault")):
         section = diagnosis_section(replace(outcome, diagnosis=replace(outcome.diagnosis, causes=causes)))
         assert section is not None and section.finding.startswith(begins) and told(even) not in section.finding
-        at = next(k for k, block in enumerate(section.blocks) if isinstance(block, Paragraph))
-        heading, listed = section.blocks[at : at + 2]
-        assert isinstance(heading, Paragraph) and heading.text.startswith("Possible (at most 50 %)")
+        (folded,) = [block for block in section.blocks if isinstance(block, Details) and "possible" in block.summary]
+        heading, listed = folded.blocks
+        assert folded.summary.startswith("Possible: 1 cause") and isinstance(heading, Paragraph)
+        assert heading.text.startswith("Possible (at most 50 %, nothing is corrected)")
         assert isinstance(listed, Items) and len(listed.items) == 1
         (item,) = listed.items
         assert "possible, not confirmed independently (50 %)" in item.lower() and told(even)[1:] in item
-        assert "The model is corrected for it" in item and "Nothing is corrected" not in item
-    withheld = replace(outcome, diagnosis=replace(outcome.diagnosis, causes=(replace(even, applied=False),)))
-    (section,) = filter(None, [diagnosis_section(withheld)])
-    items = [item for block in section.blocks if isinstance(block, Items) for item in block.items]
-    assert [item for item in items if told(even)[1:] in item and "Nothing is corrected" in item]
+
+
+def test_a_cause_that_is_not_corrected_is_told_with_the_reason(run):
+    """In the finding, beside its name, as sure as it is."""
+    outcome = extended(run.outcome)
+    assert outcome.diagnosis is not None
+    sure = replace(cause("drag"), confidence=0.995, applied=False)
+    section = diagnosis_section(replace(outcome, diagnosis=replace(outcome.diagnosis, causes=(sure,))))
+    assert section is not None and f"{told(sure)} It is not corrected: the model" in section.finding
 
 
 def test_witnesses_of_a_cause_are_shown():
@@ -552,7 +557,7 @@ def test_what_came_nearest_is_said(run, nats, said):
             "heldout_density",
             "motion is more than a million times likelier without it: not corrected.",
         ),
-        (-2.0, "heldout_errors", "forces err more with it: not corrected"),
+        (-2.0, "heldout_density", "motion is 7 times likelier without it: not corrected"),
     ],
 )
 def test_what_held_out_motion_contradicts_is_said(run, nats, rule, said):

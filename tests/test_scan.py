@@ -9,9 +9,11 @@ from test_doubtful import found as searched
 from torch.testing import assert_close
 
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
+from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import NamingOptions
+from torchid.diagnosis.search import stepwise
 from torchid.diagnosis.search.estimates import estimate
 from torchid.diagnosis.search.result import reduced
 from torchid.diagnosis.search.rivals import Rival, Round
@@ -157,3 +159,34 @@ def test_what_all_places_have_and_what_sound_sessions_have_are_not_both_taken_of
     best = round_.rivals[0]
     beyond = best.evidence - best.ordinary - best.apparent
     assert best.ordinary > 10.0 and 0.0 < beyond <= -math.log(best.candidate.effect.mistaken) + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "named"),
+    [
+        (0.001, 0.3, True),
+        (0.3, 0.5, False),  # nothing was to be explained
+        (0.001, 0.005, True),  # hardly anything is left
+        (1e-9, 1e-9, False),  # bodies leave as much
+        (math.nan, math.nan, False),
+    ],
+)
+def test_what_is_ordinary_is_named_where_it_leaves_nothing_but_noise(monkeypatch, before, after, named):
+    """No body imitates an effect where columns know all that the plates read."""
+    search = session_search()
+    first, clock, scale = search.chosen
+    rounds = (round_of((clock, 30.0, 30.0), (scale, 10.0, 10.0)),)
+    rounds = tuple(replace(one, appearances=dict.fromkeys(one.appearances, 29.0)) for one in rounds)
+    found = replace(search, chosen=(first, replace(clock, ordinary=True), scale), rounds=rounds)
+
+    def assess(observed, left, options) -> Adequacy:
+        p = before if left == 2 else after
+        share = 0.3 if p > 1e-6 else 0.9
+        return Adequacy(p < options.p_value and share > options.band_part, p, share, "")
+
+    monkeypatch.setattr(stepwise, "residuals", lambda observed, model, posterior: len(posterior.chosen))
+    monkeypatch.setattr(stepwise, "assess_adequacy", assess)
+    believed = stepwise._believed((), found)
+    assert [one.ordinary for one in believed.chosen] == [False, not named, False]
+    assert [(s.rule, s.effect) for s in believed.trace] == ([("nothing_left", "time_offset")] if named else [])
+    assert cause_of(believed, 1, {}, ("a", "b")).confidence == pytest.approx(1.0 if named else 0.0, abs=0.3)

@@ -39,8 +39,6 @@ OFF: dict[str, tuple[float, tuple[str, ...]]] = {
     "NamingOptions.look_closer_part": (1.0, ()),
     "EliminationOptions.residual_part": (0.0, ("residual_structure",)),
     "EliminationOptions.negative_sd": (NEVER, ("negative",)),
-    "HeldOutOptions.refuted_nats": (NEVER, ("heldout_density",)),
-    "HeldOutOptions.error_part": (1.0, ("heldout_errors",)),
     "AdequacyOptions.position_part": (1.0, ("position_dependence",)),
     "ConfidenceOptions.doubt": (1.0, ("residual_structure", "position_dependence")),
     "MissingWeightOptions.missing_part": (1.0, ("missing_weight",)),

@@ -13,7 +13,7 @@ from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.search.stepwise import search
 from torchid.diagnosis.testing.heldout import HeldOut
 from torchid.diagnosis.testing.position_dependence import misfits, with_misfits
-from torchid.diagnosis.testing.refutation import Upheld, uphold
+from torchid.diagnosis.testing.refutation import RULE, Upheld, uphold
 from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.verdict.causes import after_forces, causes_of, nearest, untested
 from torchid.diagnosis.verdict.confidence import bent_by_position, discounted
@@ -66,8 +66,8 @@ def diagnose(
     """
     found = search(observed, effects, known, limit, options, panel, told)
     release()  # the catalogue's memory
-    unseen = HeldOut(found, observed, heldout)
-    upheld = uphold(unseen, unseen.acting(), options.heldout)
+    unseen = HeldOut(found, heldout)
+    upheld = uphold(unseen, unseen.acting(), options.naming)
     found = settle(found.having(upheld.chosen, *upheld.trace), AT_LAST)
     return _verdict(found.having(sorted(found.chosen, key=lambda one: one.ordinary)), unseen, upheld, observed, plates)
 
@@ -107,9 +107,9 @@ def _ordered(found: SearchResult, causes: Sequence[Cause]) -> tuple[Cause, ...]:
 def _refuted(upheld: Upheld) -> tuple[Refuted, ...]:
     """Return the refuted causes."""
     return tuple(
-        Refuted(one.effect.name, one.place.where, decision.numbers["heldout_nats"], decision.rule, decision.numbers)
-        for one, decision in upheld.refuted
-    )  # fmt: skip
+        Refuted(one.effect.name, one.place.where, numbers["heldout_nats"], RULE, numbers)
+        for one, numbers in upheld.refuted
+    )
 
 
 def _remains(found: SearchResult, chosen: Sequence[Candidate], observed: Sequence[TrialObservation]) -> Adequacy:

@@ -65,19 +65,6 @@ class EliminationOptions:
 
 
 @dataclass(frozen=True)
-class HeldOutOptions:
-    """Thresholds by which motion that was not fitted refutes a cause."""
-
-    refuted_nats: Positive = 3.0
-    """Derived. Log likelihood by which held-out motion must speak against a cause, beyond its leeway: a ratio that
-    should be m has a standard deviation of (2 m)^0.5, so that a true cause falls below -3 once in 140 at most."""
-    error_part: Share = 0.05
-    """Calibrated. Part by which held-out force and moment errors must both grow because of a cause to refute it."""
-    cameras_part: Share = 0.1
-    """Calibrated. Part of what cameras said for a cause in some trials by which other trials may speak against it."""
-
-
-@dataclass(frozen=True)
 class AdequacyOptions:
     """Thresholds from which on what is left is more than noise."""
 
@@ -160,7 +147,6 @@ class DiagnosisOptions:
     """Thresholds from which an effect is named and told from others."""
     elimination: EliminationOptions = field(default_factory=EliminationOptions)
     """Thresholds by which a cause is taken out again."""
-    heldout: HeldOutOptions = field(default_factory=HeldOutOptions)
     """Thresholds by which held-out motion refutes a cause."""
     adequacy: AdequacyOptions = field(default_factory=AdequacyOptions)
     """Thresholds from which the residual is more than noise."""
@@ -175,7 +161,7 @@ class DiagnosisOptions:
 
 
 SECTIONS = (
-    ObservationOptions, NamingOptions, EliminationOptions, HeldOutOptions, AdequacyOptions, ConfidenceOptions,
+    ObservationOptions, NamingOptions, EliminationOptions, AdequacyOptions, ConfidenceOptions,
     MissingWeightOptions, WitnessOptions, NeverWorseOptions,
 )  # fmt: skip
 """Sections of the options, in the order of the table in ``docs/diagnosis.md``."""

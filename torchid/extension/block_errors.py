@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.config import Config
+from torchid.conventions import ZERO_SD_N, ZERO_SD_NM
 from torchid.dynamics.equations_of_motion import wrench_about
 from torchid.dynamics.row_equations import NormalEquations
 from torchid.dynamics.rows import SHORTEST, WrenchTrial
@@ -33,10 +34,13 @@ nearly independent."""
 PERIODIC = 0.5
 """Choice. Correlation of a motion with itself, one period later, from which on it is periodic: half of its energy
 repeats."""
-LEFT_OUT, FITTED = "fit trials, each block left out in turn", "fit trials"
-"""Groups of blocks; the others are held-out trials by name."""
+LEFT_OUT, FITTED, HELD_OUT = "fit trials, each block left out in turn", "fit trials", "held-out trials"
+"""Groups of blocks."""
 Group = tuple[str, str]
-"""Where errors are, and of what: force, moment or markers."""
+"""Which of these, and errors of what: force, moment or markers."""
+FLOOR_N, FLOOR_NM = 3.0**0.5 * ZERO_SD_N, 3.0**0.5 * ZERO_SD_NM
+"""Derived. Errors that say nothing: plates' zeros scatter by as much in all three directions. In quiet standing, no
+more may be left [N, N m]."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,8 @@ class BlockErrors:
     """Errors of a model in several blocks."""
 
     rms: Float[Tensor, " blocks"]
-    """Force [N], moment about the base model's pelvis [N m], or distance of markers as a part of the body's size."""
+    """Force [N] and moment about the base model's pelvis [N m], each with the floor beside it, or distance of markers
+    as a part of the body's size."""
     frames: Float[Tensor, " blocks"]
     """Number of frames of each block."""
 
@@ -132,10 +137,8 @@ def block_errors(outcome: Outcome, base: Outcome, config: Config, blocks: Sessio
     phi = outcome.phi.reshape(-1)
     for where, some in ((LEFT_OUT, _left_out(outcome, config, every)), (FITTED, [phi] * len(every))):
         found |= _wrench_errors(outcome, base, where, every, some, blocks)
-    for name, parts in blocks.wrench.items():
-        if name not in fits:
-            whole = [(name, part) for part in parts]
-            found |= _wrench_errors(outcome, base, name, whole, [phi] * len(whole), blocks)
+    unseen = [(name, part) for name, parts in blocks.wrench.items() if name not in fits for part in parts]
+    found |= _wrench_errors(outcome, base, HELD_OUT, unseen, [phi] * len(unseen), blocks)
     return found | dict(_marker_errors(outcome, blocks))
 
 
@@ -178,7 +181,8 @@ def _wrench_errors(
             frames.append(float(len(left)))
     if not squares:
         return {}
-    both, count = torch.stack(squares).sqrt(), torch.tensor(frames, dtype=torch.float64)
+    floor = torch.tensor([FLOOR_N, FLOOR_NM], dtype=torch.float64)
+    both, count = (torch.stack(squares) + floor.square()).sqrt(), torch.tensor(frames, dtype=torch.float64)
     return {(where, kind): BlockErrors(both[:, k], count) for k, kind in enumerate(("force", "moment"))}
 
 
@@ -191,8 +195,8 @@ def _residual(rows: WrenchTrial, base: WrenchTrial, part: slice, phi: Tensor) ->
 
 def _marker_errors(outcome: Outcome, blocks: SessionBlocks) -> Iterator[tuple[Group, BlockErrors]]:
     roles = {name: outcome.session.trials[name].role for name in blocks.markers}
-    for where in (FITTED, *(name for name, role in roles.items() if role == "heldout")):
-        names = [where] if where in roles else [name for name, role in roles.items() if role == "fit"]
+    for where, wanted in ((FITTED, "fit"), (HELD_OUT, "heldout")):
+        names = [name for name, role in roles.items() if role == wanted]
         each = [_markers_off(outcome, name, part) for name in names for part in blocks.markers[name]]
         known = [one for one in each if one is not None]
         if known:

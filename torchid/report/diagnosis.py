@@ -18,7 +18,7 @@ from torchid.report.rival_bars import rival_bars
 from torchid.report.witness_table import witness_table
 from torchid.session import Outcome
 from torchid.session.tables import heldout_errors
-from torchid.wording import clean, listing, number, percent, scientific
+from torchid.wording import clean, listing, number, percent, plural, scientific
 
 SAME = 0.005
 """Part of an error below which its change is none."""
@@ -51,22 +51,20 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
 def _listed(found: Diagnosis) -> list[Block]:
     """How sure each cause is, those that are only possible apart."""
     named = Items(tuple(f"{name(cause)}: {surely(cause)}" for cause in found.likely))
-    possible = Items(tuple(map(_would_be, found.possible)))
-    apart = [Paragraph(POSSIBLE), possible] if possible.items else []
+    possible = tuple(map(_would_be, found.possible))
+    summary = f"Possible: {plural(len(possible), 'cause')}"
+    apart = [Details(summary, (Paragraph(POSSIBLE), Items(possible)))] if possible else []
     return [*([named] if named.items else []), *apart]
 
 
 def _would_be(cause: Cause) -> str:
-    """What a cause would be, how little sure that is, and whether anything was corrected for it."""
+    """What a cause would be, and how little sure that is."""
     what, sure = told(cause), surely(cause)
-    done = "The model is corrected for it: it predicts worse without." if cause.applied else "Nothing is corrected."
-    return f"{name(cause)}: it would be that {what[0].lower()}{what[1:]} {sure[0].upper()}{sure[1:]} {done}"
+    return f"{name(cause)}: it would be that {what[0].lower()}{what[1:]} {sure[0].upper()}{sure[1:]}"
 
 
-POSSIBLE = (
-    "Possible (at most 50 %): not confirmed independently. Rivals share the odds, no model-free check confirms it, or "
-    "a test contradicts it. The model is corrected for it only where it predicts worse without:"
-)
+POSSIBLE = "Possible (at most 50 %, nothing is corrected): rivals share the odds, or a test contradicts it."
+UNAPPLIED = "It is not corrected: the model that is fitted again with it predicts worse."
 EXTENDED = (
     "Every other figure of this page is of the extended model. The causes listed as corrected are taken out of the "
     "recordings, or, as a load, kept apart from the body. Then inertia is fitted again, and geometry where markers are "
@@ -78,13 +76,18 @@ EXTENDED = (
 def _finding(outcome: Outcome, found: Diagnosis) -> str:
     options, named = outcome.config.diagnosis, found.likely
     if named:
-        return " ".join([*(told(cause) for cause in named), *_gains(outcome, found), *_refuted(found)])
+        return " ".join([*map(_told, named), *_gains(outcome, found), *_refuted(found)])
     tried = len(select_effects(options.include, options.exclude))
     if found.causes:
-        silent = f"No likely fault ({tried} kinds tested); possible ones are listed below."
-        return " ".join([silent, *_gains(outcome, found), *_refuted(found)])
+        silent = f"No likely fault ({tried} kinds tested); possible ones are listed below: nothing was corrected."
+        return " ".join([silent, *_refuted(found)])
     silent = f"No fault found ({tried} kinds tested): nothing was corrected."
     return " ".join([silent, *_refuted(found), *_nearest(found, options.thresholds.naming.named_nats)])
+
+
+def _told(cause: Cause) -> str:
+    """What a cause is, and whether the model is corrected for it."""
+    return told(cause) if cause.applied else f"{told(cause)} {UNAPPLIED}"
 
 
 def _refuted(found: Diagnosis) -> list[str]:
@@ -94,11 +97,7 @@ def _refuted(found: Diagnosis) -> list[str]:
 
 
 def _against(one: Refuted) -> str:
-    """What held-out motion says; forces may err more that are hardly less likely."""
-    if one.rule == "heldout_errors":
-        return "held-out forces err more with it"
-    if one.rule == "never_worse":
-        return "the model that is fitted with it predicts worse than without it"
+    """What held-out motion says."""
     return f"held-out motion is {_times(-one.heldout_log_likelihood)} likelier without it"
 
 
@@ -123,8 +122,7 @@ def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
     if outcome.base is None:
         return []
     before, after = heldout_errors(outcome.base), heldout_errors(outcome)
-    also = any(cause.applied for cause in found.possible)
-    said = [gained(before, after, "held-out", "that and the possible causes" if also else "that")]
+    said = [gained(before, after, "held-out")]
     applied = [cause for cause in found.causes if cause.applied]
     confined = sorted({trial for cause in applied if not cause.everywhere for trial in cause.trials})
     marked = [cause for cause in found.likely if of_markers(cause) and not cause.everywhere]

@@ -10,6 +10,17 @@ from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.options import NamingOptions
 
 
+def consented(evidence: float, predicted: float, options: NamingOptions) -> bool:
+    """Return whether trials are predicted hardly worse with a cause.
+
+    Args:
+        evidence: log evidence for it [nat].
+        predicted: log density that it gains where motion is predicted from other motion [nat].
+        options: thresholds of consent.
+    """
+    return predicted > -max(options.consent_nats, options.consent_part * evidence)
+
+
 @dataclass(frozen=True)
 class Rival:
     """A candidate and what the data say for it."""
@@ -44,7 +55,7 @@ class Rival:
         prior contradicts, such as a wrong recorded mass: each trial predicts it from the others without the effect as
         well.
         """
-        carried = self.crossed > -max(self.options.consent_nats, self.options.consent_part * self.evidence)
+        carried = consented(self.evidence, self.crossed, self.options)
         return (self.evidence if carried else min(self.evidence, self.crossed)) - self.ordinary + self.told
 
     @property

@@ -95,7 +95,32 @@ def search(
         added = _add(observed, added, again=looked is not best.candidate)
         state = _narrow(added)
         del model, added  # gigabytes that the next round does without
-    return settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), SUPPORTED)
+    found = settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), SUPPORTED)
+    return _believed(observed, found)
+
+
+def _believed(observed: Sequence[TrialObservation], found: SearchResult) -> SearchResult:
+    """Return the result with what is ordinary named as well, if nothing but noise is left with it.
+
+    Appearances are what bodies do that no column knows. Where columns know everything, nothing appears. Where all is
+    noise without it, nothing is to be explained.
+    """
+    unnamed = [one for one in found.chosen if one.ordinary]
+    if not unnamed:
+        return found
+    models = (found.model.fit([one for one in found.chosen if not one.ordinary]), found.posterior)
+    without, rest = (
+        assess_adequacy(observed, residuals(observed, found.model, posterior), found.options.adequacy)
+        for posterior in models
+    )
+    log.info("without what is ordinary p = %.2g, with it %.2g", without.p_value, rest.p_value)
+    if rest.significant or not without.p_value < found.options.adequacy.p_value:
+        return found
+    chosen = tuple(replace(one, ordinary=False) for one in found.chosen)
+    rounds = tuple(replace(one, appearances=dict.fromkeys(one.appearances, 0.0)) for one in found.rounds)
+    numbers = {"unexplained_part": rest.share_of_residual, "p_value": rest.p_value}
+    steps = [step(StepKind.ENTER, one, "nothing_left", **numbers) for one in unnamed]
+    return replace(found, chosen=chosen, rounds=rounds, trace=(*found.trace, *steps))
 
 
 def _begin(

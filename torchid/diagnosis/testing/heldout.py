@@ -24,7 +24,6 @@ from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import Posterior, fit
 from torchid.diagnosis.evidence.residuals import residual
 from torchid.diagnosis.evidence.statistics import Statistics
-from torchid.diagnosis.search.elimination import sizes
 from torchid.diagnosis.search.result import SearchResult
 from torchid.effects.place import Interval
 from torchid.observation.trial import TrialObservation
@@ -70,18 +69,14 @@ class HeldOutFit:
 class HeldOut:
     """The held-out trials of a search."""
 
-    def __init__(
-        self, found: SearchResult, observed: Sequence[TrialObservation], heldout: Sequence[TrialObservation]
-    ) -> None:
+    def __init__(self, found: SearchResult, heldout: Sequence[TrialObservation]) -> None:
         """Make columns and statistics of the held-out trials beside those of the fit trials.
 
         Args:
             found: result of the search in the fit trials.
-            observed: the fit trials.
             heldout: the trials to ask; may be none.
         """
         self.found, self.trials, self.first = found, heldout, len(found.model.statistics.trials)
-        self.share = _used(heldout) / max(_used(observed), 1)
         self.columns = self._columns()
         model = self._model()
         self.both = self._beside(model.statistics)
@@ -118,15 +113,6 @@ class HeldOut:
         (_, whole, markers), some = self._marginalised(chosen)
         return _over(whole, markers, some)
 
-    def log_errors(self, chosen: Sequence[Candidate]) -> Float[Tensor, " 2"]:
-        """Return logarithms of the held-out RMS of forces and moments, averaged over trials.
-
-        Args:
-            chosen: effects of the model.
-        """
-        (statistics, _, _), some = self._marginalised(chosen)
-        return sizes(self.trials, self._left(fit(statistics, some)))
-
     def acting(self) -> tuple[Candidate, ...]:
         """Return the chosen effects; a state of single recordings also acts in those held-out ones that show it.
 
@@ -148,14 +134,6 @@ class HeldOut:
             one: the effect.
         """
         return one.trials == self.found.model.statistics.all
-
-    def acts_here(self, one: Candidate) -> bool:
-        """Return whether an effect acts in a held-out trial.
-
-        Args:
-            one: the effect.
-        """
-        return self.everywhere(one) or bool(one.trials - self.found.model.statistics.all)
 
     def _columns(self) -> list[Columns]:
         """Return columns of the held-out trials, nonlinear effects and shifts in time taken where the fit trials found
@@ -245,8 +223,3 @@ class HeldOut:
 def _over(more: Statistics, less: Statistics, chosen: Sequence[Candidate]) -> float:
     """Return the log density of what some statistics have beyond others [nat]."""
     return fit(more, chosen).log_evidence + more.constant - fit(less, chosen).log_evidence - less.constant
-
-
-def _used(trials: Sequence[TrialObservation]) -> int:
-    """Return the number of used frames."""
-    return sum(int(w.rows.used.sum()) for w in trials)

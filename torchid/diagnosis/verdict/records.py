@@ -74,8 +74,8 @@ class Cause:
     witnesses: tuple[CheckAnswer, ...] = ()
     """Answers of those who hear it without a body model, the loudest first."""
     applied: bool = True
-    """False if the published model is not corrected for it: it is only possible, and nothing is predicted better with
-    it."""
+    """False if the published model is not corrected for it: it is only possible, or everything fitted again with it
+    predicts worse."""
 
     @property
     def level(self) -> str:
@@ -127,21 +127,16 @@ class NearestEffect:
 
 @dataclass(frozen=True)
 class Refuted:
-    """A cause that fit trials named and that held-out motion, or the model fitted with it, speaks against; the model
-    was not extended by it."""
+    """A cause that fit trials named and that they do not support together with held-out motion."""
 
     effect: str
     """Name of the effect."""
     where: tuple[str, ...]
     """Names of its place."""
     heldout_log_likelihood: float
-    """Log density that it gained there [nat]; where it acts on forces alone, that of forces given what cameras saw.
-
-    It is below ``-HeldOutOptions.refuted_nats``, less its leeway, unless both forces and moments err plainly more with
-    it, or the model that is fitted with it predicts worse.
-    """
+    """Log density that it gained there [nat]; where it acts on forces alone, that of forces given what cameras saw."""
     rule: str
-    """``heldout_density``, ``heldout_errors`` or ``never_worse``."""
+    """Name of the rule, ``heldout_density``."""
     numbers: dict[str, float]
     """Numbers that the rule compared, by names that end in their unit."""
 
@@ -165,7 +160,7 @@ class Diagnosis:
     nearest: tuple["NearestEffect", ...] = ()
     """Effects that came closest to being named beside the causes, best first."""
     refuted: tuple["Refuted", ...] = ()
-    """Causes that held-out motion, or the model fitted with them, refuted."""
+    """Causes that held-out motion refuted."""
     trace: Trace = ()
     """Every entry, exit, discount and refusal, in order."""
     aside: tuple[Interval, ...] = ()
