@@ -1,11 +1,13 @@
 """Every error says what to do."""
 
 import ast
+import pickle
 from pathlib import Path
 
 import pytest
 
-from torchid.errors import InputError
+from torchid.config.explain import InvalidConfig
+from torchid.errors import ConfigError, InputError, OptionError, TorchidError
 
 PACKAGE = Path(__file__).resolve().parents[1] / "torchid"
 ERRORS = {"InputError", "DataError", "OptionError", "ConfigError", "TorchidError"}
@@ -34,3 +36,21 @@ def test_an_error_without_a_remedy_is_found(tmp_path: Path) -> None:
     assert bare(path) == [2, 3]
     with pytest.raises(TypeError, match="remedy"):
         InputError("a", "b")  # pyright: ignore[reportCallIssue]
+
+
+def test_errors_come_back_from_another_process() -> None:
+    """A worker's error ends its job alone, with its words: one that cannot be unpickled ends the whole pool."""
+    one = OptionError("a.b", "what", source="file", place="where", found="this", remedy="Do that")
+    for error in (
+        one,
+        InputError("a.c", "other", remedy="Do"),
+        InvalidConfig([ConfigError("k", "key", remedy="Go"), one]),
+    ):
+        back = pickle.loads(pickle.dumps(error))  # noqa: S301
+        assert type(back) is type(error) and str(back) == str(error) and isinstance(back, TorchidError)
+        assert (back.code, back.source, back.place, back.remedy) == (
+            error.code,
+            error.source,
+            error.place,
+            error.remedy,
+        )

@@ -464,9 +464,10 @@ def test_too_few_forces_for_a_clock_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_change_of_a_plate_that_needs_corners_is_refused_without(tmp_path: Path) -> None:
-    """A MOT has no corners in which an axis of the plate could be reversed; its gain needs none."""
+    """A MOT has no corners in which a plate could be turned or an axis reversed; its gain needs none."""
     pair(tmp_path, standing())
-    for change in (PlateAs(mirror="x"), PlateAs(exchange=("fx", "fy")), PlateAs(reads=1)):
+    turned = (PlateAs(turn_deg=180), PlateAs(corners=(2, 1, 4, 3)), PlateAs(corner_unit="m"))
+    for change in (PlateAs(mirror="x"), PlateAs(exchange=("fx", "fy")), PlateAs(reads=1), *turned):
         with pytest.raises(InputError, match=r"plates\.corners") as caught:
             read_trial("a", tmp_path / "a.trc", tmp_path / "a.mot", options=ReadOptions(plates={1: change}))
         assert caught.value.place == "ground_force_1" and "forces_as" in caught.value.remedy

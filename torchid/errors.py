@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,10 @@ class TorchidError(Exception):
         self.source, self.place, self.found, self.remedy = str(source), place, found, remedy
         super().__init__(str(self))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # An exception is made again from what str() says of it, which is none of the arguments of these.
+        return _restored, (type(self), self.args), self.__dict__
+
     def __str__(self) -> str:
         where = ", ".join(part for part in (self.source, self.place) if part)
         text = f"{where}: {self.message}" if where else self.message
@@ -46,6 +51,11 @@ class TorchidError(Exception):
         if self.remedy:
             text += f". {self.remedy}"
         return f"{text} [{self.code}]"
+
+
+def _restored(kind: type[TorchidError], said: tuple[str, ...]) -> TorchidError:
+    """Make an error of another process, which gets its attributes then."""
+    return kind.__new__(kind, *said)
 
 
 class InputError(TorchidError):

@@ -195,6 +195,8 @@ def _mended(forces: Forces, k: int, change: PlateAs | None, index: dict[int, int
     wrench, plate = forces.wrench[:, k], forces.plates[k]
     if change is None or change == PlateAs():
         return wrench
+    if change.corners or change.turn_deg or change.corner_unit:
+        _with_corners(plate, source)  # reading has moved them
     if change.reads or change.exchange or change.mirror:
         origin = index[change.reads] if change.reads else k
         channels = in_plate(forces.wrench[:, origin], _with_corners(forces.plates[origin], source))
