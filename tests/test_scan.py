@@ -105,7 +105,7 @@ def round_of(*rivals: tuple[Candidate, float, float]) -> Round:
     strict = tuple(Rival(c, x, x, x) for c, x, _ in rivals)
     compared = tuple(Rival(c, y, y, y) for c, _, y in rivals)
     names = [r.candidate.effect.name for r in strict]
-    return Round(strict, dict.fromkeys(names, 9.0), dict.fromkeys(names, 0.0), compared=compared)
+    return Round(strict, dict.fromkeys(names, 9.0), compared=compared)
 
 
 @pytest.mark.parametrize(("lead", "twin"), [(-1.0, True), (2.0, True), (6.0, False), (-6.0, False)])
@@ -157,7 +157,7 @@ def test_what_all_places_have_and_what_sound_sessions_have_are_not_both_taken_of
     sizes = torch.tensor([2.0] * 3 + [0.05] * 24).double()
     round_ = scanned(columns, columns @ sizes, [1.0] * 9, "marker_shift")
     best = round_.rivals[0]
-    beyond = best.evidence - best.ordinary - best.apparent
+    beyond = best.evidence - best.ordinary - (round_.appearance - math.log(best.candidate.odds))
     assert best.ordinary > 10.0 and 0.0 < beyond <= -math.log(best.candidate.effect.mistaken) + 1e-9
 
 
@@ -176,7 +176,7 @@ def test_what_is_ordinary_is_named_where_it_leaves_nothing_but_noise(monkeypatch
     search = session_search()
     first, clock, scale = search.chosen
     rounds = (round_of((clock, 30.0, 30.0), (scale, 10.0, 10.0)),)
-    rounds = tuple(replace(one, appearances=dict.fromkeys(one.appearances, 29.0)) for one in rounds)
+    rounds = tuple(replace(one, appearance=29.0) for one in rounds)
     found = replace(search, chosen=(first, replace(clock, ordinary=True), scale), rounds=rounds)
 
     def assess(observed, left, options) -> Adequacy:

@@ -41,8 +41,6 @@ class Rival:
     none."""
     options: NamingOptions = NamingOptions()
     """Thresholds of naming."""
-    apparent: float = 0.0
-    """Log evidence of what sessions without it seem to have of it, over what is ordinary; at least zero [nat]."""
     told: float = 0.0
     """Log likelihood ratio of other proof than forces [nat]."""
 
@@ -83,11 +81,11 @@ class Round:
     """Candidates, best first."""
     families: dict[str, float]
     """Score of each effect [nat], averaged over its places: what was searched is paid for."""
-    appearances: dict[str, float]
-    """Log evidence of what sessions without each effect seem to have of it, over what is ordinary [nat], averaged over
-    its places."""
     options: NamingOptions = NamingOptions()
     """Thresholds of naming."""
+    appearance: float = 0.0
+    """Log evidence of what sessions without the best effect seem to have of it, over what is ordinary [nat], averaged
+    over its places."""
     compared: tuple[Rival, ...] = ()
     """Rivals against the best with sizes averaged over orders of magnitude: the width of a prior names no cause."""
 
@@ -101,7 +99,7 @@ class Round:
     def ordinary(self) -> bool:
         """True if the best is no more than what sessions without it seem to have of it."""
         best, options = self.rivals[0], self.options
-        return self.family(best) - self.appearances[best.candidate.effect.name] < options.named_nats
+        return self.family(best) - self.appearance < options.named_nats
 
     def family(self, rival: Rival) -> float:
         """Return the score of a rival's effect [nat].
@@ -116,7 +114,7 @@ class Round:
         """Posterior probabilities of ``compared``; one minus their sum is that of none, or of what the best seems to
         be in sessions without it. Effects are alike, places by odds."""
         log = torch.tensor([r.likely for r in self.compared], dtype=torch.float64)
-        none = log.new_tensor([max(self.appearances[self.rivals[0].candidate.effect.name], 0.0)])
+        none = log.new_tensor([max(self.appearance, 0.0)])
         return torch.softmax(torch.cat([log, none]), 0)[:-1].tolist()
 
 

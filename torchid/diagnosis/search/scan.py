@@ -33,6 +33,8 @@ class Scanned:
     """Statistics in which effects with parameters of their own in every trial are integrated out."""
     chosen: Sequence[Candidate]
     """Chosen effects but for those."""
+    given: tuple[Statistics, Sequence[Candidate]]
+    """All statistics, and all chosen effects."""
     rivals: tuple[Rival, ...]
     """Candidates with their evidence from all trials."""
     options: NamingOptions
@@ -48,9 +50,19 @@ class Scanned:
         names = dict.fromkeys(one.candidate.effect.name for one in self.rivals)
         places = {n: [r for r in rivals if r.candidate.effect.name == n] for n in names}
         families = {n: _mean([r.weighed for r in some]) for n, some in places.items()}
-        appearances = {n: _mean([r.apparent + math.log(r.candidate.odds) for r in some]) for n, some in places.items()}
-        found = Round(tuple(rivals), families, appearances, self.options)
-        return found if found.named is None else replace(found, compared=_compared(self.statistics, self.chosen, found))
+        found = Round(tuple(rivals), families, self.options)
+        if (best := found.named) is None:
+            return found
+        appearance = self._appearance(places[best.candidate.effect.name])
+        return replace(found, appearance=appearance, compared=_compared(self.statistics, self.chosen, found))
+
+    def _appearance(self, places: Sequence[Rival]) -> float:
+        """Return ``Round.appearance`` of the places of an effect."""
+        statistics, chosen = self.given
+        bare, others = marginalise_per_trial(statistics.unstated, chosen)
+        apparent = apparent_evidence(bare, fit(bare, others), [r.candidate for r in places])
+        both = zip(places, apparent, strict=True)
+        return _mean([max(x - r.ordinary, 0.0) + math.log(r.candidate.odds) for r, x in both])
 
 
 def scan_all(
@@ -69,17 +81,13 @@ def scan_all(
         options: thresholds of naming.
         told: what other proof than forces says.
     """
-    bare, _ = marginalise_per_trial(statistics.unstated, chosen)
+    given = statistics, chosen
     statistics, chosen = marginalise_per_trial(statistics, chosen)
     posterior = fit(statistics, chosen)
     gain, energy = (x.tolist() for x in gains(statistics, posterior, left))
-    apparent = apparent_evidence(bare, fit(bare, chosen), left)
-    each = zip(left, gain, energy, _ordinary(statistics, posterior, left), apparent, strict=True)
-    rivals = tuple(
-        Rival(c, g, g, e - 0.5 * c.size, o, options=options, apparent=max(a - o, 0.0), told=told_nats(told, c))
-        for c, g, e, o, a in each
-    )
-    return Scanned(statistics, chosen, rivals, options)
+    each = zip(left, gain, energy, _ordinary(statistics, posterior, left), strict=True)
+    rivals = tuple(Rival(c, g, g, e - 0.5 * c.size, o, options=options, told=told_nats(told, c)) for c, g, e, o in each)
+    return Scanned(statistics, chosen, given, rivals, options)
 
 
 def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candidate]) -> list[float]:

@@ -117,7 +117,7 @@ def _believed(observed: Sequence[TrialObservation], found: SearchResult) -> Sear
     if rest.significant or not without.p_value < found.options.adequacy.p_value:
         return found
     chosen = tuple(replace(one, ordinary=False) for one in found.chosen)
-    rounds = tuple(replace(one, appearances=dict.fromkeys(one.appearances, 0.0)) for one in found.rounds)
+    rounds = tuple(replace(one, appearance=0.0) for one in found.rounds)
     numbers = {"unexplained_part": rest.share_of_residual, "p_value": rest.p_value}
     steps = [step(StepKind.ENTER, one, "nothing_left", **numbers) for one in unnamed]
     return replace(found, chosen=chosen, rounds=rounds, trace=(*found.trace, *steps))
@@ -221,7 +221,7 @@ def _decisions(scan: Round, looked: Candidate | None) -> list[TraceStep]:
             "evidence_nats": best.evidence,
             "crossed_nats": best.crossed,
             "effect_nats": scan.family(best),
-            "apparent_nats": scan.appearances[best.candidate.effect.name],
+            "apparent_nats": scan.appearance,
         }
         if scan.ordinary:
             return [step(StepKind.REFUSE, best.candidate, "ordinary", **numbers, least_nats=least)]
