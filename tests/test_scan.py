@@ -162,30 +162,26 @@ def test_what_all_places_have_and_what_sound_sessions_have_are_not_both_taken_of
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "named"),
+    ("nats", "left", "named"),
     [
-        (0.001, 0.3, True),
-        (0.3, 0.5, False),  # nothing was to be explained
-        (0.001, 0.005, True),  # hardly anything is left
-        (1e-9, 1e-9, False),  # bodies leave as much
-        (math.nan, math.nan, False),
+        (9.0, 0.3, True),
+        (4.0, 0.5, False),  # chance
+        (9.0, 0.005, True),  # hardly more than noise
+        (9.0, 1e-9, False),  # bodies leave as much
+        (9.0, math.nan, False),
     ],
 )
-def test_what_is_ordinary_is_named_where_it_leaves_nothing_but_noise(monkeypatch, before, after, named):
+def test_what_is_ordinary_is_named_where_it_leaves_nothing_but_noise(monkeypatch, nats, left, named):
     """No body imitates an effect where columns know all that the plates read."""
     search = session_search()
     first, clock, scale = search.chosen
-    rounds = (round_of((clock, 30.0, 30.0), (scale, 10.0, 10.0)),)
-    rounds = tuple(replace(one, appearance=29.0) for one in rounds)
+    rounds = (replace(round_of((clock, 30.0, 30.0), (scale, 10.0, 10.0)), appearance=29.0),)
     found = replace(search, chosen=(first, replace(clock, ordinary=True), scale), rounds=rounds)
-
-    def assess(observed, left, options) -> Adequacy:
-        p = before if left == 2 else after
-        share = 0.3 if p > 1e-6 else 0.9
-        return Adequacy(p < options.p_value and share > options.band_part, p, share, "")
-
-    monkeypatch.setattr(stepwise, "residuals", lambda observed, model, posterior: len(posterior.chosen))
-    monkeypatch.setattr(stepwise, "assess_adequacy", assess)
+    share = 0.9 if left < 1e-6 else 0.3
+    rest = Adequacy(share > found.options.adequacy.band_part, left, share, "")
+    monkeypatch.setattr(stepwise, "support", lambda statistics, chosen, one: nats)
+    monkeypatch.setattr(stepwise, "residuals", lambda observed, model, posterior: ())
+    monkeypatch.setattr(stepwise, "assess_adequacy", lambda observed, left, options: rest)
     believed = stepwise._believed((), found)
     assert [one.ordinary for one in believed.chosen] == [False, not named, False]
     assert [(s.rule, s.effect) for s in believed.trace] == ([("nothing_left", "time_offset")] if named else [])

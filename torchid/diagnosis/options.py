@@ -27,6 +27,9 @@ class NamingOptions:
     that hide nothing (``scripts/battery --calibrate``)."""
     effect_odds: Share = 0.1
     """Derived. Odds before any data that a session has an effect of one kind: one session in ten."""
+    very_strong_nats: Positive = 5.0
+    """Cited. Log odds from which an effect is named that sound sessions seem to have as well, if nothing but noise is
+    left with it: above 150 to one, evidence is very strong (Kass & Raftery, JASA 90:773 (1995))."""
     alike_nats: Positive = 3.0
     """Cited. Log odds within which a rival cannot be told from the best: below 20 to one, evidence is not strong
     (Kass & Raftery, JASA 90:773 (1995))."""

@@ -27,7 +27,7 @@ from torchid.diagnosis.evidence.skin_prior import with_slides
 from torchid.diagnosis.options import DiagnosisOptions, NamingOptions
 from torchid.diagnosis.search.elimination import SUPPORTED, settle
 from torchid.diagnosis.search.interval_refinement import refine_interval
-from torchid.diagnosis.search.result import SearchResult, reduced, twins_of
+from torchid.diagnosis.search.result import SearchResult, reduced, support, twins_of
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import StepKind, Trace, TraceStep, step
@@ -100,26 +100,28 @@ def search(
 
 
 def _believed(observed: Sequence[TrialObservation], found: SearchResult) -> SearchResult:
-    """Return the result with what is ordinary named as well, if nothing but noise is left with it.
+    """Return the result with what is ordinary named as well, where its evidence is very strong and nothing but noise is
+    left with it.
 
-    Appearances are what bodies do that no column knows. Where columns know everything, nothing appears. Where all is
-    noise without it, nothing is to be explained.
+    Appearances are what bodies do that no column knows. Where columns know everything, nothing appears.
     """
-    unnamed = [one for one in found.chosen if one.ordinary]
-    if not unnamed:
+    nats = {id(one): support(found.model.statistics, found.chosen, one) for one in found.chosen if one.ordinary}
+    strong = [one for one in found.chosen if nats.get(id(one), 0.0) >= found.options.naming.very_strong_nats]
+    if not strong:
         return found
-    models = (found.model.fit([one for one in found.chosen if not one.ordinary]), found.posterior)
-    without, rest = (
-        assess_adequacy(observed, residuals(observed, found.model, posterior), found.options.adequacy)
-        for posterior in models
-    )
-    log.info("without what is ordinary p = %.2g, with it %.2g", without.p_value, rest.p_value)
-    if rest.significant or not without.p_value < found.options.adequacy.p_value:
+    rest = assess_adequacy(observed, residuals(observed, found.model, found.posterior), found.options.adequacy)
+    if rest.significant or math.isnan(rest.p_value):
         return found
-    chosen = tuple(replace(one, ordinary=False) for one in found.chosen)
+    chosen = tuple(replace(one, ordinary=one.ordinary and one not in strong) for one in found.chosen)
     rounds = tuple(replace(one, appearance=0.0) for one in found.rounds)
-    numbers = {"unexplained_part": rest.share_of_residual, "p_value": rest.p_value}
-    steps = [step(StepKind.ENTER, one, "nothing_left", **numbers) for one in unnamed]
+    least = found.options.naming.very_strong_nats
+    steps = [
+        step(
+            StepKind.ENTER, one, "nothing_left", evidence_nats=nats[id(one)], least_nats=least,
+            unexplained_part=rest.share_of_residual, p_value=rest.p_value,
+        )
+        for one in strong
+    ]  # fmt: skip
     return replace(found, chosen=chosen, rounds=rounds, trace=(*found.trace, *steps))
 
 
