@@ -1,6 +1,7 @@
-"""No cause is published that makes a prediction worse beyond chance, and one that is there stays."""
+"""No cause is corrected that makes a prediction worse beyond chance, and one that is there is."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +31,7 @@ from torchid.extension.block_errors import (
 )
 from torchid.extension.diagnosing import forceful
 from torchid.extension.never_worse import Growth, compare, growth
-from torchid.extension.publishing import RULE, least_promised, publishable
+from torchid.extension.publishing import RULE, _chosen, least_promised, publishable
 from torchid.filters import Smoother
 from torchid.inertia.left_out import leave_out_each
 from torchid.inertia.options import InertiaOptions
@@ -160,6 +161,29 @@ def test_what_promised_least_leaves_first():
     assert least_promised((one, two), grown("markers")) is one
     unsure, sure = cause(4, 0.6), cause(5, force_rmse_pct=math.nan)
     assert least_promised((sure, unsure), grown("moment")) is unsure
+
+
+@pytest.mark.parametrize(
+    ("harm", "kept"),
+    [("", "abc"), ("a", "bc"), ("b", "ac"), ("c", "ab"), ("ab", "c"), ("abc", "")],
+)
+def test_what_does_no_harm_is_corrected(harm, kept):
+    """Whatever leaves first: each that is left out is tried once more when all is well."""
+    causes = {name: cause(k, force_rmse_pct=float(k)) for k, name in enumerate("abc")}
+    tried: list[str] = []
+    made: dict[int, tuple[Outcome, str]] = {}
+
+    def attempt(some: Sequence[Cause]) -> tuple[Outcome | None, tuple[Growth, ...]]:
+        tried.append("".join(name for name, one in causes.items() if any(one is other for other in some)))
+        bad = set(harm) & set(tried[-1])
+        fitted = object.__new__(Outcome)
+        made[id(fitted)] = fitted, tried[-1]
+        return fitted, grown("force") if bad else ()
+
+    outcome, left, gone = _chosen(list(causes.values()), attempt, OPTIONS)
+    names = {id(one): name for name, one in causes.items()}
+    assert "".join(sorted(names[id(one)] for one in left)) == "".join(sorted(kept)) == made[id(outcome)][1]
+    assert {names[id(one)] for one, _ in gone} == set("abc") - set(kept) and len(tried) <= 6
 
 
 def clean() -> Outcome:

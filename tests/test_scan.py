@@ -13,7 +13,7 @@ from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import NamingOptions
-from torchid.diagnosis.search import stepwise
+from torchid.diagnosis.search import believed
 from torchid.diagnosis.search.estimates import estimate
 from torchid.diagnosis.search.result import reduced
 from torchid.diagnosis.search.rivals import Rival, Round
@@ -162,16 +162,17 @@ def test_what_all_places_have_and_what_sound_sessions_have_are_not_both_taken_of
 
 
 @pytest.mark.parametrize(
-    ("nats", "left", "named"),
+    ("nats", "left", "limit", "named"),
     [
-        (9.0, 0.3, True),
-        (4.0, 0.5, False),  # chance
-        (9.0, 0.005, True),  # hardly more than noise
-        (9.0, 1e-9, False),  # bodies leave as much
-        (9.0, math.nan, False),
+        (9.0, 0.3, 4, True),
+        (4.0, 0.5, 4, False),  # chance
+        (9.0, 0.005, 4, True),  # hardly more than noise
+        (9.0, 1e-9, 4, False),  # bodies leave as much
+        (9.0, math.nan, 4, False),
+        (9.0, 0.3, 1, False),  # another force is named
     ],
 )
-def test_what_is_ordinary_is_named_where_it_leaves_nothing_but_noise(monkeypatch, nats, left, named):
+def test_what_is_ordinary_is_named_where_it_leaves_nothing_but_noise(monkeypatch, nats, left, limit, named):
     """No body imitates an effect where columns know all that the plates read."""
     search = session_search()
     first, clock, scale = search.chosen
@@ -179,10 +180,10 @@ def test_what_is_ordinary_is_named_where_it_leaves_nothing_but_noise(monkeypatch
     found = replace(search, chosen=(first, replace(clock, ordinary=True), scale), rounds=rounds)
     share = 0.9 if left < 1e-6 else 0.3
     rest = Adequacy(share > found.options.adequacy.band_part, left, share, "")
-    monkeypatch.setattr(stepwise, "support", lambda statistics, chosen, one: nats)
-    monkeypatch.setattr(stepwise, "residuals", lambda observed, model, posterior: ())
-    monkeypatch.setattr(stepwise, "assess_adequacy", lambda observed, left, options: rest)
-    believed = stepwise._believed((), found)
-    assert [one.ordinary for one in believed.chosen] == [False, not named, False]
-    assert [(s.rule, s.effect) for s in believed.trace] == ([("nothing_left", "time_offset")] if named else [])
-    assert cause_of(believed, 1, {}, ("a", "b")).confidence == pytest.approx(1.0 if named else 0.0, abs=0.3)
+    monkeypatch.setattr(believed, "support", lambda statistics, chosen, one: nats)
+    monkeypatch.setattr(believed, "residuals", lambda observed, model, posterior: ())
+    monkeypatch.setattr(believed, "assess_adequacy", lambda observed, left, options: rest)
+    after = believed.believed(found, (), limit)
+    assert [one.ordinary for one in after.chosen] == [False, not named, False]
+    assert [(s.rule, s.effect) for s in after.trace] == ([("nothing_left", "time_offset")] if named else [])
+    assert cause_of(after, 1, {}, ("a", "b")).confidence == pytest.approx(1.0 if named else 0.0, abs=0.3)

@@ -36,10 +36,10 @@ def test_every_rule_has_its_words():
 def test_a_decision_is_a_sentence(rule, seems):
     """It names the cause, has a number, and no underscore, whatever the numbers are."""
     rng = np.random.default_rng(small.SEED)
-    names = ("evidence_nats", "crossed_nats", "effect_nats", "least_nats", "heldout_nats", "leeway_nats",
+    names = ("evidence_nats", "crossed_nats", "effect_nats", "least_nats", "heldout_nats",
              "background_nats", "missing_part", "lowest_sd", "least_part", "factor",
-             "error_growth_part", "field_part", "p_value", "force_growth_part", "moment_growth_part",
-             "markers_growth_part", "base_growth_part", "most_part", "misfit_mm", "undone_mm")  # fmt: skip
+             "field_part", "p_value", "force_growth_part", "moment_growth_part",
+             "markers_growth_part", "most_part", "misfit_mm", "undone_mm")  # fmt: skip
     names = (*names, "apparent_nats") if seems else names
     numbers = {name: float(rng.normal(scale=30.0 if name.endswith("nats") else 0.4)) for name in names}
     said = sentence(TraceStep(StepKind.ENTER, "drag", ("thorax",), rule, numbers))

@@ -59,7 +59,7 @@ def diagnose(
         plates: plates of the session.
         effects: effects to try.
         known: what the inertial fit knew and found.
-        limit: number of causes at most of each kind (``stepwise.kind_of``).
+        limit: number of causes at most of each kind (``kinds.kind_of``).
         options: every threshold that decides.
         panel: what model-free checks state; None: nothing.
         told: what other proof than forces says.

@@ -150,7 +150,6 @@ class DiagnosisOptions:
     """Thresholds from which an effect is named and told from others."""
     elimination: EliminationOptions = field(default_factory=EliminationOptions)
     """Thresholds by which a cause is taken out again."""
-    """Thresholds by which held-out motion refutes a cause."""
     adequacy: AdequacyOptions = field(default_factory=AdequacyOptions)
     """Thresholds from which the residual is more than noise."""
     confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)

@@ -10,13 +10,11 @@ from torchid.diagnosis.candidates.exchanged_markers import EFFECT as EXCHANGE
 from torchid.diagnosis.candidates.exchanged_markers import ExchangedMarkers, exchanged_markers
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
-from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.options import MissingWeightOptions
-from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.verdict.causes import with_exchanged_markers, with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
-from torchid.dynamics.rows import WrenchTrial, measured
+from torchid.dynamics.rows import WrenchTrial
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.place import SESSION
 from torchid.effects.scene import PlateFrame
@@ -94,18 +92,6 @@ def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:
         one for one in outcome.session.tracking if one.kind is TrackFault.EXCHANGED and known.issuperset(one.labels)
     ]
     return [exchanged_markers(one, outcome.session.trials[one.trial].markers.time) for one in told]
-
-
-def assess_outcome(outcome: Outcome) -> Adequacy:
-    """What a model leaves of the fit trials' forces, held against noise; some of them have frames that count.
-
-    Args:
-        outcome: of any model, as it is fitted.
-    """
-    limits = outcome.config.diagnosis.thresholds.adequacy
-    observed = list(observe_outcome(outcome, "fit", searched(forceful(outcome, "fit"))).values())
-    left = [measured(one.rows) - one.identified for one in observed]
-    return with_vibration(assess_adequacy(observed, left, limits), observed, limits)
 
 
 def _missing_weight(

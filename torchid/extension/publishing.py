@@ -9,7 +9,7 @@ does not.
 
 import logging
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from torchid.diagnosis.options import NeverWorseOptions
@@ -18,7 +18,6 @@ from torchid.diagnosis.verdict.records import Cause, Diagnosis
 from torchid.errors import DataError
 from torchid.extension.block_errors import block_errors, cut_blocks
 from torchid.extension.correction import corrected_config, extend_outcome, moves_markers
-from torchid.extension.diagnosing import assess_outcome
 from torchid.extension.never_worse import Growth, compare
 from torchid.extension.swapped_markers import swap_causes
 from torchid.session import Outcome
@@ -49,24 +48,47 @@ def publishable(base: Outcome, relabelled: Outcome, folder: OutputFolder, key: s
     """
     assert base.diagnosis is not None
     judge = _Judge(base)
-    origin, left_out = _renamed(base, relabelled, judge)
+    origin, swaps, left_out = _renamed(base, relabelled, judge)
+
+    def attempt(some: Sequence[Cause]) -> tuple[Outcome | None, tuple[Growth, ...]]:
+        outcome = _extended(base, origin, some, folder, key, progress)
+        return outcome, FAILED if outcome is None else judge.growth(outcome, tuple(some)) if some else ()
+
     assert origin.diagnosis is not None
-    kept = [cause for cause in origin.diagnosis.causes if cause.level != "possible"]
-    while True:
-        outcome = _extended(base, origin, kept, folder, key, progress)
-        grown = FAILED if outcome is None else judge.growth(outcome, tuple(kept))
-        if not kept or not any(one.worse for one in grown):
-            break
-        gone = least_promised(kept, grown)
-        left_out.append((gone, worsening(grown, judge.options)))
-        log.info("%s left out: %s", _called([gone]), left_out[-1][1])
-        kept = [cause for cause in kept if cause is not gone]
-    assert outcome is not None, "the base model was fitted before"
-    verdict = applied(base.diagnosis, left_out)
-    if not all(cause.applied for cause in verdict.causes):
-        verdict = replace(verdict, unexplained=assess_outcome(outcome))
+    likely = [cause for cause in origin.diagnosis.causes if cause.level != "possible"]
+    outcome, kept, gone = _chosen(likely, attempt, judge.options)
+    verdict = applied(base.diagnosis, [*kept, *swaps], [*left_out, *gone])
     published = replace(outcome, diagnosis=verdict)
     return published if outcome.base is None else replace(published, base=replace(base, diagnosis=verdict))
+
+
+def _chosen(
+    likely: Sequence[Cause],
+    attempt: Callable[[Sequence[Cause]], tuple[Outcome | None, tuple[Growth, ...]]],
+    options: NeverWorseOptions,
+) -> tuple[Outcome, list[Cause], list[LeftOut]]:
+    """The model of as many causes as make it predict no worse, these causes, and those that are left out.
+
+    The one that promised least leaves first. As another may have done the harm, each is tried once more when all is
+    well, but for the last, which has just been.
+    """
+    kept, gone = list(likely), []
+    outcome, grown = attempt(kept)
+    while kept and _worse(grown):
+        gone.append((least_promised(kept, grown), worsening(grown, options)))
+        log.info("%s left out: %s", _called([gone[-1][0]]), gone[-1][1])
+        kept = [cause for cause in kept if cause is not gone[-1][0]]
+        outcome, grown = attempt(kept)
+    assert outcome is not None, "the base model, and that with other labels, were fitted before"
+    for one in gone[-2::-1]:
+        other, grown = attempt([*kept, one[0]])
+        if other is not None and not _worse(grown):
+            outcome, kept, gone = other, [*kept, one[0]], [left for left in gone if left is not one]
+    return outcome, kept, gone
+
+
+def _worse(grown: Sequence[Growth]) -> bool:
+    return any(one.worse for one in grown)
 
 
 class _Judge:
@@ -83,18 +105,21 @@ class _Judge:
         return compare(self._before, block_errors(outcome, self._base, config, self._blocks), self.options)
 
 
-def _renamed(base: Outcome, relabelled: Outcome, judge: _Judge) -> tuple[Outcome, list[LeftOut]]:
-    """The outcome to extend: relabelled, unless that predicts worse; then swaps are left out and the others asked."""
-    assert base.diagnosis is not None
+def _renamed(base: Outcome, relabelled: Outcome, judge: _Judge) -> tuple[Outcome, list[Cause], list[LeftOut]]:
+    """The outcome to extend, the swaps that it has put right, and those that were left out.
+
+    Relabelled, unless that predicts worse; then the other causes are asked alone.
+    """
+    assert base.diagnosis is not None and relabelled.diagnosis is not None
     if relabelled is base:
-        return base, []
+        return base, [], []
+    after = relabelled.diagnosis.causes
+    swaps = [cause for cause in swap_causes(base.diagnosis.causes) if not _among(cause, after)]
     grown = judge.growth(relabelled, ())
-    if not any(one.worse for one in grown):
-        return relabelled, []
-    swaps = swap_causes(base.diagnosis.causes)
-    others = tuple(cause for cause in base.diagnosis.causes if not any(cause is swap for swap in swaps))
+    if not _worse(grown):
+        return relabelled, swaps, []
     numbers = worsening(grown, judge.options)
-    return replace(base, diagnosis=replace(base.diagnosis, causes=others)), [(swap, numbers) for swap in swaps]
+    return replace(base, diagnosis=relabelled.diagnosis), [], [(swap, numbers) for swap in swaps]
 
 
 def _extended(
@@ -144,24 +169,19 @@ def worsening(grown: Sequence[Growth], options: NeverWorseOptions) -> dict[str, 
     }  # fmt: skip
 
 
-def applied(found: Diagnosis, left_out: Sequence[LeftOut]) -> Diagnosis:
+def applied(found: Diagnosis, kept: Sequence[Cause], left_out: Sequence[LeftOut]) -> Diagnosis:
     """The verdict that says which causes the model is corrected for, with a step of the trace for what left it.
 
     Args:
         found: with all causes.
+        kept: those that are corrected.
         left_out: those with which the model predicts worse.
     """
-    gone = [cause for cause, _ in left_out]
-    swaps = swap_causes(found.causes)
-    causes = tuple(
-        replace(own, applied=not _among(own, gone) and (own.level != "possible" or _among(own, swaps)))
-        for own in found.causes
-    )
+    causes = tuple(replace(own, applied=_among(own, kept)) for own in found.causes)
     steps = [TraceStep(StepKind.LEAVE, cause.effect, cause.where, RULE, numbers) for cause, numbers in left_out]
-    extended = any(own.applied for own in causes)
     return replace(
-        found, causes=causes, trace=(*found.trace, *steps),
-        extended=found.extended if extended else found.baseline, aside=found.aside if extended else (),
+        found, causes=causes, trace=(*found.trace, *steps), extended=found.extended if kept else found.baseline,
+        aside=found.aside if kept else (),
     )  # fmt: skip
 
 

@@ -45,7 +45,7 @@ def put_right(
         DataError: as ``identify``.
     """
     assert base.diagnosis is not None
-    exchanged = swap_causes(base.diagnosis.causes)
+    exchanged = swap_causes(base.diagnosis.likely)
     if not exchanged:
         return base, base
     again = fitted_anew(base, exchanged, folder, key, progress)

@@ -65,29 +65,27 @@ def _would_be(cause: Cause) -> str:
 
 POSSIBLE = "Possible (at most 50 %, nothing is corrected): rivals share the odds, or a test contradicts it."
 UNAPPLIED = "It is not corrected: the model that is fitted again with it predicts worse."
+UNAPPLIED_SEVERAL = "These are not corrected: the model that is fitted again with them predicts worse."
 EXTENDED = (
-    "Every other figure of this page is of the extended model. The causes listed as corrected are taken out of the "
-    "recordings, or, as a load, kept apart from the body. Then inertia is fitted again, and geometry where markers are "
-    "concerned. Measured forces drawn elsewhere are the corrected ones. The values before stand under “base” in "
-    "inertia.json and geometry.json, both predictions in the forces files."
+    "Every other figure of this page is of the extended model. The likely causes, but for those that are said not to "
+    "be corrected, are taken out of the recordings, or, as a load, kept apart from the body. Then inertia is fitted "
+    "again, and geometry where markers are concerned. Measured forces drawn elsewhere are the corrected ones. The "
+    "values before stand under “base” in inertia.json and geometry.json, both predictions in the forces files."
 )
 
 
 def _finding(outcome: Outcome, found: Diagnosis) -> str:
     options, named = outcome.config.diagnosis, found.likely
     if named:
-        return " ".join([*map(_told, named), *_gains(outcome, found), *_refuted(found)])
+        first, last = ([told(cause) for cause in named if cause.applied is on] for on in (True, False))
+        apart = [*last, UNAPPLIED if len(last) == 1 else UNAPPLIED_SEVERAL] if last else []
+        return " ".join([*first, *_gains(outcome, found), *apart, *_refuted(found)])
     tried = len(select_effects(options.include, options.exclude))
     if found.causes:
         silent = f"No likely fault ({tried} kinds tested); possible ones are listed below: nothing was corrected."
         return " ".join([silent, *_refuted(found)])
     silent = f"No fault found ({tried} kinds tested): nothing was corrected."
     return " ".join([silent, *_refuted(found), *_nearest(found, options.thresholds.naming.named_nats)])
-
-
-def _told(cause: Cause) -> str:
-    """What a cause is, and whether the model is corrected for it."""
-    return told(cause) if cause.applied else f"{told(cause)} {UNAPPLIED}"
 
 
 def _refuted(found: Diagnosis) -> list[str]:
@@ -125,7 +123,7 @@ def _gains(outcome: Outcome, found: Diagnosis) -> list[str]:
     said = [gained(before, after, "held-out")]
     applied = [cause for cause in found.causes if cause.applied]
     confined = sorted({trial for cause in applied if not cause.everywhere for trial in cause.trials})
-    marked = [cause for cause in found.likely if of_markers(cause) and not cause.everywhere]
+    marked = [cause for cause in applied if of_markers(cause) and not cause.everywhere]
     if marked:
         labels = tuple(dict.fromkeys(label for cause in marked for label in cause.where))
         trials = sorted({trial for cause in marked for trial in cause.trials})

@@ -84,7 +84,8 @@ def _named(found: Diagnosis | None, usable: bool) -> list[str]:
     if sure:
         twins = " or ".join(map(called, sure[0].indistinguishable))
         apart = f"; it may as well be {twins}, which the recordings do not tell apart" if twins else ""
-        said = [told(sure[0]), f"That is {likely(sure[0])}{apart}."]
+        done = "" if sure[0].applied else "; it is not corrected, as the model would predict worse"
+        said = [told(sure[0]), f"That is {likely(sure[0])}{apart}{done}."]
     elif usable:
         kinds = f"({len(CATALOGUE)} kinds tested)"
         said = [f"No fault confirmed {kinds}." if found.causes or found.refuted else f"No fault found {kinds}."]

@@ -30,7 +30,7 @@ def diagnosis_table(outcome: Outcome) -> dict[str, Any]:
     found["extended"]["heldout"] = heldout_errors(outcome)
     before, after = (found[k]["heldout"]["marker_rmse_mm"] for k in ("baseline", "extended"))
     for cause in found["causes"]:
-        seen = before > 0.0 and effect(cause["effect"]).moves_markers
+        seen = before > 0.0 and cause["applied"] and effect(cause["effect"]).moves_markers
         cause["gain"]["marker_rmse_pct"] = 100.0 * (1.0 - after / before) if seen else 0.0
     return found
 

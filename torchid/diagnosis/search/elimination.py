@@ -136,10 +136,10 @@ def stands_out(found: SearchResult, observed: Sequence[TrialObservation], k: int
     for trial, (columns, own) in enumerate(zip(model.design.trials, left, strict=True)):
         share = model.prior.scale * found.posterior.shares(len(model.prior.mean), trial)[k, n:]
         more.append(own + columns.added(share[columns.terms.live[n:] - n]))
-    return 1.0 - float((sizes(observed, left) - sizes(observed, more)).exp().min())
+    return 1.0 - float((_sizes(observed, left) - _sizes(observed, more)).exp().min())
 
 
-def sizes(observed: Sequence[TrialObservation], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:
+def _sizes(observed: Sequence[TrialObservation], left: Sequence[Tensor]) -> Float[Tensor, " 2"]:
     """Return logarithms of the RMS of residual forces [log N] and moments [log N m].
 
     They are averaged over trials so that none drowns the others.

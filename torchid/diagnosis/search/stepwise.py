@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.columns.assemble import make_design
-from torchid.diagnosis.columns.design import Design, narrower, only
+from torchid.diagnosis.columns.design import narrower, only
 from torchid.diagnosis.columns.relinearise import relinearised
 from torchid.diagnosis.columns.statement_rows import with_statements
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
@@ -25,9 +25,11 @@ from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.residuals import residuals
 from torchid.diagnosis.evidence.skin_prior import with_slides
 from torchid.diagnosis.options import DiagnosisOptions, NamingOptions
+from torchid.diagnosis.search.believed import believed
 from torchid.diagnosis.search.elimination import SUPPORTED, settle
 from torchid.diagnosis.search.interval_refinement import refine_interval
-from torchid.diagnosis.search.result import SearchResult, reduced, support, twins_of
+from torchid.diagnosis.search.kinds import open_candidates
+from torchid.diagnosis.search.result import SearchResult, reduced, twins_of
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.trace import StepKind, Trace, TraceStep, step
@@ -96,33 +98,7 @@ def search(
         state = _narrow(added)
         del model, added  # gigabytes that the next round does without
     found = settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), SUPPORTED)
-    return _believed(observed, found)
-
-
-def _believed(observed: Sequence[TrialObservation], found: SearchResult) -> SearchResult:
-    """Return the result with what is ordinary named as well, where its evidence is very strong and nothing but noise is
-    left with it.
-
-    Appearances are what bodies do that no column knows. Where columns know everything, nothing appears.
-    """
-    nats = {id(one): support(found.model.statistics, found.chosen, one) for one in found.chosen if one.ordinary}
-    strong = [one for one in found.chosen if nats.get(id(one), 0.0) >= found.options.naming.very_strong_nats]
-    if not strong:
-        return found
-    rest = assess_adequacy(observed, residuals(observed, found.model, found.posterior), found.options.adequacy)
-    if rest.significant or math.isnan(rest.p_value):
-        return found
-    chosen = tuple(replace(one, ordinary=one.ordinary and one not in strong) for one in found.chosen)
-    rounds = tuple(replace(one, appearance=0.0) for one in found.rounds)
-    least = found.options.naming.very_strong_nats
-    steps = [
-        step(
-            StepKind.ENTER, one, "nothing_left", evidence_nats=nats[id(one)], least_nats=least,
-            unexplained_part=rest.share_of_residual, p_value=rest.p_value,
-        )
-        for one in strong
-    ]  # fmt: skip
-    return replace(found, chosen=chosen, rounds=rounds, trace=(*found.trace, *steps))
+    return believed(found, observed, limit)
 
 
 def _begin(
@@ -294,31 +270,3 @@ def _narrow(state: _State) -> _State:
 def _open(state: _State) -> list[Candidate]:
     """Return the candidates that may still be named."""
     return open_candidates(state.model.design, state.chosen, state.limit)
-
-
-def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
-    """Return the candidates of kinds of which fewer than ``limit`` are chosen.
-
-    Each kind is counted apart, so that no plate's error is left out because bodies are as bodies are, or because of
-    markers or a wrong record.
-
-    Args:
-        design: design of all candidates.
-        chosen: effects in the model.
-        limit: number of effects at most of each kind.
-    """
-    kinds = [kind_of(c.effect) for c in chosen if not c.ordinary]
-    late = {c.place.where for c in chosen if c.effect.shifts_time}
-    left = [c for c in design.candidates if c not in chosen and kinds.count(kind_of(c.effect)) < limit]
-    # Of two lags of one thing only the sum shows; taken at two lags, their difference would sharpen what plates read.
-    return [c for c in left if not (c.effect.shifts_time and c.place.where in late)]
-
-
-def kind_of(effect: Effect) -> tuple[bool, ...]:
-    """Return the kind as which an effect is counted: whether it is of bodies, of markers, of records, all over the
-    body.
-
-    Args:
-        effect: the effect.
-    """
-    return effect.bodily, effect.moves_markers, effect.on_record, effect.whole_body

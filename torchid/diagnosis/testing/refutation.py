@@ -62,8 +62,9 @@ def uphold(unseen: HeldOut, chosen: Sequence[Candidate], options: NamingOptions)
     kept, refuted, trace = list(chosen), [], []
     while kept and unseen.trials:
         scores = score(unseen, kept)
-        worst = min(range(len(kept)), key=lambda k: scores[k].total(options))
-        if scores[worst].total(options) >= options.named_nats:
+        against = [k for k, said in enumerate(scores) if said.heldout < 0.0]  # else fit trials alone decide
+        worst = min(against, key=lambda k: scores[k].total(options), default=None)
+        if worst is None or scores[worst].total(options) >= options.named_nats:
             break
         gone, said = kept.pop(worst), scores[worst]
         if not gone.ordinary:

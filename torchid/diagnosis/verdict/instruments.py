@@ -38,8 +38,10 @@ def _finding(cause: Cause, plates: Sequence[SessionPlate]) -> Finding:
         value, deviation = of(cause, key)
         size, sd, unit = float(value.norm()), float(deviation.norm()), _unit(key)
         size = float(value[0]) if len(value) == 1 else size
-    severity = Severity.WARNING if cause.level == "possible" else Severity.PROBLEM
-    cure = _cure(cause, plates)
+    sure = cause.level != "possible"
+    severity = Severity.PROBLEM if sure else Severity.WARNING
+    # A line that makes the model predict worse is none to advise.
+    cure = () if sure and not cause.applied else _cure(cause, plates)
     return Finding(
         FAULTS[cause.effect], f"diagnosis.{cause.effect}", evidence, "", place, size, sd, unit, cure,
         advice="" if cure else f"to be sure, record {own.advice}" if own.advice else "", severity=severity,
