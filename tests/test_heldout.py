@@ -13,7 +13,7 @@ from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search.result import SearchResult, support
-from torchid.diagnosis.search.stepwise import open_candidates
+from torchid.diagnosis.search.still_open import open_candidates
 from torchid.diagnosis.testing import refutation
 from torchid.diagnosis.testing.heldout import HeldOut
 from torchid.diagnosis.testing.refutation import HeldOutScores, _leeway, refute, uphold

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.columns.assemble import make_design
-from torchid.diagnosis.columns.design import Design, narrower, only
+from torchid.diagnosis.columns.design import narrower, only
 from torchid.diagnosis.columns.relinearise import relinearised
 from torchid.diagnosis.columns.statement_rows import with_statements
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
@@ -30,6 +30,8 @@ from torchid.diagnosis.search.interval_refinement import refine_interval
 from torchid.diagnosis.search.result import SearchResult, reduced, twins_of
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
+from torchid.diagnosis.search.sensitivity import sizes_shown
+from torchid.diagnosis.search.still_open import closed_by, open_candidates
 from torchid.diagnosis.trace import StepKind, Trace, TraceStep, step
 from torchid.effects.effect import Effect
 from torchid.model_free.panel import Panel
@@ -95,7 +97,9 @@ def search(
         added = _add(observed, added, again=looked is not best.candidate)
         state = _narrow(added)
         del model, added  # gigabytes that the next round does without
-    return settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), SUPPORTED)
+    shown = sizes_shown(model, state.chosen, _open(state), options.naming)
+    found = reduced(state.model, state.chosen, state.rounds, options, state.trace)
+    return settle(replace(found, detectable=shown), SUPPORTED)
 
 
 def _begin(
@@ -258,6 +262,7 @@ def _narrow(state: _State) -> _State:
     design, chosen = state.model.design, state.chosen
     some = [*chosen, *_open(state)]
     some += [c for c in twins_of(design, chosen, state.rounds, state.options) if c not in some]
+    some += [c for one in chosen for c in closed_by(design, chosen, one) if c not in some]
     if narrower(design, some)[0].width == design.width:
         return state
     model, own = state.model.restrict(some)
@@ -267,31 +272,3 @@ def _narrow(state: _State) -> _State:
 def _open(state: _State) -> list[Candidate]:
     """Return the candidates that may still be named."""
     return open_candidates(state.model.design, state.chosen, state.limit)
-
-
-def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> list[Candidate]:
-    """Return the candidates of kinds of which fewer than ``limit`` are chosen.
-
-    Each kind is counted apart, so that no plate's error is left out because bodies are as bodies are, or because of
-    markers or a wrong record.
-
-    Args:
-        design: design of all candidates.
-        chosen: effects in the model.
-        limit: number of effects at most of each kind.
-    """
-    kinds = [kind_of(c.effect) for c in chosen if not c.ordinary]
-    late = {c.place.where for c in chosen if c.effect.shifts_time}
-    left = [c for c in design.candidates if c not in chosen and kinds.count(kind_of(c.effect)) < limit]
-    # Of two lags of one thing only the sum shows; taken at two lags, their difference would sharpen what plates read.
-    return [c for c in left if not (c.effect.shifts_time and c.place.where in late)]
-
-
-def kind_of(effect: Effect) -> tuple[bool, ...]:
-    """Return the kind as which an effect is counted: whether it is of bodies, of markers, of records, all over the
-    body.
-
-    Args:
-        effect: the effect.
-    """
-    return effect.bodily, effect.moves_markers, effect.on_record, effect.whole_body
