@@ -58,13 +58,14 @@ def would_show(found: Sequence[Detectable]) -> list[str]:
 
 
 def sized(key: str, size: float) -> str:
-    """Return a size in the unit that people read, with two digits.
+    """Return a size in the unit that people read, with two digits; in that of the key where none is known.
 
     Args:
         key: key of the parameter, which ends in its unit.
         size: size in that unit.
     """
-    unit, factor = next((unit, factor) for end, unit, factor in UNITS if key.endswith(end))
+    known = ((unit, factor) for end, unit, factor in UNITS if key.endswith(end))
+    unit, factor = next(known, (key.rpartition("_")[2], 1.0))
     said = number(size, decimals(factor * size, 2), factor)
     return f"{said}{unit}" if unit == "°" else f"{said} {unit}"
 
@@ -83,6 +84,8 @@ def _range(some: Sequence[Detectable]) -> str:
     """Return the least and the largest size, each with its place."""
     order = sorted(some, key=lambda one: math.inf if one.size is None else one.size)
     least, most = order[0], order[-1]
+    if least.size is None:
+        return UNTESTABLE
     if len(order) == 1 or _said(least) != _said(most):
         ends = [f"{_said(one)} ({effect(one.effect).located(one.where)})" for one in (order[0], *order[1:][-1:])]
         return (" to " if most.size is not None else "; ").join(ends)

@@ -19,7 +19,7 @@ from torch import Tensor
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.gains import informed
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
-from torchid.diagnosis.evidence.planted_moments import moments_of
+from torchid.diagnosis.evidence.planted_moments import directions, moments_of
 from torchid.diagnosis.evidence.planted_rules import PlantedRules, smallest
 from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.statistics import Statistics
@@ -28,11 +28,6 @@ from torchid.effects.effect import Effect
 from torchid.effects.place import Place
 from torchid.effects.traits import Proof, Site
 
-WIDEST = 3.0
-"""Wording. Standard deviations of its prior for each component beyond which no size is stated: an effect that is not
-named even then is not testable in the session."""
-DRAWS = 200
-"""Resolution. Directions and noises by lot: the share that is named has a standard deviation of 0.03."""
 LOT = 0
 """Resolution. Seed of the lots, the same for all: where sizes differ, it is not by chance."""
 WIDE = (Site.SEGMENT, Site.MARKER, Site.JOINT)
@@ -91,7 +86,7 @@ def _of_keys(
     effect = some[0].effect
     for key, parts in _keys(effect, some[0].place):
         lot = torch.Generator().manual_seed(LOT)
-        direction = _directions(some[0], parts, lot).to(told)
+        direction = directions(some[0], parts, lot).to(told)
         rules = PlantedRules.of(some, moments_of(told, unstated, direction, lot))
         for one, size in zip(some, smallest(rules, named_nats).tolist(), strict=True):
             own = size * float(direction[0].norm()) * effect.scale(one.place)[parts[0]]
@@ -111,16 +106,6 @@ def _keys(effect: Effect, place: Place) -> Iterator[tuple[str, list[int]]]:
         at += size
         if effect.positives(place):
             return
-
-
-def _directions(one: Candidate, parts: Sequence[int], lot: torch.Generator) -> Float[Tensor, "draws n"]:
-    """Return directions of some parameters by lot, ``WIDEST`` long for each of them."""
-    half = torch.randn(DRAWS // 2, len(parts), generator=lot, dtype=torch.float64)
-    drawn = torch.cat([half, half])
-    drawn = WIDEST * math.sqrt(len(parts)) * drawn / drawn.norm(dim=1, keepdim=True)
-    found = drawn.new_zeros(DRAWS, len(one.columns))
-    found[:, parts] = drawn.abs() if parts[0] < one.effect.positives(one.place) else drawn
-    return found
 
 
 def extremes(found: Sequence[Detectable]) -> tuple[Detectable, ...]:

@@ -6,11 +6,20 @@ noise by lot, both are linear in the size, and every log evidence is a mixture o
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from torchid.diagnosis.candidates.candidate import Candidate
+
+WIDEST = 3.0
+"""Wording. Standard deviations of its prior for each component beyond which no size is stated: an effect that is not
+named even then is not testable in the session."""
+DRAWS = 200
+"""Resolution. Directions and noises by lot: the share that is named has a standard deviation of 0.03."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +81,22 @@ class Moments:
         mean = (shrunk @ self.vector.mT)[..., :positives]
         sd = (self.vector.square() / (1.0 + self.value[:, None])).sum(2).sqrt()[:, None, :positives]
         return (math.log(2.0) + torch.special.log_ndtr(mean / sd)).sum(2)
+
+
+def directions(one: Candidate, parts: Sequence[int], lot: torch.Generator) -> Float[Tensor, "draws n"]:
+    """Return directions of some parameters by lot, ``WIDEST`` long for each of them.
+
+    Args:
+        one: candidate whose parameters they are.
+        parts: those that are drawn; all others are zero.
+        lot: generator.
+    """
+    half = torch.randn(DRAWS // 2, len(parts), generator=lot, dtype=torch.float64)
+    drawn = torch.cat([half, half])
+    drawn = WIDEST * math.sqrt(len(parts)) * drawn / drawn.norm(dim=1, keepdim=True)
+    found = drawn.new_zeros(DRAWS, len(one.columns))
+    found[:, parts] = drawn.abs() if parts[0] < one.effect.positives(one.place) else drawn
+    return found
 
 
 def moments_of(
