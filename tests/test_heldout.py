@@ -12,8 +12,8 @@ from torchid.diagnosis.columns.design import Design
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.diagnosis.options import DiagnosisOptions
-from torchid.diagnosis.search.kinds import open_candidates
 from torchid.diagnosis.search.result import SearchResult
+from torchid.diagnosis.search.still_open import open_candidates
 from torchid.diagnosis.testing import refutation
 from torchid.diagnosis.testing.heldout import HeldOut
 from torchid.diagnosis.testing.refutation import HeldOutScore, uphold

@@ -19,12 +19,14 @@ from torch.testing import assert_close
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 from batteries import real
+from batteries.detectable import sized
 from batteries.real_judge import differences, judged, tables
 from batteries.remembered import remembered
 from planted_faults.real_files import Recorded, cropped, frames_kept, read_recorded, write_session
-from planted_faults.real_kinds import KINDS, UNPLANTED, plant
-from planted_faults.real_plates import plates_of
+from planted_faults.real_kinds import KINDS, UNPLANTED, Given, plant
+from planted_faults.real_plates import plates_of, used_plates
 from planted_faults.real_sessions import ASIDE, SESSIONS, RealSession, sessions
+from planted_faults.real_sizes import SIZED, plant_sized
 from planted_faults.real_truth import Answer, Inapplicable, Truth, truth_from
 from small_session import SEED
 
@@ -392,6 +394,35 @@ def test_a_battery_goes_on_where_it_was_stopped(tmp_path, monkeypatch, data_dir)
     assert "refused" in real.summary(tmp_path)
     (row,) = real.read_lines(tmp_path / "rows.jsonl")
     assert row["case"] == case.key and row["result"] == "refused"
+
+
+def test_a_fault_of_the_stated_size_is_planted_where_it_is_stated() -> None:
+    """On the plate that the verdict means, at the size and at half of it; neither on all plates nor without a size."""
+    whole, session = recorded(), {"effect": "time_offset", "where": ["session"], "key": "lag_s", "size": None}
+    plate = used_plates(whole)[-1]
+    gain = {"effect": "plate_gain", "where": ["plate_9"], "key": "gain", "size": 0.02}
+    said = {"plates": {"plate_9": {"channels": plate.channels}}}
+    said["detectable"] = [gain, gain | {"where": ["plate_9", "plate_1"], "size": 0.05}, session]
+    verdict = {"session": "any", "way": "none", "diagnosis": said}
+    found = [
+        one.plant(whole, SESSIONS[0], [])[1].right[0] for one in sized(verdict, ("plate_gain", "time_offset"), SEED)
+    ]
+    assert [answer.plates for answer in found] == 2 * [(plate.channels,)]
+    assert [abs(answer.parameters["gain"][0] - 1.0) for answer in found] == pytest.approx([0.02, 0.01])
+
+
+@pytest.mark.parametrize(("name", "key"), SIZED)
+def test_each_kind_is_planted_at_any_size(name: str, key: str) -> None:
+    """Twice as much is another recording, and the answer is the effect whose size it is."""
+    whole, own = recorded(), used_plates(recorded())[0].channels if name.startswith("plate") else None
+    found = []
+    for size in (0.01, 0.02):
+        on = Given(whole, SESSIONS[0], [], np.random.default_rng(SEED))
+        changed, truth = plant_sized(name, key, size, own, on)
+        assert truth.right[0].effect == name and effect(name)
+        loads = [trial.forces.wrench.nan_to_num() for trial in changed.trials if trial.forces is not None]
+        found.append((sum(float(one.abs().sum()) for one in loads), changed.subject["mass_kg"]))
+    assert found[0] != found[1]
 
 
 def test_a_real_session_carries_what_was_planted(tmp_path, data_dir):

@@ -13,6 +13,7 @@ import torch
 
 from torchid.config import load_config
 from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.evidence.detectable import Detectable
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Alternative, Cause, Diagnosis, NearestEffect, Refuted, Twin
 from torchid.dynamics.rows import residual_rms
@@ -27,6 +28,7 @@ from torchid.report.blocks import Details, Figure, Items, Paragraph, Table
 from torchid.report.cause_sentences import likely, surely, told
 from torchid.report.cause_sentences import name as labelled
 from torchid.report.data_handling import grouped, handling_section
+from torchid.report.detectable_table import sized
 from torchid.report.diagnosis import diagnosis_section, gained
 from torchid.report.facts import wrenches
 from torchid.report.forces import Score, _draw_trial, instructive
@@ -547,6 +549,45 @@ def test_what_came_nearest_is_said(run, nats, said):
     section = diagnosis_section(replace(run.outcome, diagnosis=found))
     assert section is not None
     assert said in section.finding if said else "nearest" not in section.finding
+
+
+def test_what_would_have_been_shown_is_said(run):
+    """In units that people read, with places; a fault that is not testable somewhere is in the table alone."""
+    none, session = Errors(math.nan, math.nan), ("session",)
+    sizes = (
+        Detectable("time_offset", session, "lag_s", 0.00904),
+        Detectable("plate_gain", ("plate_1",), "gain", 0.0187),
+        Detectable("plate_gain", ("plate_2",), "gain", None),
+        Detectable("plate_pose", ("plate_1",), "shift_m", 0.0191),
+        Detectable("plate_pose", ("plate_1",), "rotation_rad", 0.0148),
+        Detectable("marker_scale", session, "excess", None),
+    )
+    found = Diagnosis((), none, none, (), Adequacy(False, 0.4, 0.1, ""), detectable=sizes)
+    section = diagnosis_section(replace(run.outcome, diagnosis=found))
+    assert section is not None
+    said = "It would have shown, 8 times in 10: a clock that is off from 9.0 ms and a wrong place from 19 mm."
+    assert said in section.finding
+    (table,) = (b for d in section.blocks if isinstance(d, Details) for b in d.blocks if isinstance(b, Table))
+    assert table.rows == (
+        ("A clock that is off", "9.0 ms (the whole session)"),
+        ("A wrong gain", "1.9 % (plate 1); not testable here (plate 2)"),
+        ("A wrong place, shift", "19 mm (plate 1)"),
+        ("A wrong place, rotation", "0.85° (plate 1)"),
+        ("A wrong scale of the cameras", "not testable here"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("key", "size", "said"),
+    [
+        ("lag_s", 0.009, "9.0 ms"), ("gain", 0.041, "4.1 %"), ("roll_rad", 0.0175, "1.0°"), ("mass_kg", 2.0, "2.0 kg"),
+        ("force_plate_N", 3.3, "3.3 N"), ("moment_plate_Nm", 0.68, "0.68 N m"), ("shift_1g_m", 0.0045, "4.5 mm"),
+        ("coefficient_Ns_m", 1.6, "1.6 N s/m"), ("stiffness_N_m", 21.0, "21 N/m"), ("warmth_K", 0.5, "0.50 K"),
+    ],
+)  # fmt: skip
+def test_sizes_are_in_units_that_people_read(key, size, said):
+    """By the end of the key; an unknown one is told as it stands there."""
+    assert sized(key, size) == said
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ import sys
 import time
 import zlib
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -30,8 +30,8 @@ from unittest.mock import patch
 from harness.command import DATA, Among, Command, said_seed
 from harness.pool import performed
 from harness.rows import read_lines, write_lines
-from planted_faults.real_files import frames_kept, read_recorded, write_session
-from planted_faults.real_kinds import KINDS, UNPLANTED, plant
+from planted_faults.real_files import Recorded, frames_kept, read_recorded, write_session
+from planted_faults.real_kinds import KINDS, UNPLANTED, Planted, plant
 from planted_faults.real_sessions import SESSIONS, RealSession, sessions
 from planted_faults.real_truth import Inapplicable, Truth
 
@@ -43,12 +43,14 @@ from torchid.run import run_experiment
 
 Said = dict[str, Any]
 """What is kept of a run."""
+Fault = Callable[[Recorded, RealSession, Sequence[slice]], Planted]
+"""A session with a fault planted, from what was recorded and the frames of each trial that are written."""
 SMALL = ("opensim_gait2354", "btk_flatfoot")
 SMALL_KINDS = (UNPLANTED, "clock20", "gain", "mass")
 """Choice. Sessions that take least, and kinds that a balance of momentum sees: about two minutes on two cores."""
 EACH = 2
 """Choice. Sessions in which each kind is planted, by lot: with all as recorded, an hour on two cores at 97 s a run."""
-KEPT = ("causes", "plates", "baseline", "extended", "unexplained", "refuted", "nearest")
+KEPT = ("causes", "plates", "baseline", "extended", "unexplained", "refuted", "nearest", "detectable")
 """Parts of ``diagnosis.json`` that are kept."""
 
 
@@ -79,12 +81,12 @@ def cases(some: Sequence[RealSession], kinds: Sequence[str], seed: int) -> Itera
                 yield Case(session.name, random.Random(own).choice(session.ways), kind, own)  # noqa: S311 - a lot
 
 
-def perform(case: Case, session: RealSession, root: Path, out: Path) -> Said:
-    """Plant, run from the files alone, and keep what was said."""
+def perform(case: Case, session: RealSession, root: Path, out: Path, fault: Fault | None = None) -> Said:
+    """Plant, run from the files alone, and keep what was said; without a fault of its own, the case's kind."""
     folder, begun, spent = out / "scratch" / case.key, time.perf_counter(), time.process_time()
     kept: dict[str, Any] = {"case": case.key, **asdict(case)}
     try:
-        truth, path = planted(case, session, root, folder)
+        truth, path = planted(case, session, root, folder, fault)
     except Inapplicable as why:
         return kept | {"inapplicable": str(why)}
     kept |= {"truth": truth.table(), "exit": 0, "message": ""}
@@ -101,7 +103,9 @@ def perform(case: Case, session: RealSession, root: Path, out: Path) -> Said:
     return kept | {"seconds": time.perf_counter() - begun, "cpu_s": time.process_time() - spent}
 
 
-def planted(case: Case, session: RealSession, root: Path, folder: Path) -> tuple[Truth, Path]:
+def planted(
+    case: Case, session: RealSession, root: Path, folder: Path, fault: Fault | None = None
+) -> tuple[Truth, Path]:
     """Write a case's files; what is wrong with them, and their config.
 
     Raises:
@@ -109,7 +113,8 @@ def planted(case: Case, session: RealSession, root: Path, folder: Path) -> tuple
     """
     recorded = read_recorded(session, case.way, root)
     kept = [frames_kept(trial) for trial in recorded.trials]
-    faulty, truth = plant(case.kind, recorded, session, kept, case.seed)
+    own = fault or (lambda *given: plant(case.kind, *given, case.seed))
+    faulty, truth = own(recorded, session, kept)
     shutil.rmtree(folder, ignore_errors=True)
     return truth, write_session(faulty, session, folder, kept)
 

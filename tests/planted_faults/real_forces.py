@@ -92,8 +92,9 @@ def zeros_written(recorded: Recorded, plate: RealPlate) -> bool:
 
 
 def plant_pose(recorded: Recorded, plate: RealPlate, shift: Sequence[float], turn_rad: float) -> tuple[Recorded, Truth]:
-    """A plate that lies elsewhere than the file has it: by a shift in W [m], and turned about its upright axis."""
-    d, back = torch.tensor([*shift, 0.0], dtype=torch.float64), _about_z(-turn_rad)
+    """A plate that lies elsewhere than the file has it: by a shift in W [m], level without a third number, and turned
+    about its upright axis."""
+    d, back = torch.tensor([*shift, 0.0][:3], dtype=torch.float64), _about_z(-turn_rad)
     filed = PlateFrame(plate.frame.name, plate.frame.p_WF - d, back @ plate.frame.R_WF)
     moved = mapped(recorded, [plate], lambda wrench, frame: to_world(filed, to_plate(frame, wrench)))
     for k, trial in enumerate(moved.trials):
@@ -130,16 +131,19 @@ def plant_crosstalk(recorded: Recorded, plate: RealPlate, axis: int, part: float
     return mapped(recorded, [plate], read), Truth((own,), told, (_answer("plate_pose", [plate]),))
 
 
-def plant_tilt(recorded: Recorded, direction_rad: float, room: bool) -> tuple[Recorded, Truth]:
-    """The cameras' vertical leans by ``TILT_DEG`` against gravity.
+def plant_tilt(
+    recorded: Recorded, direction_rad: float, room: bool, degrees: float = TILT_DEG
+) -> tuple[Recorded, Truth]:
+    """The cameras' vertical leans against gravity.
 
     Args:
         recorded: the session.
         direction_rad: in which the true vertical leans, from x of W.
         room: markers, plates and their readings all stand in the leaning frame; else the readings alone, about the
             middle of the plates, as where corners were written down for a level floor.
+        degrees: by how much.
     """
-    angle = np.radians(TILT_DEG)
+    angle = np.radians(degrees)
     up = np.array([np.sin(angle) * np.cos(direction_rad), np.sin(angle) * np.sin(direction_rad), np.cos(angle)])
     R = _leaning(direction_rad, angle)
     pitch = float(np.arcsin(up[0]))
@@ -149,7 +153,7 @@ def plant_tilt(recorded: Recorded, direction_rad: float, room: bool) -> tuple[Re
         recorded = recorded.with_trial(k, _leant(trial, R, torch.zeros(3).double() if room else middle, room))
     own = Answer("gravity_tilt", ("session",), {"roll_rad": [roll], "pitch_rad": [pitch]})
     alike = () if room else (Answer("plate_pose", ("*",)),)
-    return recorded, Truth((own,), f"{TILT_DEG} degree of {'the room' if room else 'the plates'}", alike)
+    return recorded, Truth((own,), f"{degrees:.3g} degree of {'the room' if room else 'the plates'}", alike)
 
 
 def _leant(trial: Trial, R: Tensor, about: Tensor, room: bool) -> Trial:

@@ -59,7 +59,7 @@ def diagnose(
         plates: plates of the session.
         effects: effects to try.
         known: what the inertial fit knew and found.
-        limit: number of causes at most of each kind (``kinds.kind_of``).
+        limit: number of causes at most of each kind (``still_open.kind_of``).
         options: every threshold that decides.
         panel: what model-free checks state; None: nothing.
         told: what other proof than forces says.
@@ -92,7 +92,7 @@ def _verdict(
     return Diagnosis(
         plates, unseen.fit(()).errors, extended.errors, _ordered(found, causes), rest,
         untested(observed, plates), nearest(found.rounds[-1], limits.confidence.rivals),
-        _refuted(upheld), (*found.trace, *contradicted, *positions),
+        _refuted(upheld), (*found.trace, *contradicted, *positions), found.detectable,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from torchid.report.before_after import Sides, draw_curves, draw_spectrum, sides
 from torchid.report.blocks import Block, Details, Figure, Items, Paragraph, Section, Table
 from torchid.report.cause_sentences import called, name, noun, of_markers, place, surely, told
 from torchid.report.decisions import why
+from torchid.report.detectable_table import detectable_table, would_show
 from torchid.report.marker_distances import draw_markers, marker_error
 from torchid.report.rival_bars import rival_bars
 from torchid.report.witness_table import witness_table
@@ -45,6 +46,7 @@ def diagnosis_section(outcome: Outcome) -> Section | None:
     if found.not_testable:
         blocks.append(Paragraph("What these recordings cannot test:"))
         blocks.append(Items(tuple(f"{noun(n)}: {clean(why)}" for n, why in found.not_testable.items())))
+    blocks += detectable_table(found.detectable)
     return Section("diagnosis", "What the model gets wrong", _finding(outcome, found), tuple(blocks))
 
 
@@ -83,9 +85,10 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
     tried = len(select_effects(options.include, options.exclude))
     if found.causes:
         silent = f"No likely fault ({tried} kinds tested); possible ones are listed below: nothing was corrected."
-        return " ".join([silent, *_refuted(found)])
+        return " ".join([silent, *would_show(found.detectable), *_refuted(found)])
     silent = f"No fault found ({tried} kinds tested): nothing was corrected."
-    return " ".join([silent, *_refuted(found), *_nearest(found, options.thresholds.naming.named_nats)])
+    near = _nearest(found, options.thresholds.naming.named_nats)
+    return " ".join([silent, *would_show(found.detectable), *_refuted(found), *near])
 
 
 def _refuted(found: Diagnosis) -> list[str]:

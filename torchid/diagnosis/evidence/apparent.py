@@ -18,6 +18,7 @@ from torchid.diagnosis.evidence.gains import informed
 from torchid.diagnosis.evidence.posterior import Posterior
 from torchid.diagnosis.evidence.spread import evidence_of_sizes
 from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.effects.effect import Effect
 
 SIZES = (0.0, 0.03, 0.1, 0.3, 1.0)
 """Resolution. Standard deviations of appearances, against those of the effect itself."""
@@ -38,16 +39,30 @@ def apparent_evidence(statistics: Statistics, posterior: Posterior, candidates: 
         candidates: candidates, of the same design.
     """
     found = [0.0] * len(candidates)
-    which = [k for k, c in enumerate(candidates) if c.effect.mistaken > 0.0 and not c.effect.bodily]
+    which = [k for k, c in enumerate(candidates) if has_appearance(c.effect)]
     sizes = torch.tensor(SIZES, dtype=torch.float64)
     for rows, told, left in informed(statistics, posterior, [candidates[k] for k in which]):
         nats = evidence_of_sizes(told, left, sizes.to(told))
-        shares = torch.stack([_shares(candidates[which[k]].effect.mistaken) for k in rows]).to(told)
+        shares = torch.stack([shares_of(candidates[which[k]].effect) for k in rows]).to(told)
         for k, x in zip(rows, torch.logsumexp(nats + shares.log(), 1).tolist(), strict=True):
             found[which[k]] = max(x, 0.0)
     return found
 
 
-def _shares(largest: float) -> Float[Tensor, " sizes"]:
-    """Return the share of each size, given that of the largest."""
+def has_appearance(effect: Effect) -> bool:
+    """Return whether sessions without an effect can seem to have some of it.
+
+    Args:
+        effect: the effect.
+    """
+    return effect.mistaken > 0.0 and not effect.bodily
+
+
+def shares_of(effect: Effect) -> Float[Tensor, " sizes"]:
+    """Return the share of sessions without an effect that seem to have each of ``SIZES`` of it.
+
+    Args:
+        effect: the effect.
+    """
+    largest = effect.mistaken
     return torch.tensor([*((1.0 - largest) * share for share in SHARES), largest], dtype=torch.float64)

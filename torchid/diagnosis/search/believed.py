@@ -10,9 +10,9 @@ from dataclasses import replace
 
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
 from torchid.diagnosis.evidence.residuals import residuals
-from torchid.diagnosis.search.kinds import kind_of
 from torchid.diagnosis.search.result import SearchResult, support
 from torchid.diagnosis.search.rivals import named_in
+from torchid.diagnosis.search.still_open import kind_of
 from torchid.diagnosis.trace import StepKind, step
 from torchid.observation.trial import TrialObservation
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.columns.design import Design
+from torchid.diagnosis.evidence.detectable import Detectable
 from torchid.diagnosis.evidence.gains import gains
 from torchid.diagnosis.evidence.model import LinearModel
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
@@ -33,6 +34,8 @@ class SearchResult:
     """Candidates that cannot be told from chosen effects."""
     trace: Trace = ()
     """Every decision so far."""
+    detectable: tuple[Detectable, ...] = ()
+    """Smallest sizes that would have been named beside the chosen effects."""
 
     @property
     def named(self) -> list[Candidate]:

@@ -28,10 +28,11 @@ from torchid.diagnosis.options import DiagnosisOptions, NamingOptions
 from torchid.diagnosis.search.believed import believed
 from torchid.diagnosis.search.elimination import SUPPORTED, settle
 from torchid.diagnosis.search.interval_refinement import refine_interval
-from torchid.diagnosis.search.kinds import open_candidates
 from torchid.diagnosis.search.result import SearchResult, reduced, twins_of
 from torchid.diagnosis.search.rivals import Rival, Round
 from torchid.diagnosis.search.scan import scan_all
+from torchid.diagnosis.search.sensitivity import sizes_shown
+from torchid.diagnosis.search.still_open import closed_by, open_candidates
 from torchid.diagnosis.trace import StepKind, Trace, TraceStep, step
 from torchid.effects.effect import Effect
 from torchid.model_free.panel import Panel
@@ -97,8 +98,9 @@ def search(
         added = _add(observed, added, again=looked is not best.candidate)
         state = _narrow(added)
         del model, added  # gigabytes that the next round does without
-    found = settle(reduced(state.model, state.chosen, state.rounds, options, state.trace), SUPPORTED)
-    return believed(found, observed, limit)
+    shown = sizes_shown(model, state.chosen, _open(state), options.naming)
+    found = reduced(state.model, state.chosen, state.rounds, options, state.trace)
+    return believed(settle(replace(found, detectable=shown), SUPPORTED), observed, limit)
 
 
 def _begin(
@@ -261,6 +263,7 @@ def _narrow(state: _State) -> _State:
     design, chosen = state.model.design, state.chosen
     some = [*chosen, *_open(state)]
     some += [c for c in twins_of(design, chosen, state.rounds, state.options) if c not in some]
+    some += [c for one in chosen for c in closed_by(design, chosen, one) if c not in some]
     if narrower(design, some)[0].width == design.width:
         return state
     model, own = state.model.restrict(some)

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
+from torchid.diagnosis.evidence.detectable import Detectable
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.trace import Trace
 from torchid.effects.catalogue import effect
@@ -163,6 +164,8 @@ class Diagnosis:
     """Causes that held-out motion refuted."""
     trace: Trace = ()
     """Every entry, exit, discount and refusal, in order."""
+    detectable: tuple[Detectable, ...] = ()
+    """Smallest sizes of effects that would have been named beside the causes."""
     aside: tuple[Interval, ...] = ()
     """Intervals that no model is fitted to: something unmeasured bears a good part of the weight there."""
 

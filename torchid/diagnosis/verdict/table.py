@@ -25,6 +25,7 @@ def verdict_table(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": diagnosis.unexplained,
         "extended": {"heldout": dataclasses.asdict(diagnosis.extended)},
         "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
+        "detectable": [dataclasses.asdict(one) for one in diagnosis.detectable],
         "nearest": [dataclasses.asdict(near) for near in diagnosis.nearest],
         "refuted": [dataclasses.asdict(one) for one in diagnosis.refuted],
         "trace": [_step(k, one) for k, one in enumerate(diagnosis.trace, 1)],

@@ -1,4 +1,4 @@
-"""How many effects may be named: so many of each kind."""
+"""Candidates that may still be named beside those that are chosen."""
 
 from collections.abc import Sequence
 
@@ -23,6 +23,20 @@ def open_candidates(design: Design, chosen: Sequence[Candidate], limit: int) -> 
     left = [c for c in design.candidates if c not in chosen and kinds.count(kind_of(c.effect)) < limit]
     # Of two lags of one thing only the sum shows; taken at two lags, their difference would sharpen what plates read.
     return [c for c in left if not (c.effect.shifts_time and c.place.where in late)]
+
+
+def closed_by(design: Design, chosen: Sequence[Candidate], one: Candidate) -> list[Candidate]:
+    """Return the candidates that one of the chosen effects keeps from being named: itself if it is ordinary, and other
+    lags of the same.
+
+    Args:
+        design: design of all candidates.
+        chosen: effects in the model.
+        one: one of them.
+    """
+    here = [c for c in design.candidates if c.effect.shifts_time and c.place.where == one.place.where]
+    lags = [c for c in here if c not in chosen] if one.effect.shifts_time else []
+    return [one, *lags] if one.ordinary else lags
 
 
 def kind_of(effect: Effect) -> tuple[bool, ...]:

@@ -1,0 +1,81 @@
+"""The rules by which a round names, for effects of growing size, and the size from which most of them are named."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchid.diagnosis.candidates.candidate import Candidate
+from torchid.diagnosis.evidence.apparent import SIZES, has_appearance, shares_of
+from torchid.diagnosis.evidence.planted_moments import Mixture, Moments
+
+CHANCE = 0.8
+"""Wording. Share of cases in which an effect of the stated size would be named: the usual power of a study (Cohen,
+Statistical Power Analysis for the Behavioral Sciences (1988))."""
+STEPS = 10
+"""Resolution. Bisections of the logarithm of a size over three orders of magnitude: to 0.7 %."""
+
+
+@dataclass(frozen=True)
+class PlantedRules:
+    """Numbers that the rules of a round weigh of candidates of one effect, by size."""
+
+    odds: Float[Tensor, " some"]
+    """Odds of the places."""
+    positives: int
+    """Number of parameters that are never negative."""
+    moments: Moments
+    """Moments of all rows."""
+    evidence: Mixture
+    """Log evidence."""
+    apparent: Mixture | None
+    """Log evidence of the appearance; None: the effect has none."""
+
+    @classmethod
+    def of(cls, some: Sequence[Candidate], moments: tuple[Moments, Moments]) -> "PlantedRules":
+        """Return the rules for moments of all rows, and of those without statements.
+
+        Args:
+            some: candidates of one effect.
+            moments: both moments.
+        """
+        (whole, bare), effect = moments, some[0].effect
+        one, sizes = whole.value.new_ones(1), whole.value.new_tensor(SIZES)
+        seems = bare.evidence(sizes.square(), shares_of(effect).to(one).log()) if has_appearance(effect) else None
+        positives = effect.positives(some[0].place)
+        return cls(one.new_tensor([c.odds for c in some]), positives, whole, whole.evidence(one, 0.0 * one), seems)
+
+    def named(self, size: Float[Tensor, " some"], named_nats: float) -> Bool[Tensor, " some"]:
+        """Return where effects of a size would be named in ``CHANCE`` of the draws, see ``Round``.
+
+        Args:
+            size: size at each place, against the directions' own.
+            named_nats: log odds from which an effect is named.
+        """
+        odds = self.odds[:, None]
+        score = self.evidence.at(size) + odds.log() + self.moments.halved(self.positives, size)
+        if self.apparent is not None:
+            # The effect's other places have no appearance of it.
+            seems = self.apparent.at(size).clamp(min=0.0) + odds.log()
+            score = score - torch.logaddexp(seems, (1.0 - odds).clamp(min=0.0).log()).clamp(min=0.0)
+        return (score >= named_nats).double().mean(1) >= CHANCE
+
+
+def smallest(rules: PlantedRules, named_nats: float) -> Float[Tensor, " some"]:
+    """Return the part of the directions' length that ``CHANCE`` of the draws need to be named; infinite where all of
+    it is not enough.
+
+    Args:
+        rules: what is weighed.
+        named_nats: log odds from which an effect is named.
+    """
+    high = rules.odds.new_zeros(len(rules.odds))
+    low, enough = high - math.log(1000.0), rules.named(high.exp(), named_nats)
+    for _ in range(STEPS if bool(enough.any()) else 0):
+        middle = 0.5 * (low + high)
+        shown = rules.named(middle.exp(), named_nats)
+        low, high = torch.where(shown, low, middle), torch.where(shown, middle, high)
+    return torch.where(enough, high.exp(), math.inf)
