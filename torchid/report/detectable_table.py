@@ -22,9 +22,9 @@ UNTESTABLE = "not testable here"
 SAID = 5
 """Wording. Faults that the sentence lists."""
 HEAD = (
-    f"From these sizes on, {number(10.0 * CHANCE, 0)} of 10 such effects would have been named beside what is named. "
-    "Smaller ones may go unseen. Sizes rest on this session's noise, and on what sound sessions seem to have of each "
-    "effect. An effect with several parameters is asked for one of them at a time."
+    f"From these sizes on, {number(10.0 * CHANCE, 0)} of 10 such effects would have been named, or one that cannot be "
+    "told from them. Smaller ones may go unseen. Sizes rest on this session's noise, and on what sound sessions seem "
+    "to have of each effect. Of several parameters of an effect, one is there at a time."
 )
 
 
