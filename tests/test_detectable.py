@@ -7,12 +7,16 @@ import torch
 from rates import at_least
 
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
+from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.evidence.detectable import Detectable, detectable, extremes
 from torchid.diagnosis.evidence.planted_rules import CHANCE
 from torchid.diagnosis.evidence.prior import Prior
 from torchid.diagnosis.evidence.statistics import Statistics, TrialStatistics
 from torchid.diagnosis.options import NamingOptions
 from torchid.diagnosis.search.scan import scan_all
+from torchid.diagnosis.testing.heldout import Errors
+from torchid.diagnosis.verdict.records import Diagnosis
+from torchid.diagnosis.verdict.table import verdict_table
 from torchid.effects.catalogue import effect
 from torchid.effects.effect import Effect
 from torchid.effects.place import SESSION, Place
@@ -135,6 +139,16 @@ def test_effects_without_one_size_are_left_out(name):
     nothing = torch.zeros(drag.width - NUISANCES).double()
     found = detectable(drag.statistics(nothing), (), [other, *drag.candidates], NATS)
     assert [one.effect for one in found] == ["drag"]
+
+
+def test_the_table_has_a_size_with_its_unit_or_why_there_is_none():
+    """And what to record instead."""
+    name, none, rest = "plate_gain", Errors(math.nan, math.nan), Adequacy(False, 0.4, 0.1, "")
+    some = (Detectable("time_offset", ("session",), "lag_s", 0.009), Detectable(name, ("plate_1",), "gain", None))
+    first, second = verdict_table(Diagnosis((), none, none, (), rest, detectable=some))["detectable"]
+    assert first == {"effect": "time_offset", "where": ("session",), "parameter": "lag_s", "size": 0.009, "unit": "s",
+                     "power": CHANCE}  # fmt: skip
+    assert second["record"] == effect(name).advice and second["why"] and "size" not in second
 
 
 def test_of_many_places_the_least_and_the_largest_are_told():

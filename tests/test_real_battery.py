@@ -398,9 +398,9 @@ def test_a_battery_goes_on_where_it_was_stopped(tmp_path, monkeypatch, data_dir)
 
 def test_a_fault_of_the_stated_size_is_planted_where_it_is_stated() -> None:
     """On the plate that the verdict means, at the size and at half of it; neither on all plates nor without a size."""
-    whole, session = recorded(), {"effect": "time_offset", "where": ["session"], "key": "lag_s", "size": None}
+    whole, session = recorded(), {"effect": "time_offset", "where": ["session"], "parameter": "lag_s", "why": ""}
     plate = used_plates(whole)[-1]
-    gain = {"effect": "plate_gain", "where": ["plate_9"], "key": "gain", "size": 0.02}
+    gain = {"effect": "plate_gain", "where": ["plate_9"], "parameter": "gain", "size": 0.02}
     said = {"plates": {"plate_9": {"channels": plate.channels}}}
     said["detectable"] = [gain, gain | {"where": ["plate_9", "plate_1"], "size": 0.05}, session]
     verdict = {"session": "any", "way": "none", "diagnosis": said}

@@ -52,7 +52,7 @@ def sized(verdict: Said, kinds: Sequence[str], seed: int) -> Iterator[Sized]:
     """Faults at the sizes that a session as recorded states, each kind at a place by lot."""
     said = verdict.get("diagnosis", {})
     for effect, key in SIZED:
-        some = [d for d in said.get("detectable", ()) if (d["effect"], d["key"]) == (effect, key) and d["size"]]
+        some = [d for d in said.get("detectable", ()) if (d["effect"], d["parameter"]) == (effect, key) and "size" in d]
         # Neither single trials nor all plates together: what no plate tells from the body's mass.
         some = [
             d for d in some if d["where"] == ["session"] or (len(d["where"]) == 1 and d["where"][0] in said["plates"])

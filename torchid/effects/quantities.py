@@ -16,6 +16,25 @@ ROOM = tuple((f"along {axis}", f"against {axis}") for axis in "xyz")
 """Directions along the axes of a segment and of the laboratory, and against them."""
 DEGREES = 180.0 / math.pi
 """Wording. Degrees of a radian."""
+UNITS = (
+    ("gain", "1", "%", 1e2), ("excess", "1", "%", 1e2), ("matrix_plate", "1", "%", 1e2),
+    ("rate_plate", "N/s", "N/s", 1.0), ("_Nms", "N m s", "N m s", 1.0), ("_Ns_m", "N s/m", "N s/m", 1.0),
+    ("_N_m", "N/m", "N/m", 1.0), ("_Nm", "N m", "N m", 1.0), ("_N", "N", "N", 1.0), ("_kg", "kg", "kg", 1.0),
+    ("_rad", "rad", "°", DEGREES), ("_s", "s", "ms", 1e3), ("_m", "m", "mm", 1e3),
+)  # fmt: skip
+"""Wording. Units of parameters by the ends of their keys, units that people read, and factors from one to the other."""
+
+
+def units_of(key: str) -> tuple[str, str, float]:
+    """Return the unit of a parameter, the unit that people read, and the factor between; an unknown one as the key has
+    it.
+
+    Args:
+        key: key of the parameter, which ends in its unit.
+    """
+    last = key.rpartition("_")[2]
+    known = ((unit, read, factor) for end, unit, read, factor in UNITS if key.endswith(end))
+    return next(known, (last, last, 1.0))
 
 
 @runtime_checkable

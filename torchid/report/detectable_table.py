@@ -7,24 +7,18 @@ from torchid.diagnosis.evidence.detectable import Detectable
 from torchid.diagnosis.evidence.planted_rules import CHANCE
 from torchid.effects.catalogue import effect
 from torchid.effects.instrument_faults import FAULTS
-from torchid.effects.quantities import DEGREES
+from torchid.effects.quantities import units_of
 from torchid.report.blocks import Block, Details, Paragraph, Table
 from torchid.report.cause_sentences import noun
 from torchid.wording import decimals, listing, number
 
-UNITS = (
-    ("gain", "%", 1e2), ("excess", "%", 1e2), ("matrix_plate", "%", 1e2), ("rate_plate", "N/s", 1.0),
-    ("_Nms", "N m s", 1.0), ("_Ns_m", "N s/m", 1.0), ("_N_m", "N/m", 1.0), ("_Nm", "N m", 1.0), ("_N", "N", 1.0),
-    ("_kg", "kg", 1.0), ("_rad", "°", DEGREES), ("_s", "ms", 1e3), ("_m", "mm", 1e3),
-)  # fmt: skip
-"""Wording. Units that people read, with their factors, by the ends of keys."""
 UNTESTABLE = "not testable here"
 SAID = 5
 """Wording. Faults that the sentence lists."""
 HEAD = (
-    f"From these sizes on, {number(10.0 * CHANCE, 0)} of 10 such effects would have been named beside what is named. "
-    "Smaller ones may go unseen. Sizes rest on this session's noise, and on what sound sessions seem to have of each "
-    "effect. An effect with several parameters is asked for one of them at a time."
+    f"From these sizes on, {number(10.0 * CHANCE, 0)} of 10 such effects would have been named, or one that cannot be "
+    "told from them. Smaller ones may go unseen. Sizes rest on this session's noise, and on what sound sessions seem "
+    "to have of each effect. Of several parameters of an effect, one is there at a time."
 )
 
 
@@ -58,14 +52,13 @@ def would_show(found: Sequence[Detectable]) -> list[str]:
 
 
 def sized(key: str, size: float) -> str:
-    """Return a size in the unit that people read, with two digits; in that of the key where none is known.
+    """Return a size in the unit that people read, with two digits.
 
     Args:
         key: key of the parameter, which ends in its unit.
         size: size in that unit.
     """
-    known = ((unit, factor) for end, unit, factor in UNITS if key.endswith(end))
-    unit, factor = next(known, (key.rpartition("_")[2], 1.0))
+    _, unit, factor = units_of(key)
     said = number(size, decimals(factor * size, 2), factor)
     return f"{said}{unit}" if unit == "°" else f"{said} {unit}"
 

@@ -5,10 +5,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from torchid.checks.finding import record_of
+from torchid.diagnosis.evidence.detectable import Detectable
+from torchid.diagnosis.evidence.planted_moments import WIDEST
+from torchid.diagnosis.evidence.planted_rules import CHANCE
 from torchid.diagnosis.trace import TraceStep
 from torchid.diagnosis.verdict.instruments import instrument_findings
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
+from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
+from torchid.effects.quantities import units_of
 from torchid.effects.recommendations import tell_apart
 from torchid.observation.plate_registry import SessionPlate
 
@@ -25,13 +30,22 @@ def verdict_table(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": diagnosis.unexplained,
         "extended": {"heldout": dataclasses.asdict(diagnosis.extended)},
         "not_testable": [{"effect": name, "why": why} for name, why in diagnosis.not_testable.items()],
-        "detectable": [dataclasses.asdict(one) for one in diagnosis.detectable],
+        "detectable": [_detectable(one) for one in diagnosis.detectable],
         "nearest": [dataclasses.asdict(near) for near in diagnosis.nearest],
         "refuted": [dataclasses.asdict(one) for one in diagnosis.refuted],
         "trace": [_step(k, one) for k, one in enumerate(diagnosis.trace, 1)],
         "plates": plates_table(diagnosis.plates),
         "findings": [dataclasses.asdict(record_of(one)) for one in instrument_findings(diagnosis)],
     }
+
+
+def _detectable(one: Detectable) -> dict[str, Any]:
+    """Return the smallest size of an effect that would have been named, or why there is none and what would show it."""
+    found = {"effect": one.effect, "where": one.where, "parameter": one.key}
+    if one.size is None:
+        why = f"not named even at {WIDEST:.0f} prior standard deviations"
+        return found | {"why": why, "record": effect(one.effect).advice}
+    return found | {"size": one.size, "unit": units_of(one.key)[0], "power": CHANCE}
 
 
 def plates_table(plates: Sequence[SessionPlate]) -> dict[str, Any]:
