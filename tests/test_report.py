@@ -392,7 +392,7 @@ def test_what_is_only_possible_stands_apart(run):
     for causes, begins in (((cause("payload"), even), "The thorax"), ((even,), "No likely fault")):
         section = diagnosis_section(replace(outcome, diagnosis=replace(outcome.diagnosis, causes=causes)))
         assert section is not None and section.finding.startswith(begins) and told(even) not in section.finding
-        (folded,) = [block for block in section.blocks if isinstance(block, Details) and "possible" in block.summary]
+        (folded,) = [block for block in section.blocks if isinstance(block, Details) and "Possible" in block.summary]
         heading, listed = folded.blocks
         assert folded.summary.startswith("Possible: 1 cause") and isinstance(heading, Paragraph)
         assert heading.text.startswith("Possible (at most 50 %, nothing is corrected)")

@@ -1,4 +1,4 @@
-"""What seemed ordinary is named where it leaves hardly more than noise.
+"""Effects that seemed ordinary are named where they leave hardly more than noise.
 
 Appearances are what bodies do that no column knows (``evidence/apparent.py``). Where columns know everything, nothing
 appears, and evidence alone counts.
