@@ -23,7 +23,7 @@ from torchid.extension.model_free_checks import with_witnesses
 from torchid.extension.statements import panel_of
 from torchid.model_free.panel import Panel
 from torchid.model_free.testimony import Claim, answers
-from torchid.model_free.watched import share_load
+from torchid.model_free.watched import shares
 from torchid.session import Outcome
 from torchid.session.fitting import identify
 from torchid.session.following import Following
@@ -197,7 +197,7 @@ def test_feet_answer_a_pull_as_they_can() -> None:
     first = panel(outcome()).trials[0].reading
     read = replace(first, time=first.time[:2], wrench=torch.stack([both, alone]), frames=first.frames[:3])
     roll = 12.0 * float(rng.uniform(-1.0, 1.0))
-    shared = share_load(read, torch.tensor([0.0, 0.0, 0.0, roll, 0.0, 0.0]).double()[:, None].expand(6, 2)).wrench
+    shared = read.wrench + shares(read) @ torch.tensor([0.0, 0.0, 0.0, roll, 0.0, 0.0]).double()
     torch.testing.assert_close((shared - read.wrench).sum(1)[:, 3], torch.full((2,), roll).double())
     torch.testing.assert_close(shared[1, 1:], read.wrench[1, 1:])
     moved = shared[0, :2, 3] / shared[0, :2, 2] - middle[:2, 1]

@@ -23,6 +23,8 @@ from torchid.model_free.statements import CheckSubject
 from torchid.model_free.watched import Watched
 from torchid.runs import runs
 
+AXES = [2, 0, 1]
+"""The vertical, then the two horizontal axes."""
 UNSEEN = 1e-12
 """Resolution. Part of the largest eigenvalue below which a combination of columns is not there."""
 UNDERSTATED = 1.4
@@ -57,7 +59,7 @@ class Balance:
         Args:
             watched: the trial.
         """
-        x = _solved([_window(watched, part, self.bearing) for part in self.parts])
+        x = _solved(_windows(watched, self.parts, self.bearing))
         vertical = watched.reading.wrench[watched.measured][..., 2].mean(0)
         bears = torch.stack([vertical[list(some)].sum() > LOADED_N for some in self.bearing])
         one = bears.new_ones(1)
@@ -75,7 +77,7 @@ def balance(watched: Watched, options: WitnessOptions) -> Balance | None:
     bearing, parts = _bearing(watched, options), tuple(_parts(watched, options))
     if not parts or not bearing:
         return None
-    windows = [_window(watched, part, bearing) for part in parts]
+    windows = _windows(watched, parts, bearing)
     kept = _closed(windows, options)
     windows, parts = [windows[k] for k in kept], tuple(parts[k] for k in kept)
     x = _solved(windows)
@@ -114,23 +116,30 @@ def _parts(watched: Watched, options: WitnessOptions) -> Iterator[slice]:
         yield from (slice(a, b) for a, b in zip(edges, edges[1:], strict=False) if b - a >= least)
 
 
-def _window(watched: Watched, part: slice, bearing: tuple[tuple[int, ...], ...]) -> _Window:
-    """Return the rows of one window: of the vertical, then of the two horizontal axes."""
-    n, dt = part.stop - part.start, 1.0 / watched.rate
-    t = dt * torch.arange(n, dtype=watched.centre.dtype, device=watched.centre.device)
-    force = watched.reading.wrench[part][:, :, :3]
+def _windows(watched: Watched, parts: Sequence[slice], bearing: tuple[tuple[int, ...], ...]) -> list[_Window]:
+    """Return the rows of all windows, of the vertical, then of the two horizontal axes.
+
+    Forces are integrated from the first frame of the trial on: where a window begins changes only what its rows are
+    free of.
+    """
+    dt = 1.0 / watched.rate
+    t = dt * torch.arange(len(watched.centre), dtype=watched.centre.dtype, device=watched.centre.device)
+    force = watched.reading.wrench[:, :, :3].nan_to_num()
     once = _integral(force.flatten(1), dt)
-    twice = _integral(once, dt).unflatten(1, force.shape[1:])
-    once, twice = (_joined(x, bearing) for x in (once.unflatten(1, force.shape[1:]), twice))
-    free = torch.stack([torch.ones_like(t), t], 1)
-    basis = torch.linalg.qr(free).Q
-    columns, target = [], []
-    for axis in (2, 0, 1):
-        y = watched.centre[part, axis] + (0.5 * GRAVITY * t.square() if axis == 2 else 0.0)
-        own = _row(once, twice, axis)
-        columns.append(own - basis @ (basis.T @ own))
-        target.append(y - basis @ (basis.T @ y))
-    return _Window(torch.cat(columns), torch.cat(target))
+    both = (x.unflatten(1, force.shape[1:]) for x in (once, _integral(once, dt)))
+    once, twice = (_joined(x, bearing) for x in both)
+    columns = torch.stack([_row(once, twice, axis) for axis in AXES], 1)
+    falling = torch.stack([0.5 * GRAVITY * t.square() if axis == 2 else torch.zeros_like(t) for axis in AXES], 1)
+    rows = torch.cat([columns, (watched.centre[:, AXES] + falling)[..., None]], 2)
+    return [_window(rows[part], t[part]) for part in parts]
+
+
+def _window(rows: Float[Tensor, "frames 3 columns"], t: Float[Tensor, " frames"]) -> _Window:
+    """Return a window free of any line in time; the last column is the target."""
+    basis = torch.linalg.qr(torch.stack([torch.ones_like(t), t - t.mean()], 1)).Q
+    flat = rows.flatten(1)
+    free = (flat - basis @ (basis.T @ flat)).unflatten(1, rows.shape[1:]).transpose(0, 1).flatten(0, 1)
+    return _Window(free[:, :-1], free[:, -1])
 
 
 def _joined(

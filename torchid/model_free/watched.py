@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -80,18 +81,25 @@ class Watched:
 
     def _loaded(self, load: Float[Tensor, "6 frames"]) -> Reading:
         """Return the reading with a further load shared by the plates."""
-        return self.reading if not bool(load.any()) else share_load(self.reading, load)
+        if not bool(load.any()):
+            return self.reading
+        share = torch.einsum("fpij,jf->fpi", self._shares, load)
+        return replace(self.reading, wrench=self.reading.wrench + share)
+
+    @cached_property
+    def _shares(self) -> Float[Tensor, "frames plates 6 6"]:
+        """What each plate bears of a further load, see ``shares``."""
+        return shares(self.reading)
 
 
-def share_load(reading: Reading, load: Float[Tensor, "6 frames"]) -> Reading:
-    """Return the reading of plates that share a further load.
+def shares(reading: Reading) -> Float[Tensor, "frames plates 6 6"]:
+    """Return what each plate bears of a further load of all, force [N] and moment about the origin [N m] in W.
 
     How legs share it cannot be known; it is shared as springs would that yield in proportion to what each plate bears:
     two feet answer a moment that tips the body by their vertical forces, not by rolling over their edges.
 
     Args:
         reading: of the plates as it was.
-        load: what the ground must supply besides, force [N] and moment about the origin [N m] in W.
     """
     wrench = reading.wrench
     borne = wrench[..., 2] * (wrench[..., 2] > LOADED_N)
@@ -103,8 +111,7 @@ def share_load(reading: Reading, load: Float[Tensor, "6 frames"]) -> Reading:
     moment = arm @ arm.mT + STRETCH_M**2 * eye
     yields = torch.cat([torch.cat([eye, arm.mT], -1), torch.cat([arm, moment], -1)], -2) * borne[..., None, None]
     whole = yields.sum(1) + torch.diag_embed((borne.sum(1, keepdim=True) == 0.0).to(wrench).expand(-1, 6))
-    share = yields @ torch.linalg.solve(whole, load.T)[:, None, :, None]
-    return replace(reading, wrench=wrench + share[..., 0])
+    return yields @ torch.linalg.inv(whole)[:, None]
 
 
 def watch(
