@@ -57,10 +57,10 @@ def names_of(some) -> list[str]:
     ("evidence", "heldout", "total"),
     [
         (30.0, 5.0, 35.0),
-        (30.0, -2.9, 27.1),  # a tenth may be lost
-        (30.0, -3.1, -3.1),
-        (3.0, -0.9, 2.1),  # one nat may be lost in any case, and counts
-        (3.0, -1.1, -1.1),
+        (60.0, -5.9, 54.1),  # a tenth may be lost
+        (60.0, -6.1, -6.1),
+        (9.0, -2.9, 6.1),  # three nats may be lost in any case, and count
+        (9.0, -3.1, -3.1),
         (4.0, 0.0, 4.0),
     ],
 )

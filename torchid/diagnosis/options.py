@@ -42,6 +42,9 @@ class NamingOptions:
     consent_part: Share = 0.1
     """Calibrated. Part of the evidence by which trials may be predicted worse, if that is more: for causes that only
     the prior contradicts, such as a wrong record."""
+    heldout_nats: Positive = 3.0
+    """Derived. Log likelihood by which held-out motion may be predicted worse, in place of ``consent_nats``: a ratio
+    that should be m has a standard deviation of (2 m)^0.5, so that a true cause falls below -3 once in 140 at most."""
     look_closer_part: Share = 0.2
     """Calibrated. Part of what the likeliest explains that another effect must explain to be tried under the noise
     that it would leave."""

@@ -39,8 +39,8 @@ def believed(found: SearchResult, observed: Sequence[TrialObservation], limit: i
         if kinds.count(kind_of(one.effect)) < limit:
             chosen = [replace(c, ordinary=False) if c is one else c for c in chosen]
     strong = [one for one in strong if all(c is not one for c in chosen)]
-    believed = {id(named_in(found.rounds, one)) for one in strong}
-    rounds = tuple(replace(own, appearance=0.0) if id(own) in believed else own for own in found.rounds)
+    theirs = {id(named_in(found.rounds, one)) for one in strong}
+    rounds = tuple(replace(own, appearance=0.0) if id(own) in theirs else own for own in found.rounds)
     least = found.options.naming.very_strong_nats
     steps = [
         step(

@@ -1,12 +1,12 @@
 """Held-out motion is one more judge: what it says of a cause is added to what the fit trials say.
 
-Its log density with the cause over that without is on the scale of evidence, and it consents by the rule of each fit
-trial as the others predict it (``naming.consent_nats``). No error of held-out motion vetoes a name; what a correction
-does to predictions decides whether it is applied (``torchid/extension/publishing.py``).
+Its log density with the cause over that without is on the scale of evidence. It consents by the rule of a fit trial as
+the others predict it, with a leeway of its own (``naming.heldout_nats``). What a correction does to predictions decides
+whether it is applied, and takes no name (``torchid/extension/publishing.py``).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.options import NamingOptions
@@ -35,7 +35,7 @@ class HeldOutScore:
         Args:
             options: what consent is.
         """
-        agreed = consented(self.evidence, self.heldout, options)
+        agreed = consented(self.evidence, self.heldout, replace(options, consent_nats=options.heldout_nats))
         return self.evidence + self.heldout if agreed else min(self.evidence, self.heldout)
 
 
