@@ -12,7 +12,7 @@ from torchid.checks.plates_against_feet.finding import ForceFinding, in_figures,
 from torchid.checks.plates_against_feet.left_out import Reread, left_out_plates
 from torchid.checks.plates_against_feet.place import FoundPlace, find_place, place_changes, shared_place
 from torchid.checks.plates_against_feet.readings import FeetScene, Tried, scene_of, shared_changes, tried
-from torchid.checks.plates_against_feet.scales import scale_findings
+from torchid.checks.plates_against_feet.scales import dead_plates, scale_findings
 from torchid.checks.plates_against_feet.units import unit_findings
 from torchid.checks.plates_against_feet.worlds import (
     moments_of_origins,
@@ -52,7 +52,7 @@ def judge(trial: Trial, mass_kg: float | None = None, reread: Reread | None = No
 def _scales_or_axes(scene: FeetScene, trial: Trial, reread: Reread | None) -> tuple[ForceFinding, ...]:
     """What has been scaled away, unless a line mends what looks so: of exchanged channels one may be too small."""
     scales = scale_findings(trial, scene)
-    if any(one.changes for one in scales):
+    if any(one.changes for one in scales) or dead_plates(trial):
         return scales
     axes = _axes_or_clock(scene, trial, reread)
     return scales if scales and not any(one.changes for one in axes) else axes

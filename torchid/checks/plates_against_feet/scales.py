@@ -52,6 +52,18 @@ def scale_findings(trial: Trial, scene: FeetScene | None) -> tuple[ForceFinding,
     return tuple(map(_unread, unread_plates(trial))) if silent else ()
 
 
+def dead_plates(trial: Trial) -> tuple[int, ...]:
+    """Indices of plates with moments and no force in any channel: who exchanges two channels leaves two of three dead.
+
+    Args:
+        trial: forces on the clock of its markers.
+    """
+    if trial.forces is None:
+        return ()
+    none = ~trial.forces.wrench[..., :3].nan_to_num().bool().any(dim=0).any(dim=-1)
+    return tuple(k for k in range(len(none)) if none[k] and _moments_alone(trial.forces, k))
+
+
 @dataclass(frozen=True)
 class UnreadPlate:
     """A plate that reads nothing under a foot."""
