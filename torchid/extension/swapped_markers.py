@@ -91,7 +91,9 @@ def fitted_anew(base: Outcome, causes: Sequence[Cause], folder: OutputFolder, ke
     fit = folder.stage("geometry_relabelled", key, lambda: fit_session(config.geometry, session, True, progress))
 
     def tracked(name: str) -> Tracked:
-        return folder.stage(f"relabelled_{name}", key, lambda: track(fit, trials[name].markers))
+        # Trials whose markers are as they were are followed from where these led.
+        near = base.followed[name].tracked.q if trials[name] is base.session.trials[name] else None
+        return folder.stage(f"relabelled_{name}", key, lambda: track(fit, trials[name].markers, near=near))
 
     prior = subject_prior(config.model, config.subject, fit)
     followed = follow_session(fit, session, tracked, Following.of(config, base.cutoff_hz), prior, folder)

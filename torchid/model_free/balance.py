@@ -178,9 +178,12 @@ def _solved(windows: Sequence[_Window]) -> Float[Tensor, " columns"]:
     """Return least squares of all windows; a column that nothing shows is zero."""
     A, y = torch.cat([w.columns for w in windows]), torch.cat([w.target for w in windows])
     size = A.square().sum(0).sqrt().clamp(min=1e-12)
-    values, V = torch.linalg.eigh((A / size).T @ (A / size))
-    inverse = torch.where(values > UNSEEN * values[-1], 1.0 / values, 0.0)
-    return (V * inverse) @ (V.T @ ((A / size).T @ y)) / size
+    scaled = (A / size).detach()
+    values, V = torch.linalg.eigh(scaled.T @ scaled)
+    half = V * torch.where(values > UNSEEN * values[-1], values.rsqrt(), 0.0) / size.detach()[:, None]
+    x = half @ (half.T @ (A.T @ y).detach())
+    # A step of refinement adds nothing but the derivatives, which those of an eigenvalue would not survive.
+    return x + half @ (half.T @ (A.T @ (y - A @ x)))
 
 
 def _scatter(windows: Sequence[_Window], x: Float[Tensor, " columns"]) -> Float[Tensor, "columns columns"]:

@@ -9,7 +9,8 @@ much. The likeliest of none and each is taken (Box & Tiao, Biometrika 55:119 (19
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -100,8 +101,14 @@ class Panel:
         for k, scale in enumerate(effect.scale(place)):
             theta = self.value.new_zeros(effect.size(place))
             theta[k] = STEP * scale
-            found.append(self.change([one.under(effect, place, theta) for one in self.trials]) / theta[k])
+            each = [_read_besides(one, one.under(effect, place, theta)) / theta[k] for one in self.trials]
+            found.append(torch.cat([s @ more.flatten() for s, more in zip(self._slopes, each, strict=True)]))
         return torch.stack(found, 1)
+
+    @cached_property
+    def _slopes(self) -> tuple[Float[Tensor, "some readings"], ...]:
+        """What a unit of each reading of a trial's plates changes in what its witnesses say."""
+        return tuple(_slopes(one, some) for one, some in zip(self.trials, self.witnesses, strict=True))
 
     def change(self, trials: Sequence[Watched]) -> Float[Tensor, " some"]:
         """Return what other readings of the same trials change in what witnesses say; what they cannot say of these is
@@ -167,6 +174,20 @@ def witnesses_of(trial: Watched, options: WitnessOptions, observation: Observati
     for one in (balance(trial, options), zeros(trial, observation), pressures(trial, options)):
         if one is not None:
             yield one
+
+
+def _read_besides(before: Watched, after: Watched) -> Float[Tensor, "frames plates 6"]:
+    """Return what plates read more under an effect; zero where they read nothing."""
+    return (after.reading.wrench - before.reading.wrench).nan_to_num()
+
+
+def _slopes(trial: Watched, some: Sequence[Witness]) -> Float[Tensor, "some readings"]:
+    """Return the derivatives of what witnesses of a trial say by each of its plates' readings."""
+    with torch.enable_grad():
+        wrench = trial.reading.wrench.detach().clone().requires_grad_()
+        said = Panel.of(replace(trial, reading=replace(trial.reading, wrench=wrench)), some)
+        rows = [torch.autograd.grad(one, wrench, retain_graph=True)[0].flatten() for one in said]
+    return torch.stack(rows).nan_to_num()
 
 
 def _scatter(

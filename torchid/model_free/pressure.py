@@ -72,7 +72,7 @@ def _off(stand: _Stand, wrench: Float[Tensor, "stood 6"]) -> Float[Tensor, " 2"]
     """Mean distance of the pressure to the outside of a sole's axis and to the front of its middle, by load [m].
 
     NaN where the plate bears nothing, as another reading may have it."""
-    if float(wrench[:, 2].mean()) <= LOADED_N:
+    if float(wrench[:, 2].detach().mean()) <= LOADED_N:
         return wrench.new_full((2,), math.nan)
     heel, toe, force, moment = stand.sole[:, 0], stand.sole[:, 1], wrench[:, :3], wrench[:, 3:]
     height = stand.sole[..., 2].min()

@@ -67,17 +67,23 @@ def _chosen(
     last = q.shape[1] - 1
     starts = [q[:, (some + k).clamp(0, last)] for d in apart for k in (-d, d)]
     starts += [] if near is None else [near[:, some]]
-    part = problem.frames(some)
-    solved = [(q[:, some], part.frame_cost(q[:, some], xi)), *(solve_poses(part, start, xi) for start in starts)]
+    ways, costs = _solved(problem, q[:, some], starts, some, xi)
     for run in _runs(some):
-        ways = torch.stack([way[:, run] for way, _ in solved])
-        cost = torch.stack([cost[run] for _, cost in solved])
-        at = some[run]
+        cost, at = costs[:, run], some[run]
         # What goes on unbroken before and behind is tied to it.
         cost[1:, [k for k in (0, len(at) - 1) if 0 < at[k] < last]] = torch.inf
-        best = _cheapest(cost, price, _breaks_between(problem.frames(at), ways, xi))
-        found[:, at] = ways[best, :, torch.arange(len(at))].T
+        best = _cheapest(cost, price, _breaks_between(problem.frames(at), ways[..., run], xi))
+        found[:, at] = ways[best, :, some.new_tensor(range(run.start, run.stop))].T
     return found
+
+
+def _solved(
+    problem: MarkerProblem, q: Tensor, starts: list[Tensor], some: Tensor, xi: Tensor
+) -> tuple[Float[Tensor, "ways dofs some"], Float[Tensor, "ways some"]]:
+    """Return postures of some frames as they are and as found from each start, all at once, and their costs."""
+    solved, cost = solve_poses(problem.frames(some.repeat(len(starts))), torch.cat(starts, 1), xi)
+    ways = torch.stack([q, *solved.split(len(some), 1)])
+    return ways, torch.stack([problem.frames(some).frame_cost(q, xi), *cost.split(len(some))])
 
 
 def breaks(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]) -> Bool[Tensor, " steps"]:
