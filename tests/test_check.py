@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
+from recordings import DATA
 from rich.console import Console
 
 from torchid.checks.finding import InstrumentFault
@@ -14,6 +15,7 @@ from torchid.checks.plates import moved_mass, plate_weight
 from torchid.checks.recording import check_trial, format_check
 from torchid.conventions import GRAVITY
 from torchid.errors import DataError, Note
+from torchid.io import read_trial
 from torchid.recording import Forces, Markers, Plate, Trial
 from torchid.session.fitting import explained_by_weight
 
@@ -149,6 +151,39 @@ def test_who_hops_is_weighed_over_whole_cycles(seed: int) -> None:
         markers=replace(trial.markers, position=trial.markers.position[:1].expand(len(trial.markers.time), -1, -1)),
     )
     assert (plate_weight(off) or 0.0) > 1.2 * mass  # who does not fall meanwhile stands beside the plates
+
+
+def test_who_has_a_foot_beside_the_plates_is_weighed_without_those_frames(seed: int) -> None:
+    """While one foot stands on the floor, the plates carry any part of a body."""
+    random = np.random.default_rng([seed, 481])
+    trial = swaying()
+    feet = np.array([[x, y, 0.02] for y in (0.1, 0.9) for x in (0.2, 0.42)])
+    position = np.concatenate([trial.markers.position.numpy(), np.broadcast_to(feet, (FRAMES, 4, 3))], axis=1)
+    labels = (*trial.markers.labels, "LHEE", "LTOE", "RHEE", "RTOE")
+    markers = Markers(labels, trial.markers.time, torch.from_numpy(position))
+    beside, part = int(random.integers(60, 120)), random.uniform(0.55, 0.9)
+    left = np.where(np.arange(FRAMES) < beside, part, 0.5) * MASS * GRAVITY
+    right = np.where(np.arange(FRAMES) < beside, 0.0, 0.5) * MASS * GRAVITY
+    wrench = torch.zeros(FRAMES, 2, 6, dtype=torch.float64)
+    for k, (vertical, y) in enumerate(((left, 0.1), (right, 0.9))):
+        wrench[:, k, 2], wrench[:, k, 3] = torch.from_numpy(vertical), torch.from_numpy(y * vertical)
+        wrench[:, k, 4] = torch.from_numpy(-0.3 * vertical)
+    forces = Forces(markers.time, wrench, (Plate("plate 1", None), Plate("plate 2", None)))
+    found = replace(trial, markers=markers, forces=forces)
+    assert_allclose([plate_weight(found) or 0.0, moved_mass(found) or 0.0], MASS, rtol=0.02)
+    one = replace(forces, wrench=wrench.sum(dim=1, keepdim=True), plates=(Plate("plate 1", None),))
+    # A pressure between both feet is on a plate that both share.
+    assert_allclose(moved_mass(replace(found, forces=one)) or 0.0, MASS, rtol=0.02)
+
+
+@pytest.mark.parametrize("child", ["HC030A05", "HC031A06", "HC033A10", "HC038A11", "HC044A15"])
+def test_a_walk_over_two_plates_weighs_what_standing_did(child: str) -> None:
+    """Straight walks of children, first and last step beside the plates, against their standing (5 to 8 % short)."""
+    stood = {"HC030A05": 45.85, "HC031A06": 27.70, "HC033A10": 51.47, "HC038A11": 56.79, "HC044A15": 39.54}[child]
+    file = DATA / "biomechzoo_pig" / f"{child}.c3d"
+    if not file.exists():
+        pytest.skip(f"{file} is not here")
+    assert_allclose(moved_mass(read_trial("walk", file)) or 0.0, stood, rtol=0.01)
 
 
 def test_a_trial_without_forces_or_frames_is_checked() -> None:

@@ -25,6 +25,9 @@ SAMPLE_LOADED_N = 2.5 * LOADED_N
 """A single unfiltered sample shows a load above this vertical force [N]: idle plates that scatter by 6 N at 1 kHz pass
 ``LOADED_N`` once in 700 samples, and this never."""
 
+STANDING_M_S = 0.4
+"""Choice. A point of a foot stands below this speed [m/s]."""
+
 ZERO_SD_N, ZERO_SD_NM = 1.5, 0.5
 """Standard deviation of what a channel of an idle plate reads, its zero: forces [N] and moments [N m]. An estimator:
 robust scatter between eight public sessions of five laboratories, of which none is quoted in a figure

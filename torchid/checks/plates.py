@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchid.checks.plates_against_feet.beside import beside_plates
 from torchid.conventions import GRAVITY, SAMPLE_LOADED_N
 from torchid.io.plates import baseline
 from torchid.io.resample import to_clock
@@ -17,6 +18,8 @@ MARGIN = 0.02
 FALLING = 0.5
 """Choice. Downward acceleration, part of g, beyond which a body without load on plates flies: halfway from one that
 stands beside them."""
+FEWEST = 5
+"""Choice. Frames that tell a weight."""
 RAIL_SAMPLES = 3
 RAIL_SECONDS = 0.01
 """A plateau at the peak is suspect from so many samples on, where channels are coarsely quantised from so long on."""
@@ -98,35 +101,30 @@ def _longest(mask: np.ndarray) -> int:
 def plate_weight(trial: Trial) -> float | None:
     """Mean total vertical force while loaded, as a mass [kg]; None where nobody stands on the plates.
 
-    Loaded are the samples above half of the median of those above ``SAMPLE_LOADED_N``: steps onto and off the plates
-    would otherwise lower the mean. Who runs or hops is weighed over whole cycles, flights included, whose momentum
-    comes back.
+    Loaded are the frames above half of the median of those above ``SAMPLE_LOADED_N``, without those in which a foot
+    stands beside the plates: steps onto and off them would otherwise lower the mean. Who runs or hops is weighed over
+    whole cycles, flights included, whose momentum comes back.
     """
     if trial.forces is None:
         return None
-    cycles = None if (course := _course(trial)) is None else flight_cycles(*course)
-    if course is not None and cycles is not None:
-        return float(course[0][cycles].mean()) / GRAVITY
-    loaded = _mean_loaded(trial.forces.total[:, 2])
-    return None if loaded is None else loaded / GRAVITY
+    course = _course(trial)
+    if course is None or course.throughout:
+        loaded = _mean_loaded(trial.forces.total[:, 2])  # samples tell the edges of a contact best
+        return None if loaded is None else loaded / GRAVITY
+    return float(course.vertical[course.weighed].mean()) / GRAVITY
 
 
 def moved_mass(trial: Trial) -> float | None:
-    """Mass [kg] that the vertical force moves: its mean over the mean of g + a while loaded, or over whole cycles.
+    """Mass [kg] that the vertical force moves: its mean over the mean of g + a in the frames of ``plate_weight``.
 
     a is the vertical acceleration of the markers' mean, so that a flight phase or a push-off does not pass for a wrong
     weight. None without enough markers or loaded frames.
     """
     course = _course(trial)
-    if course is None:
+    if course is None or int(course.weighed.sum()) < FEWEST:
         return None
-    vertical, acceleration = course
-    loaded = vertical > SAMPLE_LOADED_N
-    if int(loaded.sum()) < 5:
-        return None
-    cycles = flight_cycles(vertical, acceleration)
-    counted = vertical > 0.5 * vertical[loaded].median() if cycles is None else cycles
-    return float(vertical[counted].mean() / (GRAVITY + acceleration[counted].mean()))
+    counted = course.weighed
+    return float(course.vertical[counted].mean() / (GRAVITY + course.acceleration[counted].mean()))
 
 
 def flight_cycles(
@@ -149,8 +147,41 @@ def flight_cycles(
     return cycles if float(falling.mean()) < -FALLING * GRAVITY else None
 
 
-def _course(trial: Trial) -> tuple[Float[Tensor, " frames"], Float[Tensor, " frames"]] | None:
-    """Vertical force [N] and vertical acceleration of the markers' mean [m/s2], frame by frame."""
+@dataclass(frozen=True)
+class _Course:
+    """What plates carry and how the body moves on them, frame by frame."""
+
+    vertical: Float[Tensor, " frames"]
+    """Force of all plates together [N]."""
+    acceleration: Float[Tensor, " frames"]
+    """Vertical one of the markers' mean [m/s2]."""
+    beside: Bool[Tensor, " frames"]
+    """Whether a foot stands beside the plates."""
+
+    @property
+    def carried(self) -> Bool[Tensor, " frames"]:
+        """Frames in which the plates carry somebody: above half of what they carry in the median."""
+        loaded = self.vertical > SAMPLE_LOADED_N
+        return self.vertical > 0.5 * self.vertical[loaded].median() if bool(loaded.any()) else loaded
+
+    @property
+    def weighed(self) -> Bool[Tensor, " frames"]:
+        """Frames in which they carry all of the body, or whole cycles of a runner."""
+        cycles = flight_cycles(self.vertical, self.acceleration)
+        if cycles is not None:
+            return cycles
+        # Who has a foot beside them throughout is weighed all the same.
+        whole = self.carried & ~self.beside
+        return whole if int(whole.sum()) >= FEWEST else self.carried
+
+    @property
+    def throughout(self) -> bool:
+        """Whether all frames in which they carry somebody tell the weight."""
+        return bool((self.weighed == self.carried).all())
+
+
+def _course(trial: Trial) -> _Course | None:
+    """The course of a trial; None without forces, or with too few markers seen throughout."""
     if trial.forces is None or len(trial.forces.time) < 2 or len(trial.markers.time) < 5:
         return None
     height = trial.markers.position[..., 2]
@@ -159,4 +190,6 @@ def _course(trial: Trial) -> tuple[Float[Tensor, " frames"], Float[Tensor, " fra
         return None
     mean = height.mean(dim=1)
     acceleration = (mean[4:] - 2 * mean[2:-2] + mean[:-4]) * (trial.markers.rate / 2) ** 2
-    return to_clock(trial.forces, trial.markers.time).total[2:-2, 2].nan_to_num(), acceleration
+    forces = to_clock(trial.forces, trial.markers.time)
+    vertical, beside = forces.total[:, 2].nan_to_num(), beside_plates(trial.markers, forces)
+    return _Course(vertical[2:-2], acceleration, beside[2:-2])

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from torchid.bounds import Count, Name, NonNegative, Positive
-from torchid.conventions import LOADED_N
+from torchid.conventions import LOADED_N, STANDING_M_S
 from torchid.errors import OptionError
 
 
@@ -86,7 +86,7 @@ class ContactOptions:
 
     height_m: Positive = 0.03
     """A point of the sole touches within this height of the lowest it gets."""
-    speed_m_s: Positive = 0.4
+    speed_m_s: Positive = STANDING_M_S
     """A point of the sole touches below this speed."""
     leaving_m_s: Positive = 1.2
     """Once down it touches until it rises or is faster than this: when their plate unloads, the toes of a walk do
