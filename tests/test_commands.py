@@ -18,6 +18,7 @@ from torchid.checks import report as check_report
 from torchid.cli import app
 from torchid.evaluation import evaluate
 from torchid.evaluation.study import write
+from torchid.folder import survey as folder_survey
 from torchid.live import run as live
 from torchid.scene import finished
 from torchid.session import checking
@@ -91,6 +92,7 @@ def test_a_command_of_a_page_reaches_its_work(command, tmp_path, monkeypatch):
         (live, "prepare_subject"), (live, "open_as_recorded"), (finished.FinishedRun, "__init__"),
         (check_report, "check_recordings"),
         (checking, "check_recordings"),
+        (folder_survey, "check_recordings"),
     ):  # fmt: skip
         monkeypatch.setattr(where, name, begin)
     monkeypatch.setattr(write, "evaluate_study", functools.partial(write.evaluate_study, make=begin))

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -42,6 +42,21 @@ Port = Annotated[int, typer.Option(min=1, max=65535, help="Of the page; the next
 Host = Annotated[str, typer.Option(help="Address of the page; others than this machine's own ask for a token.")]
 
 
+Subject = Annotated[str | None, typer.Option(help="Whose recordings, where they are of several people.")]
+Mass = Annotated[float | None, typer.Option(min=1, max=1000, help="[kg]; default: as files say, or plates weigh.")]
+Height = Annotated[float | None, typer.Option(min=0.3, max=3, help="[m]; default: as files say, or markers stand.")]
+Sex = Annotated[str | None, typer.Option(help="male or female; default: as files state it.")]
+
+
+class _Given(NamedTuple):
+    """What the user says of a person."""
+
+    name: str | None = None
+    mass_kg: float | None = None
+    height_m: float | None = None
+    sex: str | None = None
+
+
 class _Terminal(Console):
     """Whatever is printed: a label of a file that holds terminal escapes is shown, not obeyed."""
 
@@ -64,11 +79,43 @@ def _main(version: Annotated[bool, typer.Option("--version", help="Show the vers
 
 
 @app.command()
-def run(config: ConfigFile, overrides: Overrides = None, debug: Debug = False) -> None:
-    """Everything the config asks for, into its `out` folder."""
+def new(
+    folder: Annotated[Path, typer.Argument(help="With the recordings of one session.", show_default=False)],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Default: SUBJECT.yaml here.")] = None,
+    subject: Subject = None,
+    mass: Mass = None,
+    height: Height = None,
+    sex: Sex = None,
+    debug: Debug = False,
+) -> None:
+    """A config from nothing but files: marker set, standing trial, what is fitted and held out, and why."""
+    with _exit_codes(debug):
+        config = _new_config(folder, output, _Given(subject, mass, height, sex))
+        _Terminal().print(f"next: torchid run {config}", soft_wrap=True, highlight=False, markup=False)
+
+
+@app.command()
+def run(
+    config: Annotated[Path, typer.Argument(help="YAML or JSON; or a folder of recordings.", show_default=False)],
+    overrides: Overrides = None,
+    subject: Subject = None,
+    mass: Mass = None,
+    height: Height = None,
+    sex: Sex = None,
+    debug: Debug = False,
+) -> None:
+    """Everything the config asks for, into its `out` folder; of a folder of recordings, with a config made of it."""
     with _exit_codes(debug):
         from torchid.config import load_config
 
+        given = _Given(subject, mass, height, sex)
+        if config.is_dir():
+            config = _new_config(config, None, given, keep=True)
+        elif given != _Given():
+            raise ConfigError(
+                "cli.person", "a config says itself whom it is about", source=str(config),
+                remedy="Give them as subject.mass_kg=62.6, or with a folder",
+            )  # fmt: skip
         loaded = load_config(config, overrides or ())
         from torchid.run import run_experiment
 
@@ -200,6 +247,47 @@ def check(
             raise typer.Exit(1)
         if not found.clean:
             raise typer.Exit(InputError.exit_code)
+
+
+def _new_config(folder: Path, output: Path | None, given: _Given, keep: bool = False) -> Path:
+    """Write the config of a folder's session, and say what was chosen.
+
+    Args:
+        keep: use a config that is there already, instead of refusing to write over it.
+    """
+    from rich.table import Table
+
+    from torchid.folder.config_text import config_text
+    from torchid.folder.people import Person
+    from torchid.folder.proposal import propose
+    from torchid.folder.said import said_of
+    from torchid.storage.files import write_text
+
+    if given.sex not in (None, "male", "female", "unknown"):
+        raise ConfigError(
+            "cli.sex", "no such sex in the tables", found=given.sex, remedy="Give male, female or unknown"
+        )
+    with _progress() as progress:
+        proposal = propose(folder, Person(*given), progress)
+    config = output or Path(f"{proposal.name}.yaml")
+    console = _Terminal()
+    if config.exists() and keep:
+        console.print(
+            f"{config} is there and is used; remove it to start from files again", highlight=False, markup=False
+        )
+        return config
+    if config.exists():
+        raise ConfigError(
+            "cli.config_exists", "this config is there already", source=str(config), found="a file of that name",
+            remedy="Remove it, or give another name with -o",
+        )  # fmt: skip
+    write_text(config, config_text(proposal, config.parent))
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for word, text in said_of(proposal, config):
+        table.add_row(Text(word, style="dim"), Text(text))
+    console.print(table)
+    console.print(f"wrote {config}", soft_wrap=True, highlight=False, markup=False)
+    return config
 
 
 def _live_page(port: int, host: str) -> Callable:

@@ -156,8 +156,9 @@ class Config(ConfigSection):
     """The built-in template, or the path of a URDF, MJCF (.xml) or OpenSim file."""
     scatter: FileScatter = FileScatter()
     """How uncertain the numbers of a model file are."""
-    markers: MarkerSource
-    """Name of a built-in marker set, or the path of a YAML file {label: segment}."""
+    markers: MarkerSource = "auto"
+    """Name of a built-in marker set, or the path of a YAML file {label: segment}; auto: the built-in set that lists
+    most labels of the recordings, or the markers of an OpenSim model."""
     unlisted: Literal["assign", "leave_out"] | None = None
     """Labels that the marker set does not list: assigned by how they move, or left out; absent: left out by a set of
     the user's own (a path), assigned by a built-in one."""

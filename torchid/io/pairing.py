@@ -83,10 +83,16 @@ def _has_forces(file: Path) -> bool:
     return any(FORCE_COLUMN.search(column) for column in columns)
 
 
-def _trial(file: Path) -> str:
+def trial_name(file: Path) -> str:
     """The part of a file's name that says which trial it is: empty for ``markers.trc`` and ``grf.mot``."""
-    words = [word for word in re.split(r"[\s_\-.]+", file.stem) if not KIND.fullmatch(word)]
-    return " ".join(words).casefold()
+    parts = re.split(r"([\s_\-.]+)", file.stem)  # words and what stands between them
+    kept = [k for k in range(0, len(parts), 2) if parts[k] and not KIND.fullmatch(parts[k])]
+    return "".join((parts[k - 1] if n else "") + parts[k] for n, k in enumerate(kept))
+
+
+def _trial(file: Path) -> str:
+    """The same, as names are compared."""
+    return re.sub(r"[\s_\-.]+", " ", trial_name(file)).casefold()
 
 
 def _forces_of(markers: Path, forces: list[Path], inhabited: set[Path]) -> Path | None:

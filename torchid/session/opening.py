@@ -14,18 +14,21 @@ from torchid.contact.options import ContactOptions
 from torchid.contact.others import feet_alone
 from torchid.errors import ConfigError, DataError, Note
 from torchid.geometry.assign import Assignment, assign_markers
-from torchid.io import ReadOptions
+from torchid.io import ReadOptions, read_trial
 from torchid.io.mend import ForcesAs, PlateAs
 from torchid.io.resample import synchronise
 from torchid.model.files import load_model
 from torchid.model.marker_set import MarkerSet, MarkerSpec, load_marker_set
 from torchid.model.model import Model
+from torchid.model.recognition import recognise
 from torchid.model.whole_body import whole_body
 from torchid.recording import Trial
 from torchid.session import Session
 from torchid.session.other_contacts import check_others
 from torchid.session.session import look_at_session, taken_out
 
+AUTO = "auto"
+"""Wording. The ``markers`` of a config that leaves them to their labels."""
 OWN = "model"
 """Wording. The ``markers`` of a config that are the model's own."""
 SHORTEST = 6
@@ -66,8 +69,9 @@ def setup_of(config: Config) -> Setup:
         TorchidError: the model or the marker set is at fault.
     """
     model, said = _model(config)
+    markers, chosen = _markers(config, model)
     return Setup(
-        model, _markers(config, model), said, config.subject.mass_kg, config.forces_as, config.plates, config.contact,
+        model, markers, (*said, *chosen), config.subject.mass_kg, config.forces_as, config.plates, config.contact,
         config.unlisted_choice,
     )  # fmt: skip
 
@@ -181,13 +185,27 @@ def _tracked(
     return Session(sound, named, assignment, (*notes, *said, *notes_of(wrong)), wrong, before)
 
 
-def _markers(config: Config, model: Model) -> MarkerSet:
-    if config.markers == OWN:
-        return _own_markers(model, config)
+def _markers(config: Config, model: Model) -> tuple[MarkerSet, tuple[Note, ...]]:
+    """The marker set of a config, and how it was chosen where the config leaves that open."""
+    name, notes = (config.markers, ()) if config.markers != AUTO else _recognised(config, model)
+    if name == OWN:
+        return _own_markers(model, config), notes
     segments = _segments(model)
-    given = load_marker_set(config.markers, tuple(segments), tuple(model.landmarks))
+    given = load_marker_set(name, tuple(segments), tuple(model.landmarks))
     specs = {label: replace(spec, segment=segments[spec.segment]) for label, spec in given.specs.items()}
-    return replace(given, specs=specs)
+    return replace(given, specs=specs), notes
+
+
+def _recognised(config: Config, model: Model) -> tuple[str, tuple[Note, ...]]:
+    """The model's own markers, or the built-in set that lists most labels of the first recording of motion."""
+    if model.osim is not None and model.osim.model.markers:
+        return OWN, (Note("markers.auto", "markers: auto takes those of the model"),)
+    first = next((file for file in config.trials if file.role != "static"), config.trials[0])
+    options = ReadOptions(first.subject, first.up, first.units, first.allow_truncated, ForcesAs(use=False))
+    labels = read_trial(first.name, first.file, None, "fit", options).markers.labels
+    found = recognise(labels, str(first.file))
+    said = f"markers: auto takes {found.name}, which lists {len(found.listed)} of {found.every} labels of {first.name}"
+    return found.name, (Note("markers.auto", said),)
 
 
 def _segments(model: Model) -> dict[str, str]:
