@@ -3,12 +3,14 @@
     PYTHONPATH=.:scripts python -m batteries.verdicts run out/verdicts
     PYTHONPATH=.:scripts python -m batteries.verdicts compare scripts/batteries/verdicts.json out/verdicts
     PYTHONPATH=.:scripts python -m batteries.verdicts keep out/verdicts scripts/batteries/verdicts.json
+    PYTHONPATH=.:scripts:tests python -m batteries.verdicts judge out/verdicts
 
 ``run`` simulates twenty effects of medium size, eight sessions with nothing hidden, six pairs and six effects outside
 the catalogue, all of fixed seeds, runs them and the configs whose recordings are there, and keeps each one's
 ``diagnosis.json``. A verdict that is already there is not computed again. ``compare`` lists every difference of causes,
 places and values beyond 1e-6 relative, of the verdicts that both sides have, and exits with 1 if there is one. ``keep``
-writes a folder into one file; ``verdicts.json`` holds those before the diagnosis was rebuilt.
+writes a folder into one file; ``verdicts.json`` holds those before the diagnosis was rebuilt. ``judge`` says what was
+named in the simulated sessions beside what was hidden there.
 """
 
 import json
@@ -18,11 +20,15 @@ import shutil
 import sys
 from collections.abc import Iterator
 from concurrent.futures import as_completed
+from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 from harness.command import ROOT, Among, Command
 from harness.pool import processes
+from mujoco_laboratory.draws import draw_effect
 
+from batteries.judge import judged, tables
 from batteries.sessions import FOREIGN, KNOWN, OWN, Job, written
 from torchid.config import load_config
 from torchid.errors import TorchidError
@@ -138,16 +144,29 @@ def compare(before: Path, after: Path) -> int:
     return changed
 
 
+def judge(path: Path) -> str:
+    """Tables of the simulated sessions against what was hidden in them, and a line for each."""
+    found, rows = verdicts(path), []
+    for job in (job for job in sessions() if job.key in found):
+        rng = np.random.default_rng((job.seed, 7))
+        truth = [draw_effect(name, job.level, rng) for name in job.names]
+        row = {"failed": ""} if "causes" not in found[job.key] else judged(truth, found[job.key])
+        rows.append(asdict(job) | row)
+    return "\n".join([*(f"{r['seed']} {r.get('told', 'failed')}" for r in rows), tables(rows)["text"]])
+
+
 def main() -> None:
-    """Run, compare or keep."""
+    """Run, compare, judge or keep."""
     folders = {"nargs": "+", "type": Path}
     workers = os.cpu_count() or 1
-    words = Among(("run", "compare", "keep"))
+    words = Among(("run", "compare", "keep", "judge"))
     asked = Command(__doc__, ("what", "folders"), what=words, folders=folders, workers=workers).asked()
     if asked.what == "run":
         run(asked.folders[0], asked.workers)
     elif asked.what == "keep":
         keep(*asked.folders)
+    elif asked.what == "judge":
+        print(*map(judge, asked.folders), sep="\n\n")
     else:
         sys.exit(bool(compare(*asked.folders)))
 
