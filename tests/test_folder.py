@@ -21,8 +21,9 @@ from torchid.folder.people import Person, stature_of, told_of
 from torchid.folder.proposal import Proposal, propose
 from torchid.folder.survey import STATED, names_of, survey
 from torchid.io.c3d_write import write_c3d
+from torchid.model.label_words import told_by_words
 from torchid.model.marker_set import load_marker_set, marker_sets
-from torchid.model.recognition import recognise, recognised
+from torchid.model.recognition import recognise
 from torchid.session.opening import setup_of
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import SimulatedSession, simulate_session
@@ -90,7 +91,7 @@ def test_names_tell_nothing_but_what_is_in_the_files_does(person: SimulatedSessi
 def test_standing_markers_tell_the_stature(person: SimulatedSession, tmp_path: Path) -> None:
     """To six per cent of what the simulated person measures: the published proportions scatter by three."""
     (standing,) = (one for one in survey(laid_out(person, tmp_path, TWO)) if one.name == "static")
-    assert stature_of(standing, "simulated") == pytest.approx(person.subject.model.height, rel=0.06)
+    assert stature_of(standing, load_marker_set("simulated")) == pytest.approx(person.subject.model.height, rel=0.06)
 
 
 def test_what_files_state_of_the_person_is_taken_and_its_source_said(person: SimulatedSession, tmp_path: Path) -> None:
@@ -181,16 +182,96 @@ def test_a_set_is_recognised_by_its_labels(name: str, seed: int) -> None:
     specs = load_marker_set(name).specs
     some = [label for label, one in specs.items() if one.segment == "pelvis" or random.random() < 0.8]
     spelt = [f"Anna:{label.upper().replace('_', ' ')}" for label in some]
-    best = recognised(spelt)
-    assert name in {one.name for one in best if len(one.listed) == len(best[0].listed)}
-    assert recognise(spelt).share == 1.0
+    found = recognise(spelt)
+    assert not found.unknown
+    told = found.markers.match(spelt).assigned
+    assert {label: told[given].segment for label, given in zip(some, spelt, strict=True)} == {
+        label: specs[label].segment for label in some
+    }
+
+
+CONVENTIONS = {
+    "pelvis": "left_asis RightPSIS SIAS_D EIAS_G ASIS_R PSIS_L Sacrum L_Iliac_Crest WaistLFront WaistBack R_IAS LASIS",
+    "thigh_l": "Left_Thigh_1 LThighUpper L_Knee_Lat LLFE left_knee_lateral LGTRO LLEK L_GT L_ME LKneeOut KNEE_LAT_L",
+    "thigh_r": "RThigh3 R_Knee_Med RMKN RKNEL KneeMed_R RLEPI RGT RME RThighFrontLow RKneeIn",
+    "shank_l": "LShank1 L_Ankle_Lat LMMAL LTIBA LANK_MED left_ankle_medial LATI LLM L_HF L_TT LShinFrontHigh LAnkleOut",
+    "shank_r": "RShankUpper RTIBTUB RSHIN RLATMAL RLM R_MM RAnkleIn",
+    "foot_l": "LHEEL L1MT L5MT LBigToe L_MTP1 LMH5 LCALC L5thMet L_CA L_FM L_SM L_VM LForefootOut LToeTip LHeelBack",
+    "foot_r": "RTOE RMH1 RP5MT R_5th_Met RMT5 RForefoot2",
+    "upper_arm_l": "LUA LUARM L_Upper_Arm LELB_LAT LLEE LDELT LElbowOut LArm",
+    "upper_arm_r": "RUA1 R_Elbow_Med RElbowLat RHME RMEE RElbowIn",
+    "forearm_l": "LFARM L_Forearm1 LWRIST LWRU L_Wrist_Ulnar LRAD LLW LWristOut",
+    "forearm_r": "RFA2 R_Radius RWRI RUST RFRM RMW RWristIn",
+    "hand_l": "LHAND L_Finger LMC3 LHandOut LFIN",
+    "thorax": "STER XYPH Xiphoid Manubrium Left_Shoulder R_Acromion LSCAP T8 SpineTop Chest RShoulderTop SJN T2 BBAC",
+    "head": "TopHead LTEMP R_Ear FHEAD THEAD HeadL HeadFront",
+}
+"""Labels of the Human Body Model, of Qualisys' animation set, of Leardini's protocol and of laboratories' own."""
+
+
+@pytest.mark.parametrize("segment", CONVENTIONS)
+def test_words_tell_the_segment(segment: str) -> None:
+    """In the conventions of several schools, spelt in several ways."""
+    labels = CONVENTIONS[segment].split()
+    told = {label: getattr(told_by_words(label), "segment", None) for label in labels}
+    assert told == dict.fromkeys(labels, segment)
+
+
+@pytest.mark.parametrize("name", marker_sets())
+def test_words_contradict_no_set(name: str) -> None:
+    """Where words tell a segment or a landmark of a built-in set, it is the set's."""
+    for label, spec in load_marker_set(name).specs.items():
+        told = told_by_words(label)
+        assert told is None or told.segment == spec.segment, label
+        assert told is None or None in (told.landmark, spec.landmark) or told.landmark == spec.landmark, label
+
+
+@pytest.mark.parametrize(
+    "label", ["LHJC", "midASIS", "CentreOfMass", "L_AJC_proj", "M001", "x", "", "LKneeAngles", "Cat"]
+)
+def test_words_say_nothing_of_what_is_no_marker(label: str) -> None:
+    """Joint centres, angles, numbers and other words tell no segment."""
+    assert told_by_words(label) is None
+
+
+WORDS = {
+    "ASI": "Asis", "PSI": "Psis", "FHD": "HeadFront", "BHD": "HeadBack", "SHO": "Acromion", "BAK": "Back",
+    "UPA": "UpperArm", "ELB": "ElbowLat", "ELBM": "ElbowMed", "FRA": "Forearm", "WRA": "WristRadial",
+    "WRB": "WristUlnar", "FIN": "Hand", "HA2": "Hand2", "HA5": "Hand5", "THI": "Thigh", "THAP": "Thigh2",
+    "KNE": "KneeLat", "KNM": "KneeMed", "TIB": "Shank", "TIAP": "Shank2", "ANK": "AnkleLat", "ANM": "AnkleMed",
+    "HEE": "Heel", "TOE": "ToeTip", "MT1": "Met1", "MT5": "Met5",
+}  # fmt: skip
+OTHER = {
+    side + word: f"{name}_{said}" for side, name in (("L", "Left"), ("R", "Right")) for word, said in WORDS.items()
+}
+OTHER |= {"CLAV": "Manubrium", "STRN": "Xiphoid", "SACR": "Sacrum"}
+"""The simulated labels as another laboratory would have them."""
+
+
+def test_another_convention_begins_by_itself(person: SimulatedSession, tmp_path: Path) -> None:
+    """Labels of no built-in set become a marker map beside the config, every marker on its segment."""
+    config = tmp_path / "new.yaml"
+    for name in TWO:
+        trial = person.trial(name).trial
+        (tmp_path / "data").mkdir(exist_ok=True)
+        labels = tuple(OTHER.get(label, label) for label in trial.markers.labels)
+        write_c3d(tmp_path / "data" / f"{name}.c3d", replace(trial, markers=replace(trial.markers, labels=labels)))
+    done = CliRunner().invoke(app, ["new", str(tmp_path / "data"), "-o", str(config)])
+    assert done.exit_code == 0, done.output
+    setup = setup_of(load_config(config))
+    segments = {label: spec.segment for label, spec in load_marker_set("simulated").specs.items()}
+    told = {OTHER.get(label, label): segment for label, segment in segments.items()}
+    assert {label: spec.segment for label, spec in setup.markers.specs.items()} == {
+        label: segment for label, segment in told.items() if label in setup.markers.specs
+    }
+    assert len(setup.markers.specs) > 0.9 * len(told)
 
 
 def test_labels_of_no_set_are_refused(seed: int) -> None:
     """Random names are nobody's; the nearest set and what it lacks are said."""
     random = np.random.default_rng(seed)
     labels = [f"M{k:03d}" for k in random.choice(1000, 40, replace=False)]
-    with pytest.raises(ConfigError, match="lists 0 of 40 labels"):
+    with pytest.raises(ConfigError, match="nothing tells where 40 labels are"):
         recognise(labels, "folder")
 
 

@@ -257,7 +257,7 @@ def _new_config(folder: Path, output: Path | None, given: _Given, keep: bool = F
     """
     from rich.table import Table
 
-    from torchid.folder.config_text import config_text
+    from torchid.folder.config_text import config_text, marker_map_text
     from torchid.folder.people import Person
     from torchid.folder.proposal import propose
     from torchid.folder.said import said_of
@@ -281,12 +281,17 @@ def _new_config(folder: Path, output: Path | None, given: _Given, keep: bool = F
             "cli.config_exists", "this config is there already", source=str(config), found="a file of that name",
             remedy="Remove it, or give another name with -o",
         )  # fmt: skip
-    write_text(config, config_text(proposal, config.parent))
+    markers = config.with_name(f"{config.stem}_markers.yaml") if proposal.markers.worded else None
+    if markers is not None:
+        write_text(markers, marker_map_text(proposal.markers))
+    write_text(config, config_text(proposal, config.parent, markers.name if markers else ""))
     table = Table(show_header=False, box=None, pad_edge=False)
     for word, text in said_of(proposal, config):
         table.add_row(Text(word, style="dim"), Text(text))
     console.print(table)
-    console.print(f"wrote {config}", soft_wrap=True, highlight=False, markup=False)
+    console.print(
+        f"wrote {config}" + (f" and {markers}" if markers else ""), soft_wrap=True, highlight=False, markup=False
+    )
     return config
 
 

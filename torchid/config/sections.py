@@ -158,7 +158,7 @@ class Config(ConfigSection):
     """How uncertain the numbers of a model file are."""
     markers: MarkerSource = "auto"
     """Name of a built-in marker set, or the path of a YAML file {label: segment}; auto: the built-in set that lists
-    most labels of the recordings, or the markers of an OpenSim model."""
+    most labels, the others by their words (docs/folder.md), or the markers of an OpenSim model."""
     unlisted: Literal["assign", "leave_out"] | None = None
     """Labels that the marker set does not list: assigned by how they move, or left out; absent: left out by a set of
     the user's own (a path), assigned by a built-in one."""

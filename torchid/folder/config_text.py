@@ -8,6 +8,8 @@ from pathlib import Path
 
 from torchid.folder.proposal import Proposal
 from torchid.folder.roles import Use
+from torchid.model.marker_set import MarkerSpec
+from torchid.model.recognition import Recognised
 from torchid.wording import clean, listing
 
 PLAIN = re.compile(r"[A-Za-z][\w./-]*")
@@ -16,14 +18,37 @@ RESERVED = ("true", "false", "null", "none", "nan", "inf", "yes", "no", "on", "o
 """Words that some YAML reads as something else."""
 
 
-def config_text(proposal: Proposal, beside: Path) -> str:
+def config_text(proposal: Proposal, beside: Path, marker_map: str = "") -> str:
     """Return the config as text.
 
     Args:
         proposal: the session.
         beside: the folder in which the config will lie; recordings below it are named by relative paths.
+        marker_map: name of the file there that holds ``marker_map_text``; empty: a built-in set is named.
     """
-    return "\n".join([*_head(proposal), *_trials(proposal, beside), *_tail(proposal)]) + "\n"
+    parts = (_head(proposal), _markers(proposal.markers, marker_map), _trials(proposal, beside), _tail(proposal))
+    return "\n".join(line for part in parts for line in part) + "\n"
+
+
+def marker_map_text(markers: Recognised) -> str:
+    """Return a marker set as text: every label with its segment and landmark, and what told them.
+
+    Args:
+        markers: what was recognised.
+    """
+    lines = [
+        f"# {clean(markers.said)}. Every line is LABEL: SEGMENT, or with a landmark; what is not listed is left out."
+    ]
+    for said, some in ((f"By the set {markers.name}:", markers.listed), ("By their words:", markers.worded)):
+        lines += [f"# {said}"] * bool(some)
+        lines += [f"{json.dumps(label, ensure_ascii=False)}: {_spec(one)}" for label, one in some.items()]
+    lines += ["# Not told; write a segment behind those that are markers:"] * bool(markers.unknown)
+    lines += [f"# {json.dumps(clean(label), ensure_ascii=False)}:" for label in markers.unknown]
+    return "\n".join(lines) + "\n"
+
+
+def _spec(one: MarkerSpec) -> str:
+    return one.segment if one.landmark is None else f"{{segment: {one.segment}, landmark: {one.landmark}}}"
 
 
 def _head(proposal: Proposal) -> Iterator[str]:
@@ -35,11 +60,13 @@ def _head(proposal: Proposal) -> Iterator[str]:
     where = [f"{key}: {source}" for key, source in told.sources.items()]
     if where:
         yield f"# {clean('; '.join(where))}"
-    markers = proposal.markers
-    yield f"markers: {markers.name}  # lists {len(markers.listed)} of {markers.every} labels"
+
+
+def _markers(markers: Recognised, marker_map: str) -> Iterator[str]:
+    yield f"markers: {_scalar(marker_map) if marker_map else markers.name}  # {clean(markers.said)}"
     if markers.unknown:
-        yield f"# Not listed, and placed by how they move: {clean(listing(markers.unknown, 12))}."
-        yield "# With `unlisted: leave_out` they are left out."
+        named = clean(listing(markers.unknown, 12))
+        yield f"# Not told and left out: {named}." if marker_map else f"# Not listed, placed by how they move: {named}."
 
 
 def _trials(proposal: Proposal, beside: Path) -> Iterator[str]:

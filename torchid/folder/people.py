@@ -12,7 +12,7 @@ from statistics import median
 from torchid.errors import TorchidError
 from torchid.folder.survey import Surveyed, plain_name
 from torchid.kinematics.chain import chain_poses
-from torchid.model.marker_set import load_marker_set
+from torchid.model.marker_set import MarkerSet
 from torchid.model.markup import read_xml
 from torchid.model.model import Model
 from torchid.model.whole_body import whole_body
@@ -163,16 +163,16 @@ def _number(text: str) -> float | None:
     return float(match[1]) if match else None
 
 
-def stature_of(standing: Surveyed, markers: str) -> float | None:
+def stature_of(standing: Surveyed, markers: MarkerSet) -> float | None:
     """Return the stature that the heights of a standing person's markers tell [m], None without landmarks.
 
     Each landmark's height is compared with its height in the template; the median of the ratios is taken.
 
     Args:
         standing: who stands still.
-        markers: name of a built-in marker set.
+        markers: where the markers are.
     """
-    given = load_marker_set(markers).match(standing.labels).assigned
+    given = markers.match(standing.labels).assigned
     model = whole_body(None, None)
     template = _template_heights(model)
     ratios = [

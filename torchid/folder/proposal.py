@@ -8,7 +8,6 @@ from torchid.errors import DataError, InputError
 from torchid.folder.people import Person, PersonFacts, people_in, stature_of, told_of
 from torchid.folder.roles import Use, uses_of
 from torchid.folder.survey import Surveyed, survey
-from torchid.model.marker_set import load_marker_set
 from torchid.model.recognition import Recognised, recognise
 from torchid.wording import listing, plural
 
@@ -54,8 +53,7 @@ def propose(
     found = _of_person(survey(folder, progress), folder, given.name)
     labels = [label for one in found for label in one.labels]
     markers = recognise(labels, str(folder))
-    given_set = load_marker_set(markers.name)
-    uses = uses_of(found, {one.name: len(given_set.match(one.labels).assigned) for one in found})
+    uses = uses_of(found, {one.name: len(markers.markers.match(one.labels).assigned) for one in found})
     if not any(use.role == "fit" for use in uses):
         said = [f"{use.of.name}: {use.why}" for use in uses]
         raise DataError(
@@ -90,7 +88,7 @@ def _person(
     doubts = list(told.contradictions)
     person, sources = replace(told.person, name=name), dict(told.sources)
     standing = next((use.of for use in uses if use.role == "static"), None)
-    stature = None if standing is None else stature_of(standing, markers.name)
+    stature = None if standing is None else stature_of(standing, markers.markers)
     if person.height_m is None and stature is not None and standing is not None:
         person, sources = replace(person, height_m=stature), sources | {"height_m": f"markers of {standing.name}"}
         doubts.append(f"no stature is stated; {stature:.2f} m is what standing markers tell, to about 3 %")

@@ -1,83 +1,117 @@
-"""Which built-in marker set a recording's labels are of."""
+"""Which segments a recording's labels are on: by the built-in set that lists most of them, and by their own words."""
 
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 from torchid.errors import ConfigError
-from torchid.model.marker_set import load_marker_set, marker_sets
+from torchid.model.label_words import told_by_words
+from torchid.model.marker_set import MarkerSet, MarkerSpec, load_marker_set, marker_sets
 from torchid.wording import listing
 
 ENOUGH = 0.6
-"""Choice. Share of a recording's labels that a set must list to be taken for the laboratory's own: three in five, so
-that what it does not list can be told by how it keeps its distance from what it lists."""
+"""Choice. Share of a recording's labels that a set must list to be taken for the laboratory's own; and that a set and
+words must tell together, so that a person can be followed."""
 ROOT_MARKERS = 3
 """Markers on the pelvis without which no posture is told."""
+WORDS = "words"
+"""Wording. Name of a set that is told by words alone."""
 
 
 @dataclass(frozen=True)
 class Recognised:
-    """A built-in set beside the labels of a recording."""
+    """A built-in set, and words, beside the labels of a recording."""
 
-    name: str
-    listed: tuple[str, ...]
-    """Labels that the set places on a segment."""
+    set: MarkerSet
+    """The built-in one; without labels where none is the laboratory's own."""
+    listed: dict[str, MarkerSpec]
+    """Labels that the set lists."""
+    worded: dict[str, MarkerSpec]
+    """Labels that it does not list, and that say by themselves where they are."""
     unknown: tuple[str, ...]
-    """Labels that it does not list."""
+    """Labels that say nothing."""
     absent: int
-    """Markers that the set lists and the recording lacks."""
-    root: int
-    """Of the listed ones, those on the pelvis."""
+    """Places of the set that no label is at."""
 
     @property
     def every(self) -> int:
-        """Number of the recording's labels, without those that the set knows as computed."""
-        return len(self.listed) + len(self.unknown)
+        """Number of labels, without those that the set knows as computed."""
+        return len(self.listed) + len(self.worded) + len(self.unknown)
 
     @property
-    def share(self) -> float:
-        """Part of them that the set lists."""
-        return len(self.listed) / max(1, self.every)
+    def markers(self) -> MarkerSet:
+        """The set with what words tell."""
+        if not self.worded:
+            return self.set
+        return replace(self.set, specs={**self.set.specs, **self.worded})
+
+    @property
+    def name(self) -> str:
+        """Of the set, by which a config may name it where words add nothing."""
+        return self.set.name
+
+    @property
+    def root(self) -> int:
+        """Labels on the pelvis."""
+        return sum(spec.segment == "pelvis" for spec in (*self.listed.values(), *self.worded.values()))
 
     @property
     def enough(self) -> bool:
-        """Whether the labels may be called the set's."""
-        return self.share >= ENOUGH and self.root >= ROOT_MARKERS
+        """Whether a person can be followed by what is told."""
+        told = len(self.listed) + len(self.worded)
+        return told >= ENOUGH * max(1, self.every) and self.root >= ROOT_MARKERS
+
+    @property
+    def said(self) -> str:
+        """What was recognised, as a phrase."""
+        parts = [f"{self.name} lists {len(self.listed)} of {self.every} labels"] if self.listed else []
+        if self.worded:
+            parts.append(f"words tell {len(self.worded)}" + ("" if self.listed else f" of {self.every} labels"))
+        return ", ".join(parts) or f"nothing tells where {self.every} labels are"
 
 
-def recognised(labels: Iterable[str]) -> tuple[Recognised, ...]:
-    """Return every built-in set beside some labels, the one that lists most of them first.
+def recognised(labels: Iterable[str]) -> Recognised:
+    """Return where labels are: by the built-in set that lists most of them, and the others by words.
 
-    Of two that list as many the one with fewer absent markers comes first.
-    """
-    labels = tuple(dict.fromkeys(labels))
-    return tuple(sorted((_beside(name, labels) for name in marker_sets()), key=lambda r: (-len(r.listed), r.absent)))
+    Of two sets that list as many, the one with fewer absent places is taken.
 
-
-def recognise(labels: Collection[str], source: str = "") -> Recognised:
-    """Return the built-in set that labels are of.
+    A set that lists too few is not the laboratory's, and its labels may mean other places there: then words tell alone.
 
     Args:
-        labels: of the recordings, computed points left out or not.
+        labels: of recordings.
+    """
+    labels = tuple(dict.fromkeys(labels))
+    best = min((_beside(load_marker_set(name), labels) for name in marker_sets()), key=_order)
+    own = best if len(best.listed) >= ENOUGH * max(1, best.every) else _beside(MarkerSet(WORDS, {}), labels)
+    told = {label: spec for label in own.unknown if (spec := told_by_words(label)) is not None}
+    return replace(own, worded=told, unknown=tuple(label for label in own.unknown if label not in told))
+
+
+def recognise(labels: Iterable[str], source: str = "") -> Recognised:
+    """Return where labels are.
+
+    Args:
+        labels: of recordings.
         source: where they come from, for the error.
 
     Raises:
-        ConfigError: ``markers.unrecognised``; the nearest set and what it lacks are named.
+        ConfigError: ``markers.unrecognised`` where too few labels are told, or too few on the pelvis.
     """
-    best = recognised(labels)[0]
-    if best.enough:
-        return best
+    found = recognised(labels)
+    if found.enough:
+        return found
+    untold = f"; not {listing(found.unknown, 12)}" if found.unknown else ""
     raise ConfigError(
-        "markers.unrecognised", "no built-in marker set lists enough of these labels", source=source, place="markers",
-        found=f"{best.name} lists {len(best.listed)} of {best.every} labels, {best.root} on the pelvis"
-        + (f"; not {listing(best.unknown, 12)}" if best.unknown else ""),
+        "markers.unrecognised", "labels do not tell where the markers are", source=source, place="markers",
+        found=f"{found.said}, {found.root} on the pelvis{untold}",
         remedy="Give markers: FILE.yaml with a line LABEL: SEGMENT for every marker (docs/config.md)",
     )  # fmt: skip
 
 
-def _beside(name: str, labels: tuple[str, ...]) -> Recognised:
-    given = load_marker_set(name)
+def _order(one: Recognised) -> tuple[int, int]:
+    return -len(one.listed), one.absent
+
+
+def _beside(given: MarkerSet, labels: tuple[str, ...]) -> Recognised:
     match = given.match(labels)
-    places = {(spec.segment, spec.landmark) for spec in match.assigned.values()}
-    absent = sum((spec.segment, spec.landmark) not in places for spec in given.specs.values())
-    root = sum(spec.segment == "pelvis" for spec in match.assigned.values())
-    return Recognised(name, tuple(match.assigned), match.unknown, absent, root)
+    absent = {*given.specs.values()} - {*match.assigned.values()}
+    return Recognised(given, match.assigned, {}, match.unknown, len(absent))

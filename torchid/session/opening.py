@@ -187,25 +187,28 @@ def _tracked(
 
 def _markers(config: Config, model: Model) -> tuple[MarkerSet, tuple[Note, ...]]:
     """The marker set of a config, and how it was chosen where the config leaves that open."""
-    name, notes = (config.markers, ()) if config.markers != AUTO else _recognised(config, model)
-    if name == OWN:
-        return _own_markers(model, config), notes
+    own = model.osim is not None and model.osim.model.markers
+    if config.markers == OWN or (config.markers == AUTO and own):
+        return _own_markers(model, config), ()
     segments = _segments(model)
-    given = load_marker_set(name, tuple(segments), tuple(model.landmarks))
-    specs = {label: replace(spec, segment=segments[spec.segment]) for label, spec in given.specs.items()}
+    if config.markers == AUTO:
+        given, notes = _recognised(config)
+    else:
+        given, notes = load_marker_set(config.markers, tuple(segments), tuple(model.landmarks)), ()
+    specs = {
+        label: replace(spec, segment=segments[spec.segment])
+        for label, spec in given.specs.items()
+        if config.markers != AUTO or spec.segment in segments
+    }
     return replace(given, specs=specs), notes
 
 
-def _recognised(config: Config, model: Model) -> tuple[str, tuple[Note, ...]]:
-    """The model's own markers, or the built-in set that lists most labels of the first recording of motion."""
-    if model.osim is not None and model.osim.model.markers:
-        return OWN, (Note("markers.auto", "markers: auto takes those of the model"),)
+def _recognised(config: Config) -> tuple[MarkerSet, tuple[Note, ...]]:
+    """Where the labels of the first recording of motion are, by a built-in set and their words."""
     first = next((file for file in config.trials if file.role != "static"), config.trials[0])
     options = ReadOptions(first.subject, first.up, first.units, first.allow_truncated, ForcesAs(use=False))
-    labels = read_trial(first.name, first.file, None, "fit", options).markers.labels
-    found = recognise(labels, str(first.file))
-    said = f"markers: auto takes {found.name}, which lists {len(found.listed)} of {found.every} labels of {first.name}"
-    return found.name, (Note("markers.auto", said),)
+    found = recognise(read_trial(first.name, first.file, None, "fit", options).markers.labels, str(first.file))
+    return found.markers, (Note("markers.auto", f"markers: auto, by {first.name}: {found.said}"),)
 
 
 def _segments(model: Model) -> dict[str, str]:
