@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, NamedTuple
 
 import typer
@@ -43,8 +44,8 @@ Host = Annotated[str, typer.Option(help="Address of the page; others than this m
 
 
 Subject = Annotated[str | None, typer.Option(help="Whose recordings, where they are of several people.")]
-Mass = Annotated[float | None, typer.Option(min=1, max=1000, help="[kg]; default: as files say, or plates weigh.")]
-Height = Annotated[float | None, typer.Option(min=0.3, max=3, help="[m]; default: as files say, or markers stand.")]
+Mass = Annotated[float | None, typer.Option(help="In kg; default: as files say, or plates weigh.")]
+Height = Annotated[float | None, typer.Option(help="In m; default: as files say, or markers stand.")]
 Sex = Annotated[str | None, typer.Option(help="male or female; default: as files state it.")]
 
 
@@ -91,7 +92,7 @@ def new(
     """A config from nothing but files: marker set, standing trial, what is fitted and held out, and why."""
     with _exit_codes(debug):
         config = _new_config(folder, output, _Given(subject, mass, height, sex))
-        _Terminal().print(f"next: torchid run {config}", soft_wrap=True, highlight=False, markup=False)
+        _Terminal().print(f"next: torchid run {quote(str(config))}", soft_wrap=True, highlight=False, markup=False)
 
 
 @app.command()
@@ -112,10 +113,7 @@ def run(
         if config.is_dir():
             config = _new_config(config, None, given, keep=True)
         elif given != _Given():
-            raise ConfigError(
-                "cli.person", "a config says itself whom it is about", source=str(config),
-                remedy="Give them as subject.mass_kg=62.6, or with a folder",
-            )  # fmt: skip
+            raise _person_twice(config)
         loaded = load_config(config, overrides or ())
         from torchid.run import run_experiment
 
@@ -253,46 +251,43 @@ def _new_config(folder: Path, output: Path | None, given: _Given, keep: bool = F
     """Write the config of a folder's session, and say what was chosen.
 
     Args:
-        keep: use a config that is there already, instead of refusing to write over it.
+        keep: use a config of the folder that is there already, instead of refusing to write over it.
     """
     from rich.table import Table
 
-    from torchid.folder.config_text import config_text, marker_map_text
-    from torchid.folder.people import Person
     from torchid.folder.proposal import propose
     from torchid.folder.said import said_of
-    from torchid.storage.files import write_text
+    from torchid.folder.statements import SEXES, Person
+    from torchid.folder.writing import refuse_other, refuse_taken, write_config
 
-    if given.sex not in (None, "male", "female", "unknown"):
-        raise ConfigError(
-            "cli.sex", "no such sex in the tables", found=given.sex, remedy="Give male, female or unknown"
-        )
+    if output is not None:
+        refuse_taken(output)
+    sex = given.sex and SEXES.get(given.sex.lower(), given.sex)
     with _progress() as progress:
-        proposal = propose(folder, Person(*given), progress)
-    config = output or Path(f"{proposal.name}.yaml")
-    console = _Terminal()
-    if config.exists() and keep:
-        console.print(
-            f"{config} is there and is used; remove it to start from files again", highlight=False, markup=False
-        )
+        proposal = propose(folder, Person(*given[:3], sex), progress)
+    config, console = output or Path(f"{proposal.name}.yaml"), _Terminal()
+    if keep and config.exists():
+        refuse_other(config, folder)
+        if given[1:] != _Given()[1:]:
+            raise _person_twice(config)
+        console.print(f"{config} is used; remove it to start from files again", highlight=False, markup=False)
         return config
-    if config.exists():
-        raise ConfigError(
-            "cli.config_exists", "this config is there already", source=str(config), found="a file of that name",
-            remedy="Remove it, or give another name with -o",
-        )  # fmt: skip
-    markers = config.with_name(f"{config.stem}_markers.yaml") if proposal.markers.worded else None
-    if markers is not None:
-        write_text(markers, marker_map_text(proposal.markers))
-    write_text(config, config_text(proposal, config.parent, markers.name if markers else ""))
+    written = write_config(proposal, config)
     table = Table(show_header=False, box=None, pad_edge=False)
     for word, text in said_of(proposal, config):
         table.add_row(Text(word, style="dim"), Text(text))
     console.print(table)
-    console.print(
-        f"wrote {config}" + (f" and {markers}" if markers else ""), soft_wrap=True, highlight=False, markup=False
-    )
+    said = f"wrote {' and '.join(map(str, written))}"
+    console.print(said, soft_wrap=True, highlight=False, markup=False)
     return config
+
+
+def _person_twice(config: Path) -> ConfigError:
+    """The refusal of facts about a person beside a config."""
+    return ConfigError(
+        "cli.person", "a config says itself whom it is about", source=str(config),
+        remedy="Change it there, or give them as subject.mass_kg=62.6",
+    )  # fmt: skip
 
 
 def _live_page(port: int, host: str) -> Callable:

@@ -7,7 +7,7 @@ from typing import Any
 
 ABSENT = "–"
 """Stands for what is not known."""
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
 _SHOWN = "\N{REPLACEMENT CHARACTER}"
 _UNIT = re.compile(r"(?<=\d) (?=(?:N|mm|kg|m|Hz|s|%|°)(?![\w]))|(?<=\bN) (?=m\b)")
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.]*\w)")

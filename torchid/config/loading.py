@@ -34,6 +34,22 @@ def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     return _config(_document(path, overrides), path)
 
 
+def config_of_text(text: str, path: str | Path) -> Config:
+    """The config that a text is, before it is written.
+
+    Args:
+        text: YAML or JSON.
+        path: where it would lie.
+
+    Raises:
+        ConfigError: as of ``load_config``.
+        InvalidConfig: as of ``load_config``.
+    """
+    document = parse_document(text, str(path))
+    assert isinstance(document, dict)
+    return _config(document, Path(path))
+
+
 def load_evaluation(path: str | Path, overrides: Sequence[str] = ()) -> Config | Study:
     """The config of one subject's evaluation, or the study in a file that lists ``subjects``.
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from torchid.errors import InputError
 from torchid.folder.proposal import Proposal
 from torchid.folder.roles import Use
 from torchid.model.marker_set import MarkerSpec
@@ -14,6 +15,8 @@ from torchid.wording import clean, listing
 
 PLAIN = re.compile(r"[A-Za-z][\w./-]*")
 """Text that YAML reads as text without quotes."""
+LONG = 500
+"""Resolution. Letters of a reason."""
 RESERVED = ("true", "false", "null", "none", "nan", "inf", "yes", "no", "on", "off")
 """Words that some YAML reads as something else."""
 
@@ -53,13 +56,13 @@ def _spec(one: MarkerSpec) -> str:
 
 def _head(proposal: Proposal) -> Iterator[str]:
     yield f"# Made by `torchid new` from {clean(proposal.folder.name)}; every line may be changed (docs/config.md)."
-    yield from (f"# In doubt: {clean(doubt)}." for doubt in proposal.doubts)
+    yield from (f"# In doubt: {clean(doubt, LONG)}." for doubt in proposal.doubts)
     told = proposal.told
     facts = {"name": proposal.name} | told.person.known
     yield f"subject: {{{', '.join(f'{key}: {_scalar(value)}' for key, value in facts.items())}}}"
     where = [f"{key}: {source}" for key, source in told.sources.items()]
     if where:
-        yield f"# {clean('; '.join(where))}"
+        yield f"# {clean('; '.join(where), LONG)}"
 
 
 def _markers(markers: Recognised, marker_map: str) -> Iterator[str]:
@@ -74,9 +77,9 @@ def _trials(proposal: Proposal, beside: Path) -> Iterator[str]:
     for use in proposal.uses:
         entry = f"{{{', '.join(_entry(use, beside))}}}"
         if use.role:
-            yield f"  - {entry}  # {clean(use.why)}"
+            yield f"  - {entry}  # {clean(use.why, LONG)}"
         else:
-            yield f"  # left out, {clean(use.why)}"
+            yield f"  # left out: {clean(use.why, LONG)}"
             yield f"  # - {entry}"
 
 
@@ -98,8 +101,19 @@ def _tail(proposal: Proposal) -> Iterator[str]:
 
 
 def _path(file: Path, beside: Path) -> str:
-    beside = beside.resolve()
-    return _scalar(os.path.relpath(file, beside) if file.is_relative_to(beside) else str(file))
+    """Return a path as a config means it: below the config from there, else the whole.
+
+    Raises:
+        InputError: ``folder.path`` where a config would take a part of it for a variable.
+    """
+    if "${" in str(file):
+        raise InputError(
+            "folder.path", "a config takes ${...} in a path for a variable", source=str(file),
+            remedy="Rename the folder or the file",
+        )  # fmt: skip
+    below = os.path.relpath(file, beside.resolve())
+    # What begins with ~ would be a user's home.
+    return _scalar(str(file) if below.startswith(("..", "~")) else below)
 
 
 def _scalar(value: str | float) -> str:
@@ -107,4 +121,4 @@ def _scalar(value: str | float) -> str:
     if isinstance(value, float | int):
         return f"{value:.6g}"
     plain = PLAIN.fullmatch(value) and value.lower() not in RESERVED
-    return value if plain else json.dumps(value, ensure_ascii=False)
+    return value if plain else json.dumps(value).replace("\x7f", "\\x7f")

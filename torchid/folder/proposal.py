@@ -1,14 +1,16 @@
 """The session that a folder holds: one person, a marker set, and what every recording serves for."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torchid.errors import DataError, InputError
-from torchid.folder.people import Person, PersonFacts, people_in, stature_of, told_of
+from torchid.folder.people import PersonFacts, people_in, stature_of, told_of
 from torchid.folder.roles import Use, uses_of
-from torchid.folder.survey import Surveyed, survey
-from torchid.model.recognition import Recognised, recognise
+from torchid.folder.statements import Person
+from torchid.folder.survey import Surveyed, plain_name, survey
+from torchid.io.pairing import unpaired_forces
+from torchid.model.recognition import Recognised, recognise, recognised
 from torchid.wording import listing, plural
 
 
@@ -44,24 +46,65 @@ def propose(
         progress: gets the stage and the part of it that is done.
 
     Raises:
-        InputError: ``check.empty`` without recordings; ``folder.people`` where several people are shown and none, or
-            another one, is named.
+        InputError: ``folder.absent``; ``check.empty`` without recordings, ``folder.unread`` where none can be used;
+            ``folder.people`` where several people are shown and none, or another one, is named.
         ConfigError: ``markers.unrecognised``.
         DataError: ``folder.no_motion`` where nothing can be fitted.
     """
-    folder = folder.resolve()
-    found = _of_person(survey(folder, progress), folder, given.name)
-    labels = [label for one in found for label in one.labels]
-    markers = recognise(labels, str(folder))
-    uses = uses_of(found, {one.name: len(markers.markers.match(one.labels).assigned) for one in found})
+    folder = _existing(folder)
+    every = survey(folder, progress)
+    _refuse_unread(every, folder)
+    found = _of_person(every, folder, given.name)
+    markers, known = _markers(found, folder)
+    uses = uses_of(found, known)
     if not any(use.role == "fit" for use in uses):
         said = [f"{use.of.name}: {use.why}" for use in uses]
         raise DataError(
             "folder.no_motion", "no recording shows a motion that can be fitted", source=str(folder),
             found=listing(said, 6), remedy="Add recordings of motion on force plates, or mend those that are left out",
         )  # fmt: skip
-    told, doubts = _person(folder, found, uses, markers, given)
-    return Proposal(folder, told, markers, uses, doubts)
+    facts = _facts(folder, found, uses, markers, given)
+    pairs = [(one.file, one.forces) for one in every]
+    alone = [file.name for file in unpaired_forces(folder, pairs)]
+    doubts = [f"no TRC has the name of {listing(alone)}, whose forces are not used"] if alone else []
+    return Proposal(folder, facts, markers, uses, (*doubts, *_doubts(facts, uses)))
+
+
+def _existing(folder: Path) -> Path:
+    """Return a folder's whole path.
+
+    Raises:
+        InputError: ``folder.absent``.
+    """
+    if folder.is_dir():
+        return folder.resolve()
+    raise InputError(
+        "folder.absent", "a file is no folder" if folder.exists() else "no such folder", source=str(folder),
+        remedy="Name the folder that holds the recordings",
+    )  # fmt: skip
+
+
+def _refuse_unread(found: Sequence[Surveyed], folder: Path) -> None:
+    """Refuse a folder of which no recording could be read, or none has labels."""
+    if any(one.labels for one in found):
+        return
+    said = [f"{one.name}: {one.refusal.message if one.refusal else 'no label is seen in half of it'}" for one in found]
+    first = next((one.refusal for one in found if one.refusal), None)
+    raise InputError(
+        "folder.unread", "no recording can be used", source=str(folder), found=listing(said, 6),
+        remedy=first.remedy if first else "Label the points in the recording system and export the recordings again",
+    )  # fmt: skip
+
+
+def _markers(found: Sequence[Surveyed], folder: Path) -> tuple[Recognised, dict[str, int]]:
+    """Return the markers of the recordings whose labels are most alike, and how many of them each recording shows."""
+    each = {one.name: recognised(one.labels) for one in found if one.labels}
+    sets = [own.name for own in each.values() if own.enough]
+    first = max(sets, key=sets.count, default=None)
+    own = [one for one in found if one.name in each and first in (None, each[one.name].name)]
+    markers = recognise((label for one in own for label in one.labels), str(folder))
+    known = {one.name: len(markers.markers.match(one.labels).assigned) for one in found}
+    return markers, known
 
 
 def _of_person(found: tuple[Surveyed, ...], folder: Path, name: str | None) -> tuple[Surveyed, ...]:
@@ -79,25 +122,36 @@ def _of_person(found: tuple[Surveyed, ...], folder: Path, name: str | None) -> t
     )  # fmt: skip
 
 
-def _person(
-    folder: Path, found: tuple[Surveyed, ...], uses: tuple[Use, ...], markers: Recognised, given: Person
-) -> tuple[PersonFacts, tuple[str, ...]]:
-    """Return what is known of the person, completed from standing, and what is in doubt."""
+def _facts(
+    folder: Path, found: Sequence[Surveyed], uses: Sequence[Use], markers: Recognised, given: Person
+) -> PersonFacts:
+    """Return what is known of the person, the stature from standing markers where nobody states it."""
     told = told_of(folder, found, given)
-    name = told.person.name or next(iter(people_in(found, folder)))
-    doubts = list(told.contradictions)
-    person, sources = replace(told.person, name=name), dict(told.sources)
+    person, sources = told.person, dict(told.sources)
+    name = plain_name(person.name) if person.name else next(iter(people_in(found, folder)))
     standing = next((use.of for use in uses if use.role == "static"), None)
     stature = None if standing is None else stature_of(standing, markers.markers)
     if person.height_m is None and stature is not None and standing is not None:
         person, sources = replace(person, height_m=stature), sources | {"height_m": f"markers of {standing.name}"}
-        doubts.append(f"no stature is stated; {stature:.2f} m is what standing markers tell, to about 3 %")
-    if person.mass_kg is None:
-        doubts.append("no mass is stated: what plates carry tells it")
+    return replace(told, person=replace(person, name=name), sources=sources)
+
+
+def _doubts(facts: PersonFacts, uses: Sequence[Use]) -> Iterator[str]:
+    """Return what could not be decided, or may be wrong."""
+    person, roles = facts.person, [use.role for use in uses]
+    yield from facts.contradictions
+    yield from (f"{use.of.name}: {use.why}" for use in uses if use.mend)
+    if facts.sources.get("height_m", "").startswith("markers of"):
+        yield f"no stature is stated; {person.height_m:.2f} m is what standing markers tell, to about 3 %"
+    elif person.height_m is None:
+        yield "no stature is stated: the mean of adults is taken, which no child has"
+    if not any(use.role and use.inertia and (use.of.has_forces or use.mend) for use in uses):
+        yield "no forces: mass and inertia are not identified"
+    elif person.mass_kg is None:
+        yield "no mass is stated: what plates carry tells it"
     if person.sex is None:
-        doubts.append("no sex is stated: tables of both are averaged")
-    if standing is None:
-        doubts.append("nobody stands still: the posture of rest is told by motion alone")
-    if not any(use.role == "heldout" for use in uses):
-        doubts.append("nothing is held out: no prediction can be tested")
-    return PersonFacts(person, sources, told.contradictions), tuple(doubts)
+        yield "no sex is stated: tables of both are averaged"
+    if "static" not in roles:
+        yield "nobody stands still: the posture of rest is told by motion alone"
+    if "heldout" not in roles:
+        yield "nothing is held out: no prediction can be tested"

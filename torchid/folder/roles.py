@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from torchid.checks.finding import Finding
 from torchid.folder.survey import Surveyed
 
 STILL_M = 0.03
@@ -56,33 +57,48 @@ def uses_of(found: Sequence[Surveyed], known: Mapping[str, int]) -> tuple[Use, .
 def _use(one: Surveyed, unfit: str, static: Surveyed | None, held: bool) -> Use:
     if unfit:
         return Use(one, "", unfit)
-    mend = _mend(one)
+    mend, why = _mend(one), [_motion(one)]
+    if not _serves_inertia(one):
+        why.append("nobody is on a plate" if one.check and one.check.force_rate else "no forces")
+    if mend:
+        why.append(f"read as it agrees with the feet, for {_wrong(one)[0].evidence}")
     if one is static:
-        return Use(one, "static", "stands still" + ("" if one.has_forces else ", no plate carries anybody"), mend=mend)
-    if not one.has_forces:
-        return Use(one, "fit", "no plate carries anybody: geometry alone", inertia=False)
-    why = f"{_motion(one)}; others of its kind are fitted" if held else _motion(one)
-    return Use(one, "heldout" if held else "fit", why, mend=mend)
+        return Use(one, "static", "; ".join(why), mend=mend)
+    if not _serves_inertia(one):
+        return Use(one, "fit", "; ".join((*why, "geometry alone")), inertia=False)
+    return Use(
+        one, "heldout" if held else "fit", "; ".join((*why, *["others of its kind are fitted"] * held)), mend=mend
+    )
 
 
 def _unfit(one: Surveyed, known: int) -> str:
     """Return why a recording cannot serve, empty where it can."""
-    if one.check is None:
-        return one.refusal or "cannot be read"
+    if one.refusal is not None:
+        said = f"{one.refusal.message}{f' (found: {one.refusal.found})' if one.refusal.found else ''}"
+        return f"{said}. {one.refusal.remedy} [{one.refusal.code}]"
+    assert one.check is not None
     if known < FEWEST_MARKERS:
         return f"{known} of its {len(one.labels)} markers are the set's: it shows no body"
-    wrong = [note for note in one.check.problems if note.code == FORCES]
-    if wrong and not _mend(one):
-        return "; ".join(note.message for note in wrong)
+    if _wrong(one) and not _mend(one):
+        return "; ".join(note.message for note in _wrong(one))
     if one.check.frames < SHORTEST and not _still(one):
         return f"{one.check.frames} frames are too few to tell accelerations"
     return ""
 
 
+def _wrong(one: Surveyed) -> list[Finding]:
+    """Return where its forces do not agree with its feet."""
+    return [note for note in one.check.problems if note.code == FORCES] if one.check else []
+
+
 def _mend(one: Surveyed) -> str:
     """Return the line of a config that makes its forces agree with its feet, where there is just one."""
-    wrong = [note for note in one.check.problems if note.code == FORCES] if one.check else []
-    return wrong[0].config if len(wrong) == 1 else ""
+    return _wrong(one)[0].config if len(_wrong(one)) == 1 else ""
+
+
+def _serves_inertia(one: Surveyed) -> bool:
+    """Return whether plates carry somebody, as read or as mended."""
+    return one.has_forces or bool(_mend(one))
 
 
 def _still(one: Surveyed) -> bool:
@@ -93,7 +109,12 @@ def _static(still: Sequence[Surveyed], known: Mapping[str, int]) -> Surveyed | N
     """Return the recording that tells the standing posture best: by name, by plates, by markers, by length."""
     return max(
         still,
-        key=lambda one: (bool(STATIC_WORDS.search(one.name)), one.has_forces, known.get(one.name, 0), one.seconds),
+        key=lambda one: (
+            bool(STATIC_WORDS.search(one.name)),
+            _serves_inertia(one),
+            known.get(one.name, 0),
+            one.seconds,
+        ),
         default=None,
     )
 
@@ -102,7 +123,7 @@ def _kinds(some: Sequence[Surveyed]) -> dict[tuple[str, str], list[Surveyed]]:
     """Return recordings with forces by kind: by their names but for numbers, and by what they show."""
     kinds: dict[tuple[str, str], list[Surveyed]] = {}
     for one in some:
-        if one.has_forces:
+        if _serves_inertia(one):
             kinds.setdefault((ENDING.sub("", one.name), _motion(one)), []).append(one)
     return kinds
 

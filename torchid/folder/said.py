@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+from torchid.folder.config_text import LONG
 from torchid.folder.proposal import Proposal
 from torchid.wording import clean, listing
 
@@ -29,7 +30,7 @@ def said_of(proposal: Proposal, config: Path) -> Iterator[tuple[str, str]]:
     yield from (("left out", f"{use.of.name}: {use.why}") for use in left[:MOST])
     if len(left) > MOST:
         yield "", f"and {len(left) - MOST} more (see {config})"
-    yield from (("in doubt", clean(doubt)) for doubt in proposal.doubts)
+    yield from (("in doubt", clean(doubt, LONG)) for doubt in proposal.doubts)
 
 
 def _facts(proposal: Proposal) -> Iterator[str]:

@@ -3,13 +3,14 @@
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 
 from jaxtyping import Float
 from torch import Tensor
 
 from torchid.checks.recording import TrialCheck
-from torchid.checks.report import Given, check_recordings
+from torchid.checks.report import Given, Refusal, check_recordings
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.io.pairing import find_recordings, trial_name
 from torchid.recording import Trial
@@ -18,6 +19,8 @@ SEEN = 0.5
 """Choice. A label counts where it is seen in this share of the frames."""
 MOVING = 0.9
 """Choice. A body is as still as the marker of which nine in ten move less."""
+MOST_FRAMES = 2000
+"""Resolution. Frames that tell how far markers wander."""
 STATED = ("subject", "mass_kg", "height_m")
 """Facts of a file about whom it shows."""
 
@@ -31,7 +34,7 @@ class Surveyed:
     forces: Path | None
     check: TrialCheck | None = None
     """What is wrong with it; None where it cannot be read."""
-    refusal: str = ""
+    refusal: Refusal | None = None
     """Why it cannot be read."""
     labels: tuple[str, ...] = ()
     """That are seen in half of the frames."""
@@ -68,15 +71,15 @@ def survey(folder: Path, progress: Callable[[str, float], None] = lambda stage, 
         InputError: ``check.empty`` for a folder without recordings.
     """
     pairs = find_recordings(folder)
-    named = dict(zip(names_of([file for file, _ in pairs], folder), pairs, strict=True))
-    found = {name: Surveyed(name, *files) for name, files in named.items()}
+    names = names_of([file for file, _ in pairs], folder)
+    found = {name: Surveyed(name, *files) for name, files in zip(names, pairs, strict=True)}
     asked: list[str] = []
 
     def given() -> Iterator[Given]:
-        for name, (file, forces) in named.items():
-            progress("reading", len(asked) / len(named))
+        for name, one in tuple(found.items()):
+            progress("reading", len(asked) / len(found))
             asked.append(name)
-            yield Given(name, file, forces)
+            yield Given(name, one.file, one.forces)
 
     def keep(trial: Trial) -> None:
         found[trial.name] = _facts(found[trial.name], trial)
@@ -85,7 +88,7 @@ def survey(folder: Path, progress: Callable[[str, float], None] = lambda stage, 
         if isinstance(said, TrialCheck):
             found[said.name] = replace(found[said.name], check=said)
         else:  # of the one that was asked for last
-            found[asked[-1]] = replace(found[asked[-1]], refusal=said.text)
+            found[asked[-1]] = replace(found[asked[-1]], refusal=said)
     progress("reading", 1.0)
     return tuple(found.values())
 
@@ -93,15 +96,24 @@ def survey(folder: Path, progress: Callable[[str, float], None] = lambda stage, 
 def names_of(files: list[Path], folder: Path) -> list[str]:
     """Return a name for each recording: of its file without words such as ``markers``, else of its folder.
 
-    Where names are alike, the folder's name is taken; where folders' are, the path below ``folder``.
+    Names that are alike are lengthened by the folders above, and numbered where that does not part them.
     """
-    ways: tuple[Callable[[Path], str], ...] = (
-        lambda file: trial_name(file) or file.parent.name,
-        lambda file: file.parent.name,
-        lambda file: "_".join(file.relative_to(folder).parts),
-    )
-    every = [[plain_name(way(file)) for file in files] for way in ways]
-    return next((names for names in every if len(set(names)) == len(names)), every[-1])
+    own = [trial_name(file) or file.parent.name for file in files]
+    with_folder = [
+        f"{file.parent.name}_{name}" if trial_name(file) else name for file, name in zip(files, own, strict=True)
+    ]
+    whole = ["_".join(file.relative_to(folder).with_suffix("").parts) for file in files]
+    names = [plain_name(name) for name in own]
+    for longer in (with_folder, whole):
+        alike = [k for k, name in enumerate(names) if names.count(name) > 1]
+        for k in alike:
+            names[k] = plain_name(longer[k])
+    seen: set[str] = set()
+    for k, name in enumerate(names):
+        free = (f"{name}_{number}" for number in count(2))
+        names[k] = name if name not in seen else next(one for one in free if one not in names)
+        seen.add(names[k])
+    return names
 
 
 def plain_name(text: str) -> str:
@@ -117,7 +129,8 @@ def _facts(of: Surveyed, trial: Trial) -> Surveyed:
     labels = tuple(label for label, k in zip(trial.markers.labels, often.tolist(), strict=True) if k)
     if not labels:
         return of
-    away = (seen - seen.nanmean(dim=0)).norm(dim=-1)
+    some = seen[:: max(1, len(seen) // MOST_FRAMES)]
+    away = (some - some.nanmean(dim=0)).norm(dim=-1)
     height = seen[..., 2].nanmedian(dim=0).values
     return replace(
         of,

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from torchid.errors import InputError
@@ -62,6 +62,18 @@ def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
         )
     inhabited = {file.parent for file in markers}
     return [(file, _forces_of(file, forces, inhabited) if file.suffix.lower() == ".trc" else None) for file in markers]
+
+
+def unpaired_forces(folder: Path, pairs: Sequence[tuple[Path, Path | None]]) -> list[Path]:
+    """The files of forces below a folder that belong to no markers by name and place.
+
+    Args:
+        folder: in which ``find_recordings`` looked.
+        pairs: that it found.
+    """
+    taken = {forces for _, forces in pairs}
+    files = (file for file in sorted(_visible(folder)) if file.suffix.lower() in FORCE_SUFFIXES)
+    return [file for file in files if file not in taken and _has_forces(file)]
 
 
 def _visible(folder: Path) -> Iterator[Path]:

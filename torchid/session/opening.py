@@ -205,6 +205,11 @@ def _markers(config: Config, model: Model) -> tuple[MarkerSet, tuple[Note, ...]]
 
 def _recognised(config: Config) -> tuple[MarkerSet, tuple[Note, ...]]:
     """Where the labels of the first recording of motion are, by a built-in set and their words."""
+    if not config.trials:
+        raise ConfigError(
+            "markers.auto", "without recordings nothing tells the markers", place="markers", found=AUTO,
+            remedy="Name a marker set; that of simulated people is `simulated`",
+        )  # fmt: skip
     first = next((file for file in config.trials if file.role != "static"), config.trials[0])
     options = ReadOptions(first.subject, first.up, first.units, first.allow_truncated, ForcesAs(use=False))
     found = recognise(read_trial(first.name, first.file, None, "fit", options).markers.labels, str(first.file))

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from torchid.checks.plates_against_feet.feet import Feet, find_feet
+from torchid.checks.plates_against_feet.feet import OFTEN, Feet, find_feet
 from torchid.conventions import SAMPLE_LOADED_N, STANDING_M_S
 from torchid.recording import Forces, Markers
 
@@ -13,8 +13,6 @@ REACH_M = 0.25
 feet of a step are further apart."""
 RAISED_M = 0.04
 """Choice. A marker of a foot that stands is less than this above the lowest that it often comes."""
-OFTEN = 0.05
-"""Share of the frames in which a marker is as low as it is said to come."""
 
 
 def beside_plates(markers: Markers, forces: Forces) -> Bool[Tensor, " frames"]:
