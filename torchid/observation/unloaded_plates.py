@@ -27,16 +27,16 @@ strain-gauge and charge amplifiers are specified to some tenths of a newton a mi
 
 @dataclass(frozen=True)
 class UnloadedPlates:
-    """Mean readings of the longest unloaded run of each plate of a trial, in the plate's axes."""
+    """Mean readings of the longest unloaded run of each plate of a trial, or of its halves, in the plate's axes."""
 
     reading: Reading
     """Reading of the trial's plates on its clock, with all wrenches zero."""
     runs: tuple[tuple[int, slice, Float[Tensor, " 6"], Float[Tensor, " 6"]], ...]
-    """Number of the plate, frames of the run, mean reading and its standard deviation [N, N m]."""
+    """Number of the plate, frames, mean reading and its standard deviation [N, N m]."""
 
 
 def find_unloaded(raw: Reading, rate: float, options: ObservationOptions = ObservationOptions()) -> UnloadedPlates:
-    """Return the longest run of each plate in which it bears nothing, and what it reads there.
+    """Return the longest run of each plate in which it bears nothing, or its halves, and what it reads there.
 
     Plates that read exactly zero were zeroed by a program, and say nothing.
 
@@ -57,10 +57,17 @@ def find_unloaded(raw: Reading, rate: float, options: ObservationOptions = Obser
         still = [part for part in parts if _still(load[part], rate, noise, options)]
         if still:
             part = max(still, key=lambda part: part.stop - part.start)
-            read = to_plate(frame, raw.wrench[part, k])
-            error = (read.new_tensor(SCATTER).square() + read.var(0) / len(read)).sqrt()
-            found.append((k, part, read.mean(0), error))
+            for half in _halves(part, short):
+                read = to_plate(frame, raw.wrench[half, k])
+                error = (read.new_tensor(SCATTER).square() + read.var(0) / len(read)).sqrt()
+                found.append((k, half, read.mean(0), error))
     return UnloadedPlates(replace(raw, wrench=torch.zeros_like(raw.wrench)), tuple(found))
+
+
+def _halves(part: slice, shortest: float) -> tuple[slice, ...]:
+    """Return both halves of a run, which tell a drift from a zero; of a short one the whole."""
+    middle = (part.start + part.stop) // 2
+    return (slice(part.start, middle), slice(middle, part.stop)) if middle - part.start >= shortest else (part,)
 
 
 def _still(load: Float[Tensor, " frames"], rate: float, noise: float, options: ObservationOptions) -> bool:
