@@ -127,6 +127,36 @@ def test_exchanged_labels_are_found_and_put_right(trials, clusters, rng, through
     assert {one.trial for one in place.when or ()} == {name} and place.where == found.labels
 
 
+def test_exchanged_labels_of_a_segment_with_two_markers_are_told_by_their_paths(trials, clusters, rng):
+    """No distance tells them, for there is no third marker; both leap at once, each to where the other was."""
+    name, pair = moving(rng, trials), None
+    shape = shape_of("static", trials["static"].markers, clusters.labels).median
+    while pair is None:
+        a = drawn(rng, clusters, 2)
+        far = [k for k in clusters.together[a].nonzero()[:, 0].tolist() if float(shape[a, k]) > 0.06]
+        pair = (a, int(rng.choice(far))) if far else None
+    labels = [clusters.labels[k] for k in pair]
+    rest = [clusters.labels[k] for k in clusters.together[pair[0]].nonzero()[:, 0].tolist() if k not in pair]
+    t0 = float(rng.uniform(0.5, 2.0))
+
+    def change(position: Tensor, time: Tensor) -> None:
+        rows = ((time >= t0) & (time < t0 + 0.8)).nonzero()
+        columns = [trials[name].markers.labels.index(label) for label in labels]
+        position[rows, columns] = position[rows, columns[::-1]]
+
+    def bare(trial: Trial) -> Trial:
+        position = trial.markers.position.clone()
+        position[:, [trial.markers.labels.index(label) for label in rest]] = torch.nan
+        return replace(trial, markers=replace(trial.markers, position=position))
+
+    planted = with_position({one: bare(trial) for one, trial in trials.items()}, name, change)
+    (found,) = look(planted)
+    assert (found.kind, found.trial, set(found.labels)) == (TrackFault.EXCHANGED, name, set(labels))
+    ((start, stop),) = found.when
+    assert abs(start - t0) < 0.03 and abs(stop - t0 - 0.8) < 0.03
+    assert found.left_mm < 0.4 * found.size_mm
+
+
 def test_a_name_on_the_marker_of_one_that_a_trial_lacks_is_put_right(trials, clusters, rng):
     """A trial whose file has only one of the two labels, and that on the other's marker."""
     name, both = moving(rng, trials), pair(rng, trials, clusters)

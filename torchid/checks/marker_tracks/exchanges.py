@@ -1,4 +1,4 @@
-"""Labels that carry each other's marker: distances to the markers beside them fit better the other way round."""
+"""Labels that carry each other's marker: distances to the markers beside them, or their paths, fit better exchanged."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -205,6 +205,42 @@ def _lasting(one: Told, rate: float) -> Bool[Tensor, " frames"]:
         if int(at[start:stop].sum()) >= SHORTEST:
             out[start:stop] = True
     return out
+
+
+def exchanged_jumps(markers: Markers, jumps: Sequence[TrackStatement]) -> list[TrackStatement]:
+    """Return the exchanges among markers that leap in the same frames: each goes on where the other was.
+
+    On a segment with two markers no distance tells them, but both paths do.
+
+    Args:
+        markers: of the trial that the statements are of.
+        jumps: what is said of markers that leap.
+    """
+    found, left = [], list(jumps)
+    while left:
+        one = left.pop(0)
+        steps = {k: _goes_on(markers, one, other) for k, other in enumerate(left) if other.when == one.when}
+        told = [
+            (undone, now, k) for k, (now, undone) in steps.items() if undone < UNDONE * now and now - undone > SAVED_M
+        ]
+        if told:
+            undone, now, k = min(told)
+            labels = (*one.labels, *left.pop(k).labels)
+            size, rest = 1e3 * now, 1e3 * undone
+            found.append(replace(one, kind=TrackFault.EXCHANGED, labels=labels, size_mm=size, left_mm=rest))
+    return found
+
+
+def _goes_on(markers: Markers, one: TrackStatement, other: TrackStatement) -> tuple[float, float]:
+    """Return the mean steps of two paths at the ends of their times, as labelled and exchanged [m]; NaN where no step
+    is seen."""
+    index = [markers.labels.index(label) for label in (*one.labels, *other.labels)]
+    pair = markers.position[:, index]
+    seen = torch.isfinite(pair).all(dim=2).all(dim=1).nonzero()[:, 0]
+    inside = one.inside(markers.time)[seen]
+    edges = ((inside[1:] != inside[:-1]) & (seen.diff() <= max(1.0, BRIDGED_S * markers.rate))).nonzero()[:, 0]
+    before, after = pair[seen[edges]], pair[seen[edges + 1]]
+    return float((after - before).norm(dim=-1).mean()), float((after.flip(1) - before).norm(dim=-1).mean())
 
 
 def _statement(

@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 
 from torchid.checks.marker_tracks.clusters import Clusters, MarkerShape, shape_of
-from torchid.checks.marker_tracks.exchanges import find_exchanges
+from torchid.checks.marker_tracks.exchanges import exchanged_jumps, find_exchanges
 from torchid.checks.marker_tracks.frozen import find_frozen
 from torchid.checks.marker_tracks.jumps import beside, find_jumps
 from torchid.checks.marker_tracks.moved import MarkerReading, marker_readings, moved_markers
@@ -53,7 +53,10 @@ def look_at_trial(
     moving = without(trial.markers, frozen)
     exchanged = find_exchanges(trial.name, moving, clusters, others or [own])
     exchanged += [] if exchanged else find_turned(own, clusters, others)
-    return [*exchanged, *find_jumps(trial.name, renamed(moving, exchanged), clusters, others), *frozen]
+    jumps = find_jumps(trial.name, renamed(moving, exchanged), clusters, others)
+    swapped = exchanged_jumps(moving, jumps)
+    known = {label for one in swapped for label in one.labels}
+    return [*exchanged, *swapped, *(one for one in jumps if not known.intersection(one.labels)), *frozen]
 
 
 def readings_of(

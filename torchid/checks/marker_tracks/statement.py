@@ -44,11 +44,11 @@ class TrackStatement:
     when: tuple[tuple[float, float], ...]
     """First and last time of each interval [s]; empty where it lasts throughout the trial."""
     size_mm: float
-    """How far the marker is from its place; of exchanged ones the mean misfit of distances [mm]."""
+    """How far the marker is from its place; of exchanged ones the mean misfit of distances, or step of paths [mm]."""
     sd_mm: float
     """Standard deviation of that where nothing is wrong [mm]."""
     left_mm: float = 0.0
-    """Misfit of distances that is left with the names exchanged, or without the marker that moved [mm]."""
+    """The same with the names exchanged, or misfit of distances without the marker that moved [mm]."""
     share: float = 1.0
     """Share of the trial's frames concerned, of those that could be judged."""
     against: tuple[str, ...] = ()
@@ -71,8 +71,8 @@ class TrackStatement:
         names, when = " and ".join(self.labels), self._when()
         if self.kind is TrackFault.EXCHANGED:
             return (
-                f"{names} carry each other's name {when}: distances to the markers beside them are off by "
-                f"{self.size_mm:.0f} mm on average as labelled, by {self.left_mm:.0f} mm the other way round"
+                f"{names} carry each other's name {when}: they are off by {self.size_mm:.0f} mm on average as "
+                f"labelled, by {self.left_mm:.0f} mm the other way round"
             )
         if self.kind is TrackFault.FROZEN:
             return f"{names} stands still {when} while the markers beside it go {self.size_mm:.0f} mm"
