@@ -85,8 +85,8 @@ class ZeroError(PlateMap):
     """A wrench that is added to all that a plate reads, and that an unloaded plate shows by itself."""
 
     column_noise = ColumnNoise.NEGLECTED
-    usual: ClassVar[tuple[float, float]]
-    """Standard deviations of its forces and of its moments that every plate is expected to have: nobody's discovery."""
+    usual: ClassVar[float]
+    """Part of the prior as an effect that every plate is expected to have of it, which is nobody's discovery."""
 
     @abstractmethod
     def zero(self, time: Float[Tensor, " samples"], theta: Float[Tensor, " params"]) -> Float[Tensor, "samples 6"]:
@@ -104,6 +104,6 @@ class ZeroError(PlateMap):
 
     @final
     def ordinary(self, views: Sequence[View], fit: GeometryFit | None) -> Iterator[Ordinary]:
-        force, moment = self.usual
         for place in self.places(views):
-            yield Ordinary(place, (0.0,) * 6, (force,) * 3 + (moment,) * 3)
+            scale = self.scale(place)
+            yield Ordinary(place, (0.0,) * len(scale), tuple(self.usual * s for s in scale))

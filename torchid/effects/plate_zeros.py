@@ -5,7 +5,6 @@ from typing import final
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.conventions import ZERO_SD_N, ZERO_SD_NM
 from torchid.effects.parameter import Parameter
 from torchid.effects.place import Place
 from torchid.effects.plate_map import ZeroError
@@ -18,8 +17,8 @@ class PlateOffset(ZeroError):
 
     name = "plate_offset"
     mistaken = 0.32
-    usual = ZERO_SD_N, ZERO_SD_NM
-    """As zeros of idle plates scatter between laboratories."""
+    usual = 0.1
+    """0.5 N: a plate that was zeroed a while ago."""
     parameters = (
         Parameter("force_plate_N", 5.0, 3, source="a choice: the vertical force of a plate erred by 5.0 ± 2.5 N after "
                   "it was calibrated again by a linear map (Cappello et al., Gait & Posture 33 (2011))"),
@@ -44,8 +43,8 @@ class PlateDrift(ZeroError):
 
     name = "plate_drift"
     mistaken = 0.39
-    usual = 0.01, 0.002
-    """0.01 N/s, which charge amplifiers are sold with, and a fifth of a metre times that [N m/s]."""
+    usual = 0.02
+    """0.01 N/s, which charge amplifiers are sold with."""
     parameters = (
         Parameter("rate_plate", 0.5, 6, source="a choice: fifty times the 0.01 N/s below which makers keep "
                   "piezoelectric plates (Kistler 9281C, 9286A); moments a fifth of a metre times forces"),
