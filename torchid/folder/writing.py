@@ -48,8 +48,8 @@ def write_config(proposal: Proposal, config: Path) -> tuple[Path, ...]:
     if markers is not None:
         refuse_taken(markers)
         write_text(markers, marker_map_text(proposal.markers))
-    text = config_text(proposal, config.parent, markers.name if markers else "")
     try:
+        text = config_text(proposal, config.parent, markers.name if markers else "")
         config_of_text(text, config)
     except TorchidError:
         if markers is not None:
