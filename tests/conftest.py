@@ -64,7 +64,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def is_drawn(item: pytest.Item) -> bool:
-    """Return whether a test asks for a seed, is of Hypothesis, or is in a module that draws for all its tests.
+    """Return whether a test asks for a seed, is of Hypothesis, or is in a module that draws for all its tests, unless
+    that is marked ``shown``.
 
     Args:
         item: the test.
@@ -72,7 +73,7 @@ def is_drawn(item: pytest.Item) -> bool:
     own = vars(item.module) if isinstance(item, pytest.Function) else {}
     whose = {getattr(one, "__module__", None) or getattr(one, "__name__", None) for one in own.values()}
     asks = "seed" in getattr(item, "fixturenames", ()) or "hypothesis" in item.keywords
-    return asks or "SEED" in own or "small_session" in whose
+    return asks or ("shown" not in item.keywords and ("SEED" in own or "small_session" in whose))
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

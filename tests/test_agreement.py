@@ -1,5 +1,6 @@
 """Forces against feet: what is planted is named by the line that mends it, and nothing is named where nothing is."""
 
+import functools
 import json
 import math
 from collections.abc import Callable
@@ -33,6 +34,7 @@ from torchid.recording import Forces, Plate, Trial
 from torchid.session.opening import setup_of
 
 
+@functools.cache
 def options_of(line: str) -> ReadOptions:
     """What a line means in a trial's entry of a config."""
     entry = {"name": "t", "file": "t.c3d", **yaml.safe_load(f"{{{line}}}")}

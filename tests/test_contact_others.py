@@ -369,6 +369,7 @@ def test_contacts_that_the_session_does_not_have_are_refused(name: str, contact:
     assert refusal.value.code == code and said in refusal.value.remedy
 
 
+@pytest.mark.slow
 def test_a_plate_that_no_trial_has_is_refused_before_the_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Also where trials with a device on are left to an evaluation, which may be those that have the plate."""
     config = load_config(small_session.config())

@@ -122,6 +122,7 @@ def test_a_change_that_all_subjects_share_is_found(tmp_path: Path, seed: int) ->
     assert any("S0 and S1" in gap.why and JOINTS[2] in gap.what for gap in found.gaps)
 
 
+@pytest.mark.slow
 def test_signs_of_subjects_are_wrong_as_rarely_as_they_say(tmp_path: Path, seed: int) -> None:
     """Measures and courses of six subjects without an effect: a finding in at most 5 % of 200, within chance."""
     rng, wrong = np.random.default_rng(seed), 0
@@ -150,6 +151,7 @@ def test_too_few_subjects_find_nothing_and_are_told_how_many_do(tmp_path: Path, 
     assert any("6 subjects are the least" in gap.why for gap in found.gaps)
 
 
+@pytest.mark.slow
 def test_adjusted_p_values_count_the_conditions(tmp_path: Path, seed: int) -> None:
     """Two conditions double them."""
     both = {name: own | {"motor": {j: 2.0 + 0.1 * k for j in JOINTS[:2]}}

@@ -42,6 +42,7 @@ from torchid.live.sources.lsl import LslSource  # noqa: E402
 from torchid.live.sources.outlets import Outlets, describe_markers, describe_plates, play  # noqa: E402
 from torchid.live.sources.xdf import device_series, replay_xdf  # noqa: E402
 
+pytestmark = pytest.mark.shown
 RATE, FORCE_RATE, FRAMES = 100.0, 400.0, 60
 LABELS = ("A", "B", "C")
 CORNERS = torch.tensor([[0.5, 0.0, 0.0], [0.5, 0.4, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.01]], dtype=torch.float64)

@@ -28,6 +28,7 @@ from torchid.live.sources.stream import Replay
 from torchid.scene.scene import Ground
 from torchid.scene.server import close_page, open_page
 
+pytestmark = pytest.mark.shown
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 PORT = 18900
 

@@ -27,6 +27,7 @@ pytest.importorskip("qtm_rt")
 from torchid.live.sources.qtm_link import HOST, LARGEST, PORT, address_of  # noqa: E402
 from torchid.live.sources.qualisys import QualisysSource  # noqa: E402
 
+pytestmark = pytest.mark.shown
 RATE, EACH, FRAMES = 100.0, 10, 40
 LABORATORY = Laboratory()
 GIVE_UP_S = 20.0

@@ -76,6 +76,7 @@ def performed(seed: int, who: SimulatedSubject, exercises: list[Exercise]) -> tu
     return source, packets + taken(source, clock, 1.0, rng)
 
 
+@pytest.mark.slow
 def test_one_exercise_follows_another_without_a_leap_and_plates_bear_what_they_need(seed):
     """Frames and samples are uniform; each exercise is the one asked for; forces are those of the simulator's truth."""
     who = simulate_subject(CLEAN, seed)

@@ -36,6 +36,7 @@ from torchid.scene.server import COOKIE, Guard, close_page, open_page
 from torchid.scene.solids import centre_of_mass, placed, quaternion, solids
 from torchid.storage.results import OutputFolder
 
+pytestmark = pytest.mark.shown
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
 

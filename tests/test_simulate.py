@@ -247,6 +247,7 @@ def test_standing_feet_follow_their_paths(subject):
         assert float(heel_to_ball.norm(dim=1).max()) < 1e-9
 
 
+@pytest.mark.slow
 def test_session_is_written_and_read_back(tmp_path):
     """C3D files, config and truth agree with the session in memory; the same seed writes the same bytes."""
     options = SimulateOptions(fit=("squats",), heldout=("squats",), duration_s=2.0, gap_fraction=0.05)

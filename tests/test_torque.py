@@ -81,6 +81,7 @@ def _still_bodies(outcome, seen: SeenTrial, count: int):
     return BodyDraws(outcome.fit.xi.expand(count, -1), still, outcome.phi.expand(count, *outcome.phi.shape))
 
 
+@pytest.mark.slow
 def test_a_plate_that_reads_elsewhere_turns_the_ankle(outcome, seen):
     count, shift = 200, 0.01
     drawn = torque_draws(
