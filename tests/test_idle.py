@@ -1,8 +1,12 @@
 """What a plate reads while it bears nothing, and what only looks like it."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from torchid.effects.catalogue import effect
+from torchid.effects.place import Place
 from torchid.effects.scene import PlateFrame, Reading
 from torchid.observation.unloaded_plates import find_unloaded
 
@@ -44,3 +48,18 @@ def test_a_short_time_without_load_is_told_as_one(seed):
     time = torch.arange(400, dtype=torch.float64) / RATE
     load = torch.where((time < 1.5) | (time > 2.3), 400.0, 4.0)
     assert len(find_unloaded(read(load, seed), RATE).runs) == 1
+
+
+def test_zeros_that_a_program_wrote_state_nothing_and_are_not_moved_by_a_wrong_zero(seed):
+    """Where a filter has smeared them, too: a wrong zero is in what a plate read itself."""
+    time = torch.arange(1000, dtype=torch.float64) / RATE
+    given = read(torch.where((time < 2.0) | (time > 6.0), 400.0, 4.0), seed)
+    zeroed = ((time > 2.1) & (time < 5.9)).to(time)[:, None]
+    smeared = given.wrench * (1.0 - zeroed[..., None]) + 1e-9
+    program = replace(given, wrench=smeared, zeroed=zeroed)
+    assert find_unloaded(given, RATE).runs and not find_unloaded(program, RATE).runs
+    theta = torch.randn(6, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    offset, place = effect("plate_offset"), Place(("plate_1",))
+    moved = offset.read(program, place, theta)
+    torch.testing.assert_close(moved.wrench - smeared, (theta * (1.0 - zeroed))[:, None])
+    torch.testing.assert_close(offset.undone(moved, place, theta).wrench, smeared)

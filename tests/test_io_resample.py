@@ -1,5 +1,7 @@
 """Tests of torchid.io.resample: forces on the clock of the markers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -84,3 +86,16 @@ def test_synchronise_says_how_many_frames_have_forces() -> None:
     assert synchronise(trial(None)).forces is None
     with pytest.raises(InputError, match=r"trial\.no_overlap"):
         synchronise(trial(sampled(torch.ones_like, 1000.0, 5.0, 6.0)))
+
+
+def test_what_a_program_wrote_as_zero_stays_known(seed: int) -> None:
+    """Whatever is added to the other samples, passes the filter as that much of it as the new clock says was read."""
+    rng = torch.Generator().manual_seed(seed)
+    given = sampled(lambda t: 300.0 * torch.sin(3.0 * t).clamp_min(0.0), 1000.0)
+    off = torch.randn(6, generator=rng, dtype=torch.float64)
+    read = (given.wrench != 0.0).any(2, keepdim=True)
+    new = clock(100.0)
+    right, wrong = (to_clock(one, new) for one in (given, replace(given, wrench=given.wrench + off * read)))
+    assert_allclose(wrong.zeroed_share, right.zeroed_share)
+    assert_allclose(wrong.wrench - right.wrench, off * (1.0 - right.zeroed_share)[..., None], atol=1e-9)
+    assert float(right.zeroed_share.max()) > 0.999 and to_clock(wrong, new).zeroed_share.equal(wrong.zeroed_share)

@@ -1,6 +1,6 @@
 """What a laboratory measured, in W, SI units and float64: the one form that everything after ``io`` may trust."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -69,15 +69,29 @@ class Forces:
     wrench: Float[Tensor, "samples plates 6"]
     """Force [N] and moment about the origin of W [N m] on the subject."""
     plates: tuple[Plate, ...]
+    zeroed: Float[Tensor, "samples plates"] | None = None
+    """Share of each sample that no plate read, but a program wrote as zero; None: as ``wrench`` has exact zeros."""
 
     @property
     def rate(self) -> float:
         """Samples per second."""
         return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
 
+    @property
+    def zeroed_share(self) -> Float[Tensor, "samples plates"]:
+        """Share of each sample that a program wrote as zero: what a plate reads by mistake is not in it."""
+        return (self.wrench == 0.0).all(2).to(self.wrench) if self.zeroed is None else self.zeroed
+
     def samples(self, part: slice) -> "Forces":
         """Some of the samples."""
-        return replace(self, time=self.time[part], wrench=self.wrench[part])
+        zeroed = None if self.zeroed is None else self.zeroed[part]
+        return replace(self, time=self.time[part], wrench=self.wrench[part], zeroed=zeroed)
+
+    def of(self, kept: Sequence[int]) -> "Forces":
+        """Those of some plates."""
+        wrench, plates = self.wrench[:, list(kept)], tuple(self.plates[k] for k in kept)
+        zeroed = None if self.zeroed is None else self.zeroed[:, list(kept)]
+        return replace(self, wrench=wrench, plates=plates, zeroed=zeroed)
 
     @property
     def total(self) -> Float[Tensor, "samples 6"]:

@@ -150,7 +150,7 @@ def find_contact(
     if not feet:
         return _footless(whole, forces, seen, margin, short, others)
     floor = floor_plates(soles, forces, others, options.margin_m)
-    ground = Forces(forces.time, forces.wrench[:, list(floor)], tuple(forces.plates[p] for p in floor))
+    ground = forces.of(floor)
     lacking = short if short is None or others is None else short & ~others.bearing.any(dim=1)
     belt, touching, supported, own = _on_ground(soles, ground, rate_hz, options, lacking)
     plate = own.new_full((len(own), len(forces.plates)), -1)

@@ -1,7 +1,7 @@
 """Contacts that are no feet, frame by frame: which of them bear, and which plate measures them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -163,7 +163,8 @@ def feet_alone(options: ContactOptions, trial: str, forces: Forces) -> Forces | 
     kept = [p for p in range(len(forces.plates)) if p not in named]
     if not kept:
         return None
-    wrench = forces.wrench[:, kept].clone()
+    left = forces.of(kept)
+    wrench = left.wrench.clone()
     for one in options.others.values():
         if plate_of(one, forces) < 0 and one.when == "always":
             return None
@@ -171,4 +172,4 @@ def feet_alone(options: ContactOptions, trial: str, forces: Forces) -> Forces | 
             wrench[inside(one.when.get(trial, ()), forces.time)] = torch.nan
     if not bool(torch.isfinite(wrench).any()):
         return None
-    return Forces(forces.time, wrench, tuple(forces.plates[p] for p in kept))
+    return replace(left, wrench=wrench)

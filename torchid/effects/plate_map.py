@@ -48,16 +48,21 @@ def mapped(
     return reading
 
 
-class PlateMap(ReadingEffect):
+class PlateEffect(ReadingEffect):
     """An effect on what each single plate reads; its places are the plates."""
 
     site = Site.PLATE
     link = "of"
-    column_noise = ColumnNoise.CORRECTED
 
     @final
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return tuple(Place((name,)) for name in plate_names(views))
+
+
+class PlateMap(PlateEffect):
+    """An effect that maps what a plate bears to what it reads."""
+
+    column_noise = ColumnNoise.CORRECTED
 
     @final
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
@@ -81,8 +86,9 @@ class PlateMap(ReadingEffect):
         """
 
 
-class ZeroError(PlateMap):
-    """A wrench that is added to all that a plate reads, and that an unloaded plate shows by itself."""
+class ZeroError(PlateEffect):
+    """A wrench that is added to all that a plate reads, and that an unloaded plate shows by itself, unless a program
+    has written zeros there."""
 
     column_noise = ColumnNoise.NEGLECTED
     usual: ClassVar[float]
@@ -93,14 +99,14 @@ class ZeroError(PlateMap):
         """Return the reading of a plate that bears nothing, about its own origin and in its axes [N, N m]."""
 
     @final
-    def map(
-        self,
-        frame: PlateFrame,
-        time: Float[Tensor, " samples"],
-        wrench: Float[Tensor, "samples 6"],
-        theta: Float[Tensor, " params"],
-    ) -> Float[Tensor, "samples 6"]:
-        return wrench + to_world(frame, self.zero(time, theta))
+    def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
+        zero = self.zero(reading.elapsed, theta)
+        for name in place.where:
+            k = reading.index(name)
+            if k is not None:
+                added = reading.read_by(k)[:, None] * to_world(reading.frames[k], zero)
+                reading = reading.with_plate(k, reading.wrench[:, k] + added)
+        return reading
 
     @final
     def ordinary(self, views: Sequence[View], fit: GeometryFit | None) -> Iterator[Ordinary]:

@@ -172,6 +172,8 @@ class Reading:
     """Wrench that a body of tables needs beyond what the plates bore; None: no model reads this."""
     begin: float | None = None
     """Time from which effects that grow count, of a reading of other samples [s]; None: its first sample."""
+    zeroed: Float[Tensor, "samples plates"] | None = None
+    """Share of each sample that a program wrote as zero (``Forces.zeroed_share``); None: plates read all."""
 
     @property
     def total(self) -> Float[Tensor, "6 samples"]:
@@ -184,6 +186,10 @@ class Reading:
         """Time since effects that grow began [s]."""
         return self.time - (self.time[0] if self.begin is None else self.begin)
 
+    def read_by(self, k: int) -> Float[Tensor, " samples"]:
+        """Share of each sample that plate k read itself; the rest a program wrote as zero."""
+        return torch.ones_like(self.time) if self.zeroed is None else 1.0 - self.zeroed[:, k]
+
     def index(self, plate: str) -> int | None:
         """Column of a plate, None where the trial lacks it."""
         names = [frame.name for frame in self.frames]
@@ -191,8 +197,8 @@ class Reading:
 
     def samples(self, part: slice) -> "Reading":
         """Some of the samples."""
-        unborne = None if self.unborne is None else self.unborne[part]
-        return replace(self, time=self.time[part], wrench=self.wrench[part], unborne=unborne)
+        unborne, zeroed = (None if one is None else one[part] for one in (self.unborne, self.zeroed))
+        return replace(self, time=self.time[part], wrench=self.wrench[part], unborne=unborne, zeroed=zeroed)
 
     def with_plate(self, k: int, wrench: Float[Tensor, "samples 6"]) -> "Reading":
         """Return the reading with another one of one plate."""
@@ -201,7 +207,10 @@ class Reading:
 
 def reading(trial: str, forces: Forces, frames: tuple[PlateFrame, ...]) -> Reading:
     """The reading of a recording's plates; NaN counts as nothing read."""
-    return Reading(trial, forces.time, torch.nan_to_num(forces.wrench), frames)
+    zeroed = torch.nan_to_num(forces.zeroed_share)
+    return Reading(
+        trial, forces.time, torch.nan_to_num(forces.wrench), frames, zeroed=zeroed if bool(zeroed.any()) else None
+    )
 
 
 def at_origin(p: Float[Tensor, "3 #frames"], force: Float[Tensor, "3 frames"]) -> Float[Tensor, "6 frames"]:

@@ -151,7 +151,7 @@ def mend(forces: Forces, file: ForcesAs, plates: PlatesAs, source: str = "") -> 
     wrench = _turned(_scaled(wrench, forces.plates, file), file)
     moved = _moved(replace(forces, time=forces.time - file.lag_ms / 1e3, wrench=wrench), file, plates)
     kept = [k for n, k in index.items() if plates.get(n, PlateAs()).use]
-    return replace(moved, wrench=moved.wrench[:, kept], plates=tuple(moved.plates[k] for k in kept)) if kept else None
+    return moved.of(kept) if kept else None
 
 
 def _moved(forces: Forces, file: ForcesAs, plates: PlatesAs) -> Forces:

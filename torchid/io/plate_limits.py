@@ -1,7 +1,5 @@
 """What no plate can have measured: forces that nobody bears, and loads that no contact within its edges gives."""
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -61,7 +59,7 @@ def within_limits(forces: Forces, source: str) -> tuple[Forces | None, list[Note
         notes += _impossible_load(forces.wrench[:, k], plate, source)
     if len(kept) == len(forces.plates):
         return forces, notes, left_out
-    left = replace(forces, wrench=forces.wrench[:, kept], plates=tuple(forces.plates[k] for k in kept))
+    left = forces.of(kept)
     return left if kept else None, notes, left_out
 
 

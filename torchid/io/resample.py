@@ -41,7 +41,9 @@ def to_clock(forces: Forces, time: Float[Tensor, " frames"], source: str = "", p
             remedy="Export the whole trial's forces, or leave forces: out",
         )  # fmt: skip
     own, new = forces.time.detach().cpu().numpy(), time.detach().cpu().numpy()
-    values = forces.wrench.detach().cpu().numpy().reshape(len(own), -1)
+    zeroed, plates = forces.zeroed_share, len(forces.plates)
+    every = torch.cat([forces.wrench.flatten(1), zeroed[:, : plates * bool(zeroed.any())]], dim=1)
+    values = every.detach().cpu().numpy()
     rate = (len(new) - 1) / (new[-1] - new[0]) if len(new) > 1 else forces.rate
     missing = np.zeros(len(values), bool)
     for column in values.T:
@@ -55,8 +57,9 @@ def to_clock(forces: Forces, time: Float[Tensor, " frames"], source: str = "", p
         column = column if cutoff is None else _low_pass(column, cutoff)
         resampled[inside, k] = _at(own, column, np.clip(new[inside], own[0], own[-1]))
     resampled[_near(new, own[missing], max(1.0 / rate, 1.0 / forces.rate))] = np.nan
-    wrench = torch.from_numpy(resampled).to(forces.wrench).reshape(len(new), *forces.wrench.shape[1:])
-    return Forces(time, wrench, forces.plates)
+    found = torch.from_numpy(resampled).to(forces.wrench)
+    written = found[:, 6 * plates :] if every.shape[1] > 6 * plates else None
+    return Forces(time, found[:, : 6 * plates].reshape(len(new), -1, 6), forces.plates, written)
 
 
 def _bridged(values: np.ndarray, missing: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -20,6 +20,8 @@ from torchid.runs import runs
 
 LOWEST = 0.02
 """Estimator. Part of the frames that lie below the lowest value that counts."""
+READ = 0.99
+"""Estimator. Share of a sample that a plate read itself from which it counts as read: filters smear where zeros end."""
 SCATTER = (0.2, 0.2, 0.2, 0.05, 0.05, 0.05)
 """Estimator. Standard deviation of a run's mean [N, N m], a choice: zeros wander within a trial, whatever the noise;
 strain-gauge and charge amplifiers are specified to some tenths of a newton a minute."""
@@ -38,7 +40,7 @@ class UnloadedPlates:
 def find_unloaded(raw: Reading, rate: float, options: ObservationOptions = ObservationOptions()) -> UnloadedPlates:
     """Return the longest run of each plate in which it bears nothing, or its halves, and what it reads there.
 
-    Plates that read exactly zero were zeroed by a program, and say nothing.
+    Samples that a program wrote as zero say nothing.
 
     Args:
         raw: readings of the plates before any filter.
@@ -46,9 +48,9 @@ def find_unloaded(raw: Reading, rate: float, options: ObservationOptions = Obser
     """
     found = []
     for k, frame in enumerate(raw.frames):
-        load = raw.wrench[:, k, 2]
+        load, own = raw.wrench[:, k, 2], raw.read_by(k)
         low = float(load.quantile(LOWEST))
-        quiet = ((load - low).abs() < LOADED_N) & (raw.wrench[:, k] != 0.0).any(1) & (abs(low) < options.zero_most_N)
+        quiet = ((load - low).abs() < LOADED_N) & (own > READ) & (abs(low) < options.zero_most_N)
         edge, noise = round(options.unloaded_edge_s * rate), float(white_scatter(load[:, None]))
         some = [(a, b) for a, b in runs(quiet) if b - a >= options.unloaded_least_s * rate]
         foot, short = load - low > options.sudden_N, options.unloaded_short_s * rate

@@ -111,7 +111,7 @@ def _unit(view: View, source: ColumnSource) -> Float[Tensor, "6 channels params"
     plates = len(view.reading.frames)
     unit = torch.eye(6 * plates + 6).to(view.reading.wrench).unflatten(1, (-1, 6))
     time = torch.arange(len(unit)).to(unit)
-    reading = replace(view.reading, time=time, wrench=unit[:, :plates], unborne=unit[:, plates])
+    reading = replace(view.reading, time=time, wrench=unit[:, :plates], unborne=unit[:, plates], zeroed=None)
     return columns(source.effect, view.scene, reading, source.place).mT
 
 
