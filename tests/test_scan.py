@@ -187,3 +187,20 @@ def test_what_is_ordinary_is_named_where_it_leaves_nothing_but_noise(monkeypatch
     assert [one.ordinary for one in after.chosen] == [False, not named, False]
     assert [(s.rule, s.effect) for s in after.trace] == ([("nothing_left", "time_offset")] if named else [])
     assert cause_of(after, 1, {}, ("a", "b")).confidence == pytest.approx(1.0 if named else 0.0, abs=0.3)
+
+
+@pytest.mark.parametrize(("left", "sure"), [(0.3, True), (1e-9, False)])
+def test_what_was_named_is_not_doubted_for_its_appearance_where_nothing_but_noise_is_left(monkeypatch, left, sure):
+    """What barely stands out from sound sessions would be less certain than what does not, which is named above."""
+    search = session_search()
+    first, clock, scale = search.chosen
+    found = replace(search, rounds=(replace(round_of((clock, 30.0, 30.0), (scale, 10.0, 10.0)), appearance=27.0),))
+    share = 0.9 if left < 1e-6 else 0.3
+    rest = Adequacy(share > found.options.adequacy.band_part, left, share, "")
+    monkeypatch.setattr(believed, "support", lambda statistics, chosen, one: 30.0)
+    monkeypatch.setattr(believed, "residuals", lambda observed, model, posterior: ())
+    monkeypatch.setattr(believed, "assess_adequacy", lambda observed, left, options: rest)
+    after = believed.believed(found, (), 4)
+    assert after.chosen == found.chosen and bool(after.trace) == sure
+    confidence = cause_of(after, 1, {}, ("a", "b")).confidence
+    assert confidence > 0.99 if sure else confidence < 0.9

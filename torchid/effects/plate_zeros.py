@@ -13,8 +13,8 @@ from torchid.effects.quantities import NamedEffect, length, of
 
 @final
 class PlateOffset(ZeroError):
-    """A constant wrench on every sample of a plate, loaded or not, but those that a program wrote as zero: it was zeroed
-    under load, or not at all."""
+    """A constant wrench on every sample of a plate, loaded or not, but those that a program wrote as zero: it was
+    zeroed under load, or not at all."""
 
     name = "plate_offset"
     mistaken = 0.32

@@ -90,8 +90,8 @@ RULES: dict[str, Callable[[Numbers], str]] = {
     "evidence": _entered(""),
     "evidence_under_its_own_noise": _entered(", under the noise that it would leave"),
     "nothing_left": lambda n: (
-        f"is named all the same: its odds beside the others are {odds(n['evidence_nats'])} (required "
-        f"{odds(n['least_nats'])}), and hardly more than noise is left with it"
+        f"is named whatever sound sessions seem to have of it: its odds beside the others are "
+        f"{odds(n['evidence_nats'])} (required {odds(n['least_nats'])}), and hardly more than noise is left with it"
     ),
     "missing_weight": lambda n: (
         f"is named before the search: up to {percent(n['missing_part'])} of the weight is borne where no plate is"
