@@ -355,7 +355,7 @@ def _custom(rest: str) -> str:
         ("osim.version", osim(PIN, version=10900), "10900"),
         ("osim.version", osim(PIN).replace(' Version="40500"', ""), "OpenSimDocument"),
         ("osim.model", '<OpenSimDocument Version="40500"><InverseDynamicsTool/></OpenSimDocument>', "setup file"),
-        ("osim.name", osim(PIN).replace('<Body name="a"', "<Body"), "line 3"),
+        ("osim.frame", osim(PIN).replace('<Body name="a"', "<Body"), "/bodyset/a"),
         ("osim.body", osim(PIN, bodies="aa"), "two bodies"),
         ("osim.body", osim(PIN).replace("<Body name", "<Boddy name").replace("</Body>", "</Boddy>"), "Boddy"),
         ("osim.body", osim(bodies=""), "no bodies"),
@@ -401,6 +401,57 @@ def test_what_cannot_be_read_is_refused(code: str, text: str, said: str, tmp_pat
     with pytest.raises(InputError, match=f"(?s){said}") as caught:
         read_osim(path)
     assert caught.value.code == code and caught.value.source == str(path) and caught.value.remedy
+
+
+UNNAMED = osim(PIN, joint("PinJoint", "q1", parent="/bodyset/a", child="/bodyset/b"), bodies="ab")
+LINE = "<LinearFunction><coefficients>0.5 0.3</coefficients></LinearFunction>"
+TWICE = f"<MultiplierFunction><function>{LINE}</function><scale>-2</scale></MultiplierFunction>"
+DIALECTS = {
+    "unnamed joints": UNNAMED.replace('PinJoint name="PinJoint_a"', "PinJoint").replace(' name="PinJoint_b"', ""),
+    "unnamed body": osim(PIN.replace("/bodyset/a", "/bodyset/body")).replace('<Body name="a"', "<Body"),
+    "unnamed coordinate": osim(PIN).replace(' name="q0"', ' name=""'),
+    "unnamed marker": osim(PIN, rest=f"<MarkerSet><objects>{MARKER.format('', '/bodyset/a')}</objects></MarkerSet>"),
+    "an axis of no coordinate": _custom(transform({
+        "rotation1": ("q0", "1 0 0", f"<SimmSpline>{POINTS}</SimmSpline>"), "rotation3": ("", "0 0 1", TWICE),
+        "translation2": ("", "0 1 0", LINE),
+    })),
+    "tasks among defaults": osim(PIN, rest="<defaults><CMC_Joint name='default'><on>false</on></CMC_Joint></defaults>"),
+    "classes within classes": osim(PIN, rest='<ForceSet name="f"><objects><HuntCrossleyForce name="c">'
+        '<HuntCrossleyForce::ContactParametersSet name="p"><objects/></HuntCrossleyForce::ContactParametersSet>'
+        "</HuntCrossleyForce></objects></ForceSet>"),
+}  # fmt: skip
+"""Files that OpenSim opens, and how it does."""
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_dialects_are_read_as_by_opensim(dialect: str, seed: int, tmp_path: Path) -> None:
+    """What other programs leave out or add."""
+    path = _write(tmp_path / "a.osim", DIALECTS[dialect])
+    model, twin = _compare(path, seed), Twin(path).model
+    assert [one.name for one in model.joints] == [twin.getJointSet().get(k).getName() for k in range(len(model.joints))]
+    assert [one.name for one in model.markers] == [
+        twin.getMarkerSet().get(k).getName() for k in range(len(model.markers))
+    ]
+
+
+@pytest.mark.parametrize("kind", PLAIN)
+def test_coordinates_that_are_left_out_are_opensims(kind: str, seed: int, tmp_path: Path) -> None:
+    """With the names, ranges and values that it gives them."""
+    text = osim(joint(kind).replace("<coordinates></coordinates>", ""))
+    assert len(_compare(_write(tmp_path / "a.osim", text), seed).coordinates) == PLAIN[kind]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    "name",
+    ["osim_axis_without_coordinate/model", "osim_dialects/contact_parameters", "osim_dialects/defaults"],
+)
+def test_dialects_of_laboratories_are_read(name: str, data_dir: Path, seed: int) -> None:
+    """Where OpenSim has the bodies."""
+    path = data_dir.parent / "cases" / f"{name}.osim"
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    _compare(path, seed)
 
 
 def test_misspelt_and_second_elements_are_said(tmp_path: Path) -> None:

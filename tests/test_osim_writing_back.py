@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from osim_files import MARKER, NAMES, OLD_BODY, Twin, draw, joint, old_joint, old_osim, osim
+from test_osim_reading import DIALECTS
 from torch.testing import assert_close
 
 from torchid.errors import DataError, InputError
@@ -98,6 +99,14 @@ def _same_numbers(model: OsimModel, other: OsimModel) -> None:
             )
     for a, b in zip(model.markers, other.markers, strict=True):
         assert torch.equal(a.location, b.location)
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_dialects_keep_all_but_the_number(dialect: str, tmp_path: Path) -> None:
+    """Names that a file leaves out stay out."""
+    path = _write(tmp_path / "a.osim", DIALECTS[dialect].encode())
+    write_back(_heavier(read_osim(path)[0]), tmp_path / "b.osim")
+    assert (tmp_path / "b.osim").read_text() == DIALECTS[dialect].replace("<mass>2<", "<mass>2.5<", 1)
 
 
 @pytest.mark.data

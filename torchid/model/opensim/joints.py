@@ -112,6 +112,8 @@ def _plain(element: Element, first: int, document: OsimDocument) -> _Axes:
     turns, slides = KINDS[str(element.tag)]
     count = len(turns) + len(slides)
     names = [document.name(one) for one in coordinate_elements(element)]
+    if document.sets_of_joints and element.find("coordinates") is None:
+        names = [f"_coord_{k}" for k in range(count)]  # as OpenSim names what a file leaves out
     if len(names) != count:
         remedy = "State one coordinate for every turn and slide, or save the model again with OpenSim."
         found = f"{len(names)} instead of {count}"
@@ -152,11 +154,22 @@ def _axis(element: Element, default: torch.Tensor, rows: Mapping[str, int], docu
         remedy = 'Use one of the known functions, and name it "function".'
         raise document.fault(others[0], "osim.function", "no function of its axis", str(others[0].tag), remedy=remedy)
     function = function or Constant(0.0)  # OpenSim's default
+    function = function if names else _without_argument(function)
     if function.n_arguments not in (0, len(names)):
         found = f"{len(names)} for {function.n_arguments} argument(s)"
         remedy = "Name one coordinate for every argument of the function."
         raise document.fault(element, "osim.axis", "as many coordinates as arguments are needed", found, remedy=remedy)
     return TransformAxis(unit / unit.norm(), tuple(rows[name] for name in names), function)
+
+
+def _without_argument(function: Function) -> Function:
+    """Return what OpenSim makes of a function of an axis that names no coordinate: of a straight line its first
+    coefficient (``SimTK::Function::Linear``, which adds the coefficient behind as many as it has arguments)."""
+    if isinstance(function, LinearFunction):
+        return Constant(float(function.weights[0]))
+    if isinstance(function, ScaledFunction):
+        return ScaledFunction(_without_argument(function.function), function.scale)
+    return function
 
 
 def _moving(axes: list[TransformAxis]) -> tuple[TransformAxis, ...]:

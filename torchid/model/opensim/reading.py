@@ -1,6 +1,7 @@
 """OpenSim models in: the whole file, from its bytes to a model."""
 
 import logging
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,6 +85,11 @@ log = logging.getLogger(__name__)
 VERSIONS = ((20000, 30499), (40000, 49999))
 """Choice. Versions of the format that are read, first and last: those of OpenSim 2 and 3, and those of OpenSim 4.
 Numbers between them belong to development versions."""
+NO_JOINTS = ("Joint", "CMC_Joint")
+"""Cited. Elements whose names end as if they were joints: what holds the joint of a body in older files, and a tracking
+task of OpenSim's CMC tool."""
+COLONS = re.compile(rb"(</?[A-Za-z_][\w.-]*)::(?=\w)")
+"""Format. Tags with a name that is none of XML, as OpenSim writes of classes within others."""
 LOOKED_AT = ("BodySet", "JointSet", "ConstraintSet", "MarkerSet")
 """Wording. Sets of the model whose members are read."""
 
@@ -123,7 +129,8 @@ def open_document(content: bytes, path: Path) -> OsimDocument:
     Raises:
         InputError: ``xml.*``, ``osim.version``, ``osim.model``.
     """
-    root = parse_xml(content, path, "OpenSimDocument")
+    # As long as it was, so that lines and bytes are where they were.
+    root = parse_xml(COLONS.sub(rb"\1__", content), path, "OpenSimDocument")
     text = root.get("Version", "")
     version = int(text) if text.isdecimal() and len(text) < 10 else 0
     if not any(first <= version <= last for first, last in VERSIONS):
@@ -142,7 +149,7 @@ def parts_of(document: OsimDocument) -> Parts:
     """Return the elements of a document that state numbers.
 
     Raises:
-        InputError: ``osim.body``, ``osim.name``, ``osim.frame``, ``osim.elsewhere`` for a part that is not read.
+        InputError: ``osim.body``, ``osim.frame``, ``osim.elsewhere`` for a part that is not read.
     """
     bodies = body_elements(document)
     frames = Frames(document, bodies)
@@ -163,7 +170,7 @@ def _refuse_elsewhere(parts: Parts) -> None:
     looked_at |= {one.element for one in parts.joints}
     for element in document.model.iterdescendants():
         tag = str(element.tag)
-        moves = tag in ("Body", "Marker") or tag != "Joint" and tag.endswith(("Joint", "Constraint"))
+        moves = tag in ("Body", "Marker") or tag not in NO_JOINTS and tag.endswith(("Joint", "Constraint"))
         changes = element.getparent().tag == "defaults" and tag in WORDS
         if changes or moves and element not in looked_at:
             remedy = f"Put it into {', '.join(LOOKED_AT)}; write defaults out: saving with OpenSim 4 does."

@@ -70,15 +70,15 @@ class OsimDocument:
         return FLAGS[word]
 
     def name(self, element: Element) -> str:
-        """Return the name of an element.
-
-        Raises:
-            InputError: ``osim.name`` where it has none.
-        """
+        """Return the name of an element; of one without, the name that OpenSim gives it: its class in small letters,
+        and behind the first of a set a number from 0."""
         name = (element.get("name") or "").strip()
-        if not name:
-            raise self.fault(element, "osim.name", "needs a name", remedy='Give it name="...".')
-        return name
+        if name:
+            return name
+        before = [
+            one for one in element.itersiblings(element.tag, preceding=True) if not (one.get("name") or "").strip()
+        ]
+        return str(element.tag).lower() + (f"_{len(before) - 1}" if before else "")
 
 
 def child_text(parent: Element, tag: str) -> str:

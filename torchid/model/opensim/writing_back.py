@@ -180,7 +180,7 @@ def _bodies(model: OsimModel, before: OsimModel, parts: Parts, wanted: _Wanted) 
 def _joints(model: OsimModel, before: OsimModel, parts: Parts, wanted: _Wanted) -> None:
     old = {joint.name: joint for joint in before.joints}
     _same("joint", model, [joint.name for joint in model.joints], list(old))
-    stated = {one.element.get("name", "").strip(): one for one in parts.joints}
+    stated = {parts.document.name(one.element): one for one in parts.joints}
     for joint in model.joints:
         holder = stated[joint.name]
         _frame(joint.parent, holder.parent, wanted, holder.element)
@@ -200,7 +200,7 @@ def _frame(frame: Frame, stated: Stated, wanted: _Wanted, joint: Element) -> Non
 def _markers(model: OsimModel, before: OsimModel, parts: Parts, wanted: _Wanted) -> None:
     old = {marker.name: marker for marker in before.markers}
     _same("marker", model, [marker.name for marker in model.markers], list(old))
-    elements: Mapping[str, Element] = {element.get("name", "").strip(): element for element, _ in parts.markers}
+    elements: Mapping[str, Element] = {parts.document.name(element): element for element, _ in parts.markers}
     for marker in model.markers:
         wanted.add(_Numbers(elements[marker.name], "location", old[marker.name].location, _plain(marker.location)))
 
