@@ -207,7 +207,7 @@ class Reading:
 
 def reading(trial: str, forces: Forces, frames: tuple[PlateFrame, ...]) -> Reading:
     """The reading of a recording's plates; NaN counts as nothing read."""
-    zeroed = torch.nan_to_num(forces.zeroed_share)
+    zeroed = torch.where(forces.wrench.isfinite().all(2), forces.zeroed_share, 1.0)  # what is missing nobody read
     return Reading(
         trial, forces.time, torch.nan_to_num(forces.wrench), frames, zeroed=zeroed if bool(zeroed.any()) else None
     )

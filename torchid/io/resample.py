@@ -59,7 +59,7 @@ def to_clock(forces: Forces, time: Float[Tensor, " frames"], source: str = "", p
     resampled[_near(new, own[missing], max(1.0 / rate, 1.0 / forces.rate))] = np.nan
     found = torch.from_numpy(resampled).to(forces.wrench)
     written = found[:, 6 * plates :] if every.shape[1] > 6 * plates else None
-    return Forces(time, found[:, : 6 * plates].reshape(len(new), -1, 6), forces.plates, written)
+    return Forces(time, found[:, : 6 * plates].reshape(len(new), plates, 6), forces.plates, written)
 
 
 def _bridged(values: np.ndarray, missing: np.ndarray, time: np.ndarray) -> np.ndarray:
