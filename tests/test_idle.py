@@ -7,8 +7,9 @@ import torch
 
 from torchid.effects.catalogue import effect
 from torchid.effects.place import Place
-from torchid.effects.scene import PlateFrame, Reading
+from torchid.effects.scene import PlateFrame, Reading, reading
 from torchid.observation.unloaded_plates import find_unloaded
+from torchid.recording import Forces, Plate
 
 RATE = 100.0
 FRAME = PlateFrame("plate_1", torch.zeros(3, dtype=torch.float64), torch.eye(3, dtype=torch.float64))
@@ -63,3 +64,34 @@ def test_zeros_that_a_program_wrote_state_nothing_and_are_not_moved_by_a_wrong_z
     moved = offset.read(program, place, theta)
     torch.testing.assert_close(moved.wrench - smeared, (theta * (1.0 - zeroed))[:, None])
     torch.testing.assert_close(offset.undone(moved, place, theta).wrench, smeared)
+
+
+def test_missing_forces_state_no_zero(seed):
+    """A gap that is longer than the time in which the plate was read without load is none of it."""
+    time = torch.arange(1000, dtype=torch.float64) / RATE
+    given = read(torch.where(time < 6.0, 400.0, 6.0), seed)
+    wrench = given.wrench.clone()
+    wrench[100:500] = torch.nan
+    raw = reading("one", Forces(time, wrench, (Plate("plate_1"),)), (FRAME,))
+    found = find_unloaded(raw, RATE).runs
+    assert [part.start >= 600 for _, part, *_ in found] == [True, True]
+    assert all(abs(float(mean[2]) - 6.0) < 4.0 * float(error[2]) for *_, mean, error in found)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.05])
+def test_what_was_written_goes_with_the_cables_and_the_clock(seed, lag_s):
+    """Exchanged or late, an offset is still in what plates read and in nothing else."""
+    time = torch.arange(600, dtype=torch.float64) / RATE
+    other = replace(FRAME, name="plate_2", p_WF=FRAME.p_WF + 0.5)
+    load = torch.stack([torch.where(time < 3.0, 500.0, 0.0), torch.where(time < 3.0, 0.0, 500.0)], 1)
+    wrench = torch.zeros(600, 2, 6, dtype=torch.float64)
+    wrench[..., 2] = load
+    given = reading("one", Forces(time, wrench, (Plate("plate_1"), Plate("plate_2"))), (FRAME, other))
+    swapped = effect("plate_assignment").read(given, Place(("plate_1", "plate_2")), torch.ones(1).double())
+    assert given.zeroed is not None and swapped.zeroed is not None
+    torch.testing.assert_close(swapped.zeroed, given.zeroed.flip(1))
+    assert bool(((swapped.wrench[..., 2] > 0.0) == (swapped.zeroed == 0.0)).all())
+    late = effect("time_offset").read(given, Place(("session",)), torch.tensor([lag_s]).double())
+    assert late.zeroed is not None
+    inner = slice(50, -50)
+    torch.testing.assert_close(late.wrench[inner, :, 2], 500.0 * (1.0 - late.zeroed[inner]), atol=1e-6, rtol=0.0)

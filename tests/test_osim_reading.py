@@ -418,7 +418,7 @@ DIALECTS = {
     "tasks among defaults": osim(PIN, rest="<defaults><CMC_Joint name='default'><on>false</on></CMC_Joint></defaults>"),
     "classes within classes": osim(PIN, rest='<ForceSet name="f"><objects><HuntCrossleyForce name="c">'
         '<HuntCrossleyForce::ContactParametersSet name="p"><objects/></HuntCrossleyForce::ContactParametersSet>'
-        "</HuntCrossleyForce></objects></ForceSet>"),
+        "<A::B::C/></HuntCrossleyForce></objects></ForceSet>"),
 }  # fmt: skip
 """Files that OpenSim opens, and how it does."""
 
@@ -439,6 +439,20 @@ def test_coordinates_that_are_left_out_are_opensims(kind: str, seed: int, tmp_pa
     """With the names, ranges and values that it gives them."""
     text = osim(joint(kind).replace("<coordinates></coordinates>", ""))
     assert len(_compare(_write(tmp_path / "a.osim", text), seed).coordinates) == PLAIN[kind]
+
+
+def test_coordinates_that_several_joints_leave_out_have_names_of_their_own(seed: int, tmp_path: Path) -> None:
+    """Where OpenSim calls all of them alike; bodies are where it has them."""
+    first, second = joint("PinJoint"), joint("BallJoint", parent="/bodyset/a", child="/bodyset/b")
+    text = osim(first, second, bodies="ab").replace("<coordinates></coordinates>", "")
+    model, _ = read_osim(_write(tmp_path / "a.osim", text))
+    names = [one.name for one in model.coordinates]
+    assert names == ["PinJoint_a_coord_0", *(f"BallJoint_b_coord_{k}" for k in range(3))]
+    stated = joint("PinJoint", names[0]), joint("BallJoint", *names[1:], parent="/bodyset/a", child="/bodyset/b")
+    named = _compare(_write(tmp_path / "b.osim", osim(*stated, bodies="ab")), seed)
+    q = draw(model, np.random.default_rng(seed), 3)
+    for ours, theirs in zip(body_poses(model, q), body_poses(named, q), strict=True):
+        assert_close(ours, theirs)
 
 
 @pytest.mark.data

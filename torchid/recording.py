@@ -88,7 +88,7 @@ class Forces:
         return replace(self, time=self.time[part], wrench=self.wrench[part], zeroed=zeroed)
 
     def of(self, kept: Sequence[int]) -> "Forces":
-        """Those of some plates."""
+        """Return the forces of some plates, by their columns, in that order."""
         wrench, plates = self.wrench[:, list(kept)], tuple(self.plates[k] for k in kept)
         zeroed = None if self.zeroed is None else self.zeroed[:, list(kept)]
         return replace(self, wrench=wrench, plates=plates, zeroed=zeroed)

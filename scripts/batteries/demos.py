@@ -4,7 +4,8 @@
     PYTHONPATH=.:scripts python -m batteries.demos --seeds 40 --first 7000 --out out/demos
 
 Every demonstration is what a user sees who runs it with that seed. Prints a line for each, what was hidden and what was
-named, and at the end how many verdicts were right, by what was hidden, with the time that they took.
+named, and at the end how many verdicts were right, by what was hidden, with the time that they took. Seeds
+that a folder keeps are not run again: name another one after a change.
 """
 
 import json

@@ -164,7 +164,7 @@ def feet_alone(options: ContactOptions, trial: str, forces: Forces) -> Forces | 
     if not kept:
         return None
     left = forces.of(kept)
-    wrench = left.wrench.clone()
+    wrench = left.wrench  # a copy already
     for one in options.others.values():
         if plate_of(one, forces) < 0 and one.when == "always":
             return None

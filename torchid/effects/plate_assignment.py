@@ -1,6 +1,7 @@
 """Plates whose cables are swapped."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import final
 
 import torch
@@ -50,7 +51,12 @@ class PlateAssignment(ReadingEffect):
         first, second = reading.frames[a], reading.frames[b]
         there = to_world(first, to_plate(second, true[1])), to_world(second, to_plate(first, true[0]))
         reading = reading.with_plate(a, reading.wrench[:, a] + theta * (there[0] - true[0]))
-        return reading.with_plate(b, reading.wrench[:, b] + theta * (there[1] - true[1]))
+        reading = reading.with_plate(b, reading.wrench[:, b] + theta * (there[1] - true[1]))
+        if reading.zeroed is None:
+            return reading
+        order = list(range(len(reading.frames)))
+        order[a], order[b] = b, a
+        return replace(reading, zeroed=reading.zeroed + theta * (reading.zeroed[:, order] - reading.zeroed))
 
     def undone(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
         """Swapped once more, everything is in its place."""

@@ -35,58 +35,42 @@ def plate_names(views: Sequence[View]) -> list[str]:
     return sorted({frame.name for view in views for frame in view.reading.frames})
 
 
-def mapped(
-    reading: Reading,
-    place: Place,
-    mapping: Callable[[PlateFrame, Float[Tensor, "samples 6"]], Float[Tensor, "samples 6"]],
-) -> Reading:
-    """The reading with that of each plate of a place mapped; wrenches about the origin of W."""
+def mapped(reading: Reading, place: Place, mapping: Callable[[Reading, int], Float[Tensor, "samples 6"]]) -> Reading:
+    """The reading with that of each plate of a place mapped, which is known by its column; about the origin of W."""
     for name in place.where:
         k = reading.index(name)
         if k is not None:
-            reading = reading.with_plate(k, mapping(reading.frames[k], reading.wrench[:, k]))
+            reading = reading.with_plate(k, mapping(reading, k))
     return reading
 
 
-class PlateEffect(ReadingEffect):
+class PlateMap(ReadingEffect):
     """An effect on what each single plate reads; its places are the plates."""
 
     site = Site.PLATE
     link = "of"
+    column_noise = ColumnNoise.CORRECTED
 
     @final
     def places(self, views: Sequence[View]) -> tuple[Place, ...]:
         return tuple(Place((name,)) for name in plate_names(views))
 
-
-class PlateMap(PlateEffect):
-    """An effect that maps what a plate bears to what it reads."""
-
-    column_noise = ColumnNoise.CORRECTED
-
     @final
     def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
-        return mapped(reading, place, lambda frame, wrench: self.map(frame, reading.elapsed, wrench, theta))
+        return mapped(reading, place, lambda own, k: self.map(own, k, theta))
 
     @abstractmethod
-    def map(
-        self,
-        frame: PlateFrame,
-        time: Float[Tensor, " samples"],
-        wrench: Float[Tensor, "samples 6"],
-        theta: Float[Tensor, " params"],
-    ) -> Float[Tensor, "samples 6"]:
-        """Return a plate's reading of the wrench that it bears, both about the origin of W [N, N m].
+    def map(self, bears: Reading, k: int, theta: Float[Tensor, " params"]) -> Float[Tensor, "samples 6"]:
+        """Return a plate's reading of the wrench that it bears, about the origin of W [N, N m].
 
         Args:
-            frame: of the plate.
-            time: since the recording began [s].
-            wrench: that it bears.
+            bears: what the plates bear.
+            k: column of the plate.
             theta: internal parameters.
         """
 
 
-class ZeroError(PlateEffect):
+class ZeroError(PlateMap):
     """A wrench that is added to all that a plate reads, and that an unloaded plate shows by itself, unless a program
     has written zeros there."""
 
@@ -99,14 +83,9 @@ class ZeroError(PlateEffect):
         """Return the reading of a plate that bears nothing, about its own origin and in its axes [N, N m]."""
 
     @final
-    def read(self, reading: Reading, place: Place, theta: Float[Tensor, " params"]) -> Reading:
-        zero = self.zero(reading.elapsed, theta)
-        for name in place.where:
-            k = reading.index(name)
-            if k is not None:
-                added = reading.read_by(k)[:, None] * to_world(reading.frames[k], zero)
-                reading = reading.with_plate(k, reading.wrench[:, k] + added)
-        return reading
+    def map(self, bears: Reading, k: int, theta: Float[Tensor, " params"]) -> Float[Tensor, "samples 6"]:
+        zero = to_world(bears.frames[k], self.zero(bears.elapsed, theta))
+        return bears.wrench[:, k] + bears.read_by(k)[:, None] * zero
 
     @final
     def ordinary(self, views: Sequence[View], fit: GeometryFit | None) -> Iterator[Ordinary]:

@@ -71,7 +71,7 @@ class PlateGain(ReadingEffect):
         Where all plates are alike, so is what the body needs beyond what they bore: only another scale tells all gains
         from a body that weighs as much more, and their columns must not.
         """
-        found = mapped(reading, place, lambda frame, wrench: (1.0 + theta) * wrench)
+        found = mapped(reading, place, lambda own, k: (1.0 + theta) * own.wrench[:, k])
         if found.unborne is None or not {frame.name for frame in reading.frames} <= set(place.where):
             return found
         return replace(found, unborne=(1.0 + theta) * found.unborne)
@@ -108,16 +108,10 @@ class PlatePose(PlateMap):
         "plate_assignment": "a step on one plate at a time, called out",
     }
 
-    def map(
-        self,
-        frame: PlateFrame,
-        time: Float[Tensor, " samples"],
-        wrench: Float[Tensor, "samples 6"],
-        theta: Float[Tensor, " params"],
-    ) -> Float[Tensor, "samples 6"]:
-        shift, turn = self.split(theta)
+    def map(self, bears: Reading, k: int, theta: Float[Tensor, " params"]) -> Float[Tensor, "samples 6"]:
+        (shift, turn), frame = self.split(theta), bears.frames[k]
         true = PlateFrame(frame.name, frame.p_WF + shift, roma.rotvec_to_rotmat(turn) @ frame.R_WF)
-        return to_world(frame, to_plate(true, wrench))
+        return to_world(frame, to_plate(true, bears.wrench[:, k]))
 
     def sentence(self, finding: NamedEffect) -> str:
         (turn, turn_sd) = of(finding, "rotation_rad")
@@ -145,13 +139,8 @@ class PlateCrosstalk(PlateMap):
         bears, part = (1.0,) * 3 + (0.2,) * 3, self.parameters[0].scale
         return tuple(part * bears[i] / bears[j] for i, j in CROSSTALK)
 
-    def map(
-        self,
-        frame: PlateFrame,
-        time: Float[Tensor, " samples"],
-        wrench: Float[Tensor, "samples 6"],
-        theta: Float[Tensor, " params"],
-    ) -> Float[Tensor, "samples 6"]:
+    def map(self, bears: Reading, k: int, theta: Float[Tensor, " params"]) -> Float[Tensor, "samples 6"]:
+        frame, wrench = bears.frames[k], bears.wrench[:, k]
         return wrench + to_world(frame, to_plate(frame, wrench) @ _matrix(theta).T)
 
     def named(self, place: Place, theta: Float[Tensor, " params"]) -> dict[str, Tensor]:

@@ -173,7 +173,8 @@ class Reading:
     begin: float | None = None
     """Time from which effects that grow count, of a reading of other samples [s]; None: its first sample."""
     zeroed: Float[Tensor, "samples plates"] | None = None
-    """Share of each sample that a program wrote as zero (``Forces.zeroed_share``); None: plates read all."""
+    """Share of each sample that a program wrote as zero (``Forces.zeroed_share``), one where it is missing; None:
+    plates read all."""
 
     @property
     def total(self) -> Float[Tensor, "6 samples"]:
@@ -187,7 +188,7 @@ class Reading:
         return self.time - (self.time[0] if self.begin is None else self.begin)
 
     def read_by(self, k: int) -> Float[Tensor, " samples"]:
-        """Share of each sample that plate k read itself; the rest a program wrote as zero."""
+        """Return the share of each sample that plate k read itself; the rest a program wrote as zero, or is missing."""
         return torch.ones_like(self.time) if self.zeroed is None else 1.0 - self.zeroed[:, k]
 
     def index(self, plate: str) -> int | None:

@@ -49,8 +49,11 @@ class LateReading(ReadingEffect):
         """Readings as they were a lag ago (``delayed``)."""
         if not covers(place, reading.trial):
             return reading
-        late = delayed(reading.time, reading.wrench.flatten(1), (float(theta[0]),))
-        return replace(reading, wrench=late.reshape(reading.wrench.shape), unborne=None)
+        wrench, zeroed = reading.wrench.flatten(1), reading.zeroed
+        both = wrench if zeroed is None else torch.cat([wrench, zeroed], 1)
+        (late,) = delayed(reading.time, both, (float(theta[0]),))
+        wrench, zeroed = late[:, : wrench.shape[1]], None if zeroed is None else late[:, wrench.shape[1] :]
+        return replace(reading, wrench=wrench.reshape(reading.wrench.shape), unborne=None, zeroed=zeroed)
 
     def _told(self, finding: NamedEffect) -> str:
         lag, sd = of(finding, "lag_s")

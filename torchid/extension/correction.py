@@ -155,7 +155,7 @@ def _read_right(
     for one in acting:
         right = one.effect.undone(right, one.place, one.theta)
     wrench = torch.where(torch.isfinite(forces.wrench), right.wrench.to(forces.wrench), torch.nan)
-    return replace(trial, forces=replace(forces, wrench=wrench))
+    return replace(trial, forces=replace(forces, wrench=wrench, zeroed=right.zeroed))
 
 
 def moves_markers(cause: Cause) -> bool:

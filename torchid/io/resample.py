@@ -25,7 +25,8 @@ def to_clock(forces: Forces, time: Float[Tensor, " frames"], source: str = "", p
 
     Towards a lower rate a zero-lag Butterworth low-pass (order 4 run forward and back, cut-off 0.4 of the new rate)
     goes first; cubic splines interpolate. Constants and straight lines pass unchanged up to the ends. NaN outside the
-    forces' own time and within a new period of a missing sample.
+    forces' own time and within a new period of a missing sample. What a program wrote as zero passes the same way, so
+    that it stays known (``Forces.zeroed``).
 
     Args:
         time: the other clock [s].
@@ -41,25 +42,24 @@ def to_clock(forces: Forces, time: Float[Tensor, " frames"], source: str = "", p
             remedy="Export the whole trial's forces, or leave forces: out",
         )  # fmt: skip
     own, new = forces.time.detach().cpu().numpy(), time.detach().cpu().numpy()
-    zeroed, plates = forces.zeroed_share, len(forces.plates)
-    every = torch.cat([forces.wrench.flatten(1), zeroed[:, : plates * bool(zeroed.any())]], dim=1)
-    values = every.detach().cpu().numpy()
+    zeroed = forces.zeroed_share
+    tables = [forces.wrench.flatten(1), *([zeroed] if bool(zeroed.any()) else [])]
+    columns = [column for one in tables for column in one.detach().cpu().numpy().T]
     rate = (len(new) - 1) / (new[-1] - new[0]) if len(new) > 1 else forces.rate
-    missing = np.zeros(len(values), bool)
-    for column in values.T:
+    missing = np.zeros(len(own), bool)
+    for column in columns:
         missing |= ~np.isfinite(column)
     slack = 1e-6 / forces.rate
     inside = (new >= own[0] - slack) & (new <= own[-1] + slack)
-    resampled = np.full((len(new), values.shape[1]), np.nan)
+    resampled = np.full((len(new), len(columns)), np.nan)
     cutoff = PASS_BAND * rate / forces.rate if forces.rate > rate * (1 + SAME_RATE) else None
-    for k, column in enumerate(values.T):  # one at a time: filter and spline take ten times the memory of their input
+    for k, column in enumerate(columns):  # one at a time: filter and spline take ten times the memory of their input
         column = _bridged(column, missing, own)
         column = column if cutoff is None else _low_pass(column, cutoff)
         resampled[inside, k] = _at(own, column, np.clip(new[inside], own[0], own[-1]))
     resampled[_near(new, own[missing], max(1.0 / rate, 1.0 / forces.rate))] = np.nan
-    found = torch.from_numpy(resampled).to(forces.wrench)
-    written = found[:, 6 * plates :] if every.shape[1] > 6 * plates else None
-    return Forces(time, found[:, : 6 * plates].reshape(len(new), plates, 6), forces.plates, written)
+    wrench, *share = torch.from_numpy(resampled).to(forces.wrench).split([one.shape[1] for one in tables], 1)
+    return Forces(time, wrench.reshape(len(new), len(forces.plates), 6), forces.plates, *share)
 
 
 def _bridged(values: np.ndarray, missing: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -56,4 +56,5 @@ def believed(found: SearchResult, observed: Sequence[TrialObservation], limit: i
 
 def _seems(found: SearchResult, one: Candidate) -> bool:
     """Return whether a named effect is doubted for what sessions without it seem to have of it."""
-    return any(r.appearance > 0.0 and same(r.rivals[0].candidate, one) for r in found.rounds if r.rivals)
+    own = next((r for r in found.rounds if r.rivals and same(r.rivals[0].candidate, one)), None)
+    return own is not None and own.appearance > 0.0

@@ -113,7 +113,7 @@ def _plain(element: Element, first: int, document: OsimDocument) -> _Axes:
     count = len(turns) + len(slides)
     names = [document.name(one) for one in coordinate_elements(element)]
     if document.sets_of_joints and element.find("coordinates") is None:
-        names = [f"_coord_{k}" for k in range(count)]  # as OpenSim names what a file leaves out
+        names = [f"{_prefix_of_left_out(element, document)}_coord_{k}" for k in range(count)]
     if len(names) != count:
         remedy = "State one coordinate for every turn and slide, or save the model again with OpenSim."
         found = f"{len(names)} instead of {count}"
@@ -121,6 +121,15 @@ def _plain(element: Element, first: int, document: OsimDocument) -> _Axes:
     itself = LinearFunction(torch.ones(1, dtype=torch.float64), 0.0)
     axes = [TransformAxis(_unit(axis), (first + k,), itself) for k, axis in enumerate(turns + slides)]
     return axes[: len(turns)], axes[len(turns) :], names
+
+
+def _prefix_of_left_out(joint: Element, document: OsimDocument) -> str:
+    """Return what stands before the names of coordinates that a file leaves out: nothing, as in OpenSim, or the joint's
+    name where several joints lack theirs, to which OpenSim gives the same names."""
+    parent, lacking = joint.getparent(), 0
+    for one in () if parent is None else parent:
+        lacking += any(KINDS.get(str(one.tag), ())) and one.find("coordinates") is None
+    return document.name(joint) if lacking > 1 else ""
 
 
 def _custom(element: Element, first: int, document: OsimDocument) -> _Axes:

@@ -88,7 +88,7 @@ Numbers between them belong to development versions."""
 NO_JOINTS = ("Joint", "CMC_Joint")
 """Cited. Elements whose names end as if they were joints: what holds the joint of a body in older files, and a tracking
 task of OpenSim's CMC tool."""
-COLONS = re.compile(rb"(</?[A-Za-z_][\w.-]*)::(?=\w)")
+COLONS = re.compile(rb"</?[A-Za-z_][\w.-]*(?:::[\w.-]+)+")
 """Format. Tags with a name that is none of XML, as OpenSim writes of classes within others."""
 LOOKED_AT = ("BodySet", "JointSet", "ConstraintSet", "MarkerSet")
 """Wording. Sets of the model whose members are read."""
@@ -130,7 +130,7 @@ def open_document(content: bytes, path: Path) -> OsimDocument:
         InputError: ``xml.*``, ``osim.version``, ``osim.model``.
     """
     # As long as it was, so that lines and bytes are where they were.
-    root = parse_xml(COLONS.sub(rb"\1__", content), path, "OpenSimDocument")
+    root = parse_xml(COLONS.sub(lambda tag: tag[0].replace(b"::", b"__"), content), path, "OpenSimDocument")
     text = root.get("Version", "")
     version = int(text) if text.isdecimal() and len(text) < 10 else 0
     if not any(first <= version <= last for first, last in VERSIONS):

@@ -71,7 +71,7 @@ class OsimDocument:
 
     def name(self, element: Element) -> str:
         """Return the name of an element; of one without, the name that OpenSim gives it: its class in small letters,
-        and behind the first of a set a number from 0."""
+        and behind the first of a set a number from 0, whatever others are called."""
         name = (element.get("name") or "").strip()
         if name:
             return name
