@@ -13,8 +13,9 @@ from torch import Tensor
 
 from torchid.checks.marker_tracks.clusters import Clusters, shape_of
 from torchid.checks.marker_tracks.jumps import find_jumps
-from torchid.checks.marker_tracks.moved import Verdict, align
-from torchid.checks.marker_tracks.session import look_at_trial, readings_of, renamed
+from torchid.checks.marker_tracks.moved import Verdict
+from torchid.checks.marker_tracks.segment_shape import align
+from torchid.checks.marker_tracks.session import look_at_trial, look_at_trials, readings_of, renamed
 from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement, notes_of
 from torchid.diagnosis.candidates.exchanged_markers import exchanged_markers
 from torchid.filters import Smoother
@@ -254,19 +255,23 @@ def test_a_marker_that_was_moved_is_named(trials, clusters, rng):
     assert all(told[clusters.labels[k]].verdict is Verdict.STAYS for k in rest)
 
 
-def test_two_of_three_markers_cannot_be_told(trials, clusters, rng):
-    """On a segment with three markers all that may have moved are said."""
+def test_of_three_markers_the_one_that_moved_is_told_and_of_two_both_are_said(trials, clusters, rng):
+    """The third is on a segment of its own in the second look."""
     three = [s for s in dict.fromkeys(clusters.segments) if len(clusters.on(s)) == 3]
     segment, name = str(rng.choice(three)), moving(rng, trials)
-    marker, other, _ = clusters.on(segment)
-    a, b = (trials[name].markers.labels.index(clusters.labels[k]) for k in (marker, other))
+    labels = [clusters.labels[k] for k in clusters.on(segment)]
+    a, b, _ = (trials[name].markers.labels.index(label) for label in labels)
 
     def change(position: Tensor, _: Tensor) -> None:
         away = position[:, a] - position[:, b]
         position[:, a] += 0.04 * away / away.norm(dim=1, keepdim=True)
 
-    (found,) = [one for one in look(with_position(trials, name, change)) if one.trial == name]
-    assert found.kind is TrackFault.MOVED and {clusters.labels[marker], clusters.labels[other]} <= set(found.labels)
+    planted = with_position(trials, name, change)
+    (found,) = [one for one in look(planted) if one.trial == name]
+    assert found.kind is TrackFault.MOVED and labels[0] in found.labels
+    apart = dict(zip(clusters.labels, clusters.segments, strict=True)) | {labels[2]: labels[2]}
+    (found,) = [one for one in look_at_trials(planted, Clusters.of(apart)) if one.trial == name]
+    assert found.kind is TrackFault.MOVED and set(found.labels) == set(labels[:2])
     assert "nothing tells which" in found.sentence
 
 

@@ -1,22 +1,26 @@
 """What the diagnosis sees of an experiment."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from torch import Tensor
 
+from torchid.checks.marker_tracks.moved import moved_nats
+from torchid.checks.marker_tracks.session import readings_of
 from torchid.checks.marker_tracks.statement import TrackFault
 from torchid.diagnosis.candidates.exchanged_markers import EFFECT as EXCHANGE
 from torchid.diagnosis.candidates.exchanged_markers import ExchangedMarkers, exchanged_markers
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
 from torchid.diagnosis.evidence.model import Identification
+from torchid.diagnosis.evidence.other_proof import Told
 from torchid.diagnosis.options import MissingWeightOptions
 from torchid.diagnosis.verdict.causes import with_exchanged_markers, with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.dynamics.rows import WrenchTrial
 from torchid.effects.catalogue import CATALOGUE
-from torchid.effects.place import SESSION
+from torchid.effects.place import Place
 from torchid.effects.scene import PlateFrame
 from torchid.effects.traits import Proof
 from torchid.model_free.panel import Panel
@@ -27,6 +31,7 @@ from torchid.observation.plate_registry import SessionPlate, recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
 from torchid.recording import Forces
 from torchid.session import Outcome
+from torchid.session.session import session_clusters
 from torchid.storage.allocator import keeping_large
 from torchid.storage.snapshot import in_memory
 
@@ -76,13 +81,22 @@ def diagnose_outcome(
     return with_exchanged_markers(with_missing_weight(found, missing, options), exchanged)
 
 
-def _told(outcome: Outcome) -> dict[Proof, frozenset[str]]:
-    """Names of places that other proof than forces bears out."""
-    fits = outcome.session.role("fit").keys() | outcome.session.role("static").keys()
-    elsewhere = frozenset(label for one in outcome.session.tracking if one.trial in fits for label in one.labels)
-    moving = [trial.markers for trial in outcome.session.role("fit").values()]
+def _told(outcome: Outcome) -> Told:
+    """What other proof than forces says of places: of two markers, whether their names are exchanged, of one, if it
+    moved between trials, of the session, whether its markers were filtered."""
+    session = outcome.session
+    trials = session.role("static") | session.role("fit")
+    readings = readings_of(trials, session_clusters(session.assignment))
+    exchanged = {label for one in session.tracking if one.trial in trials for label in one.labels}
+    moving = [trial.markers for trial in session.role("fit").values()]
     filtered = bool(moving) and all(smooth(one) for one in moving)
-    return {Proof.DISTANCES: elsewhere, Proof.SMOOTHNESS: frozenset(SESSION.where if filtered else ())}
+
+    def distances(place: Place) -> float:
+        if len(place.where) == 1:
+            return moved_nats(readings, place.where[0], [one.trial for one in place.when or ()])
+        return math.inf if exchanged.intersection(place.where) else -math.inf
+
+    return {Proof.DISTANCES: distances, Proof.SMOOTHNESS: lambda _: math.inf if filtered else -math.inf}
 
 
 def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:

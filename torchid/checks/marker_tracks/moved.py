@@ -1,6 +1,8 @@
 """Where markers sit on their segment in one trial, against where they sit in others."""
 
-from collections.abc import Mapping, Sequence
+import math
+import statistics
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -8,23 +10,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.checks.marker_tracks.clusters import MAD_SD, SCATTER_M, Clusters, evenly
+from torchid.checks.marker_tracks.clusters import SCATTER_M, Clusters
+from torchid.checks.marker_tracks.segment_shape import SegmentShape, align, segment_shape
 from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.recording import Markers
 
-ENOUGH = 4
-"""Derived. Markers of a segment from which one can be told from the others: of three, each distance has two ends."""
-MOVED_SD = 3.0
-"""Derived. Standard deviations from which a displacement is no chance: one in 400."""
 MOVED_M = 0.015
-"""Calibrated. Displacement from which it is said [m]. Below, one in twenty segments of eleven recorded sessions
-differed between postures; 12 of 16 markers that were moved by 15 to 25 mm outside the chest were named."""
-AGREE_PART = 0.5
-"""Choice. Part of the displacement within which the other distances of the segment must agree without the marker."""
-FRAMES = 120
-"""Resolution. Frames of a trial that tell the shape of a segment."""
-FEWEST = 5
-"""Choice. Frames in which all markers of a segment are seen from which its shape is known, if a trial has as many."""
+"""Prior. Standard deviation, per axis, of where a marker that was knocked or stuck on anew sits [m]; as far apart as
+landmarks that are found anew by hand (Della Croce et al., Gait & Posture 21 (2005))."""
+MOVED_ODDS = 0.02
+"""Prior. Share of markers that sit elsewhere in a trial: over ten people's recordings as they are, one in fifty."""
+NEAR_NATS = 3.0
+"""Choice. Evidence behind that of the likeliest marker from which it is another one [nat]: one to twenty."""
+RIGID = 1e-6
+"""Resolution. Turn that leaves all markers where they are, over one that moves them most: of two, about their line."""
 
 
 class Verdict(StrEnum):
@@ -51,84 +50,20 @@ class MarkerReading:
     against: str
     """The trial that it is compared with."""
     displacement_mm: float
-    """Distance from its place among the other markers of its segment [mm]; of two or three markers the largest change
-    of a distance to it; NaN where nothing tells."""
+    """Likeliest distance from its place among the other markers of its segment, if it alone moved [mm]; NaN where
+    nothing tells."""
     sd_mm: float
-    """Standard deviation of that where nothing moved: scatter between trials and, in both, over frames [mm]."""
+    """Standard deviation of a place, per axis, where nothing moved: scatter between trials and, in both, over frames
+    [mm]."""
     left_mm: float
     """Largest change of a distance between the others, which it does not explain [mm]."""
     verdict: Verdict
     """What follows."""
     among: tuple[str, ...]
     """Markers one of which moved, where that is ambiguous."""
-
-    @property
-    def z(self) -> float:
-        """Return the displacement in standard deviations."""
-        return self.displacement_mm / self.sd_mm
-
-
-@dataclass(frozen=True)
-class SegmentShape:
-    """The shape of a segment's markers in one trial, in axes of its own."""
-
-    labels: tuple[str, ...]
-    """Markers that the trial shows."""
-    place: Float[Tensor, "markers 3"]
-    """Median place [m]."""
-    sd: Float[Tensor, " markers"]
-    """Scatter of each over the frames [m]."""
-
-    def only(self, labels: Sequence[str]) -> "SegmentShape":
-        """Return some of the markers.
-
-        Args:
-            labels: their names.
-        """
-        index = [self.labels.index(label) for label in labels]
-        return SegmentShape(tuple(labels), self.place[index], self.sd[index])
-
-
-def align(
-    source: Float[Tensor, "*batch markers 3"], target: Float[Tensor, "*batch markers 3"]
-) -> tuple[Float[Tensor, "*batch 3 3"], Float[Tensor, "*batch 3"]]:
-    """Return rotation R and shift t for which R source + t is nearest to target (Kabsch 1976).
-
-    Args:
-        source: points [m].
-        target: the same points elsewhere [m].
-    """
-    a, b = source.mean(dim=-2, keepdim=True), target.mean(dim=-2, keepdim=True)
-    U, _, Vh = torch.linalg.svd((target - b).mT @ (source - a))
-    flip = torch.ones_like(source[..., 0, :])
-    flip[..., 2] = torch.linalg.det(U @ Vh)
-    R = U @ (flip[..., None] * Vh)
-    return R, (b - a @ R.mT)[..., 0, :]
-
-
-def body_of(markers: Markers, labels: Sequence[str]) -> SegmentShape | None:
-    """Return the shape of a segment in a trial; None where no two of its markers are seen together.
-
-    A marker that is lost in more than half of the frames is left out, so that it does not hide the others.
-
-    Args:
-        markers: of the trial.
-        labels: markers of the segment.
-    """
-    some = markers.frames(evenly(len(markers.time), 4 * FRAMES)).select(tuple(labels))
-    seen = torch.isfinite(some.position).all(dim=2)
-    kept = [k for k in range(len(labels)) if 2 * int(seen[:, k].sum()) > len(seen)]
-    whole = seen[:, kept].all(dim=1).nonzero()[:, 0]
-    if len(kept) < 2 or len(whole) < min(FEWEST, len(seen)):
-        return None
-    p = some.position[whole[evenly(len(whole), FRAMES)]][:, kept]
-    distance = (p[:, :, None] - p[:, None]).norm(dim=3)
-    typical = p[int((distance - distance.median(dim=0).values).abs().sum(dim=(1, 2)).argmin())]
-    R, t = align(p, typical.expand_as(p))
-    laid = p @ R.mT + t[:, None]
-    place = laid.median(dim=0).values
-    sd = MAD_SD * (laid - place).norm(dim=2).median(dim=0).values
-    return SegmentShape(tuple(labels[k] for k in kept), place, sd)
+    nats: float
+    """Log Bayes factor of its having moved alone, over nothing or another one of the segment [nat]; zero where nothing
+    tells."""
 
 
 def read_segment(
@@ -147,39 +82,63 @@ def read_segment(
     if len(labels) < 2:
         return []
     own, other = own.only(labels), other.only(labels)
+    # A distance has two ends.
+    sd = torch.sqrt(0.5 * scatter**2 + own.sd.square() + other.sd.square())
+    alone, moved = _moved_alone(own.place, other.place, sd)
+    over = alone - _otherwise(alone)
     change = (_pairs(own.place) - _pairs(other.place)).abs()
-    sd = torch.sqrt(scatter**2 + own.sd.square() + other.sd.square())
     rest = [[j for j in range(len(labels)) if j != k] for k in range(len(labels))]
     left = torch.stack([change[r][:, r].max() for r in rest])
-    if len(labels) >= ENOUGH:
-        moved = torch.stack([_displacement(own.place, other.place, k, r) for k, r in enumerate(rest)])
-    else:
-        moved = change.max(dim=1).values
-    told = (moved > MOVED_SD * sd) & (moved > MOVED_M)
-    culprit = int(left.argmin())
-    alone = len(labels) >= ENOUGH and bool(told[culprit]) and bool(left[culprit] < AGREE_PART * moved[culprit])
-    pairs = (change > MOVED_M) & (change > MOVED_SD * torch.maximum(sd[:, None], sd))
-    among = (
-        () if alone else tuple(label for label, own_pairs in zip(labels, pairs, strict=True) if bool(own_pairs.any()))
-    )
+    told = float(alone.logsumexp(0)) + math.log(MOVED_ODDS) > 0.0
+    near = [k for k in range(len(labels)) if told and float(alone[k]) > float(alone.max()) - NEAR_NATS]
+    several = tuple(labels[k] for k in near) if len(near) > 1 else ()
+    verdicts = [
+        Verdict.STAYS if k not in near else Verdict.AMBIGUOUS if several else Verdict.MOVED for k in range(len(labels))
+    ]
     found = []
     for k, label in enumerate(labels):
-        verdict = Verdict.AMBIGUOUS if label in among else Verdict.MOVED if alone and k == culprit else Verdict.STAYS
-        size, scale, rest_mm = (1e3 * float(x[k]) for x in (moved, sd, left))
-        others = among if label in among else ()
-        found.append(MarkerReading(label, trial, against, size, scale, rest_mm, verdict, others))
+        among = several if k in near else ()
+        size, scale, others = (1e3 * float(x[k]) for x in (moved, sd, left))
+        found.append(MarkerReading(label, trial, against, size, scale, others, verdicts[k], among, float(over[k])))
     return found
+
+
+def _moved_alone(
+    own: Float[Tensor, "markers 3"], other: Float[Tensor, "markers 3"], sd: Float[Tensor, " markers"]
+) -> tuple[Float[Tensor, " markers"], Float[Tensor, " markers"]]:
+    """Return the log Bayes factor of each marker having moved alone, over none [nat], and how far it would have [m].
+
+    Places err by sd per axis, and one of them by MOVED_M besides. Turns and shifts of the segment take some of a
+    displacement away: with P the projection beside them, that of marker k is known by A = E_k' P E_k, of two markers
+    along their line alone.
+    """
+    R, t = align(own, other)
+    x = (other - other.mean(dim=0)) / sd[:, None]
+    shifts = torch.eye(3).to(x).expand(len(x), 3, 3) / sd[:, None, None]
+    turns = torch.linalg.cross(torch.eye(3).to(x)[None], x[:, None], dim=2).mT
+    U, scale, _ = torch.linalg.svd(torch.cat([shifts, turns], dim=2).reshape(-1, 6), full_matrices=False)
+    U = U[:, scale > RIGID * scale[0]]
+    error = ((own @ R.mT + t - other) / sd[:, None]).reshape(-1)
+    b = (error - U @ (U.mT @ error)).reshape(-1, 3)
+    U = U.reshape(len(x), 3, -1)
+    A = torch.eye(3).to(x) - U @ U.mT
+    m = (MOVED_M / sd).square()
+    S = torch.eye(3).to(x) + m[:, None, None] * A
+    d = m[:, None] * torch.linalg.solve(S, b)
+    return 0.5 * ((b * d).sum(dim=1) - torch.logdet(S)), sd * d.norm(dim=1)
+
+
+def _otherwise(alone: Float[Tensor, " markers"]) -> Float[Tensor, " markers"]:
+    """Return, for each marker, the log Bayes factor of another one having moved or none, over none [nat]."""
+    n = len(alone)
+    others = alone.expand(n, n).clone().fill_diagonal_(-math.inf) + math.log(MOVED_ODDS)
+    none = others.new_full((n, 1), (n - 1) * math.log1p(-MOVED_ODDS))
+    return torch.cat([none, others], dim=1).logsumexp(dim=1)
 
 
 def _pairs(place: Tensor) -> Float[Tensor, "markers markers"]:
     """Return the distances between places [m]."""
     return (place[:, None] - place).norm(dim=2)
-
-
-def _displacement(own: Tensor, other: Tensor, marker: int, rest: list[int]) -> Float[Tensor, ""]:
-    """Return how far a marker is from its place once the rest of its segment is laid on the rest of the other [m]."""
-    R, t = align(own[rest], other[rest])
-    return (R @ own[marker] + t - other[marker]).norm()
 
 
 def marker_readings(
@@ -195,7 +154,7 @@ def marker_readings(
     segments = dict.fromkeys(clusters.segments)
     names = {segment: [clusters.labels[k] for k in clusters.on(segment)] for segment in segments}
     scatter = dict(zip(clusters.segments, clusters.scatter, strict=True))
-    bodies = {(t, s): body_of(markers, names[s]) for t, markers in trials.items() for s in segments}
+    bodies = {(t, s): segment_shape(markers, names[s]) for t, markers in trials.items() for s in segments}
     found = []
     for trial in trials:
         for other in against[trial]:
@@ -212,7 +171,7 @@ def marker_readings(
 def _untold(label: str, trial: str, other: str) -> MarkerReading:
     """Return the reading of a marker of which nothing is known."""
     nan = float("nan")
-    return MarkerReading(label, trial, other, nan, nan, nan, Verdict.UNTOLD, ())
+    return MarkerReading(label, trial, other, nan, nan, nan, Verdict.UNTOLD, (), 0.0)
 
 
 def moved_markers(readings: Sequence[MarkerReading]) -> list[TrackStatement]:
@@ -235,6 +194,22 @@ def moved_markers(readings: Sequence[MarkerReading]) -> list[TrackStatement]:
         for (trial, labels), some in found.items()
         if 2 * len({one.against for one in some}) > compared[trial, labels[0]]
     ]
+
+
+def moved_nats(readings: Sequence[MarkerReading], label: str, trials: Collection[str]) -> float:
+    """Return the log Bayes factor of a marker sitting elsewhere in some trials than in others [nat].
+
+    Trials that are compared are not independent of each other: the middle one of the comparisons speaks for all; zero
+    where none tells.
+
+    Args:
+        readings: of any trials.
+        label: the marker.
+        trials: those in which it is said to sit elsewhere.
+    """
+    own = [one for one in readings if one.label == label and one.verdict is not Verdict.UNTOLD]
+    across = [one.nats for one in own if (one.trial in trials) is not (one.against in trials)]
+    return statistics.median(across) if across else 0.0
 
 
 def _statement(some: Sequence[MarkerReading]) -> TrackStatement:

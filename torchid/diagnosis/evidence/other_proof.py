@@ -1,30 +1,36 @@
 """Evidence of other measurements than forces: distances between markers, and how quick they still move."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from torchid.diagnosis.candidates.candidate import Candidate
+from torchid.effects.place import Place
 from torchid.effects.traits import Proof
 
-Told = Mapping[Proof, Collection[str]]
-"""Names of the places that a proof bears out; a proof that was not asked is no key."""
+Told = Mapping[Proof, Callable[[Place], float]]
+"""Log Bayes factor of a place by each proof [nat]: infinite where it simply says yes or no, zero where it says nothing;
+a proof that was not asked is no key."""
 NOTHING_TOLD: Told = MappingProxyType({})
 """No proof was asked."""
 SEEN, MISTAKEN = 0.8, 0.02
-"""Estimator. Shares of places with such an effect, and of places without, that a proof bears out, a choice: of markers
-that moved, one in five is alone on its segment or moved along it; of all others one in fifty says so."""
+"""Calibrated. Shares of places with such an effect, and of places without, that a proof bears out: of markers moved by
+15 to 25 mm on segments with four or more in ten people's recordings, and of all others (docs/decisions.md)."""
+LARGE = 100.0
+"""Resolution. Evidence beyond which a proof is as good as certain [nat]: e^-100 is nothing beside one."""
 
 
 def told_nats(told: Told, one: Candidate) -> float:
     """Return the log likelihood ratio of what a proof says of a candidate's place [nat]; zero where none was asked.
 
+    What a proof measures may not be what it is there for: however sure it is of itself, it is as right as on
+    recordings of which the truth is known.
+
     Args:
-        told: what the proofs bear out.
+        told: what the proofs say.
         one: the candidate.
     """
     if one.effect.bodily or one.effect.proof not in told:
         return 0.0
-    if any(name in told[one.effect.proof] for name in one.place.where):
-        return math.log(SEEN / MISTAKEN)
-    return math.log((1.0 - SEEN) / (1.0 - MISTAKEN))
+    yes = 1.0 / (1.0 + math.exp(-min(max(told[one.effect.proof](one.place), -LARGE), LARGE)))
+    return math.log((SEEN * yes + (1.0 - SEEN) * (1.0 - yes)) / (MISTAKEN * yes + (1.0 - MISTAKEN) * (1.0 - yes)))
