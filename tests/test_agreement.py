@@ -141,7 +141,7 @@ def test_right_forces_are_not_accused(seed, corners):
 
 
 @pytest.mark.parametrize("kept", [0, 1, 2, 16])
-@pytest.mark.parametrize("seen", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("seen", [0.0, 0.2, 1.0])
 def test_few_or_rarely_seen_markers_are_no_defect(seed, kept, seen):
     """Without feet to agree with, nothing is said of forces; floors of such recordings are where their markers come."""
     trial = walking_trial(seed)
@@ -258,7 +258,7 @@ def test_volts_are_mended_by_the_weight(seed, whole, mass):
         return
     (change,) = finding.changes
     gain = change.forces_as.gain if whole else change.plates[number].gain
-    assert abs(gain * volts - 1.0) < 0.08, change.line
+    assert abs(gain * volts - 1.0) < 0.12, change.line  # four per cent of a weight over one contact, three times
     assert judge(read_as(faulty, options_of(change.line)), mass) == ()
 
 

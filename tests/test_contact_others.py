@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 import hidden_contact
 import small_session
+from rates import at_least
 
 from torchid.checks.plates_against_feet.judge import judge
 from torchid.checks.report import Given
@@ -68,6 +69,8 @@ def pushing(x: float, y: float, z: float) -> torch.Tensor:
 
 FEET = torch.stack([acting((0.11, y, 0.0), pushing(0.0, 0.0, 350.0)) for y in (0.15, -0.15)], dim=1)
 BEARS = (TIME > 0.3) & (TIME < 0.7)
+HANDLES, REFUSED = 8, 0.7
+"""Handles that are drawn, and the share of them that would have the recording refused."""
 
 
 def square(x: float, y: float, half: float, z: float = 0.0) -> torch.Tensor:
@@ -471,20 +474,23 @@ def test_what_is_said_of_a_contact_reaches_files_and_figures(seed: int):
 
 
 def test_a_handle_is_not_held_against_the_feet(seed: int):
-    """What it reads is no foot's, and would have the recording refused; declared, nothing is said of it."""
+    """What it reads is no foot's, and has most recordings refused: by chance it points at one; declared, nothing is
+    said of it."""
     generator = torch.Generator().manual_seed(seed)
-    session = small_session.session()
-    hidden = hidden_contact.draw_hand(session, "arms", generator)
-    hidden = replace(hidden, wrench=hidden.wrench * 60.0 / float(hidden.wrench[:, 2].abs().max()))
-    pushed = replace(hidden, wrench=hidden.wrench * torch.sign(hidden.wrench[:, 2].sum()))
-    trial = hidden_contact.with_handle(synchronise(session.trial("arms").trial), pushed, generator)
-    assert trial.forces is not None
-    config = load_config(small_session.config())
-    options = ContactOptions(others={"rail": hidden.measured(len(trial.forces.plates))})
-    left = on_feet(trial, options)
-    assert left.forces is not None and len(left.forces.plates) == len(trial.forces.plates) - 1
-    assert on_feet(trial, config.contact) is trial
-    assert judge(trial) and not judge(left)
+    session, config = small_session.session(), load_config(small_session.config())
+    refused = 0
+    for _ in range(HANDLES):
+        hidden = hidden_contact.draw_hand(session, "arms", generator)
+        hidden = replace(hidden, wrench=hidden.wrench * 60.0 / float(hidden.wrench[:, 2].abs().max()))
+        pushed = replace(hidden, wrench=hidden.wrench * torch.sign(hidden.wrench[:, 2].sum()))
+        trial = hidden_contact.with_handle(synchronise(session.trial("arms").trial), pushed, generator)
+        assert trial.forces is not None
+        options = ContactOptions(others={"rail": hidden.measured(len(trial.forces.plates))})
+        left = on_feet(trial, options)
+        assert left.forces is not None and len(left.forces.plates) == len(trial.forces.plates) - 1
+        assert on_feet(trial, config.contact) is trial and not judge(left)
+        refused += bool(judge(trial))
+    assert refused >= at_least(REFUSED, HANDLES)
 
 
 def test_frames_of_an_unmeasured_contact_are_counted_in_a_note():

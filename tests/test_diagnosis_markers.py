@@ -53,6 +53,22 @@ def test_a_marker_that_stays_knocked_is_seen_so_on_held_out_motion(tmp_path):
     assert after < before
 
 
+def test_a_marker_that_moved_after_standing_is_named_by_distances(tmp_path):
+    """No motion shows it where all of it was recorded then; the fitted one is corrected by the size that it has."""
+    rng = np.random.default_rng([SEED, 11])
+    label, way = str(rng.choice(["LTIB", "RTHI", "LASI"])), rng.normal(size=3)
+    when = tuple(Interval(name, 0.0, 5.0) for name in ("squats", "hip_rom"))
+    size = rng.uniform(0.02, 0.03) * way / np.linalg.norm(way)
+    shift = PlantedOptions("marker_shift", (label,), when, {"shift_seg_m": size.tolist()})
+    said = diagnosed(tmp_path, "marker_shift", fit=("squats",), heldout=("hip_rom",), effects=(shift,))
+    (cause,) = said["causes"]
+    assert (
+        cause["where"] == [label] and cause["level"] == "likely" and {o["trial"] for o in cause["when"]} == {"squats"}
+    )
+    found, sd = (np.array(cause["parameters"]["shift_seg_m"][key]) for key in ("value", "sd"))
+    assert (np.abs(found - size) < 4.0 * sd).all(), (found, size, sd)
+
+
 def test_noise_is_no_flesh_that_lags(tmp_path):
     """Accelerations of noisy markers agree with what the noise left of the forces: a filter makes less of both."""
     noise = float(np.random.default_rng([SEED, 9]).uniform(3.5, 5.0))

@@ -17,7 +17,7 @@ from torchid.checks.marker_tracks.moved import Verdict
 from torchid.checks.marker_tracks.segment_shape import align
 from torchid.checks.marker_tracks.session import look_at_trial, look_at_trials, readings_of, renamed
 from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement, notes_of
-from torchid.diagnosis.candidates.exchanged_markers import exchanged_markers
+from torchid.diagnosis.candidates.marker_faults import exchanged_markers
 from torchid.filters import Smoother
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.result import GeometryFit

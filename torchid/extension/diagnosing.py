@@ -1,37 +1,27 @@
 """What the diagnosis sees of an experiment."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from torch import Tensor
 
-from torchid.checks.marker_tracks.moved import moved_nats
-from torchid.checks.marker_tracks.session import readings_of
-from torchid.checks.marker_tracks.statement import TrackFault
-from torchid.diagnosis.candidates.exchanged_markers import EFFECT as EXCHANGE
-from torchid.diagnosis.candidates.exchanged_markers import ExchangedMarkers, exchanged_markers
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
 from torchid.diagnosis.evidence.model import Identification
-from torchid.diagnosis.evidence.other_proof import Told
 from torchid.diagnosis.options import MissingWeightOptions
-from torchid.diagnosis.verdict.causes import with_exchanged_markers, with_missing_weight
+from torchid.diagnosis.verdict.causes import with_marker_faults, with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.dynamics.rows import WrenchTrial
 from torchid.effects.catalogue import CATALOGUE
-from torchid.effects.place import Place
 from torchid.effects.scene import PlateFrame
-from torchid.effects.traits import Proof
+from torchid.extension.other_proofs import marker_faults, told
 from torchid.model_free.panel import Panel
-from torchid.model_free.smoothness import smooth
 from torchid.model_free.watched import longest_stretch
 from torchid.motion import Motion
 from torchid.observation.plate_registry import SessionPlate, recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
 from torchid.recording import Forces
 from torchid.session import Outcome
-from torchid.session.session import session_clusters
 from torchid.storage.allocator import keeping_large
 from torchid.storage.snapshot import in_memory
 
@@ -75,37 +65,12 @@ def diagnose_outcome(
     left = [w for w in (set_aside(w, gone) for w in observed) if any(True for _ in w.rows.blocks())]
     observed = left or observed
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
-    found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel, _told(outcome))
+    found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel, told(outcome))
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
-    exchanged = _exchanged(outcome) if EXCHANGE in effects else []
-    return with_exchanged_markers(with_missing_weight(found, missing, options), exchanged)
-
-
-def _told(outcome: Outcome) -> Told:
-    """What other proof than forces says of places: of two markers, whether their names are exchanged, of one, if it
-    moved between trials, of the session, whether its markers were filtered."""
-    session = outcome.session
-    trials = session.role("static") | session.role("fit")
-    readings = readings_of(trials, session_clusters(session.assignment))
-    exchanged = {label for one in session.tracking if one.trial in trials for label in one.labels}
-    moving = [trial.markers for trial in session.role("fit").values()]
-    filtered = bool(moving) and all(smooth(one) for one in moving)
-
-    def distances(place: Place) -> float:
-        if len(place.where) == 1:
-            return moved_nats(readings, place.where[0], [one.trial for one in place.when or ()])
-        return math.inf if exchanged.intersection(place.where) else -math.inf
-
-    return {Proof.DISTANCES: distances, Proof.SMOOTHNESS: lambda _: math.inf if filtered else -math.inf}
-
-
-def _exchanged(outcome: Outcome) -> list[ExchangedMarkers]:
-    """Labels of the fit that distances show to be exchanged."""
-    known = set(outcome.fit.attachment.labels)
-    told = [
-        one for one in outcome.session.tracking if one.kind is TrackFault.EXCHANGED and known.issuperset(one.labels)
-    ]
-    return [exchanged_markers(one, outcome.session.trials[one.trial].markers.time) for one in told]
+    known_already = {(cause.effect, cause.where) for cause in found.likely}
+    faults = [one for one in marker_faults(outcome) if one.effect in effects]
+    faults = [one for one in faults if (one.effect.name, one.place.where) not in known_already]
+    return with_marker_faults(with_missing_weight(found, missing, options), faults)
 
 
 def _missing_weight(

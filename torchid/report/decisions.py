@@ -100,6 +100,10 @@ RULES: dict[str, Callable[[Numbers], str]] = {
         f"is named before the search: distances to neighbouring markers are off by {number(n['misfit_mm'])} mm as "
         f"labelled, by {number(n['undone_mm'])} mm with the labels exchanged"
     ),
+    "moved_distances": lambda n: (
+        f"is named before the search: it is {number(n['shift_mm'])} mm from where it sat when the subject stood, by "
+        f"distances to neighbouring markers ({odds(n['evidence_nats'])})"
+    ),
     "unsupported": lambda n: (
         f"is removed: given the other causes its odds are {odds(n['evidence_nats'])} (required {odds(n['least_nats'])})"
     ),

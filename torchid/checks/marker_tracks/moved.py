@@ -82,9 +82,8 @@ def read_segment(
     if len(labels) < 2:
         return []
     own, other = own.only(labels), other.only(labels)
-    # A distance has two ends.
-    sd = torch.sqrt(0.5 * scatter**2 + own.sd.square() + other.sd.square())
-    alone, moved = _moved_alone(own.place, other.place, sd)
+    lone = lone_displacements(own, other, scatter)
+    alone, moved, sd = lone.nats, lone.shift.norm(dim=1), lone.sd
     over = alone - _otherwise(alone)
     change = (_pairs(own.place) - _pairs(other.place)).abs()
     rest = [[j for j in range(len(labels)) if j != k] for k in range(len(labels))]
@@ -103,29 +102,49 @@ def read_segment(
     return found
 
 
-def _moved_alone(
-    own: Float[Tensor, "markers 3"], other: Float[Tensor, "markers 3"], sd: Float[Tensor, " markers"]
-) -> tuple[Float[Tensor, " markers"], Float[Tensor, " markers"]]:
-    """Return the log Bayes factor of each marker having moved alone, over none [nat], and how far it would have [m].
+@dataclass(frozen=True)
+class LoneDisplacements:
+    """What a segment's shape in two trials says of each of its markers, if it alone moved between them."""
 
-    Places err by sd per axis, and one of them by MOVED_M besides. Turns and shifts of the segment take some of a
+    nats: Float[Tensor, " markers"]
+    """Log Bayes factor over none having moved [nat]."""
+    shift: Float[Tensor, "markers 3"]
+    """Likeliest displacement, in axes of the other shape [m]."""
+    covariance: Float[Tensor, "markers 3 3"]
+    """Covariance of that [m^2]."""
+    sd: Float[Tensor, " markers"]
+    """Standard deviation of a place, per axis, where nothing moved [m]."""
+
+
+def lone_displacements(own: SegmentShape, other: SegmentShape, scatter: float = SCATTER_M) -> LoneDisplacements:
+    """Return the displacement of each marker that alone would have moved.
+
+    Places err by ``sd`` per axis, and one of them by MOVED_M besides. Turns and shifts of the segment take some of a
     displacement away: with P the projection beside them, that of marker k is known by A = E_k' P E_k, of two markers
     along their line alone.
+
+    Args:
+        own: shape in one trial.
+        other: shape of the same markers in another.
+        scatter: standard deviation of the segment's distances from trial to trial [m].
     """
-    R, t = align(own, other)
-    x = (other - other.mean(dim=0)) / sd[:, None]
-    shifts = torch.eye(3).to(x).expand(len(x), 3, 3) / sd[:, None, None]
-    turns = torch.linalg.cross(torch.eye(3).to(x)[None], x[:, None], dim=2).mT
-    U, scale, _ = torch.linalg.svd(torch.cat([shifts, turns], dim=2).reshape(-1, 6), full_matrices=False)
+    # A distance has two ends.
+    sd = torch.sqrt(0.5 * scatter**2 + own.sd.square() + other.sd.square())
+    R, t = align(own.place, other.place)
+    x = (other.place - other.place.mean(dim=0)) / sd[:, None]
+    axes = torch.eye(3).to(x)
+    turns = torch.linalg.cross(axes[None], x[:, None], dim=2).mT
+    rigid = torch.cat([axes / sd[:, None, None], turns], dim=2)
+    U, scale, _ = torch.linalg.svd(rigid.reshape(-1, 6), full_matrices=False)
     U = U[:, scale > RIGID * scale[0]]
-    error = ((own @ R.mT + t - other) / sd[:, None]).reshape(-1)
+    error = ((own.place @ R.mT + t - other.place) / sd[:, None]).reshape(-1)
     b = (error - U @ (U.mT @ error)).reshape(-1, 3)
     U = U.reshape(len(x), 3, -1)
-    A = torch.eye(3).to(x) - U @ U.mT
-    m = (MOVED_M / sd).square()
-    S = torch.eye(3).to(x) + m[:, None, None] * A
-    d = m[:, None] * torch.linalg.solve(S, b)
-    return 0.5 * ((b * d).sum(dim=1) - torch.logdet(S)), sd * d.norm(dim=1)
+    m = (MOVED_M / sd).square()[:, None, None]
+    inverse = torch.linalg.inv(axes + m * (axes - U @ U.mT))
+    d = (m * inverse @ b[:, :, None])[:, :, 0]
+    nats = 0.5 * ((b * d).sum(dim=1) + torch.logdet(inverse))
+    return LoneDisplacements(nats, sd[:, None] * d, MOVED_M**2 * inverse, sd)
 
 
 def _otherwise(alone: Float[Tensor, " markers"]) -> Float[Tensor, " markers"]:

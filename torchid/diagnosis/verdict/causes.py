@@ -7,8 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torchid.diagnosis.candidates.exchanged_markers import EFFECT as EXCHANGE
-from torchid.diagnosis.candidates.exchanged_markers import ExchangedMarkers
+from torchid.diagnosis.candidates.marker_faults import MarkerFault
 from torchid.diagnosis.candidates.missing_weight import MissingWeight
 from torchid.diagnosis.options import DiagnosisOptions
 from torchid.diagnosis.search.estimates import estimate, instead, internal
@@ -44,31 +43,28 @@ def with_missing_weight(found: Diagnosis, some: Sequence[MissingWeight], options
     return replace(found, causes=(*causes, *found.causes), aside=aside, trace=(*steps, *found.trace))
 
 
-def with_exchanged_markers(found: Diagnosis, some: Sequence[ExchangedMarkers]) -> Diagnosis:
-    """Return the verdict with labels that distances show to be exchanged, found before anything was searched.
+def with_marker_faults(found: Diagnosis, some: Sequence[MarkerFault]) -> Diagnosis:
+    """Return the verdict with what distances tell of markers, which no search of the motion could find.
 
     Args:
-        found: verdict of the search, for which these markers were gaps.
-        some: the exchanges.
+        found: verdict of the search.
+        some: faults of markers.
     """
     causes = tuple(
         Cause(
-            EXCHANGE.name, one.place.where, one.place.when, {}, one.confidence, (), (), NO_GAIN, one.place,
-            one.theta[None], (one.statement.trial,), False,
+            one.effect.name, one.place.where, one.place.when, _told(one), one.confidence, (), (), NO_GAIN, one.place,
+            one.theta[None], one.trials, False,
         )
         for one in some
     )  # fmt: skip
-    steps = tuple(
-        TraceStep(StepKind.ENTER, EXCHANGE.name, one.place.where, "exchanged_distances", _numbers(one)) for one in some
-    )
+    steps = tuple(TraceStep(StepKind.ENTER, one.effect.name, one.place.where, one.rule, one.numbers) for one in some)
     ordered = tuple(sorted((*found.causes, *causes), key=after_forces))
     return replace(found, causes=ordered, trace=(*steps, *found.trace))
 
 
-def _numbers(one: ExchangedMarkers) -> dict[str, float]:
-    """Return what the distances of exchanged markers say."""
-    own = one.statement
-    return {"misfit_mm": own.size_mm, "undone_mm": own.left_mm, "sd_mm": own.sd_mm, "share_part": own.share}
+def _told(one: MarkerFault) -> dict[str, dict[str, Tensor]]:
+    """Return the parameters of a fault of markers."""
+    return parameter_table(one.effect.estimated(one.place, one.theta, one.covariance))
 
 
 def _plain(one: MissingWeight, options: DiagnosisOptions) -> Cause:
