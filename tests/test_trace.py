@@ -39,7 +39,7 @@ def test_a_decision_is_a_sentence(rule, seems):
     names = ("evidence_nats", "crossed_nats", "effect_nats", "least_nats", "heldout_nats",
              "background_nats", "missing_part", "lowest_sd", "least_part", "factor",
              "field_part", "p_value", "force_growth_part", "moment_growth_part",
-             "markers_growth_part", "most_part", "misfit_mm", "undone_mm")  # fmt: skip
+             "markers_growth_part", "most_part", "misfit_mm", "undone_mm", "shift_mm")  # fmt: skip
     names = (*names, "apparent_nats") if seems else names
     numbers = {name: float(rng.normal(scale=30.0 if name.endswith("nats") else 0.4)) for name in names}
     said = sentence(TraceStep(StepKind.ENTER, "drag", ("thorax",), rule, numbers))

@@ -43,7 +43,7 @@ class MarkerFault:
     rule: str
     """Name of the rule in the trace."""
     numbers: Mapping[str, float]
-    """What it compared."""
+    """Numbers that it compared."""
 
     @property
     def trials(self) -> tuple[str, ...]:

@@ -14,10 +14,10 @@ a proof that was not asked is no key."""
 NOTHING_TOLD: Told = MappingProxyType({})
 """No proof was asked."""
 SEEN = 0.8
-"""Calibrated. Share of places with such an effect that a proof bears out: of markers moved by 15 to 25 mm on segments
+"""Estimator. Share of places with such an effect that a proof bears out: of markers moved by 15 to 25 mm on segments
 with four or more in ten people's recordings (docs/decisions.md)."""
 MISTAKEN = {Proof.DISTANCES: 0.002, Proof.SMOOTHNESS: 0.02}
-"""Calibrated. Share of places without it that a proof bears out; of smoothness a choice, of distances by all other
+"""Estimator. Share of places without it that a proof bears out; of smoothness a choice, of distances by all other
 markers of these recordings."""
 LARGE = 100.0
 """Resolution. Evidence beyond which a proof is as good as certain [nat]: e^-100 is nothing beside one."""
