@@ -62,9 +62,8 @@ def test_a_marker_that_moved_after_standing_is_named_by_distances(tmp_path):
     shift = PlantedOptions("marker_shift", (label,), when, {"shift_seg_m": size.tolist()})
     said = diagnosed(tmp_path, "marker_shift", fit=("squats",), heldout=("hip_rom",), effects=(shift,))
     (cause,) = said["causes"]
-    assert (
-        cause["where"] == [label] and cause["level"] == "likely" and {o["trial"] for o in cause["when"]} == {"squats"}
-    )
+    assert cause["where"] == [label] and cause["level"] == "likely" and cause["applied"]
+    assert {own["trial"] for own in cause["when"]} == {"squats", "hip_rom"}
     found, sd = (np.array(cause["parameters"]["shift_seg_m"][key]) for key in ("value", "sd"))
     assert (np.abs(found - size) < 4.0 * sd).all(), (found, size, sd)
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchid.checks.marker_tracks.clusters import Clusters, shape_of
 from torchid.checks.marker_tracks.jumps import find_jumps
-from torchid.checks.marker_tracks.moved import Verdict
+from torchid.checks.marker_tracks.moved import Verdict, moved_nats
 from torchid.checks.marker_tracks.segment_shape import align
 from torchid.checks.marker_tracks.session import look_at_trial, look_at_trials, readings_of, renamed
 from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement, notes_of
@@ -250,7 +250,10 @@ def test_a_marker_that_was_moved_is_named(trials, clusters, rng):
     found = [one for one in look(planted) if one.trial == name]
     assert [(one.kind, one.labels) for one in found] == [(TrackFault.MOVED, (clusters.labels[marker],))]
     assert abs(found[0].size_mm - 1e3 * size) < 3.0 * found[0].sd_mm
-    told = {one.label: one for one in readings_of(planted, clusters) if (one.trial, one.against) == (name, "static")}
+    readings = readings_of(planted, clusters)
+    nats = {trial: moved_nats(readings, clusters.labels[marker], [trial]) for trial in trials}
+    assert nats[name] > 3.0 and all(own < 0.0 for trial, own in nats.items() if trial != name), nats
+    told = {one.label: one for one in readings if (one.trial, one.against) == (name, "static")}
     assert told[clusters.labels[marker]].verdict is Verdict.MOVED
     assert all(told[clusters.labels[k]].verdict is Verdict.STAYS for k in rest)
 

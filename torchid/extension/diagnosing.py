@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from torch import Tensor
 
+from torchid.diagnosis.candidates.marker_faults import MOVED
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
 from torchid.diagnosis.evidence.model import Identification
@@ -67,9 +68,9 @@ def diagnose_outcome(
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
     found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel, told(outcome))
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
-    known_already = {(cause.effect, cause.where) for cause in found.likely}
+    named = {cause.where for cause in found.likely if cause.effect == MOVED.name}
     faults = [one for one in marker_faults(outcome) if one.effect in effects]
-    faults = [one for one in faults if (one.effect.name, one.place.where) not in known_already]
+    faults = [one for one in faults if one.effect is not MOVED or one.place.where not in named]
     return with_marker_faults(with_missing_weight(found, missing, options), faults)
 
 

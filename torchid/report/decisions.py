@@ -101,8 +101,8 @@ RULES: dict[str, Callable[[Numbers], str]] = {
         f"labelled, by {number(n['undone_mm'])} mm with the labels exchanged"
     ),
     "moved_distances": lambda n: (
-        f"is named before the search: it is {number(n['shift_mm'])} mm from where it sat when the subject stood, by "
-        f"distances to neighbouring markers ({odds(n['evidence_nats'])})"
+        f"is named beside the search, by distances to neighbouring markers: {number(n['shift_mm'])} mm from where it "
+        f"sat when the subject stood (odds {odds(n['evidence_nats'])}, against one such marker in fifty)"
     ),
     "unsupported": lambda n: (
         f"is removed: given the other causes its odds are {odds(n['evidence_nats'])} (required {odds(n['least_nats'])})"

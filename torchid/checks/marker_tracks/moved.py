@@ -18,7 +18,7 @@ from torchid.recording import Markers
 MOVED_M = 0.015
 """Prior. Standard deviation, per axis, of where a marker that was knocked or stuck on anew sits [m]; as far apart as
 landmarks that are found anew by hand (Della Croce et al., Gait & Posture 21 (2005))."""
-MOVED_ODDS = 0.02
+MOVED_SHARE = 0.02
 """Prior. Share of markers that sit elsewhere in a trial: over ten people's recordings as they are, one in fifty."""
 NEAR_NATS = 3.0
 """Choice. Evidence behind that of the likeliest marker from which it is another one [nat]: one to twenty."""
@@ -53,8 +53,7 @@ class MarkerReading:
     """Likeliest distance from its place among the other markers of its segment, if it alone moved [mm]; NaN where
     nothing tells."""
     sd_mm: float
-    """Standard deviation of a place, per axis, where nothing moved: scatter between trials and, in both, over frames
-    [mm]."""
+    """Standard deviation of that, along the way that it went: scatter between trials and, in both, over frames [mm]."""
     left_mm: float
     """Largest change of a distance between the others, which it does not explain [mm]."""
     verdict: Verdict
@@ -83,12 +82,12 @@ def read_segment(
         return []
     own, other = own.only(labels), other.only(labels)
     lone = lone_displacements(own, other, scatter)
-    alone, moved, sd = lone.nats, lone.shift.norm(dim=1), lone.sd
+    alone, moved, sd = lone.nats, lone.shift.norm(dim=1), lone.sd_along
     over = alone - _otherwise(alone)
     change = (_pairs(own.place) - _pairs(other.place)).abs()
     rest = [[j for j in range(len(labels)) if j != k] for k in range(len(labels))]
     left = torch.stack([change[r][:, r].max() for r in rest])
-    told = float(alone.logsumexp(0)) + math.log(MOVED_ODDS) > 0.0
+    told = float(alone.logsumexp(0)) + math.log(MOVED_SHARE) > 0.0
     near = [k for k in range(len(labels)) if told and float(alone[k]) > float(alone.max()) - NEAR_NATS]
     several = tuple(labels[k] for k in near) if len(near) > 1 else ()
     verdicts = [
@@ -112,16 +111,20 @@ class LoneDisplacements:
     """Likeliest displacement, in axes of the other shape [m]."""
     covariance: Float[Tensor, "markers 3 3"]
     """Covariance of that [m^2]."""
-    sd: Float[Tensor, " markers"]
-    """Standard deviation of a place, per axis, where nothing moved [m]."""
+
+    @property
+    def sd_along(self) -> Float[Tensor, " markers"]:
+        """Return the standard deviation of each displacement along itself [m]."""
+        way = torch.nn.functional.normalize(self.shift, dim=1)
+        return ((way[:, None] @ self.covariance) @ way[:, :, None])[:, 0, 0].sqrt()
 
 
 def lone_displacements(own: SegmentShape, other: SegmentShape, scatter: float = SCATTER_M) -> LoneDisplacements:
     """Return the displacement of each marker that alone would have moved.
 
-    Places err by ``sd`` per axis, and one of them by MOVED_M besides. Turns and shifts of the segment take some of a
-    displacement away: with P the projection beside them, that of marker k is known by A = E_k' P E_k, of two markers
-    along their line alone.
+    Places err by their scatter, per axis, and one of them by MOVED_M besides. Turns and shifts of the segment take
+    some of a displacement away: with P the projection beside them, that of marker k is known by A = E_k' P E_k, of two
+    markers along their line alone.
 
     Args:
         own: shape in one trial.
@@ -144,14 +147,14 @@ def lone_displacements(own: SegmentShape, other: SegmentShape, scatter: float = 
     inverse = torch.linalg.inv(axes + m * (axes - U @ U.mT))
     d = (m * inverse @ b[:, :, None])[:, :, 0]
     nats = 0.5 * ((b * d).sum(dim=1) + torch.logdet(inverse))
-    return LoneDisplacements(nats, sd[:, None] * d, MOVED_M**2 * inverse, sd)
+    return LoneDisplacements(nats, sd[:, None] * d, MOVED_M**2 * inverse)
 
 
 def _otherwise(alone: Float[Tensor, " markers"]) -> Float[Tensor, " markers"]:
     """Return, for each marker, the log Bayes factor of another one having moved or none, over none [nat]."""
     n = len(alone)
-    others = alone.expand(n, n).clone().fill_diagonal_(-math.inf) + math.log(MOVED_ODDS)
-    none = others.new_full((n, 1), (n - 1) * math.log1p(-MOVED_ODDS))
+    others = alone.expand(n, n).clone().fill_diagonal_(-math.inf) + math.log(MOVED_SHARE)
+    none = others.new_full((n, 1), (n - 1) * math.log1p(-MOVED_SHARE))
     return torch.cat([none, others], dim=1).logsumexp(dim=1)
 
 
@@ -218,8 +221,8 @@ def moved_markers(readings: Sequence[MarkerReading]) -> list[TrackStatement]:
 def moved_nats(readings: Sequence[MarkerReading], label: str, trials: Collection[str]) -> float:
     """Return the log Bayes factor of a marker sitting elsewhere in some trials than in others [nat].
 
-    Trials that are compared are not independent of each other: the middle one of the comparisons speaks for all; zero
-    where none tells.
+    Trials that are compared are not independent of each other: the middle one of the comparisons speaks for all, of two
+    the lesser; zero where none tells.
 
     Args:
         readings: of any trials.
@@ -228,7 +231,7 @@ def moved_nats(readings: Sequence[MarkerReading], label: str, trials: Collection
     """
     own = [one for one in readings if one.label == label and one.verdict is not Verdict.UNTOLD]
     across = [one.nats for one in own if (one.trial in trials) is not (one.against in trials)]
-    return statistics.median(across) if across else 0.0
+    return statistics.median_low(across) if across else 0.0
 
 
 def _statement(some: Sequence[MarkerReading]) -> TrackStatement:

@@ -80,8 +80,8 @@ class TrackStatement:
             compared = listing(self.against)
             if len(self.labels) > 1:
                 return (
-                    f"one of {listing(self.labels)} sits elsewhere than in {compared}: their distances differ by "
-                    f"{self.size_mm:.0f} mm (sd {self.sd_mm:.0f} mm), and nothing tells which"
+                    f"one of {listing(self.labels)} sits elsewhere than in {compared}, by {self.size_mm:.0f} mm "
+                    f"(sd {self.sd_mm:.0f} mm) if it is {self.labels[0]}, and nothing tells which"
                 )
             return (
                 f"{names} sits {self.size_mm:.0f} mm (sd {self.sd_mm:.0f} mm) from its place in {compared}; without "

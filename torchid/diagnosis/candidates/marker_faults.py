@@ -1,4 +1,4 @@
-"""Faults of markers that the distances between them tell before anything is searched.
+"""Faults of markers that the distances between them tell, beside all that is searched.
 
 Exchanged labels are gaps in the recordings that are searched; and whatever moved between standing and all motion that
 is searched moves the model's marker along. No search of the motion could find either.
@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.checks.marker_tracks.moved import MOVED_ODDS
+from torchid.checks.marker_tracks.moved import MOVED_SHARE
 from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.effect import Effect
@@ -74,17 +74,16 @@ def exchanged_markers(statement: TrackStatement, time: Float[Tensor, " frames"])
 
 
 def moved_marker(
-    place: Place, nats: float, worth: float, shift_B: Float[Tensor, "3"], covariance_B: Float[Tensor, "3 3"]
+    place: Place, nats: float, shift_B: Float[Tensor, "3"], covariance_B: Float[Tensor, "3 3"]
 ) -> MarkerFault:
     """Return a marker that sits elsewhere on its segment than when the subject stood.
 
     Args:
         place: its label, and the trials.
-        nats: log Bayes factor of distances for it [nat].
-        worth: log likelihood ratio that this is worth (``evidence.other_proof.borne_out``) [nat].
+        nats: log likelihood ratio that distances are worth (``evidence.other_proof.borne_out``) [nat].
         shift_B: its displacement in axes of the segment [m].
         covariance_B: covariance of that [m^2].
     """
-    odds = MOVED_ODDS / (1.0 - MOVED_ODDS) * math.exp(worth)
+    odds = MOVED_SHARE / (1.0 - MOVED_SHARE) * math.exp(nats)
     numbers = {"evidence_nats": nats, "shift_mm": 1e3 * float(shift_B.norm())}
     return MarkerFault(MOVED, place, shift_B, covariance_B, odds / (1.0 + odds), "moved_distances", numbers)

@@ -21,7 +21,7 @@ from torchid.observation.plate_registry import SessionPlate
 from torchid.observation.trial import TrialObservation
 
 NO_GAIN = {"heldout_log_likelihood": 0.0, "force_rmse_pct": 0.0, "moment_rmse_pct": 0.0}
-"""Estimator. Held-out gain of what is a gap in the recordings that were searched: none, against a gap."""
+"""Estimator. Held-out gain of what was not searched: none, against a gap, or a marker where the model has it."""
 LISTED = 1e-3
 """Resolution. Probability below which a rival is not listed: less than a tenth of a percent is never printed."""
 
