@@ -258,7 +258,7 @@ def test_volts_are_mended_by_the_weight(seed, whole, mass):
         return
     (change,) = finding.changes
     gain = change.forces_as.gain if whole else change.plates[number].gain
-    assert abs(gain * volts - 1.0) < 0.12, change.line  # four per cent of a weight over one contact, three times
+    assert abs(gain * volts - 1.0) < 0.12, change.line
     assert judge(read_as(faulty, options_of(change.line)), mass) == ()
 
 
