@@ -434,6 +434,21 @@ def test_a_swap_is_proposed_whole(followed, lost):
 def test_a_glide_along_the_axis_tells_that_in_the_plane(own_ways):
     """Markers show four of the six numbers of a hinge whose centre glides; one course for all axes shows the others."""
     rng = np.random.default_rng([SEED, 14])
+    found = [_glide(rng, own_ways) for _ in range(1 if own_ways else 100)]
+    if own_ways:
+        (shift, sd, named, _) = found[0]
+        assert_close(shift, named)
+        assert float(sd.norm()) > 0.01
+    else:
+        told = [(shift, sd, true) for shift, sd, _, true in found if float(sd.norm()) < 0.007]
+        # One in a hundred passes for a glide that goes its own way along each axis (OWN_WAYS): nine of them by chance
+        # once in a million draws.
+        assert len(told) > 91
+        assert all(bool(((shift - true).abs() < 5.5 * sd).all()) for shift, sd, true in told)
+
+
+def _glide(rng, own_ways):
+    """What is estimated of a glide drawn at random, its sd, the same of each axis by itself, and the true one."""
     part, turn = rng.uniform(0.2, 0.8), rng.uniform(0.0, 2.0 * np.pi)
     shift = torch.tensor([0.006 * np.cos(turn), 0.006 * np.sin(turn), rng.choice([-1.0, 1.0]) * 0.005])
     true = torch.cat([part * shift, (1.0 - part) * shift])
@@ -446,12 +461,7 @@ def test_a_glide_along_the_axis_tells_that_in_the_plane(own_ways):
     drawn = true + torch.linalg.cholesky(covariance) @ torch.tensor(rng.normal(size=6))
     effect, place = CATALOGUE["joint_centre_shift"], Place(("knee_r",), follows=Angle("knee_r_flexion"))
     found, sd = effect.estimated(place, drawn, covariance)["shift_90_seg_m"]
-    if own_ways:
-        assert_close(found, effect.named(place, drawn)["shift_90_seg_m"])
-        assert float(sd.norm()) > 0.01
-    else:
-        assert float(sd.norm()) < 0.007
-        assert bool(((found - shift).abs() < 5.0 * sd).all())
+    return found, sd, effect.named(place, drawn)["shift_90_seg_m"], shift
 
 
 @pytest.mark.parametrize("lacks", ["z", "xz", "xyz"])
