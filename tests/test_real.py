@@ -8,7 +8,6 @@ import pytest
 from whole_runs import leave_out_report
 
 from torchid.config import load_config
-from torchid.errors import DataError
 from torchid.io import read_trial
 from torchid.motion import choose_cutoff
 from torchid.run import run_experiment
@@ -88,16 +87,20 @@ def test_no_number_in_the_tables_is_missing(walk: tuple[Outcome, Path]) -> None:
         assert found and all(math.isfinite(x) for x in found)
 
 
-def test_legs_alone_are_refused_with_everything_up_to_there(
+def test_legs_alone_tell_the_mass_and_say_what_nobody_saw(
     data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without markers on trunk and arms no inertia is claimed, and geometry and motion are written all the same."""
-    with pytest.raises(DataError) as refusal:
-        run("btk_functional", data_dir, tmp_path, monkeypatch)
-    assert refusal.value.code == "inertia.unseen_bodies"
-    assert "thorax" in refusal.value.found
-    assert (tmp_path / "geometry.json").exists() and (tmp_path / "motion_walk.nc").exists()
-    assert not (tmp_path / "inertia.json").exists()
+    """Standing weighs 60.2 kg; trunk, arms and head stay as in tables, and the first line says that nobody saw them."""
+    outcome = run("btk_functional", data_dir, tmp_path, monkeypatch)
+    assert outcome.identified is not None and outcome.quality is not None
+    fit = outcome.identified.fit
+    assert float(fit.mass.sum()) == pytest.approx(60.2, rel=0.015)
+    prior = outcome.prior.mean[:, 0]
+    for name in ("thorax", "head", "upper_arm_l"):
+        k = fit.names.index(name)
+        assert float(fit.mass[k]) == pytest.approx(float(prior[k]), rel=0.15)
+    assert outcome.quality.deciding is not None and outcome.quality.deciding.name == "unseen"
+    assert "thorax" in outcome.quality.line
 
 
 @pytest.mark.parametrize(

@@ -57,10 +57,6 @@ class RealSession:
             yield file, "heldout" if file.name == way else "fit"
 
 
-LEGS_ONLY: dict[str, object] = {"inertia": {"refuse": False}}
-"""Sections of sessions without markers above the pelvis, which a run refuses unless it is told to go on."""
-
-
 def _child(
     code: str, mass: float, height: float | None, weighs: float, numbers: tuple[str, str, str], *known: tuple[str, str]
 ) -> RealSession:
@@ -135,7 +131,6 @@ SESSIONS: tuple[RealSession, ...] = (
         "btk_functional", {"name": "btk_functional", "mass_kg": 60.0, "mass_sd_kg": 1.0, "height_m": 1.68},
         "plug_in_gait", (File("walk", "btk_c3d/others/FunctionalWalk.c3d"),),
         File("static", "btk_c3d/others/FunctionalStatic.c3d"), 59.63, (("plate_offset", "*"), ("plate_drift", "*")),
-        LEGS_ONLY,
     ),
     RealSession(
         "schreiber_moissenet_2014001", {"name": "schreiber"}, "schreiber2019",
@@ -151,7 +146,7 @@ SESSIONS: tuple[RealSession, ...] = (
         (("plate_gain", "*"), ("plate_offset", "plate_1"), ("plate_drift", "plate_1")),
     ),
     RealSession("omcs_overground", {"name": "omcs"}, "plug_in_gait",
-                (File("walk", "omcs_overground/exampleOverground.c3d"),), sections=LEGS_ONLY),
+                (File("walk", "omcs_overground/exampleOverground.c3d"),)),
 )  # fmt: skip
 
 

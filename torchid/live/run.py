@@ -23,12 +23,13 @@ from torchid.live.sources.stream import Replay, Source
 from torchid.model.model import InertialPrior
 from torchid.run.sequence import GEOMETRY, run_key
 from torchid.session import Outcome, Session
-from torchid.session.fitting import fit_session, given_mass, refuse_unseen
+from torchid.session.fitting import fit_session, given_mass
 from torchid.session.following import Following, subject_prior
 from torchid.session.opening import open_as_recorded, read_session, setup_of
 from torchid.session.other_contacts import refuse_plates
 from torchid.session.standing import follow_each, standing_weight
 from torchid.session.tables import identified_table
+from torchid.session.unseen import refuse_unseen
 from torchid.storage.files import file_sha256, write_json
 from torchid.storage.provenance import stage_key
 from torchid.storage.results import OutputFolder
@@ -149,7 +150,7 @@ def prepare_subject(config: Config, folder: OutputFolder, progress: OnStage) -> 
     followed = {one.name: one for one in follow_each(fit, session, tracked.__getitem__, way, prior)}
     outcome = Outcome(config, session, fit, fit, cutoff_hz, followed, followed, prior, prior)
     if config.inertia.refuse:
-        refuse_unseen(outcome)
+        refuse_unseen(fit, prior)
     weight = standing_weight(followed.values(), session, config.subject.mass_kg)
     assert session.static is not None
     refining = session.static.markers if finished is None else None

@@ -17,6 +17,7 @@ from torchid.model.model import InertialPrior
 from torchid.recording import Trial
 from torchid.session import Outcome, Session
 from torchid.session.standing import standing_weight
+from torchid.session.unseen import options_for
 
 STEPS = 10
 """Choice. Steps from which the pace of a solver is known."""
@@ -75,9 +76,6 @@ OnStage = Callable[[str, float], None]
 """Callback of a run, called with the name of a stage and the share of it that is done, 0 to 1."""
 REFUSED_FOR_FORCES = ("inertia.prior_conflict", "inertia.unexplained")
 """Refusals of the inertial fit that another weight than the body's explains."""
-UNSEEN = 0.35
-"""Share of the mass on bodies without markers above which inertia is not identified. Head, hands and abdomen together
-are 0.24; trunk and arms held rigid on the pelvis, 0.5, left 42 N and 25 N m in a walk and cost the thorax 8 kg."""
 
 
 def fit_session(options: GeometryOptions, session: Session, free: bool, progress: OnStage) -> GeometryFit:
@@ -98,16 +96,15 @@ def identify(inertia: Inertia, who: Subject, outcome: Outcome, progress: OnStage
     """Inertia on the fit trials, with the total mass that standing on plates has told.
 
     Raises:
-        DataError: nobody saw how much of the body moves.
+        DataError: the fit is not accepted.
     """
     progress("inertia", 0.0)
-    if inertia.refuse:
-        refuse_unseen(outcome)
     names = outcome.session.fit("inertia")
     trials = [outcome.followed[n].wrench for n in names]
     mass, box = given_mass(inertia, who, outcome), com_boxes(outcome.prior) if inertia.com_boxes else None
+    options = options_for(inertia, outcome.fit, outcome.prior)
     try:
-        found = identify_inertia([t for t in trials if t is not None], outcome.prior, inertia, mass, box)
+        found = identify_inertia([t for t in trials if t is not None], outcome.prior, options, mass, box)
     except DataError as error:
         fitted = outcome.session.fit("inertia").values()
         raise explained_by_weight(error, fitted, *_body_mass(who, outcome)) from error
@@ -149,20 +146,6 @@ def given_mass(inertia: Inertia, who: Subject, outcome: Outcome) -> tuple[float,
         return who.mass_kg, who.mass_sd_kg or 1e-3 * who.mass_kg
     weight = standing_weight(outcome.followed.values(), outcome.session, who.mass_kg)
     return None if weight is None else (weight.mass, weight.sd)
-
-
-def refuse_unseen(outcome: Outcome) -> None:
-    """A wrench cannot be explained by the motion of a body that nobody saw moving."""
-    seen = {int(body) for body in outcome.fit.attachment.body}
-    names, mass = outcome.fit.model.tree.names, outcome.prior.mean[:, 0]
-    unseen = [k for k in range(len(names)) if k not in seen]
-    share = float(mass[unseen].sum() / mass.sum())
-    if share > UNSEEN:
-        raise DataError(
-            "inertia.unseen_bodies", f"no marker shows how {100.0 * share:.0f} % of the body's mass moves",
-            found=f"no markers on {', '.join(names[k] for k in unseen)}",
-            remedy="Record markers on trunk and arms, or set inertia.enabled: false (inertia.refuse: false goes on)",
-        )  # fmt: skip
 
 
 def com_boxes(prior: InertialPrior) -> torch.Tensor:

@@ -13,6 +13,7 @@ from torchid.model.anthropometry import body_mass
 from torchid.session.outcome import Criterion, Outcome, Quality, QualityLevel, graded
 from torchid.session.standing import standing_weight
 from torchid.session.tables import largest, rms
+from torchid.session.unseen import UNSEEN, unseen_mass
 from torchid.wording import change, clean, number, percent, plural, segment
 
 
@@ -106,8 +107,8 @@ def quality_of(outcome: Outcome, failure: DataError | None = None) -> Quality:
     Args:
         failure: what kept the rest from being found, or why no body could give it.
     """
-    found = [*_failed(failure), *_residuals(outcome), *_markers(outcome), *_masses(outcome), *_segments(outcome)]
-    return Quality((*found, *_unsure(outcome)))
+    found = [*_failed(failure), *_unseen(outcome), *_residuals(outcome), *_markers(outcome), *_masses(outcome)]
+    return Quality((*found, *_segments(outcome), *_unsure(outcome)))
 
 
 def _failed(failure: DataError | None) -> list[Criterion]:
@@ -118,6 +119,15 @@ def _failed(failure: DataError | None) -> list[Criterion]:
     )
     shown = f"{failure.message}: {failure.found}" if failure.found else failure.message
     return [Criterion(failure.code, level, math.nan, math.nan, shown, "", OWN)]
+
+
+def _unseen(outcome: Outcome) -> list[Criterion]:
+    """Of a body most of which nobody saw moving."""
+    share, names = unseen_mass(outcome.fit, outcome.prior)
+    if outcome.identified is None or share <= UNSEEN:
+        return []
+    said = f"no marker shows how {percent(share)} of the mass moves ({', '.join(map(segment, names))})"
+    return [Criterion("unseen", QualityLevel.CARE, share, UNSEEN, said, f"norm {percent(UNSEEN)}", OWN)]
 
 
 def _residuals(outcome: Outcome) -> list[Criterion]:
