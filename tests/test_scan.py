@@ -75,24 +75,6 @@ def test_what_is_there_too_makes_no_name_doubtful(alike):
     assert (rival.likely > best.likely - NAMING.alike_nats) == alike
 
 
-@pytest.mark.parametrize(("more", "named"), [(0.2, "body_mass"), (0.6, "flywheel")])
-def test_who_explains_a_little_more_may_only_seem_to_be_there(more, named):
-    """Of two that explain the same, one explains something else, too. Of a little of that, sound sessions have as much,
-    and the other one is there; what no sound session has of it is there itself."""
-    column, other, *rest = apart(11, 4).T
-    some = []
-    for name, part in (("body_mass", slice(0, 1)), ("flywheel", slice(1, 4))):
-        own, place = effect(name), Place(("session",) if name == "body_mass" else ("thorax",))
-        source = ColumnSource(own, place, part, (0.0,) * (part.stop - part.start), own.scale(place))
-        some.append(Candidate(own, place, source, frozenset(range(TRIALS))))
-    columns = torch.stack([column, column, other, rest[0]], 1)
-    prior = Prior(torch.zeros(4).double(), torch.eye(0).double(), torch.ones(4).double())
-    raw = prior.standard(columns.T @ columns, columns.T @ (column + more * other), torch.arange(4))
-    round_ = scan_all(Statistics(0, 4, (raw,) * TRIALS), some, (), NAMING).round
-    assert round_.families["flywheel"] > round_.families["body_mass"] + 5.0
-    assert round_.rivals[0].candidate.effect.name == named
-
-
 def test_what_is_strewn_keeps_its_prior():
     """Of a marker that was moved, what is small is ordinary: it earns nothing by being small."""
     columns = apart(5, 9)

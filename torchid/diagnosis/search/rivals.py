@@ -39,10 +39,6 @@ class Rival:
     beside: float = 0.0
     """Log evidence that it adds even beside the best, however large that may be [nat]; less than zero counts as
     none."""
-    seems: float = 0.0
-    """Log evidence of what sessions without it seem to have of it, beside the best [nat]; at least zero."""
-    seeming: float = -math.inf
-    """Log odds that it is there, and of the best only what sessions without that seem to have."""
     options: NamingOptions = NamingOptions()
     """Thresholds of naming."""
     told: float = 0.0
@@ -72,14 +68,9 @@ class Rival:
 
     @property
     def likely(self) -> float:
-        """Log odds that it is there in place of the best; what is there too, or seems to be, makes no name doubtful."""
-        alone = self.prior + self.score - max(self.prior + self.beside, self.seems, 0.0)
-        return max(alone, self.seeming)
-
-    @property
-    def prior(self) -> float:
-        """Log odds before any data."""
-        return math.log(self.candidate.odds * self.options.effect_odds)
+        """Log odds that it is there in place of the best; what is there too makes no name doubtful."""
+        odds = math.log(self.candidate.odds * self.options.effect_odds)
+        return odds + self.score - max(odds + self.beside, 0.0)
 
 
 @dataclass(frozen=True)
@@ -103,11 +94,6 @@ class Round:
         """The best rival if its effect is supported, else None."""
         best = self.rivals[0] if self.rivals else None
         return None if best is None or self.family(best) < self.options.named_nats else best
-
-    @property
-    def best(self) -> Rival:
-        """The best rival as one of ``compared``."""
-        return self.compared[0]
 
     @property
     def ordinary(self) -> bool:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
-from torchid.diagnosis.evidence.apparent import apparent_evidence, has_appearance
+from torchid.diagnosis.evidence.apparent import apparent_evidence
 from torchid.diagnosis.evidence.background import background_evidence
 from torchid.diagnosis.evidence.gains import gains, informed, scale_averaged_gains
 from torchid.diagnosis.evidence.other_proof import NOTHING_TOLD, Told, told_nats
@@ -51,67 +51,18 @@ class Scanned:
         places = {n: [r for r in rivals if r.candidate.effect.name == n] for n in names}
         families = {n: _mean([r.weighed for r in some]) for n, some in places.items()}
         found = Round(tuple(rivals), families, self.options)
-        if found.named is None:
+        if (best := found.named) is None:
             return found
-        found = self._competed(found)
-        other = max(found.compared, key=lambda rival: rival.seeming)
-        if found.ordinary or other.seeming < found.best.likely or found.family(other) < self.options.named_nats:
-            return found
-        first = next(r for r in rivals if r.candidate is other.candidate)
-        turned = self._competed(replace(found, rivals=(first, *(r for r in rivals if r is not first))))
-        return found if turned.ordinary else max(found, turned, key=lambda one: one.weights[0])
+        appearance = self._appearance(places[best.candidate.effect.name])
+        return replace(found, appearance=appearance, compared=_compared(self.statistics, self.chosen, found))
 
-    def _competed(self, found: Round) -> Round:
-        """Return the round with what its best competes with."""
-        best = found.rivals[0].candidate
-        places = [r for r in found.rivals if r.candidate.effect.name == best.effect.name]
-        alone = self._appearance(places)
-        compared = list(_compared(self.statistics, self.chosen, found))
-        which = [k for k, r in enumerate(compared) if r.candidate.effect.name != best.effect.name and r.score > 0.0]
-        if has_appearance(best.effect) and which:
-            some = [compared[k].candidate for k in which]
-            less, others = marginalise_per_trial(self.statistics, [*self.chosen, best])
-            beside = scale_averaged_gains(less, fit(less, others), some).tolist()
-            for k, own, seems in zip(which, beside, self._apparent(some, best), strict=True):
-                both = self._appearance(places, compared[k].candidate)
-                rival = replace(compared[k], seems=seems)
-                compared[k] = replace(rival, seeming=_seeming(rival, alone, both, own - rival.ordinary + rival.told))
-        return replace(found, appearance=alone, compared=tuple(compared))
-
-    def _appearance(self, places: Sequence[Rival], *beside: Candidate) -> float:
-        """Return ``Round.appearance`` of the places of an effect, beside others."""
-        both = zip(places, self._apparent([r.candidate for r in places], *beside), strict=True)
-        return _mean([max(x - r.ordinary, 0.0) + math.log(r.candidate.odds) for r, x in both])
-
-    def _apparent(self, some: Sequence[Candidate], *beside: Candidate) -> list[float]:
-        """Return the log evidence of the appearance of each candidate, beside others."""
-        bare, chosen = self._bare
-        bare, others = marginalise_per_trial(bare, [*chosen, *beside])
-        return apparent_evidence(bare, fit(bare, others), some)
-
-    @cached_property
-    def _bare(self) -> tuple[Statistics, Sequence[Candidate]]:
-        """Statistics without what is stated without a body model, and all chosen effects that are not integrated out
-        of them."""
+    def _appearance(self, places: Sequence[Rival]) -> float:
+        """Return ``Round.appearance`` of the places of an effect."""
         statistics, chosen = self.given
-        return marginalise_per_trial(statistics.unstated, chosen)
-
-
-def _seeming(rival: Rival, alone: float, both: float, beside: float) -> float:
-    """Return ``Rival.seeming``: a load may explain better than a wrong record of the mass what is a wrong record, and a
-    body that carries its mass a little otherwise than tables say.
-
-    Args:
-        rival: the rival.
-        alone: log evidence of what the best seems to be, without the rival.
-        both: the same with the rival.
-        beside: log evidence that the rival adds beside the best.
-    """
-    there, apart = rival.prior + rival.score + both, alone + max(rival.prior + beside, 0.0)
-    # Where neither stands for the other, that the best only seems to be there is not the rival's doing.
-    if there <= apart:
-        return -math.inf
-    return there + math.log(-math.expm1(apart - there)) - max(rival.prior + beside, rival.seems, 0.0)
+        bare, others = marginalise_per_trial(statistics.unstated, chosen)
+        apparent = apparent_evidence(bare, fit(bare, others), [r.candidate for r in places])
+        both = zip(places, apparent, strict=True)
+        return _mean([max(x - r.ordinary, 0.0) + math.log(r.candidate.odds) for r, x in both])
 
 
 def scan_all(
