@@ -7,14 +7,12 @@
 are run without the diagnosis. Prints a line for each session, and how much the folder's result differs.
 """
 
-from functools import partial
 from pathlib import Path
 from statistics import mean
 
-from harness.command import DATA, ROOT, Among, Command
-from harness.pool import performed
+from harness.command import DATA, ROOT
 from harness.rows import Row
-from harness.runs import ran
+from harness.runs import of_sessions, ran
 
 from torchid.config import load_config
 from torchid.errors import DataError
@@ -40,7 +38,7 @@ FOLDERS = {
 FIGURES = {"marker_mm": "mm", "mass_kg": "kg", "force_N": "N", "moment_Nm": "N m"}
 
 
-def _performed(config: str, out: Path) -> Row:
+def _performed(out: Path, config: str) -> Row:
     """Run both configs of a session."""
     by_hand = ROOT / "configs" / f"{config}.yaml"
     who = load_config(by_hand).subject
@@ -92,16 +90,7 @@ def _in_a_line(row: Row) -> str:
 
 def main() -> None:
     """Run what is missing, print a line for each."""
-    given = Command(
-        __doc__,
-        jobs=2,
-        sessions=(Among(tuple(FOLDERS), tuple(FOLDERS), True, "NAME"), "only these"),
-        out=(Path("out/folders"), "folder of configs and results"),
-    ).asked()
-    given.out.mkdir(parents=True, exist_ok=True)
-    work = partial(_performed, out=given.out.resolve())
-    for row in performed({name: name for name in given.sessions}, work, given.jobs, given.out / "rows.jsonl"):
-        print(_in_a_line(row), flush=True)
+    of_sessions(__doc__, tuple(FOLDERS), _performed, _in_a_line, "out/folders")
 
 
 if __name__ == "__main__":

@@ -9,14 +9,12 @@ centres of hips, knees and ankles lie apart in all frames, and the share of the 
 inertias that are within two standard deviations of the whole body's.
 """
 
-from functools import partial
 from pathlib import Path
 
 import torch
-from harness.command import ROOT, Among, Command
-from harness.pool import performed
+from harness.command import ROOT
 from harness.rows import Row
-from harness.runs import ran
+from harness.runs import of_sessions, ran
 
 from torchid.errors import DataError
 from torchid.kinematics.chain import chain_poses
@@ -39,7 +37,7 @@ JOINTS = ("thigh_l", "shank_l", "foot_l", "thigh_r", "shank_r", "foot_r")
 """Bodies whose proximal joints are hips, knees and ankles."""
 
 
-def _performed(config: str, out: Path) -> Row:
+def _performed(out: Path, config: str) -> Row:
     """Run a session whole and with the markers of its legs alone."""
     path = ROOT / "configs" / f"{config}.yaml"
     whole = ran(path, out / "whole" / config)
@@ -124,16 +122,7 @@ def _in_a_line(row: Row) -> str:
 
 def main() -> None:
     """Run what is missing, print a line for each."""
-    given = Command(
-        __doc__,
-        jobs=2,
-        sessions=(Among(SESSIONS, SESSIONS, True, "NAME"), "only these"),
-        out=(Path("out/legs"), "folder of configs and results"),
-    ).asked()
-    given.out.mkdir(parents=True, exist_ok=True)
-    work = partial(_performed, out=given.out.resolve())
-    for row in performed({name: name for name in given.sessions}, work, given.jobs, given.out / "rows.jsonl"):
-        print(_in_a_line(row), flush=True)
+    of_sessions(__doc__, SESSIONS, _performed, _in_a_line, "out/legs")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,11 @@
 """Whole runs of torchid from a command: of a config, of simulated subjects, subject after subject."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
+from harness.command import Among, Command
+from harness.pool import performed
 from harness.rows import Row, figures
 from torchid.config import load_config
 from torchid.errors import TorchidError
@@ -39,3 +42,27 @@ def each(seeds: Iterable[int], work: Callable[[int], Row], skip: bool = False) -
             continue
         print(figures(row), flush=True)
         yield row
+
+
+def of_sessions(
+    doc: str | None, names: Sequence[str], work: Callable[[Path, str], Row], line: Callable[[Row], str], out: str
+) -> None:
+    """A command that makes a row of each of some sessions, in a folder, and prints its line; what is done stays done.
+
+    Args:
+        doc: of the command.
+        names: of all sessions.
+        work: makes the row, given the folder and the session, which is its ``key``.
+        line: of a row.
+        out: folder of configs, results and rows.
+    """
+    given = Command(
+        doc,
+        jobs=2,
+        sessions=(Among(names, names, True, "NAME"), "only these"),
+        out=(Path(out), "folder of configs and results"),
+    ).asked()
+    given.out.mkdir(parents=True, exist_ok=True)
+    jobs = {name: name for name in given.sessions}
+    for row in performed(jobs, partial(work, given.out.resolve()), given.jobs, given.out / "rows.jsonl"):
+        print(line(row), flush=True)
