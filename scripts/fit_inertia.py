@@ -26,7 +26,7 @@ from torchid.inertia.options import of_whitened_rows
 from torchid.run.simulation import with_recordings
 from torchid.session.following import Following, cutoff, follow, subject_prior
 from torchid.session.opening import Session, read_session
-from torchid.session.unseen import options_for
+from torchid.session.unseen import hold_unseen
 from torchid.storage.snapshot import from_bytes, to_bytes
 
 
@@ -52,7 +52,8 @@ def main(argv: list[str] | None = None) -> None:
     # 2. Six rows a frame, base of the tree only: Y phi = F. In the frequency domain their noise is nearly independent.
     blocks = [block for trial in train for block in spectra(trial)]
     prior, names = subject_prior(config.model, config.subject, fit), fit.model.tree.names
-    options = replace(of_whitened_rows(options_for(config.inertia, fit, prior)), refuse=False)
+    asked, prior = hold_unseen(config.inertia, prior, fit)
+    options = replace(of_whitened_rows(asked), refuse=False)
 
     # 3. The loop: weigh the rows by the noise, solve for phi with every pseudo-inertia positive definite (Clarabel),
     # estimate the noise again from what is left.

@@ -16,7 +16,7 @@ from torchid.errors import DataError
 from torchid.geometry.assign import Attachment
 from torchid.model.marker_set import load_marker_set
 from torchid.run import run_experiment
-from torchid.session.unseen import HELD, hold_shape, hold_unseen, options_for, refuse_unseen
+from torchid.session.unseen import HELD, hold_shape, hold_unseen, refuse_unseen
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 from torchid.simulate.subject import MARKER_SET
@@ -45,8 +45,8 @@ def test_held_bodies_go_with_the_total_mass_and_scatter_less_about_it():
 def test_who_is_seen_is_not_held_and_who_is_not_is_refused_where_that_is_asked():
     """A whole body keeps its prior and options; legs alone are held, weighed as tables say, and told by name."""
     fit, prior, options = small.outcome().fit, small.session().subject.model.inertia, Inertia()
-    assert hold_unseen(prior, fit) is prior
-    assert options_for(options, fit, prior) is options
+    same, unheld = hold_unseen(options, prior, fit)
+    assert same is options and unheld is prior
     refuse_unseen(fit, prior)
     names = fit.model.tree.names
     kept = torch.tensor([names[int(k)].startswith(LEGS) for k in fit.attachment.body])
@@ -57,10 +57,11 @@ def test_who_is_seen_is_not_held_and_who_is_not_is_refused_where_that_is_asked()
         tuple(one for one, own in zip(marks.landmark, kept.tolist(), strict=True) if own),
     )  # fmt: skip
     legs = dataclasses.replace(fit, attachment=some)
-    assert_close(hold_unseen(prior, legs).covariance, hold_shape(prior, _above(names), HELD).covariance)
-    assert options_for(options, legs, prior).prior_weight == 1.0
+    weighed, held = hold_unseen(options, prior, legs)
+    assert_close(held.covariance, hold_shape(prior, _above(names), HELD).covariance)
+    assert weighed.prior_weight == 1.0
     own = Inertia(prior_weight=3.0)
-    assert options_for(own, legs, prior) is own
+    assert hold_unseen(own, prior, legs)[0] is own
     with pytest.raises(DataError) as refusal:
         refuse_unseen(legs, prior)
     assert refusal.value.code == "inertia.unseen_bodies" and "thorax" in refusal.value.found

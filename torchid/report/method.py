@@ -6,7 +6,7 @@ from torchid.config import dump_config
 from torchid.report.blocks import Block, Details, Items, Listing, Section, Table
 from torchid.session import Outcome
 from torchid.session.tables import identified_table
-from torchid.session.unseen import options_for
+from torchid.session.unseen import hold_unseen
 from torchid.storage.provenance import StageTime, versions
 from torchid.wording import clean, listing, number, percent, plural, scientific, segment
 
@@ -90,12 +90,12 @@ def _inertia(outcome: Outcome) -> Table:
     assert outcome.identified is not None
     fit, rows = outcome.identified.fit, outcome.identified.rows
     config = outcome.config.inertia
-    weight = options_for(config, outcome.fit, outcome.prior).prior_weight
+    asked, _ = hold_unseen(config, outcome.prior, outcome.fit)
     found = [
         ("Solver", f"{fit.certificate.solver}, {plural(fit.certificate.iterations, 'iteration')}"),
         ("Data", f"{rows} whitened rows from {plural(len(outcome.session.fit('inertia')), 'fit trial')}"),
         ("Weight of the data, omega_1", scientific(fit.omega_1)),
-        ("Weight of the prior, omega_2", f"{scientific(fit.omega_2)} (chosen: {weight})"),
+        ("Weight of the prior, omega_2", f"{scientific(fit.omega_2)} (chosen: {asked.prior_weight})"),
         ("Rank", f"{fit.rank} of {fit.phi.numel()} parameters"),
         ("Base parameters", "not worked out" if fit.base is None else str(len(fit.base.names))),
         ("Physical consistency", "every segment's pseudo-inertia positive definite" if config.lmi else "not enforced"),

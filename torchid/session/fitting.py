@@ -17,7 +17,7 @@ from torchid.model.model import InertialPrior
 from torchid.recording import Trial
 from torchid.session import Outcome, Session
 from torchid.session.standing import standing_weight
-from torchid.session.unseen import options_for
+from torchid.session.unseen import hold_unseen
 
 STEPS = 10
 """Choice. Steps from which the pace of a solver is known."""
@@ -102,9 +102,9 @@ def identify(inertia: Inertia, who: Subject, outcome: Outcome, progress: OnStage
     names = outcome.session.fit("inertia")
     trials = [outcome.followed[n].wrench for n in names]
     mass, box = given_mass(inertia, who, outcome), com_boxes(outcome.prior) if inertia.com_boxes else None
-    options = options_for(inertia, outcome.fit, outcome.prior)
+    options, prior = hold_unseen(inertia, outcome.prior, outcome.fit)
     try:
-        found = identify_inertia([t for t in trials if t is not None], outcome.prior, options, mass, box)
+        found = identify_inertia([t for t in trials if t is not None], prior, options, mass, box)
     except DataError as error:
         fitted = outcome.session.fit("inertia").values()
         raise explained_by_weight(error, fitted, *_body_mass(who, outcome)) from error

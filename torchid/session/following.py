@@ -28,7 +28,6 @@ from torchid.recording import Trial
 from torchid.session import Followed, Session
 from torchid.session.opening import SHORTEST
 from torchid.session.other_contacts import others_of
-from torchid.session.unseen import hold_unseen
 from torchid.storage.results import OutputFolder
 from torchid.torque.inverse import CHUNK, Load, joint_torques
 
@@ -152,11 +151,10 @@ def _outline(p_BM_B: Float[Tensor, "4 3"]) -> Float[Tensor, "5 3"]:
 
 
 def subject_prior(model: ModelSource, who: Subject, fit: GeometryFit) -> InertialPrior:
-    """Inertial prior for the fit's segment lengths; a model from a file brings its own. Where nobody saw most of the
-    body, what is unseen is held."""
+    """Inertial prior for the fit's segment lengths; a model from a file brings its own."""
     if model != "whole_body":
-        return hold_unseen(fit.model.inertia, fit)
-    return hold_unseen(inertial_prior(fit.geometry, who.height_m, who.mass_kg, who.mass_sd_kg, who.sex), fit)
+        return fit.model.inertia
+    return inertial_prior(fit.geometry, who.height_m, who.mass_kg, who.mass_sd_kg, who.sex)
 
 
 def torques(

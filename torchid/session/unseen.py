@@ -36,14 +36,23 @@ def unseen_mass(fit: GeometryFit, prior: InertialPrior) -> tuple[float, tuple[st
     return float(mass[bare].sum() / mass.sum()), names
 
 
-def hold_unseen(prior: InertialPrior, fit: GeometryFit) -> InertialPrior:
-    """Return the prior in which bodies without markers are held, if they are more than ``UNSEEN`` of the mass.
+def hold_unseen(options: Inertia, prior: InertialPrior, fit: GeometryFit) -> tuple[Inertia, InertialPrior]:
+    """Return options and prior of the inertial fit, in which bodies without markers are held, if they are more than
+    ``UNSEEN`` of the mass.
+
+    The evidence of rows that hold the motion of what nobody saw does not say how near a body is to the tables, so that
+    the prior then keeps the weight that these give it. What is named in the rows is named beside the tables alone
+    (``diagnosis``): a tight prior would leave that motion to causes.
 
     Args:
-        prior: of all bodies.
+        options: as asked for.
+        prior: of all bodies, as tables have it.
         fit: whose markers show bodies.
     """
-    return prior if unseen_mass(fit, prior)[0] <= UNSEEN else hold_shape(prior, _bare(fit), HELD)
+    if unseen_mass(fit, prior)[0] <= UNSEEN:
+        return options, prior
+    weighed = replace(options, prior_weight=1.0) if options.prior_weight == "evidence" else options
+    return weighed, hold_shape(prior, _bare(fit), HELD)
 
 
 def hold_shape(prior: InertialPrior, bodies: Bool[Tensor, " bodies"], part: float) -> InertialPrior:
@@ -65,19 +74,6 @@ def hold_shape(prior: InertialPrior, bodies: Bool[Tensor, " bodies"], part: floa
     factor = torch.linalg.cholesky(own[bodies.repeat_interleave(len(Inertial))])
     told = torch.linalg.solve_triangular(factor, own.T, upper=False)
     return replace(prior, covariance=C - (1.0 - part**2) * told.T @ told)
-
-
-def options_for(options: Inertia, fit: GeometryFit, prior: InertialPrior) -> Inertia:
-    """Return the options of the inertial fit: the evidence of rows that hold the motion of what nobody saw does not say
-    how near a body is to the tables, so that the prior keeps the weight that these give it.
-
-    Args:
-        options: as asked for.
-        fit: whose markers show bodies.
-        prior: of all bodies.
-    """
-    held = unseen_mass(fit, prior)[0] > UNSEEN and options.prior_weight == "evidence"
-    return replace(options, prior_weight=1.0) if held else options
 
 
 def refuse_unseen(fit: GeometryFit, prior: InertialPrior) -> None:

@@ -27,7 +27,7 @@ from torchid.session import Followed
 from torchid.session.fitting import com_boxes
 from torchid.session.following import ENDS, Following, follow
 from torchid.session.standing import Weight, short_of
-from torchid.session.unseen import options_for
+from torchid.session.unseen import hold_unseen
 
 BLOCK_S = 1.0
 """Choice. Frames whose rows are taken together: a second holds what a body does most slowly, and is soon over."""
@@ -91,8 +91,8 @@ class Identifier:
         names = subject.fit.model.tree.names
         box = com_boxes(subject.prior) if subject.config.inertia.com_boxes else None
         mass = subject.mass if math.isinf(subject.half_life_s) else None  # that of standing is the mass of then
-        options = options_for(subject.config.inertia, subject.fit, subject.prior)
-        self.estimator = Estimator(names, subject.prior, options, mass, box, subject.half_life_s)
+        options, prior = hold_unseen(subject.config.inertia, subject.prior, subject.fit)
+        self.estimator = Estimator(names, prior, options, mass, box, subject.half_life_s)
         self._block, self._context = round(BLOCK_S * rate_hz), round(CONTEXT_S * rate_hz)
         self._lag = round(LAG_PERIODS / subject.cutoff_hz * rate_hz)
         dofs, markers = len(subject.fit.model.tree.dofs), len(subject.fit.attachment.labels)
