@@ -87,11 +87,11 @@ def test_nothing_is_found_where_skin_slides_and_markers_are_lost(seed):
     assert look({item.trial.name: item.trial for item in session.trials}) == ()
 
 
-def pair(rng: np.random.Generator, trials: Trials, clusters: Clusters) -> tuple[int, int]:
-    """Two markers at random whose distances to others differ by what skin does not do."""
+def pair(rng: np.random.Generator, trials: Trials, clusters: Clusters, others: int = 2) -> tuple[int, int]:
+    """Two markers at random, of ``others`` + 1 or more, whose distances to others differ by what skin does not do."""
     shape = shape_of("static", trials["static"].markers, clusters.labels).median
     while True:
-        a, b = drawn(rng, clusters, 2), drawn(rng, clusters, 2)
+        a, b = drawn(rng, clusters, others), drawn(rng, clusters, others)
         rest = [k for k in clusters.together[a].nonzero()[:, 0].tolist() if k != b]
         if a != b and float((shape[a, rest] - shape[b, rest]).abs().mean()) > 0.03:
             return a, b
@@ -159,8 +159,11 @@ def test_exchanged_labels_of_a_segment_with_two_markers_are_told_by_their_paths(
 
 
 def test_a_name_on_the_marker_of_one_that_a_trial_lacks_is_put_right(trials, clusters, rng):
-    """A trial whose file has only one of the two labels, and that on the other's marker."""
-    name, both = moving(rng, trials), pair(rng, trials, clusters)
+    """A trial whose file has only one of the two labels, and that on the other's marker.
+
+    Of three markers it would leave a single distance, which two exchanges may explain alike.
+    """
+    name, both = moving(rng, trials), pair(rng, trials, clusters, 3)
     whole = trials[name].markers
     lost, kept = (clusters.labels[k] for k in both)
     position = whole.position.clone()
