@@ -16,8 +16,8 @@ import yaml
 from harness.command import ROOT, by_lot
 
 from torchid.config import Config, load_config
+from torchid.cycles.measures import measure
 from torchid.devices import Device, load_device
-from torchid.evaluation.cycle_measures.measures import measure
 from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.simulation import simulate_conditions

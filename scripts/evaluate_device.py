@@ -12,8 +12,8 @@ from dataclasses import replace
 import torch
 
 from torchid.config import load_config
-from torchid.evaluation.cycle_measures.cycles import normalise
-from torchid.evaluation.cycle_measures.measures import measure, unit_of
+from torchid.cycles.cycles import normalise
+from torchid.cycles.measures import measure, unit_of
 from torchid.evaluation.evaluate import gather, judge
 from torchid.evaluation.simulation import with_conditions
 from torchid.evaluation.statistics.comparing import Sample, compare

@@ -12,13 +12,14 @@ import torch
 from trc_files import write_trc
 from typer.testing import CliRunner
 
-from torchid import cli
 from torchid.cli import app
 from torchid.config import load_config
 from torchid.errors import DataError, InputError
 from torchid.recording import Markers
+from torchid.report.blocks import Light
 from torchid.session.outcome import Criterion, Quality, QualityLevel
 from torchid.storage.logs import configure_logging
+from torchid.terminal import progress_bars
 
 runner = CliRunner()
 CONFIG = "{subject: {name: S01}, markers: plug_in_gait, trials: [{name: a, file: a.c3d}]}"
@@ -29,6 +30,12 @@ def config(tmp_path: Path) -> str:
     (tmp_path / "a.c3d").write_bytes(b"")
     (tmp_path / "c.yaml").write_text(CONFIG)
     return str(tmp_path / "c.yaml")
+
+
+LIGHTS = (
+    Light("Forces", QualityLevel.CARE, "Held-out force residual 11 % of peak."),
+    Light("Next", None, "Look [there]."),
+)
 
 
 @pytest.fixture
@@ -50,6 +57,7 @@ def experiment(monkeypatch):
 
     module.run_experiment = run_experiment
     monkeypatch.setitem(sys.modules, "torchid.run", module)
+    monkeypatch.setattr("torchid.report.glance.glance", lambda outcome: LIGHTS)
     return seen, outcome
 
 
@@ -80,7 +88,11 @@ def test_a_run_gets_the_config_with_its_overrides(config, experiment):
     (loaded,), _ = experiment
     assert loaded == load_config(config, ["geometry.solver=adam"])
     verdict = "usable with care: held-out force residual 11 % of peak (norm 5 %)"
-    assert result.stdout == f"Done: {loaded.out}, {verdict}\n"
+    forces, after, done = result.stdout.splitlines()
+    assert forces.split() == "▲ Forces Held-out force residual 11 % of peak.".split()
+    assert after.split() == "→ Next Look [there].".split()
+    assert done == f"Done: {loaded.out / 'report.html'}, {verdict}"
+    assert runner.invoke(app, ["run", config, "--quiet"]).stdout.splitlines()[0].startswith("Done: ")
 
 
 @pytest.mark.parametrize(
@@ -183,7 +195,7 @@ def test_version_is_the_package_version(monkeypatch):
 
 def test_progress_survives_any_order_of_stages():
     """Stages may come, go and come again; a name with markup is text."""
-    with cli._progress() as progress:
+    with progress_bars() as progress:
         for stage, fraction in (("a[b]", 0.0), ("c", 1.0), ("a[b]", 0.5), ("[/red]", 0.1)):
             progress(stage, fraction)
     assert set(progress.tasks) == {"a[b]", "c", "[/red]"}

@@ -8,9 +8,9 @@ import torch
 
 from torchid.config.conditions import CoordinateCycles, EvaluateOptions, EventCycles, GivenCycle
 from torchid.contact.contact import Contact
-from torchid.evaluation.cycle_measures.conventions import chosen, side_of, spelt
-from torchid.evaluation.cycle_measures.cycles import APART, Course, Cycle, find_cycles, normalise, outliers, strikes
-from torchid.evaluation.cycle_measures.measures import MEASURES, measure, stride_values, unit_of
+from torchid.cycles.conventions import chosen, side_of, spelt
+from torchid.cycles.cycles import APART, Course, Cycle, find_cycles, normalise, outliers, strikes
+from torchid.cycles.measures import MEASURES, measure, stride_values, unit_of
 from torchid.model.whole_body import whole_body
 from torchid.recording import Event
 

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from torchid.cli import app
 from torchid.config import load_config
+from torchid.cycles.conventions import chosen, spellings
 from torchid.devices import device_forces, refuse_foreign
 from torchid.devices.action import action
 from torchid.devices.forces import states
@@ -24,7 +25,6 @@ from torchid.dynamics.equations_of_motion import body_rows, body_wrenches, dynam
 from torchid.effects.displacement import carriage
 from torchid.effects.scene import make_scene
 from torchid.errors import ConfigError
-from torchid.evaluation.cycle_measures.conventions import chosen, spellings
 from torchid.evaluation.torque_shares.back import low_back, trunk_of
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses

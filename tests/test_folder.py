@@ -371,6 +371,7 @@ def test_run_takes_a_folder(person: SimulatedSession, tmp_path: Path, monkeypatc
         return SimpleNamespace(quality=None)
 
     monkeypatch.setattr(run, "run_experiment", experiment)
+    monkeypatch.setattr("torchid.report.glance.glance", lambda _: ())
     assert CliRunner().invoke(app, ["new", str(folder), "-o", "a.yaml", "--mass", "70"]).exit_code == 0
     assert load_config("a.yaml").subject.mass_kg == 70.0
     again = CliRunner().invoke(app, ["new", str(folder), "-o", "a.yaml"])

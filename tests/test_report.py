@@ -30,17 +30,21 @@ from torchid.report.cause_sentences import name as labelled
 from torchid.report.data_handling import grouped, handling_section
 from torchid.report.detectable_table import sized
 from torchid.report.diagnosis import diagnosis_section, gained
-from torchid.report.facts import wrenches
+from torchid.report.facts import body_weight, wrenches
 from torchid.report.forces import Score, _draw_trial, instructive
+from torchid.report.glance import NOTHING, SIDES, glance, next_step, verdict_words
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
-from torchid.report.summary import _named, head_section
+from torchid.report.picture import LEAST, person_picture, shown_frame
+from torchid.report.summary import head_section
 from torchid.report.witness_table import witness_table
 from torchid.run import run_experiment
 from torchid.scene.embedded import OPENER
 from torchid.scene.finished import FinishedRun
 from torchid.scene.replay import replay
 from torchid.session import Outcome
+from torchid.session.judging import quality_of
+from torchid.session.outcome import ORDER, Quality, QualityLevel
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session, write_session
 from torchid.wording import bind, change, clean, listing, merge, number, pattern, segment, spread
@@ -51,7 +55,7 @@ LABEL = "<i>$x^{"
 VOID = {"meta", "link", "br", "img", "input", "hr", "path", "use"}
 ALLOWED = set(
     "html head meta title style body header p h1 strong nav a main section h2 figure figcaption div table thead tbody "
-    "tr th td ul li pre details summary svg g path defs use text clippath rect pattern tspan".split()
+    "tr th td ul li pre details summary svg g path defs use text clippath rect pattern tspan dl dt dd span code".split()
 )
 
 
@@ -234,7 +238,7 @@ def test_a_failed_inertial_fit_is_said_at_the_top_and_the_rest_is_shown(run):
     assert page.index("inertia.unexplained") < page.index('<section id="summary"')
     sections = [value for tag, name, value in found.attributes if (tag, name) == ("section", "id")]
     assert sections == ["summary", "skeleton", "body", "forces", "moments", "data", "method"]
-    assert "not possible" in page and "ertificate, recomputed" not in page
+    assert "masses are those of tables" in page and "ertificate, recomputed" not in page
 
 
 def test_without_forces_static_and_held_out_trials_what_remains_is_shown(run):
@@ -289,10 +293,48 @@ def test_a_worse_held_out_residual_is_called_worse(run):
     section = head_section(outcome, wrenches(outcome), None)
     said = [item for block in section.blocks for item in getattr(block, "items", ())]
     assert section.finding.startswith("Do not use: held-out force residual")
-    texts = [block.text for block in section.blocks if isinstance(block, Paragraph)]
-    assert any("higher than" in text for text in texts), texts
+    (forces,) = [one for one in glance(outcome) if one.about == "Forces"]
+    assert forces.level is QualityLevel.UNUSABLE and "against the scaled template" in forces.text
     assert any("Force residual higher than the scaled template's" in item for item in said), said
     assert any("left thigh" in item and "prior standard deviations" in item for item in said)
+
+
+def test_one_look_tells_every_side_and_what_to_do_next(run):
+    """Each line has the worst level of its figures; what comes next is the cure of what weighs most."""
+    lights = {one.about: one for one in glance(run.outcome)}
+    quality = quality_of(run.outcome)
+    for about, names in SIDES.items():
+        own = [one for one in quality.criteria if one.name in names]
+        if own:
+            assert lights[about].level is max((one.level for one in own), key=ORDER.index)
+            assert all(one.shown[1:] in lights[about].text for one in own if one.level is not QualityLevel.GOOD) or (
+                about == "Mass"
+            )
+    assert list(lights)[-1] == "Next" and lights["Next"].level is None
+
+    failure = DataError("inertia.unexplained", "no body explains the forces", remedy="Check the plates' corners")
+    failed = {one.about: one for one in glance(replace(run.outcome, identified=None), failure)}
+    assert failed["Next"].text == "Check the plates' corners." and "no body explains" in failed["Fit"].text.lower()
+    assert "masses are those of tables" in failed["Mass"].text
+
+    late = replace(cause("time_offset"), confidence=0.95)
+    found = Diagnosis((), Errors(1.0, 1.0), Errors(1.0, 1.0), (late,), Adequacy(False, 0.5, 0.1, "little"))
+    named = {one.about: one for one in glance(replace(run.outcome, diagnosis=found))}
+    assert named["Recordings"].level is QualityLevel.CARE and told(late) in named["Recordings"].text
+    assert "forces_as" in named["Next"].text
+    good = Quality(tuple(replace(one, level=QualityLevel.GOOD) for one in quality.criteria))
+    assert next_step(run.outcome, good) == NOTHING
+
+
+def test_the_picture_shows_the_person_on_the_plates(run):
+    """As many arrows as plates are stood on, and every stick of the body."""
+    svg, caption = person_picture(run.outcome)
+    trial, frame = shown_frame(run.outcome)
+    forces = run.outcome.session.trials[trial].forces
+    sample = int((forces.time - run.outcome.followed[trial].tracked.time[frame]).abs().argmin())
+    stood = int((forces.wrench[sample, :, 2] > LEAST * body_weight(run.outcome)).sum())
+    assert stood and svg.count("#8f1d14") >= stood and "forces of the plates" in caption
+    assert svg.count("#0b5394") >= len(run.outcome.fit.model.tree.bodies) - 1
 
 
 def test_notes_that_say_the_same_are_one_line(run):
@@ -373,8 +415,7 @@ def test_the_page_begins_with_what_is_named_and_how_sure_that_is():
 
     def said(causes: tuple[Cause, ...], rest: Adequacy) -> str:
         found = Diagnosis((), Errors(1.0, 1.0), Errors(1.0, 1.0), causes, rest)
-        (text,) = _named(found, True)
-        return text
+        return verdict_words(found, True)
 
     two = said(causes, loud)
     assert two.startswith(told(causes[0])) and "more likely than not (55 %)" in two and "1 more cause" in two

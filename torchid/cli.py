@@ -4,8 +4,8 @@ Exit codes: 0 done; 2 the config or a file is at fault; 3 the data do not suppor
 130 interrupted. Heavy imports wait inside the commands, because torch alone takes seconds.
 """
 
-import sys
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,14 +13,11 @@ from shlex import quote
 from typing import Annotated, NamedTuple
 
 import typer
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.segment import Segment
 from rich.text import Text
 
 from torchid.errors import ConfigError, InputError, TorchidError, said_of_defect
 from torchid.storage.allocator import keep_memory
-from torchid.wording import visible
+from torchid.terminal import Terminal, complain, print_lights, progress_bars
 
 CONFIG_SUFFIXES = (".yaml", ".yml", ".json")
 UNBROKEN = 1 << 16
@@ -58,24 +55,12 @@ class _Given(NamedTuple):
     sex: str | None = None
 
 
-class _Terminal(Console):
-    """Whatever is printed: a label of a file that holds terminal escapes is shown, not obeyed."""
-
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """The parts of what is printed; those that control the terminal are rich's own."""
-        if isinstance(renderable, Text):
-            renderable = renderable.copy()
-            renderable.plain = visible(renderable.plain)  # before its lines are broken
-        for part in super().render(renderable, options):
-            yield part if part.control else Segment(visible(part.text), part.style)
-
-
 @app.callback(invoke_without_command=True)
 def _main(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
     if version:
         from importlib.metadata import version as installed
 
-        _Terminal().print(installed("torchid"), highlight=False)
+        Terminal().print(installed("torchid"), highlight=False)
         raise typer.Exit
 
 
@@ -92,7 +77,7 @@ def new(
     """A config from nothing but files: marker set, standing trial, what is fitted and held out, and why."""
     with _exit_codes(debug):
         config = _new_config(folder, output, _Given(subject, mass, height, sex))
-        _Terminal().print(f"next: torchid run {quote(str(config))}", soft_wrap=True, highlight=False, markup=False)
+        Terminal().print(f"next: torchid run {quote(str(config))}", soft_wrap=True, highlight=False, markup=False)
 
 
 @app.command()
@@ -103,6 +88,8 @@ def run(
     mass: Mass = None,
     height: Height = None,
     sex: Sex = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print the last line alone.")] = False,
+    show: Annotated[bool, typer.Option("--open", help="Open the report when it is done.")] = False,
     debug: Debug = False,
 ) -> None:
     """Everything the config asks for, into its `out` folder; of a folder of recordings, with a config made of it."""
@@ -115,13 +102,44 @@ def run(
         elif given != _Given():
             raise _person_twice(config)
         loaded = load_config(config, overrides or ())
+        from torchid.report.glance import glance
         from torchid.run import run_experiment
 
         keep_memory()
-        with _progress() as progress:
-            quality = run_experiment(loaded, progress).quality
-        said = "" if quality is None else f", {quality.line}"
-        _Terminal().print(f"Done: {loaded.out}{said}", soft_wrap=True, highlight=False, markup=False)
+        page = loaded.out / "report.html"
+        with progress_bars() as progress:
+            outcome = run_experiment(loaded, progress)
+        if not quiet:
+            print_lights(glance(outcome))
+        said = "" if outcome.quality is None else f", {outcome.quality.line}"
+        Terminal().print(f"Done: {page}{said}", soft_wrap=True, highlight=False, markup=False)
+        if show:
+            typer.launch(str(page))
+
+
+@app.command()
+def demo(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[SEED] [KEY=VALUE]...", help="Default: a seed from the clock.", show_default=False),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """A simulated session in which an effect is hidden by lot: found from the files alone, then compared."""
+    with _exit_codes(debug):
+        from torchid.run.demo import demo_config, demonstrate
+
+        seed, overrides = _by_lot(words or [])
+        keep_memory()
+        with progress_bars() as progress:
+            for line in demonstrate(demo_config(seed, overrides), progress):
+                Terminal().print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+def _by_lot(words: list[str]) -> tuple[int, list[str]]:
+    """The seed that stands first, else the clock's, and what stands behind it."""
+    given = bool(words) and words[0].isdecimal()
+    return int(words[0]) if given else time.time_ns() // 10**6 % 10**6, words[given:]
 
 
 @app.command()
@@ -135,13 +153,13 @@ def evaluate(config: ConfigFile, overrides: Overrides = None, debug: Debug = Fal
         from torchid.evaluation.study.write import evaluate_study
 
         keep_memory()
-        with _progress() as progress:
+        with progress_bars() as progress:
             if isinstance(loaded, Study):
                 evaluate_study(loaded, progress)
             else:
                 run_evaluation(loaded, progress)
         page = loaded.out / ("subjects.html" if isinstance(loaded, Study) else "evaluation.html")
-        _Terminal().print(f"Done: {page}", soft_wrap=True, highlight=False, markup=False)
+        Terminal().print(f"Done: {page}", soft_wrap=True, highlight=False, markup=False)
 
 
 @app.command()
@@ -177,7 +195,7 @@ def live(
 
         keep_memory()
         possibilities = Possibilities(seated, not no_arms) if guide or seated or no_arms else None
-        with _progress() as progress:
+        with progress_bars() as progress:
             page = None if headless else _live_page(port, host)
             found = run_live(
                 loaded, source, speed, seconds, record, progress, page, _announce, possibilities, half_life
@@ -220,9 +238,9 @@ def simulate(config: ConfigFile, overrides: Overrides = None, debug: Debug = Fal
         loaded = load_config(config, overrides or ())
         from torchid.run import run_simulation
 
-        with _progress() as progress:
+        with progress_bars() as progress:
             run_simulation(loaded, progress)
-        _Terminal().print(f"Done: {loaded.out}", soft_wrap=True, highlight=False, markup=False)
+        Terminal().print(f"Done: {loaded.out}", soft_wrap=True, highlight=False, markup=False)
 
 
 @app.command()
@@ -263,9 +281,9 @@ def _new_config(folder: Path, output: Path | None, given: _Given, keep: bool = F
     if output is not None:
         refuse_taken(output)
     sex = given.sex and SEXES.get(given.sex.lower(), given.sex)
-    with _progress() as progress:
+    with progress_bars() as progress:
         proposal = propose(folder, Person(*given[:3], sex), progress)
-    config, console = output or Path(f"{proposal.name}.yaml"), _Terminal()
+    config, console = output or Path(f"{proposal.name}.yaml"), Terminal()
     if keep and config.exists():
         refuse_other(config, folder)
         if given[1:] != _Given()[1:]:
@@ -307,7 +325,7 @@ def _need_viser(otherwise: str) -> None:
 
 
 def _announce(address: str) -> None:
-    _complain(f"open {address} in a browser")
+    complain(f"open {address} in a browser")
 
 
 def _findings(what: list[str]) -> Iterator:
@@ -333,35 +351,16 @@ def _shown(findings: Iterator) -> Iterator:
     from torchid.checks.recording import TrialCheck, format_check
     from torchid.checks.report import Refusal
 
-    console = _Terminal()
-    console = console if console.is_terminal else _Terminal(width=UNBROKEN)
+    console = Terminal()
+    console = console if console.is_terminal else Terminal(width=UNBROKEN)
     for finding in findings:
         if isinstance(finding, TrialCheck):
             console.print(format_check(finding))
         elif isinstance(finding, Refusal):
-            _complain(finding.text)
+            complain(finding.text)
         else:
             console.print(f"  {finding}", style="dim", highlight=False, markup=False)
         yield finding
-
-
-class _Bar:
-    """The bars on the terminal, one a stage, as the callback of a run (``session.fitting.OnStage``)."""
-
-    def __init__(self, bars: Progress) -> None:
-        self.bars, self.tasks = bars, {}
-
-    def __call__(self, stage: str, fraction: float) -> None:
-        if stage not in self.tasks:
-            self.tasks[stage] = self.bars.add_task(stage, total=1.0)
-        self.bars.update(self.tasks[stage], completed=fraction)
-
-
-@contextmanager
-def _progress() -> Iterator[_Bar]:
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=_Terminal(stderr=True), disable=not sys.stderr.isatty()) as bars:
-        yield _Bar(bars)
 
 
 @contextmanager
@@ -375,22 +374,14 @@ def _exit_codes(debug: bool) -> Iterator[None]:
     except (typer.Exit, typer.Abort):
         raise
     except TorchidError as error:
-        _complain(error, debug)
+        complain(error, debug)
         raise typer.Exit(error.exit_code) from None
     except KeyboardInterrupt:
-        _complain("interrupted; the next run continues from here")
+        complain("interrupted; the next run continues from here")
         raise typer.Exit(130) from None
     except Exception as error:
-        _complain(f"a defect of torchid: {said_of_defect(error)} (the traceback: --debug)", debug)
+        complain(f"a defect of torchid: {said_of_defect(error)} (the traceback: --debug)", debug)
         raise typer.Exit(1) from None
-
-
-def _complain(error: object, traceback: bool = False) -> None:
-    console = _Terminal(stderr=True)
-    if traceback:
-        console.print_exception()
-    for line in str(error).split("\n"):
-        console.print(f"torchid: {line}", soft_wrap=True, highlight=False, markup=False)
 
 
 if __name__ == "__main__":

@@ -28,8 +28,8 @@ from matplotlib.figure import Figure
 
 from benchmarks import evaluation_whole
 from torchid.config.conditions import EvaluateOptions
-from torchid.evaluation.cycle_measures.cycles import Cycle
-from torchid.evaluation.cycle_measures.measures import measure
+from torchid.cycles.cycles import Cycle
+from torchid.cycles.measures import measure
 from torchid.evaluation.statistics.comparing import Comparison, MeasureColumn, Sample, compare
 
 WALKS = Path(__file__).with_name("evaluation_walks.json")

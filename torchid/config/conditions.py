@@ -17,7 +17,7 @@ MEASURES = (
     "peak_torque_Nm", "max_torque_Nm", "min_torque_Nm", "mean_torque_Nm", "positive_work_J", "negative_work_J",
     "peak_power_W", "cumulative_load_Nms", "range_deg",
 )  # fmt: skip
-"""Of a coordinate in one cycle; ``torchid/evaluation/cycle_measures/measures.py`` defines them."""
+"""Of a coordinate in one cycle; ``torchid/cycles/measures.py`` defines them."""
 
 FEWEST_DRAWS = 20
 """Choice. They tell a standard deviation to 16 %."""

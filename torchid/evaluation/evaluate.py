@@ -12,9 +12,9 @@ from torch import Tensor
 
 from torchid.config import Config
 from torchid.config.conditions import EvaluateOptions
+from torchid.cycles.cycles import Course, Cycle, find_cycles, outliers
 from torchid.devices import Device, refuse_foreign
 from torchid.errors import ConfigError, DataError
-from torchid.evaluation.cycle_measures.cycles import Course, Cycle, find_cycles, outliers
 from torchid.evaluation.cycle_measures.layout import MeasureLayout, make_layout
 from torchid.evaluation.cycle_measures.rows import CycleRows, RowScene, cycle_rows, joined
 from torchid.evaluation.evaluation import Evaluation, corrections_of

@@ -6,8 +6,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
+from torchid.cycles.cycles import Cycle
 from torchid.evaluation.compared import Gap
-from torchid.evaluation.cycle_measures.cycles import Cycle
 from torchid.evaluation.cycle_measures.layout import MeasureLayout, from_file, usual_body
 from torchid.evaluation.statistics.answers import BodyAnswer, sided_courses
 from torchid.evaluation.statistics.comparing import Comparison

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import torch
 
 from torchid.conventions import GRAVITY
+from torchid.cycles.measures import MEASURES
 from torchid.devices import SheetFinding
 from torchid.dynamics.rows import predict
 from torchid.evaluation.compared import Gap
-from torchid.evaluation.cycle_measures.measures import MEASURES
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.statistics.comparing import Comparison
 from torchid.evaluation.torque_shares.draws import SAID

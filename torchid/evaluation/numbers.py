@@ -6,10 +6,10 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
+from torchid.cycles.cycles import APART
+from torchid.cycles.measures import divides_by_mass, unit_of
 from torchid.evaluation.compared import Compared
-from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.cycle_measures.layout import BACK
-from torchid.evaluation.cycle_measures.measures import divides_by_mass, unit_of
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import BODIES, Key
 from torchid.evaluation.loads import beyond_need, load_change

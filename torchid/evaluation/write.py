@@ -7,8 +7,8 @@ import numpy as np
 import xarray
 
 from torchid.config import Config
+from torchid.cycles.cycles import APART
 from torchid.evaluation.compared import Compared
-from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.ledger import Ledger
 from torchid.evaluation.numbers import INTERVAL, all_numbers

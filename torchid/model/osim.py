@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import roma
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -49,6 +50,25 @@ def osim_coordinates(q: Float[Tensor, "frames dofs"]) -> Float[Tensor, "frames d
     angles = np.unwrap(np.stack([x.detach().cpu().numpy() for x in (tilt, sideways, turn)], axis=1), axis=0)
     out = q.detach().clone()
     out[:, 3:BASE_DOFS] = q.new_tensor(angles)
+    return out
+
+
+def osim_forces(q: Float[Tensor, "frames dofs"], torque: Float[Tensor, "frames dofs"]) -> Float[Tensor, "frames dofs"]:
+    """Forces that do work on the written model's coordinates [N, N m]: the base's moment, along the axes of its angles.
+
+    Args:
+        q: coordinates of the model.
+        torque: generalised forces; of the base, force and moment about its origin in W.
+    """
+    tilt, sideways = osim_coordinates(q)[:, 3:5].unbind(1)
+    none, one = torch.zeros_like(tilt), torch.ones_like(tilt)
+    axes = torch.stack([  # of tilt, list and rotation in OpenSim's axes, each about the axis reached so far
+        torch.stack([none, none, one], dim=1),
+        torch.stack([tilt.cos(), tilt.sin(), none], dim=1),
+        torch.stack([-tilt.sin() * sideways.cos(), tilt.cos() * sideways.cos(), sideways.sin()], dim=1),
+    ], dim=1)  # fmt: skip
+    out = torque.detach().clone()
+    out[:, 3:BASE_DOFS] = torch.einsum("fai,fi->fa", axes, torque[:, 3:BASE_DOFS] @ q.new_tensor(R_OW).T)
     return out
 
 

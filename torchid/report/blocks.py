@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 from markupsafe import Markup
 
+from torchid.session.outcome import QualityLevel
+
 
 @dataclass(frozen=True)
 class Paragraph:
@@ -72,7 +74,29 @@ class Embedded:
     kind = "embedded"
 
 
-Block = Paragraph | Items | Table | Figure | Listing | Details | Embedded
+@dataclass(frozen=True)
+class Light:
+    """What one look tells of one side of a result."""
+
+    about: str
+    """Such as ``Markers``."""
+    level: QualityLevel | None
+    """None where nothing is judged."""
+    text: str
+    """A sentence or two."""
+
+
+@dataclass(frozen=True)
+class Glance:
+    """A picture, and beside it what can be trusted."""
+
+    picture: Markup
+    caption: str
+    lights: tuple[Light, ...]
+    kind = "glance"
+
+
+Block = Glance | Paragraph | Items | Table | Figure | Listing | Details | Embedded
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,13 @@
 """Sections into one HTML file without anything from outside, and without scripts but those of a replay."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from torchid.errors import DataError
 from torchid.report.blocks import Section
@@ -15,12 +16,14 @@ from torchid.report.data_handling import handling_section
 from torchid.report.diagnosis import diagnosis_section
 from torchid.report.facts import wrenches
 from torchid.report.forces import forces_section
+from torchid.report.gait import gait_section
 from torchid.report.joints import joints_section
 from torchid.report.method import method_section
 from torchid.report.skeleton import skeleton_section
 from torchid.report.summary import head_section
 from torchid.scene.embedded import OPENER, EmbeddedPage
 from torchid.session import Outcome
+from torchid.session.joint_cycles import joint_cycles
 from torchid.session.judging import quality_of
 from torchid.storage.files import write_text
 from torchid.storage.provenance import versions
@@ -29,6 +32,7 @@ from torchid.wording import bind, clean
 INERT = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 """Policy of a page without scripts; with a replay only scripts with its hashes run, whoever writes others into it."""
 
+_TYPED = re.compile("`([^`]+)`")
 STOPPED, REFUSED = "Not everything could be identified.", "No body could give this result."
 """What is said above a failure."""
 
@@ -45,6 +49,7 @@ def sections(
         body_section(outcome),
         forces_section(outcome, forces),
         diagnosis_section(outcome),
+        gait_section(joint_cycles(outcome)),
         joints_section(outcome),
         handling_section(outcome),
         method_section(outcome),
@@ -61,6 +66,11 @@ def render_report(outcome: Outcome, failure: DataError | None = None, replay: Em
     """The page as text; every name from the data is escaped by the template."""
     title = f"{clean(outcome.config.subject.name)}: identified body model"
     return render_page(title, sections(outcome, failure, replay), failure, replay)
+
+
+def _shown(text: str) -> Markup:
+    """Text of the page: numbers stay with their units, what stands between grave accents is typed as it is."""
+    return Markup(_TYPED.sub(r"<code>\1</code>", str(escape(bind(text)))))  # noqa: S704 - escaped before
 
 
 def render_page(
@@ -84,7 +94,7 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["bind"] = bind
+    environment.filters["bind"] = _shown
     css = files("torchid.report").joinpath("page.css").read_text(encoding="utf-8") + styles
     return environment.get_template("page.html.j2").render(
         title=title,

@@ -2,21 +2,18 @@
 
 import math
 
-from torchid.diagnosis.verdict.records import Diagnosis
-from torchid.effects.catalogue import CATALOGUE
 from torchid.errors import DataError
-from torchid.report.blocks import Block, Items, Paragraph, Section, Table
-from torchid.report.cause_sentences import called, likely, told
+from torchid.report.blocks import Block, Glance, Items, Paragraph, Section, Table
 from torchid.report.data_handling import grouped
 from torchid.report.facts import Wrenches, body_weight, force_rms, improved, judges, marker_rms, some, used_frames
+from torchid.report.glance import glance
+from torchid.report.picture import person_picture
 from torchid.session import Outcome
-from torchid.session.judging import Mass, Masses, masses, quality_of
-from torchid.session.outcome import ORDER, Quality, QualityLevel
+from torchid.session.judging import quality_of
+from torchid.session.outcome import ORDER, Quality
 from torchid.session.tables import largest
-from torchid.wording import ABSENT, better, change, clean, listing, number, percent, plural, segment, spread
+from torchid.wording import ABSENT, change, clean, listing, number, percent, plural, segment
 
-COLOURS = {QualityLevel.GOOD: "good", QualityLevel.CARE: "care", QualityLevel.UNUSABLE: "unusable"}
-"""Class of the section by its level."""
 READING = (
     "axes.",
     "units.",
@@ -47,9 +44,9 @@ def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataErr
     tested = some(forces, judges(outcome, "inertia").names)
     quality = quality_of(outcome, failure)
     blocks: list[Block] = [
-        *(Paragraph(text) for text in (_lead(outcome, tested, failure), *_named(outcome.diagnosis, quality.usable))),
+        Glance(*person_picture(outcome), glance(outcome, failure)),
         criteria_table(quality),
-        _subject(outcome, quality),
+        _subject(outcome),
         Table(
             "Residuals on held-out trials" if judges(outcome).heldout
             else "Residuals on the trials of the fit (no trial was held out: these figures are no test)",
@@ -63,7 +60,7 @@ def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataErr
         blocks += [Paragraph("Worth knowing before using these results:"), Items(warnings)]
     blocks.append(_trials(outcome))
     line = quality.line[0].upper() + quality.line[1:]
-    return Section("summary", "Summary", f"{line}.", tuple(blocks), COLOURS[quality.level])
+    return Section("summary", "Summary", f"{line}.", tuple(blocks), quality.level.name.lower())
 
 
 def criteria_table(quality: Quality) -> Table:
@@ -72,52 +69,6 @@ def criteria_table(quality: Quality) -> Table:
     rows = tuple((one.shown[0].upper() + one.shown[1:], one.bound or ABSENT, one.level.value, one.source)
                  for one in order)  # fmt: skip
     return Table("What the verdict rests on", ("Figure", "Norm", "Verdict", "Source of the norm"), rows, 4, wrap=True)
-
-
-def _named(found: Diagnosis | None, usable: bool) -> list[str]:
-    """What the diagnosis says, in a sentence or two; its section has the rest."""
-    if found is None:
-        return []
-    sure = found.likely
-    more, possible = max(len(sure) - 1, 0), len(found.possible)
-    said = []
-    if sure:
-        twins = " or ".join(map(called, sure[0].indistinguishable))
-        apart = f"; it may as well be {twins}, which the recordings do not tell apart" if twins else ""
-        done = "" if sure[0].applied else "; it is not corrected, as the model would predict worse"
-        said = [told(sure[0]), f"That is {likely(sure[0])}{apart}{done}."]
-    elif usable:
-        kinds = f"({len(CATALOGUE)} kinds tested)"
-        said = [f"No fault confirmed {kinds}." if found.causes or found.refuted else f"No fault found {kinds}."]
-    elif not possible:
-        said = [f"None of the {len(CATALOGUE)} kinds of fault that were tested explains it."]
-    others = [plural(count, f"{kind} cause") for count, kind in ((more, "more"), (possible, "possible")) if count]
-    if others:
-        said.append(f"{listing(others)} and all rivals: see “What the model gets wrong”.")
-    if found.unexplained.significant:
-        said.append("More remains in the forces than noise makes, and no named cause explains it.")
-    return [" ".join(said)] if said else []
-
-
-def _lead(outcome: Outcome, tested: dict[str, Wrenches], failure: DataError | None) -> str:
-    """Markers, force and moment on the judging trials, each against the scaled template's."""
-    judge = judges(outcome)
-    identified, scaled = marker_rms(outcome, judge.names)
-    said = (
-        f"On the {judge.words} the markers are {number(identified)} mm RMS from the identified model "
-        f"({number(scaled)} mm from the scaled template)."
-    )
-    if outcome.identified is None:
-        why = "The inertial fit was not possible" if failure else "No inertia was identified"
-        return f"{said} {why}, so masses and moments below rest on anthropometric tables."
-    if not tested:
-        return f"{said} None of these trials has forces, so the identified inertia is untested."
-    (force, moment), (force_0, moment_0) = (force_rms(tested, which) for which in ("identified", "scaled"))
-    return (
-        f"{said} The residual force is {number(force)} N ({percent(force / body_weight(outcome), 1)} of body weight), "
-        f"{better(force_0, force)} the {number(force_0)} N of the scaled template with tabulated inertia. "
-        f"The residual moment is {number(moment)} N m, {better(moment_0, moment)} its {number(moment_0)} N m."
-    )
 
 
 def verdict_rows(outcome: Outcome, tested: dict[str, Wrenches]) -> tuple[tuple[str, ...], ...]:
@@ -140,11 +91,10 @@ def verdict_rows(outcome: Outcome, tested: dict[str, Wrenches]) -> tuple[tuple[s
     return tuple(rows)
 
 
-def _subject(outcome: Outcome, quality: Quality) -> Table:
+def _subject(outcome: Outcome) -> Table:
     who, fit = outcome.config.subject, outcome.fit
     rows = [
         ("Subject", clean(who.name)),
-        ("Mass", mass_words(masses(outcome), quality.usable)),
         ("Height, sex", f"{f'{number(who.height_m, 2)} m' if who.height_m else 'not recorded'}, {who.sex}"),
         ("Model", f"{clean(str(outcome.config.model))}: {len(fit.model.tree.bodies)} segments, "
                   f"{len(fit.model.tree.dofs)} coordinates, {len(fit.attachment.labels)} markers"),
@@ -154,31 +104,6 @@ def _subject(outcome: Outcome, quality: Quality) -> Table:
         used, frames = used_frames(outcome, names)
         rows.append(("Frames for inertia", f"{used} of {frames} in {plural(len(names), 'fit trial')}"))
     return Table("", ("", ""), tuple(rows), text=2, wrap=True)
-
-
-def mass_words(said: Masses, usable: bool) -> str:
-    """Identified, recorded and standing mass in one sentence, with what lies between them.
-
-    Args:
-        said: all statements of the mass.
-        usable: False where the identified mass is not to be used: it is not stated then.
-    """
-    found = said.identified if usable else None
-    words = [] if found is None else [f"{spread(found.value, found.sd, 2)} kg identified"]
-    where = f"standing in {listing(said.trials)}"
-    for other, how in ((said.recorded, "recorded"), (said.standing, where)):
-        if other is not None:
-            away = "" if found is None else f" (identified {change(other.value, found.value)}, {_sds(found, other)})"
-            words.append(f"{spread(other.value, other.sd)} kg {how}{away}")
-    if said.recorded is None:
-        words.append("not recorded")
-    if found is None and said.identified is not None:
-        words.append("the identified mass is not to be used")
-    return "; ".join(words)
-
-
-def _sds(one: Mass, other: Mass) -> str:
-    return f"{number(abs(one.apart(other)))} sd"
 
 
 def _trials(outcome: Outcome) -> Table:

@@ -19,12 +19,15 @@ from torchid.kinematics.chain import chain_poses
 from torchid.model.model import Model
 from torchid.model.opensim.model import CoordinateKind
 from torchid.model.opensim.writing_back import identified_model, write_back
-from torchid.model.osim import osim_coordinates, osim_names, write_osim
+from torchid.model.osim import osim_coordinates, osim_forces, osim_names, write_osim
 from torchid.model.urdf import write_urdf
 from torchid.recording import Plate
+from torchid.run.opensim_setup import SUFFIXES, ToolFiles, write_tool_files
+from torchid.run.scalars import cycles_csv, results_csv
 from torchid.session import Followed, Outcome
+from torchid.session.joint_cycles import joint_cycles
 from torchid.session.tables import diagnosis_table, geometry_table, inertia_table
-from torchid.storage.files import safe_name, write_json
+from torchid.storage.files import safe_name, write_json, write_text
 from torchid.storage.netcdf import write_netcdf
 from torchid.storage.results import OutputFolder
 from torchid.storage.snapshot import release
@@ -32,27 +35,34 @@ from torchid.storage.snapshot import release
 PIECE = 8192
 """Frames of a motion file that are put together at a time."""
 TABLES = (
-    "geometry.json", "inertia.json", "diagnosis.json", "model.urdf", "model.osim", "report.html", "provenance.json"
+    "geometry.json", "inertia.json", "diagnosis.json", "results.csv", "cycles.csv", "model.urdf", "model.osim",
+    "report.html", "provenance.json",
 )  # fmt: skip
 COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
 """Names of a wrench's components in files."""
 _SOURCES = ", ".join(f"{one.value} {one.name.lower()}" for one in WrenchSource)
 SERIES = ("motion_{}.nc", "forces_{}.nc", "{}_ik.mot", "{}_id.sto")
-"""Names of a trial's files."""
+"""Names of a trial's files beside those for OpenSim's tool (``opensim_setup.SUFFIXES``)."""
 
 
 def result_names(trials: Iterable[str]) -> list[str]:
     """Every file that a run may write, but for its config."""
-    return [*TABLES, *(name.format(safe_name(trial)) for trial in trials for name in SERIES)]
+    return [*TABLES, *(name.format(safe_name(trial)) for trial in trials for name in (*SERIES, *SUFFIXES))]
 
 
 def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | None) -> None:
     """Write everything that is known; ``failure`` is why the rest is not."""
-    write_json(folder.path("geometry.json"), geometry_table(outcome))
+    tables = {"geometry.json": geometry_table(outcome)}
     if outcome.identified is not None:
-        write_json(folder.path("inertia.json"), inertia_table(outcome))
+        tables["inertia.json"] = inertia_table(outcome)
     if outcome.diagnosis is not None:
-        write_json(folder.path("diagnosis.json"), diagnosis_table(outcome))
+        tables["diagnosis.json"] = diagnosis_table(outcome)
+    for name, table in tables.items():
+        write_json(folder.path(name), table)
+    strides = joint_cycles(outcome)
+    write_text(folder.path("results.csv"), results_csv(outcome, tables, strides))
+    if strides is not None:
+        write_text(folder.path("cycles.csv"), cycles_csv(strides))
     for name in outcome.session.trials:
         _write_trial(outcome, name, folder)
         release()
@@ -78,6 +88,10 @@ def _write_trial(outcome: Outcome, name: str, folder: OutputFolder) -> None:
     for path, table, title in ((kinematics, coordinates, "kinematics"), (dynamics, forces_by_name, "dynamics")):
         values = torch.stack(list(table.values()), dim=1).numpy()
         write_storage(path, tuple(table), time, values, title=f"{name} {title}")
+    under = outcome.under.get(name)
+    if under is not None and under.contacts:
+        grf, loads, setup = (folder.path(file.format(safe_name(name))) for file in SUFFIXES)
+        write_tool_files(under, item.motion.time, ToolFiles(grf, loads, setup, kinematics))
 
 
 def opensim_tables(
@@ -97,7 +111,7 @@ def opensim_tables(
         names = osim_names(tree)
         columns = [f"{n}_{'force' if tree.dofs[k].unit == 'm' else 'moment'}" for k, n in enumerate(names)]
         table = dict(zip(names, osim_coordinates(q).unbind(1), strict=True))
-        return table, dict(zip(columns, torque.unbind(1), strict=True))
+        return table, dict(zip(columns, osim_forces(q, torque).unbind(1), strict=True))
     values = binding.from_tree(tree.dof_names, q)
     kind = {
         one.name: "moment" if one.motion is CoordinateKind.ROTATIONAL else "force" for one in binding.model.coordinates

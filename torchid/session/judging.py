@@ -95,6 +95,24 @@ WORSE = 0.08
 (``NeverWorseOptions.prior_blocks``)."""
 FAR_SD = 3.0
 """Derived. Standard deviations that chance reaches in one of 370 comparisons."""
+REMEDIES = {
+    "force": "Run `torchid check` on the recordings, then see what is left under “Forces”",
+    "moment": "Check zeros, corners and origins of plates with `torchid check`, then see what is left under “Forces”",
+    "force_template": "Record more motion on the plates, or keep the masses of tables: `inertia: {enabled: false}`",
+    "moment_template": "Record more motion on the plates, or keep the masses of tables: `inertia: {enabled: false}`",
+    "markers": "See under “Skeleton and markers” which are farthest off: displaced, or on another segment",
+    "marker_max": "See under “Skeleton and markers” which one: its label may be exchanged for some frames",
+    "mass_standing": "Check the plates' zeros and gains: they disagree between standing and moving, "
+    "or something was carried in one of them",
+    "mass_recorded": "Weigh the subject again, in the clothes and shoes of the recordings, or check the plates' gains",
+    "symmetry": "Record motion of both sides on the plates, such as squats and arm swings",
+    "segment_mass": "Such a mass is an error of motion or plates more often than the person: compare with other trials",
+    "unseen": "Put markers on the trunk and the arms where their inertia matters",
+    "untested": "Hold out a trial on the plates: `role: heldout`",
+    "converged": "Raise `geometry.iterations`",
+    "heldout": "Record one trial more of the same motion, or give one `role: heldout`",
+}
+"""What to do where a figure is beyond its norm, by its name."""
 ASYMMETRY = 0.15
 """A choice. Difference of left and right masses over their mean beyond which few people are."""
 REFUSED = tuple(f"inertia.{status}" for status in InertiaStatus)
@@ -107,8 +125,9 @@ def quality_of(outcome: Outcome, failure: DataError | None = None) -> Quality:
     Args:
         failure: what kept the rest from being found, or why no body could give it.
     """
-    found = [*_failed(failure), *_unseen(outcome), *_residuals(outcome), *_markers(outcome), *_masses(outcome)]
-    return Quality((*found, *_segments(outcome), *_unsure(outcome)))
+    found = [*_unseen(outcome), *_residuals(outcome), *_markers(outcome), *_masses(outcome)]
+    found += [*_segments(outcome), *_unsure(outcome)]
+    return Quality((*_failed(failure), *(replace(one, remedy=REMEDIES[one.name]) for one in found)))
 
 
 def _failed(failure: DataError | None) -> list[Criterion]:
@@ -118,7 +137,7 @@ def _failed(failure: DataError | None) -> list[Criterion]:
         QualityLevel.UNUSABLE if failure.code.startswith("result.") or failure.code in REFUSED else QualityLevel.CARE
     )
     shown = f"{failure.message}: {failure.found}" if failure.found else failure.message
-    return [Criterion(failure.code, level, math.nan, math.nan, shown, "", OWN)]
+    return [Criterion(failure.code, level, math.nan, math.nan, shown, "", OWN, failure.remedy)]
 
 
 def _unseen(outcome: Outcome) -> list[Criterion]:
@@ -134,8 +153,11 @@ def _residuals(outcome: Outcome) -> list[Criterion]:
     """Of the identified inertia, in the frames and through the filter that the template's are taken in."""
     judge = judges(outcome, "inertia")
     trials = [own for name in judge.names if (own := outcome.followed[name].wrench) is not None and own.used.any()]
-    if outcome.identified is None or not trials:
+    if outcome.identified is None:
         return []
+    if not trials:
+        said = f"none of the {judge.words} has forces that can be used, so the identified inertia is untested"
+        return [Criterion("untested", QualityLevel.CARE, math.nan, math.nan, said, "", OWN)]
     force, moment = residual_rms(trials, outcome.phi)
     peak = max(float(own.wrench[own.used, :3].norm(dim=1).max()) for own in trials)
     lever = CENTRE_HEIGHT * (outcome.config.subject.height_m or STATURE_M)

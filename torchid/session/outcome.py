@@ -49,6 +49,8 @@ class Criterion:
     """The norm in words, such as ``norm 5 %``; empty where there is none."""
     source: str
     """Where the norm comes from."""
+    remedy: str = ""
+    """What to do where it is not good."""
 
     @property
     def words(self) -> str:

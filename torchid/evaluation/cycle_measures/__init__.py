@@ -1,1 +1,1 @@
-"""Cycles of a movement and what is measured in each."""
+"""Which measures an evaluation has of every cycle, and their rows."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from torchid.config import Config
 from torchid.config.sections import BUILTIN_MODELS
-from torchid.evaluation.cycle_measures.conventions import chosen, side_of, spellings
-from torchid.evaluation.cycle_measures.cycles import Cycle
-from torchid.evaluation.cycle_measures.measures import STANCE, STRIDE, WHOLE
+from torchid.cycles.conventions import chosen, side_of, spellings
+from torchid.cycles.cycles import Cycle
+from torchid.cycles.measures import STANCE, STRIDE, WHOLE
 from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.torque_shares.back import trunk_of
 from torchid.model.model import Model

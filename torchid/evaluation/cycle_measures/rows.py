@@ -7,9 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.evaluation.cycle_measures.cycles import Cycle, normalise
-from torchid.evaluation.cycle_measures.layout import MeasureLayout
-from torchid.evaluation.cycle_measures.measures import (
+from torchid.cycles.cycles import Cycle, normalise
+from torchid.cycles.measures import (
     STANCE,
     WHOLE,
     measure,
@@ -18,6 +17,7 @@ from torchid.evaluation.cycle_measures.measures import (
     trapezoid,
     whole_values,
 )
+from torchid.evaluation.cycle_measures.layout import MeasureLayout
 from torchid.evaluation.torque_shares.back import LowBack
 from torchid.evaluation.torque_shares.shares import Shares
 from torchid.evaluation.trials import ConditionTrial

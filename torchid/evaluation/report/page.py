@@ -3,9 +3,9 @@
 import math
 from collections.abc import Sequence
 
+from torchid.cycles.cycles import APART
 from torchid.devices import SheetFinding
 from torchid.evaluation.compared import Compared
-from torchid.evaluation.cycle_measures.cycles import APART
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.gaps import contradicted
 from torchid.evaluation.ledger import Key, Ledger

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from torchid.evaluation.cycle_measures.conventions import SIDED
+from torchid.cycles.conventions import SIDED
 from torchid.evaluation.numbers import column_unit
 from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.wording import clean

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.config import Config
-from torchid.evaluation.cycle_measures.cycles import Cycle
+from torchid.cycles.cycles import Cycle
 from torchid.evaluation.cycle_measures.layout import MeasureLayout
 from torchid.evaluation.cycle_measures.rows import CycleRows
 from torchid.evaluation.statistics.comparing import Comparison, Sample, compare

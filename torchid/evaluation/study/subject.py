@@ -11,8 +11,8 @@ import xarray
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.cycles.conventions import side_of
 from torchid.errors import InputError
-from torchid.evaluation.cycle_measures.conventions import side_of
 from torchid.evaluation.ledger import BODIES
 from torchid.evaluation.statistics.comparing import MeasureColumn
 from torchid.evaluation.statistics.units import trial_units, unit_means

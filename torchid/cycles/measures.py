@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.contact.contact import Contact
-from torchid.evaluation.cycle_measures.cycles import Cycle, strikes
+from torchid.cycles.cycles import Cycle, strikes
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Cycles of a movement, and what is measured in each."""

@@ -1,0 +1,72 @@
+"""What people read on a terminal: lines that cannot do harm, bars, errors, a verdict in colours."""
+
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from torchid.wording import visible
+
+if TYPE_CHECKING:
+    from torchid.report.blocks import Light
+
+MARKS = {"good": ("●", "green"), "usable with care": ("▲", "yellow"), "do not use": ("■", "red")}
+"""Sign and colour of what a reader may do with a result."""
+
+
+class Terminal(Console):
+    """Whatever is printed: a label of a file that holds terminal escapes is shown, not obeyed."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """The parts of what is printed; those that control the terminal are rich's own."""
+        if isinstance(renderable, Text):
+            renderable = renderable.copy()
+            renderable.plain = visible(renderable.plain)  # before its lines are broken
+        for part in super().render(renderable, options):
+            yield part if part.control else Segment(visible(part.text), part.style)
+
+
+class Bar:
+    """The bars on the terminal, one a stage, as the callback of a run (``session.fitting.OnStage``)."""
+
+    def __init__(self, bars: Progress) -> None:
+        self.bars, self.tasks = bars, {}
+
+    def __call__(self, stage: str, fraction: float) -> None:
+        if stage not in self.tasks:
+            self.tasks[stage] = self.bars.add_task(stage, total=1.0)
+        self.bars.update(self.tasks[stage], completed=fraction)
+
+
+@contextmanager
+def progress_bars() -> Iterator[Bar]:
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Terminal(stderr=True), disable=not sys.stderr.isatty()) as bars:
+        yield Bar(bars)
+
+
+def complain(error: object, traceback: bool = False) -> None:
+    console = Terminal(stderr=True)
+    if traceback:
+        console.print_exception()
+    for line in str(error).split("\n"):
+        console.print(f"torchid: {line}", soft_wrap=True, highlight=False, markup=False)
+
+
+def print_lights(lights: "Sequence[Light]") -> None:
+    """Print what one look tells of a run, each line with its sign.
+
+    Args:
+        lights: as the report has them.
+    """
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for light in lights:
+        sign, colour = ("→", "blue") if light.level is None else MARKS[light.level.value]
+        table.add_row(Text(sign, style=colour), Text(light.about, style="bold"), Text(light.text))
+    Terminal().print(table)
