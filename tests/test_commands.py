@@ -20,6 +20,7 @@ from torchid.evaluation import evaluate
 from torchid.evaluation.study import write
 from torchid.folder import survey as folder_survey
 from torchid.live import run as live
+from torchid.run import demo
 from torchid.scene import finished
 from torchid.session import checking
 
@@ -88,7 +89,7 @@ def test_a_command_of_a_page_reaches_its_work(command, tmp_path, monkeypatch):
                 (tmp_path / "data" / name).parent.mkdir(parents=True, exist_ok=True)
                 (tmp_path / "data" / name).touch()
     for where, name in (
-        (run, "run_experiment"), (run, "run_simulation"), (evaluate, "evaluate"),
+        (run, "run_experiment"), (run, "run_simulation"), (demo, "run_simulation"), (evaluate, "evaluate"),
         (live, "prepare_subject"), (live, "open_as_recorded"), (finished.FinishedRun, "__init__"),
         (check_report, "check_recordings"),
         (checking, "check_recordings"),

@@ -1,17 +1,10 @@
 """Effects hidden by lot: repeatable, plantable, of sizes that laboratories meet, and judged fairly."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-
-from hiding import LOTS, draw_hidden, judge
-from test_scripts import script
-
-from torchid.config import load_config
 from torchid.effects.catalogue import CATALOGUE
-from torchid.run import run_simulation
+from torchid.run import demo, run_simulation
+from torchid.simulate.hiding import LOTS, draw_hidden, judge
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.planting import planted
 
@@ -54,9 +47,9 @@ def test_verdicts_are_judged_by_effect_and_place():
 
 def test_the_demo_shows_the_fit_nothing_of_the_draw(tmp_path):
     """What is run after the simulation names recordings only; what was hidden stands in the truth alone."""
-    demo, seed = script("demo"), 7
-    config = load_config(demo.CONFIG, [f"seed={seed}", f"out={tmp_path}"])
-    assert config.simulate is not None
+    seed = 7
+    config = demo.demo_config(seed, [f"out={tmp_path}"])
+    assert config.simulate is not None and config.out == tmp_path / str(seed)
     hidden = demo.hide(config.model_copy(update={"simulate": replace(OPTIONS, plates=2)}))
     assert hidden.simulate.effects == draw_hidden(seed, OPTIONS) != ()
     recordings = run_simulation(hidden)

@@ -15,20 +15,18 @@ from collections import Counter
 from functools import partial
 from pathlib import Path
 
-from demo import CONFIG, blind, hide
 from harness.command import Command, said_seed
 from harness.pool import performed
 from harness.rows import Row
-from hiding import judge
 
-from torchid.config import load_config
 from torchid.run import run_experiment, run_simulation
+from torchid.run.demo import blind, demo_config
+from torchid.simulate.hiding import judge
 
 
 def _performed(seed: int, out: Path) -> Row:
     """Hide, run on the files alone, and only then compare."""
-    config = load_config(CONFIG, [f"seed={seed}"])
-    config = hide(config.model_copy(update={"out": out / str(seed)}))
+    config = demo_config(seed).model_copy(update={"out": out / str(seed)})
     begin = time.monotonic(), time.process_time()
     recordings = run_simulation(config)
     run_experiment(blind(config, recordings))

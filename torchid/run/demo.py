@@ -1,41 +1,53 @@
-"""Hides an effect by lot in a simulated session, runs torchid on the files alone, opens the truth only then.
-
-scripts/demo              # the lot is drawn from the clock
-scripts/demo 7            # the same again
-scripts/demo 7 simulate.duration_s=10 diagnosis.max_effects=1
-"""
+"""Hides an effect by lot in a simulated session, runs torchid on the files alone, opens the truth only then."""
 
 import json
-import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from importlib.resources import as_file, files
 from pathlib import Path
-
-from harness.command import ROOT, by_lot
-from hiding import draw_hidden, judge
 
 from torchid.config import Config, load_config
 from torchid.diagnosis.verdict.records import Cause
 from torchid.report.cause_sentences import called, chance, told
-from torchid.run import run_experiment, run_simulation
+from torchid.run.sequence import run_experiment
+from torchid.run.simulation import run_simulation
 from torchid.session import Outcome
+from torchid.session.fitting import OnStage
+from torchid.simulate.hiding import draw_hidden, judge
 
-CONFIG = ROOT / "configs" / "demo.yaml"
+SECTIONS = "demo.yaml"
+"""Config of the session: beside this module where torchid is installed, in ``configs`` of a checkout."""
 
 
-def main(arguments: list[str]) -> None:
-    """Simulate, run, say, and only then compare."""
-    seed, overrides = by_lot(arguments)
-    config = load_config(CONFIG, [f"seed={seed}", *overrides])
-    config = hide(config.model_copy(update={"out": config.out / str(config.seed)}))
-    print(f"Seed {config.seed} (`scripts/demo {config.seed}` repeats it). Simulating ...", flush=True)
+def demo_config(seed: int, overrides: Sequence[str] = ()) -> Config:
+    """Return the config of a seed, with the effect that it hides.
+
+    Args:
+        seed: of the person, their motion, and of what is hidden.
+        overrides: as ``key=value``.
+    """
+    with as_file(files("torchid.run").joinpath(SECTIONS)) as installed:
+        found = installed if installed.exists() else Path(__file__).parents[2] / "configs" / SECTIONS
+        config = load_config(found, [f"seed={seed}", f"out={Path('out/demo').resolve()}", *overrides])
+    return hide(config.model_copy(update={"out": config.out / str(config.seed)}))
+
+
+def demonstrate(config: Config, progress: OnStage) -> Iterator[str]:
+    """Simulate, run, say, and only then compare; yields lines for a person as they come.
+
+    Args:
+        config: as of ``demo_config``.
+        progress: hears of every stage.
+    """
+    yield f"Seed {config.seed} (`torchid demo {config.seed}` repeats it). Simulating ..."
     recordings = run_simulation(config)
-    print("Identifying and diagnosing from the files alone ...", flush=True)
-    outcome = run_experiment(blind(config, recordings))
-    print("\n".join(verdict(outcome)), flush=True)
+    yield "Identifying and diagnosing from the files alone ..."
+    outcome = run_experiment(blind(config, recordings), progress)
+    yield from verdict(outcome)
     truth = json.loads((recordings.parent / "truth" / "subject.json").read_text())["options"]["effects"]
     causes = json.loads((config.out / "diagnosis.json").read_text())["causes"]
-    print("\n".join(compared(truth, [cause for cause in causes if cause["level"] != "possible"])))
-    print(f"Report: {config.out / 'report.html'}")
+    yield from compared(truth, [cause for cause in causes if cause["level"] != "possible"])
+    yield f"Report: {config.out / 'report.html'}"
 
 
 def hide(config: Config) -> Config:
@@ -77,7 +89,3 @@ def compared(truth: list[dict], causes: list[dict]) -> list[str]:
     right, sizes = judge(truth, causes)
     hidden = "; ".join(f"{one['effect']} at {', '.join(one['where'])}" for one in truth) or "nothing"
     return [f"Truth: {hidden}. The verdict was {'right' if right else 'wrong'}.", *(f"  {size}" for size in sizes)]
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -11,7 +11,14 @@ import numpy as np
 from numpy.random import Generator
 
 from torchid.effects.catalogue import effect
+from torchid.effects.flywheel import Flywheel
+from torchid.effects.forces import Drag
+from torchid.effects.markers import MarkerShift
+from torchid.effects.masses import Payload
 from torchid.effects.place import Interval
+from torchid.effects.plates import PlateGain, PlatePose
+from torchid.effects.session import GravityTilt
+from torchid.effects.timing import TimeOffset
 from torchid.simulate.options import PlantedOptions, SimulateOptions
 
 Lot = Callable[[Generator, SimulateOptions], tuple[PlantedOptions, ...]]
@@ -30,44 +37,44 @@ def _nothing(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, 
 
 
 def _clock(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
-    return (PlantedOptions("time_offset", parameters={"lag_s": _signed(rng, 0.012, 0.02)}),)
+    return (PlantedOptions(TimeOffset.name, parameters={"lag_s": _signed(rng, 0.012, 0.02)}),)
 
 
 def _gain(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
-    return (PlantedOptions("plate_gain", _plate(rng), parameters={"gain": 1.0 + _signed(rng, 0.02, 0.05)}),)
+    return (PlantedOptions(PlateGain.name, _plate(rng), parameters={"gain": 1.0 + _signed(rng, 0.02, 0.05)}),)
 
 
 def _pose(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
     shift = [*_flat(rng, 0.01, 0.02), 0.0]
     turn = [0.0, 0.0, _signed(rng, 0.005, 0.02)]
-    return (PlantedOptions("plate_pose", _plate(rng), parameters={"shift_m": shift, "rotation_rad": turn}),)
+    return (PlantedOptions(PlatePose.name, _plate(rng), parameters={"shift_m": shift, "rotation_rad": turn}),)
 
 
 def _load(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
     point = [_signed(rng, 0.05, 0.15), 0.0, float(rng.uniform(0.1, 0.3))]
     values = {"mass_kg": float(rng.uniform(3.0, 6.0)), "point_seg_m": point}
-    return (PlantedOptions("payload", ("thorax",), parameters=values),)
+    return (PlantedOptions(Payload.name, ("thorax",), parameters=values),)
 
 
 def _tilt(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
     roll, pitch = _flat(rng, math.radians(0.5), math.radians(1.0))
-    return (PlantedOptions("gravity_tilt", parameters={"roll_rad": roll, "pitch_rad": pitch}),)
+    return (PlantedOptions(GravityTilt.name, parameters={"roll_rad": roll, "pitch_rad": pitch}),)
 
 
 def _drag(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
     values: dict[str, float | list] = {"coefficient_Ns_m": float(rng.uniform(25.0, 50.0))}
-    return (PlantedOptions("drag", (str(rng.choice(["thorax", "pelvis"])),), parameters=values),)
+    return (PlantedOptions(Drag.name, (str(rng.choice(["thorax", "pelvis"])),), parameters=values),)
 
 
 def _knocked(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
     when = (Interval(str(rng.choice(options.fit)), 0.0, options.duration_s),)
     shift = _direction(rng, 3) * rng.uniform(0.01, 0.02)
-    return (PlantedOptions("marker_shift", (str(rng.choice(LABELS)),), when, {"shift_seg_m": shift.tolist()}),)
+    return (PlantedOptions(MarkerShift.name, (str(rng.choice(LABELS)),), when, {"shift_seg_m": shift.tolist()}),)
 
 
 def _spin(rng: Generator, options: SimulateOptions) -> tuple[PlantedOptions, ...]:
     momentum = _direction(rng, 3) * rng.uniform(2.0, 5.0)
-    return (PlantedOptions("flywheel", ("thorax",), parameters={"momentum_seg_Nms": momentum.tolist()}),)
+    return (PlantedOptions(Flywheel.name, ("thorax",), parameters={"momentum_seg_Nms": momentum.tolist()}),)
 
 
 LOTS: tuple[Lot, ...] = (_nothing, _clock, _gain, _pose, _load, _tilt, _drag, _knocked, _spin)
