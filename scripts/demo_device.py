@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import yaml
-from harness.command import ROOT, by_lot
+from harness.command import ROOT
 
 from torchid.config import Config, load_config
 from torchid.cycles.measures import measure
@@ -21,6 +21,7 @@ from torchid.devices import Device, load_device
 from torchid.evaluation.evaluate import evaluate
 from torchid.evaluation.evaluation import Evaluation
 from torchid.evaluation.simulation import simulate_conditions
+from torchid.run.demo import by_lot
 from torchid.storage.results import OutputFolder
 
 CONFIG = ROOT / "configs" / "evaluate_simulated.yaml"

@@ -79,6 +79,32 @@ def test_forces_of_a_folder_with_markers_of_its_own_are_theirs(tmp_path: Path) -
     ]
 
 
+def timed(file: Path, start: float, rows: int) -> None:
+    """A TRC, or a table of forces, at 100 Hz from a time on."""
+    times = [start + 0.01 * k for k in range(rows)]
+    if file.suffix == ".trc":
+        head = f"PathFileType\t4\t(X/Y/Z)\tx\nDataRate\n100 100 {rows} 1 m 100 1 {rows}\nFrame#\tTime\tA\n\t\tX1\n\n"
+        file.write_text(head + "".join(f"{k}\t{t:.2f}\t0\t0\t1\n" for k, t in enumerate(times, 1)))
+    else:
+        head = f"x\nnRows={rows}\nnColumns=4\nendheader\ntime\tground_force_vx\tground_force_vy\tground_force_vz\n"
+        file.write_text(head + "".join(f"{t:.2f}\t0\t700\t0\n" for t in times))
+
+
+def test_forces_of_another_name_find_the_markers_that_begin_and_end_with_them(tmp_path: Path) -> None:
+    """Only where no other file on either side does, and never those that a name gives to others."""
+    walk, squat, plates, other = (tmp_path / name for name in ("walk.trc", "squat.trc", "plates.mot", "other.mot"))
+    timed(walk, 0.0, 240)
+    timed(squat, 0.0, 500)
+    timed(plates, 0.0, 241)
+    assert find_recordings(tmp_path) == [(squat, None), (walk, plates)]
+    timed(other, 0.0, 240)
+    assert find_recordings(tmp_path) == [(squat, None), (walk, None)]
+    timed(other, 1.0, 240)
+    assert find_recordings(tmp_path) == [(squat, None), (walk, plates)]
+    timed(tmp_path / "plates.trc", 3.0, 90)
+    assert dict(find_recordings(tmp_path)) == {squat: None, walk: None, tmp_path / "plates.trc": plates}
+
+
 def test_files_to_check_are_paired_in_order(tmp_path: Path) -> None:
     """A force file belongs to the marker file before it; one without, another kind and an empty folder are refused."""
     a, b, f = Path("a.TRC"), Path("b.c3d"), Path("a_grf.mot")

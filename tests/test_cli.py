@@ -57,7 +57,7 @@ def experiment(monkeypatch):
 
     module.run_experiment = run_experiment
     monkeypatch.setitem(sys.modules, "torchid.run", module)
-    monkeypatch.setattr("torchid.report.glance.glance", lambda outcome: LIGHTS)
+    monkeypatch.setattr("torchid.report.glance.glance", lambda *_: LIGHTS)
     return seen, outcome
 
 

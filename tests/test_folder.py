@@ -360,6 +360,20 @@ def test_labels_of_no_set_are_refused(seed: int) -> None:
         recognise(labels, "folder")
 
 
+def test_recordings_without_forces_give_geometry_alone(person: SimulatedSession, tmp_path: Path) -> None:
+    """Nothing of inertia is asked for, and one of a kind is held out all the same."""
+    folder = tmp_path / "data"
+    folder.mkdir()
+    for item in (person.trial(name) for name in ALL):
+        write_c3d(folder / f"{item.trial.name}.c3d", replace(item.trial, forces=None))
+    proposal = propose(folder)
+    assert roles(proposal)["squats_3"] == "heldout" and roles(proposal)["static"] == "static"
+    (tmp_path / "new.yaml").write_text(config_text(proposal, tmp_path), encoding="utf-8")
+    config = load_config(tmp_path / "new.yaml")
+    assert not config.inertia.enabled and not any(one.inertia for one in config.trials if one.role != "static")
+    assert "no forces: mass and inertia are not identified" in proposal.doubts
+
+
 def test_run_takes_a_folder(person: SimulatedSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`torchid new` writes and never over another; `torchid run FOLDER` writes and runs; overrides reach it."""
     folder = laid_out(person, tmp_path / "data", TWO)
@@ -371,7 +385,7 @@ def test_run_takes_a_folder(person: SimulatedSession, tmp_path: Path, monkeypatc
         return SimpleNamespace(quality=None)
 
     monkeypatch.setattr(run, "run_experiment", experiment)
-    monkeypatch.setattr("torchid.report.glance.glance", lambda _: ())
+    monkeypatch.setattr("torchid.report.glance.glance", lambda *_: ())
     assert CliRunner().invoke(app, ["new", str(folder), "-o", "a.yaml", "--mass", "70"]).exit_code == 0
     assert load_config("a.yaml").subject.mass_kg == 70.0
     again = CliRunner().invoke(app, ["new", str(folder), "-o", "a.yaml"])

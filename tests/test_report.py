@@ -32,7 +32,7 @@ from torchid.report.detectable_table import sized
 from torchid.report.diagnosis import diagnosis_section, gained
 from torchid.report.facts import body_weight, wrenches
 from torchid.report.forces import Score, _draw_trial, instructive
-from torchid.report.glance import NOTHING, SIDES, glance, next_step, verdict_words
+from torchid.report.glance import LOOK, NOTHING, SIDES, glance, next_step, verdict_words
 from torchid.report.joints import joints_section
 from torchid.report.page import render_report
 from torchid.report.picture import LEAST, person_picture, shown_frame
@@ -293,7 +293,7 @@ def test_a_worse_held_out_residual_is_called_worse(run):
     section = head_section(outcome, wrenches(outcome), None)
     said = [item for block in section.blocks for item in getattr(block, "items", ())]
     assert section.finding.startswith("Do not use: held-out force residual")
-    (forces,) = [one for one in glance(outcome) if one.about == "Forces"]
+    (forces,) = [one for one in glance(outcome, quality_of(outcome)) if one.about == "Forces"]
     assert forces.level is QualityLevel.UNUSABLE and "against the scaled template" in forces.text
     assert any("Force residual higher than the scaled template's" in item for item in said), said
     assert any("left thigh" in item and "prior standard deviations" in item for item in said)
@@ -301,7 +301,7 @@ def test_a_worse_held_out_residual_is_called_worse(run):
 
 def test_one_look_tells_every_side_and_what_to_do_next(run):
     """Each line has the worst level of its figures; what comes next is the cure of what weighs most."""
-    lights = {one.about: one for one in glance(run.outcome)}
+    lights = {one.about: one for one in glance(run.outcome, quality_of(run.outcome))}
     quality = quality_of(run.outcome)
     for about, names in SIDES.items():
         own = [one for one in quality.criteria if one.name in names]
@@ -313,17 +313,25 @@ def test_one_look_tells_every_side_and_what_to_do_next(run):
     assert list(lights)[-1] == "Next" and lights["Next"].level is None
 
     failure = DataError("inertia.unexplained", "no body explains the forces", remedy="Check the plates' corners")
-    failed = {one.about: one for one in glance(replace(run.outcome, identified=None), failure)}
+    untold = replace(run.outcome, identified=None)
+    failed = {one.about: one for one in glance(untold, quality_of(untold, failure))}
     assert failed["Next"].text == "Check the plates' corners." and "no body explains" in failed["Fit"].text.lower()
     assert "masses are those of tables" in failed["Mass"].text
 
     late = replace(cause("time_offset"), confidence=0.95)
     found = Diagnosis((), Errors(1.0, 1.0), Errors(1.0, 1.0), (late,), Adequacy(False, 0.5, 0.1, "little"))
-    named = {one.about: one for one in glance(replace(run.outcome, diagnosis=found))}
+    named = {one.about: one for one in glance(replace(run.outcome, diagnosis=found), quality)}
     assert named["Recordings"].level is QualityLevel.CARE and told(late) in named["Recordings"].text
     assert "forces_as" in named["Next"].text
     good = Quality(tuple(replace(one, level=QualityLevel.GOOD) for one in quality.criteria))
-    assert next_step(run.outcome, good) == NOTHING
+    assert next_step(None, good) == ""
+    calm = replace(run.outcome, session=replace(run.outcome.session, tracking=()), diagnosis=None)
+    assert glance(calm, good)[-1].text == f"{NOTHING}."
+    more = replace(found, causes=(), unexplained=Adequacy(True, 1e-9, 0.6, "much"))
+    *_, recordings, after = glance(replace(calm, diagnosis=more), good)
+    assert recordings.level is QualityLevel.CARE and after.text == f"{LOOK}."
+    bad = Quality(tuple(replace(one, level=QualityLevel.UNUSABLE) for one in quality.criteria))
+    assert glance(calm, bad)[0].level is QualityLevel.UNUSABLE and "not to be used" in glance(calm, bad)[0].text
 
 
 def test_the_picture_shows_the_person_on_the_plates(run):
@@ -331,8 +339,7 @@ def test_the_picture_shows_the_person_on_the_plates(run):
     svg, caption = person_picture(run.outcome)
     trial, frame = shown_frame(run.outcome)
     forces = run.outcome.session.trials[trial].forces
-    sample = int((forces.time - run.outcome.followed[trial].tracked.time[frame]).abs().argmin())
-    stood = int((forces.wrench[sample, :, 2] > LEAST * body_weight(run.outcome)).sum())
+    stood = int((forces.wrench[frame, :, 2] > LEAST * body_weight(run.outcome)).sum())
     assert stood and svg.count("#8f1d14") >= stood and "forces of the plates" in caption
     assert svg.count("#0b5394") >= len(run.outcome.fit.model.tree.bodies) - 1
 

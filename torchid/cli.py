@@ -4,7 +4,8 @@ Exit codes: 0 done; 2 the config or a file is at fault; 3 the data do not suppor
 130 interrupted. Heavy imports wait inside the commands, because torch alone takes seconds.
 """
 
-import time
+import io
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
@@ -15,13 +16,11 @@ from typing import Annotated, NamedTuple
 import typer
 from rich.text import Text
 
-from torchid.errors import ConfigError, InputError, TorchidError, said_of_defect
+from torchid.errors import ConfigError, DataError, InputError, TorchidError, said_of_defect
 from torchid.storage.allocator import keep_memory
-from torchid.terminal import Terminal, complain, print_lights, progress_bars
+from torchid.terminal import Terminal, complain, print_lights, progress_bars, unbroken
 
 CONFIG_SUFFIXES = (".yaml", ".yml", ".json")
-UNBROKEN = 1 << 16
-"""Width of what is not shown on a terminal: nobody but a terminal wants lines broken."""
 
 app = typer.Typer(
     name="torchid",
@@ -57,6 +56,9 @@ class _Given(NamedTuple):
 
 @app.callback(invoke_without_command=True)
 def _main(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # no work is lost for a sign that a terminal cannot show
     if version:
         from importlib.metadata import version as installed
 
@@ -98,7 +100,7 @@ def run(
 
         given = _Given(subject, mass, height, sex)
         if config.is_dir():
-            config = _new_config(config, None, given, keep=True)
+            config = _new_config(config, None, given, keep=True, quiet=quiet)
         elif given != _Given():
             raise _person_twice(config)
         loaded = load_config(config, overrides or ())
@@ -107,10 +109,15 @@ def run(
 
         keep_memory()
         page = loaded.out / "report.html"
-        with progress_bars() as progress:
-            outcome = run_experiment(loaded, progress)
-        if not quiet:
-            print_lights(glance(outcome))
+        try:
+            with progress_bars() as progress:
+                outcome = run_experiment(loaded, progress)
+        except DataError:  # there is a report all the same, if there is a body
+            if page.exists():
+                complain(f"what there is: {page}")
+            raise
+        if not quiet and outcome.quality is not None:
+            print_lights(glance(outcome, outcome.quality))
         said = "" if outcome.quality is None else f", {outcome.quality.line}"
         Terminal().print(f"Done: {page}{said}", soft_wrap=True, highlight=False, markup=False)
         if show:
@@ -127,19 +134,13 @@ def demo(
 ) -> None:
     """A simulated session in which an effect is hidden by lot: found from the files alone, then compared."""
     with _exit_codes(debug):
-        from torchid.run.demo import demo_config, demonstrate
+        from torchid.run.demo import by_lot, demo_config, demonstrate
 
-        seed, overrides = _by_lot(words or [])
+        seed, overrides = by_lot(words or [])
         keep_memory()
         with progress_bars() as progress:
             for line in demonstrate(demo_config(seed, overrides), progress):
                 Terminal().print(line, soft_wrap=True, highlight=False, markup=False)
-
-
-def _by_lot(words: list[str]) -> tuple[int, list[str]]:
-    """The seed that stands first, else the clock's, and what stands behind it."""
-    given = bool(words) and words[0].isdecimal()
-    return int(words[0]) if given else time.time_ns() // 10**6 % 10**6, words[given:]
 
 
 @app.command()
@@ -265,11 +266,12 @@ def check(
             raise typer.Exit(InputError.exit_code)
 
 
-def _new_config(folder: Path, output: Path | None, given: _Given, keep: bool = False) -> Path:
+def _new_config(folder: Path, output: Path | None, given: _Given, keep: bool = False, quiet: bool = False) -> Path:
     """Write the config of a folder's session, and say what was chosen.
 
     Args:
         keep: use a config of the folder that is there already, instead of refusing to write over it.
+        quiet: say nothing.
     """
     from rich.table import Table
 
@@ -283,7 +285,7 @@ def _new_config(folder: Path, output: Path | None, given: _Given, keep: bool = F
     sex = given.sex and SEXES.get(given.sex.lower(), given.sex)
     with progress_bars() as progress:
         proposal = propose(folder, Person(*given[:3], sex), progress)
-    config, console = output or Path(f"{proposal.name}.yaml"), Terminal()
+    config, console = output or Path(f"{proposal.name}.yaml"), Terminal(quiet=quiet)
     if keep and config.exists():
         refuse_other(config, folder)
         if given[1:] != _Given()[1:]:
@@ -351,8 +353,7 @@ def _shown(findings: Iterator) -> Iterator:
     from torchid.checks.recording import TrialCheck, format_check
     from torchid.checks.report import Refusal
 
-    console = Terminal()
-    console = console if console.is_terminal else Terminal(width=UNBROKEN)
+    console = unbroken()
     for finding in findings:
         if isinstance(finding, TrialCheck):
             console.print(format_check(finding))

@@ -16,6 +16,8 @@ from torchid.wording import visible
 if TYPE_CHECKING:
     from torchid.report.blocks import Light
 
+UNBROKEN = 1 << 16
+"""Width of what is not shown on a terminal: nobody but a terminal wants lines broken."""
 MARKS = {"good": ("●", "green"), "usable with care": ("▲", "yellow"), "do not use": ("■", "red")}
 """Sign and colour of what a reader may do with a result."""
 
@@ -59,6 +61,12 @@ def complain(error: object, traceback: bool = False) -> None:
         console.print(f"torchid: {line}", soft_wrap=True, highlight=False, markup=False)
 
 
+def unbroken() -> Terminal:
+    """Return the standard output, with lines as long as they are where it is not shown on a terminal."""
+    console = Terminal()
+    return console if console.is_terminal else Terminal(width=UNBROKEN)
+
+
 def print_lights(lights: "Sequence[Light]") -> None:
     """Print what one look tells of a run, each line with its sign.
 
@@ -69,4 +77,4 @@ def print_lights(lights: "Sequence[Light]") -> None:
     for light in lights:
         sign, colour = ("→", "blue") if light.level is None else MARKS[light.level.value]
         table.add_row(Text(sign, style=colour), Text(light.about, style="bold"), Text(light.text))
-    Terminal().print(table)
+    unbroken().print(table)

@@ -77,13 +77,6 @@ def change(before: float, after: float) -> str:
     return f"{share if share.startswith(chr(0x2212)) or share == '0' else '+' + share} %"
 
 
-def better(before: float, after: float) -> str:
-    """``lower``, ``higher`` or ``the same``, to within 2 %."""
-    if abs(after - before) <= 0.02 * abs(before):
-        return "about the same as"
-    return "lower than" if after < before else "higher than"
-
-
 def bind(text: str) -> str:
     """Text whose numbers do not part from their units at the end of a line."""
     return _UNIT.sub("\N{NO-BREAK SPACE}", text)

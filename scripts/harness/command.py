@@ -3,7 +3,6 @@
 import argparse
 import os
 import secrets
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,9 +65,3 @@ def said_seed(given: int | None, below: int = 2**31) -> int:
     seed = secrets.randbelow(below) if given is None else given
     print(f"seed {seed}", flush=True)
     return seed
-
-
-def by_lot(arguments: Sequence[str]) -> tuple[int, Sequence[str]]:
-    """The seed that stands first, else the clock's, and what stands behind it."""
-    given = bool(arguments) and arguments[0].isdecimal()
-    return int(arguments[0]) if given else time.time_ns() // 10**6 % 10**6, arguments[given:]

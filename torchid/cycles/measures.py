@@ -134,7 +134,7 @@ def stride_values(
         heels: places of the heels in W by foot [m].
         step_s: time between frames [s].
     """
-    own = next(k for k, foot in enumerate(contact.feet) if foot.endswith(f"_{cycle.side}"))
+    own = next(k for k, foot in enumerate(contact.feet) if foot[-1] == cycle.side)
     other = next((k for k in range(len(contact.feet)) if k != own), None)
     seconds = (cycle.stop - cycle.start) * step_s
     heel = heels[contact.feet[own]]
@@ -157,7 +157,7 @@ def stance_values(
         root: place of the root's origin in W [m].
         step_s: time between frames [s].
     """
-    own = next(k for k, foot in enumerate(contact.feet) if foot.endswith(f"_{cycle.side}"))
+    own = next(k for k, foot in enumerate(contact.feet) if foot[-1] == cycle.side)
     seconds = (cycle.stop - cycle.start) * step_s
     way = root[cycle.stop, :2] - root[cycle.start, :2] - seconds * contact.belt[own]
     return root.new_tensor([seconds, float(way.norm()) / seconds])

@@ -97,6 +97,8 @@ def _entry(use: Use, beside: Path) -> Iterator[str]:
 
 
 def _tail(proposal: Proposal) -> Iterator[str]:
+    if not any(use.role and use.serves_inertia for use in proposal.uses):
+        yield "inertia: {enabled: false}  # no forces: geometry and motion alone"
     yield f"out: {_scalar(f'out/{proposal.name}')}"
 
 

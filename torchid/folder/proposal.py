@@ -9,7 +9,7 @@ from torchid.folder.people import PersonFacts, people_in, stature_of, told_of
 from torchid.folder.roles import Use, uses_of
 from torchid.folder.statements import Person
 from torchid.folder.survey import Surveyed, plain_name, survey
-from torchid.io.pairing import unpaired_forces
+from torchid.io.pairing import shares_name, unpaired_forces
 from torchid.model.recognition import Recognised, recognise, recognised
 from torchid.wording import listing, plural
 
@@ -67,6 +67,11 @@ def propose(
     pairs = [(one.file, one.forces) for one in every]
     alone = [file.name for file in unpaired_forces(folder, pairs)]
     doubts = [f"no TRC has the name of {listing(alone)}, whose forces are not used"] if alone else []
+    doubts += [
+        f"{file.name} takes the forces of {forces.name}, which alone begins and ends with it"
+        for file, forces in pairs
+        if forces is not None and not shares_name(file, forces)
+    ]
     return Proposal(folder, facts, markers, uses, (*doubts, *_doubts(facts, uses)))
 
 
@@ -145,7 +150,7 @@ def _doubts(facts: PersonFacts, uses: Sequence[Use]) -> Iterator[str]:
         yield f"no stature is stated; {person.height_m:.2f} m is what standing markers tell, to about 3 %"
     elif person.height_m is None:
         yield "no stature is stated: the mean of adults is taken, which no child has"
-    if not any(use.role and use.inertia and (use.of.has_forces or use.mend) for use in uses):
+    if not any(use.role and use.serves_inertia for use in uses):
         yield "no forces: mass and inertia are not identified"
     elif person.mass_kg is None:
         yield "no mass is stated: what plates carry tells it"

@@ -38,6 +38,11 @@ class Use:
     mend: str = ""
     """Line of a config without which its forces do not agree with its feet."""
 
+    @property
+    def serves_inertia(self) -> bool:
+        """Whether it has forces that take part, as read or as mended."""
+        return self.inertia and _serves_inertia(self.of)
+
 
 def uses_of(found: Sequence[Surveyed], known: Mapping[str, int]) -> tuple[Use, ...]:
     """Return what each recording serves for, in their order.
@@ -50,7 +55,8 @@ def uses_of(found: Sequence[Surveyed], known: Mapping[str, int]) -> tuple[Use, .
     able = [one for one in found if one.name not in unfit]
     static = _static([one for one in able if _still(one)], known)
     moving = [one for one in able if one is not static]
-    held = {one.name for kind in _kinds(moving).values() for one in _held(kind)}
+    weighed = [one for one in moving if _serves_inertia(one)] or moving
+    held = {one.name for kind in _kinds(weighed).values() for one in _held(kind)}
     return tuple(_use(one, unfit.get(one.name, ""), static, one.name in held) for one in found)
 
 
@@ -65,10 +71,10 @@ def _use(one: Surveyed, unfit: str, static: Surveyed | None, held: bool) -> Use:
     if one is static:
         return Use(one, "static", "; ".join(why), mend=mend)
     if not _serves_inertia(one):
-        return Use(one, "fit", "; ".join((*why, "geometry alone")), inertia=False)
-    return Use(
-        one, "heldout" if held else "fit", "; ".join((*why, *["others of its kind are fitted"] * held)), mend=mend
-    )
+        why.append("geometry alone")
+    if held:
+        why.append("others of its kind are fitted")
+    return Use(one, "heldout" if held else "fit", "; ".join(why), inertia=_serves_inertia(one), mend=mend)
 
 
 def _unfit(one: Surveyed, known: int) -> str:
@@ -120,11 +126,10 @@ def _static(still: Sequence[Surveyed], known: Mapping[str, int]) -> Surveyed | N
 
 
 def _kinds(some: Sequence[Surveyed]) -> dict[tuple[str, str], list[Surveyed]]:
-    """Return recordings with forces by kind: by their names but for numbers, and by what they show."""
+    """Return recordings by kind: by their names but for numbers, and by what they show."""
     kinds: dict[tuple[str, str], list[Surveyed]] = {}
     for one in some:
-        if _serves_inertia(one):
-            kinds.setdefault((ENDING.sub("", one.name), _motion(one)), []).append(one)
+        kinds.setdefault((ENDING.sub("", one.name), _motion(one)), []).append(one)
     return kinds
 
 

@@ -31,7 +31,8 @@ OXFORD_FOOT = re.compile(r"[LR](FOF|HDF|HLX|TIB|HE|ANK|D1M)\d|[LR](PROXFF|KAX|Ar
 FOOT_AXES = ("FOF", "HDF", "HLX")
 """Segments of which the Oxford foot model stores the origin (0) and the ends of the axes (1 to 3)."""
 AUGMENTED = "_study"
-"""OpenCap ends the names of markers that it estimates by this; they count where the marker itself is in the file."""
+"""OpenCap ends the names of markers that it estimates by this; they count where the marker itself is in the file, as
+spelt but for capitals: ``RKnee`` is a joint in the video, and not ``r_knee_study``'s marker."""
 
 
 def loose(label: str) -> str:
@@ -52,7 +53,7 @@ def named_outputs(names: Sequence[str]) -> set[int]:
     axes = {stem + end for ends in AXIS_ENDS for stem in _stems(present, ends) for end in ends}
     feet = {side + part for side in "LR" for part in FOOT_AXES if all(f"{side}{part}{k}" in present for k in range(4))}
     axes |= {f"{foot}{k}" for foot in feet for k in range(4)}
-    plain = {loose(name) for name in present}
+    plain = {name.casefold() for name in present}
     return {
         k
         for k, name in enumerate(names)
@@ -60,7 +61,7 @@ def named_outputs(names: Sequence[str]) -> set[int]:
         or CENTRES.fullmatch(name)
         or QUANTITIES.fullmatch(name)
         or (feet and OXFORD_FOOT.fullmatch(name))
-        or (name.endswith(AUGMENTED) and loose(name.removesuffix(AUGMENTED)) in plain)
+        or (name.endswith(AUGMENTED) and name.removesuffix(AUGMENTED).casefold() in plain)
     }
 
 

@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -12,6 +13,10 @@ FORCE_SUFFIXES = (".mot", ".sto")
 KIND = re.compile(r"(grfs?|forces?|marker(s|data)?|trc|mot|kinetics)", re.IGNORECASE)
 """Words of a file's name that say what is in it, not which trial."""
 FORCE_COLUMN = re.compile(r"force|(^|_)[vf][xyz]\d*$", re.IGNORECASE)
+SAME_S = 0.02
+"""Choice. Times by which beginnings and ends of one trial's files may differ: two frames at 100 Hz [s]."""
+TRC_HEAD = "Frame#"
+"""Word from which on a TRC has its columns."""
 HEAD = 16384
 """Bytes at the start of a file in which its columns are named."""
 
@@ -49,6 +54,8 @@ def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
 
     A force file belongs to a TRC where both names are equal but for words such as ``grf``; it lies in the same folder,
     or in one beside it or below it that holds no markers itself (``MarkerData/walk.trc``, ``ForceData/walk_grf.mot``).
+    Of those that are left over, a TRC and a force file belong together that begin and end at the same time, where no
+    other does.
 
     Raises:
         InputError: ``check.empty``.
@@ -61,7 +68,43 @@ def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
             "check.empty", "no recordings in this folder", source=folder, remedy="Name a folder with C3D or TRC files"
         )
     inhabited = {file.parent for file in markers}
-    return [(file, _forces_of(file, forces, inhabited) if file.suffix.lower() == ".trc" else None) for file in markers]
+    by_name = {file: _forces_of(file, forces, inhabited) for file in markers if file.suffix.lower() == ".trc"}
+    lone = [file for file, own in by_name.items() if own is None]
+    by_time = _same_time(lone, [file for file in forces if file not in by_name.values()]) if lone else {}
+    return [(file, by_name.get(file) or by_time.get(file)) for file in markers]
+
+
+def shares_name(markers: Path, forces: Path) -> bool:
+    """Whether names say that two files are of one trial.
+
+    Args:
+        markers: of a TRC.
+        forces: of a MOT or STO.
+    """
+    return _trial(markers) == _trial(forces)
+
+
+def _same_time(markers: list[Path], forces: list[Path]) -> dict[Path, Path]:
+    """Pairs that begin and end at the same time, where that is told of one file on either side alone."""
+    spans = {file: span for file in (*markers, *forces) if (span := _span(file)) is not None}
+    alike = [
+        (one, other) for one in markers for other in forces
+        if one in spans and other in spans
+        and all(abs(a - b) <= SAME_S for a, b in zip(spans[one], spans[other], strict=True))
+    ]  # fmt: skip
+    counts = Counter(file for pair in alike for file in pair)
+    return {one: other for one, other in alike if counts[one] == counts[other] == 1}
+
+
+def _span(file: Path) -> tuple[float, float] | None:
+    """First and last time of a table of markers or forces; None where its rows do not tell."""
+    column, head = (1, TRC_HEAD) if file.suffix.lower() == ".trc" else (0, "endheader")
+    try:
+        _, _, body = file.read_text(encoding="utf-8", errors="replace").partition(head)
+        rows = [row for line in body.splitlines() if (row := line.split()) and row[0][0] in "+-.0123456789"]
+        return (float(rows[0][column]), float(rows[-1][column]))
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 def unpaired_forces(folder: Path, pairs: Sequence[tuple[Path, Path | None]]) -> list[Path]:

@@ -12,10 +12,12 @@ from torchid.cycles.measures import STRIDE
 from torchid.report.blocks import Figure, Section, Table
 from torchid.report.figure import IDENTIFIED, MUTED, SCALED, draw, tidy
 from torchid.session.joint_cycles import JointCycles
-from torchid.wording import ABSENT, number, plural, spread
+from torchid.wording import ABSENT, listing, number, plural, spread
 
 SIDES = {"l": ("left", IDENTIFIED, "-"), "r": ("right", SCALED, (0, (4, 1.5)))}
 """Name, colour and line of each leg."""
+FEWEST = 3
+"""Choice. Strides from which on a standard deviation is drawn."""
 STEPS_A_MINUTE = 120.0
 """Derived. Two steps a stride, sixty seconds a minute."""
 VALUES = (
@@ -37,19 +39,19 @@ def gait_section(found: JointCycles | None) -> Section | None:
     if found is None:
         return None
     counts = {side: len(found.of(side)) for side in SIDES}
-    trials = len({cycle.trial for cycle in found.cycles})
+    trials = list(dict.fromkeys(cycle.trial for cycle in found.cycles))
     said = " and ".join(f"{plural(count, 'stride')} of the {SIDES[side][0]} leg" for side, count in counts.items())
     speed = found.values[:, STRIDE.index("speed_m_s")]
     cadence = STEPS_A_MINUTE / found.values[:, STRIDE.index("stride_time_s")]
     finding = (
-        f"{said[0].upper()}{said[1:]} in {plural(trials, 'trial')}, at {number(speed.mean(), 2)} m/s and "
+        f"{said[0].upper()}{said[1:]} in {listing(trials)}, at {number(speed.mean(), 2)} m/s and "
         f"{number(cadence.mean(), 0)} steps a minute."
     )
     caption = (
-        "Over the stride, from a strike of the foot to its next: mean of all strides, band: one standard deviation "
-        "(from three strides on; of fewer, every one is drawn). Vertical lines: toe off. Flexion, adduction, internal "
-        "rotation and dorsiflexion are positive; moments are the muscles' net ones, per kg of the identified mass, and "
-        "blank where the force under the leg is not known. Every stride is in cycles.csv."
+        "Over the stride, from a strike of the foot to its next: mean of those that are known, band: one standard "
+        "deviation where there are three or more; of fewer, every one is drawn. Vertical lines: toe off. Flexion, "
+        "adduction, internal rotation and dorsiflexion are positive; moments are the muscles' net ones, per kg of the "
+        "model's mass, and blank where the force under the leg is not known. Every stride is in cycles.csv."
     )
     return Section("gait", "Gait", finding, (_table(found), Figure(_draw(found), caption)))
 
@@ -100,15 +102,16 @@ def _draw(found: JointCycles) -> Markup:
 
 
 def _paint(axes: Axes, curves: Float[Tensor, "strides points"], side: str) -> None:
-    """Mean and band of the strides known at a point; of fewer than three strides each."""
+    """Mean of the strides known at a point, and a band where these are three or more; of fewer strides each."""
     _, colour, line = SIDES[side]
     percent = torch.linspace(0.0, 100.0, curves.shape[1])
-    if len(curves) < 3:
+    curves = curves[curves.isfinite().any(dim=1)]
+    if len(curves) < FEWEST:
         for curve in curves:
             axes.plot(percent, curve, color=colour, linestyle=line, linewidth=1.2)
         return
-    mean = curves.nanmean(dim=0)
-    sd = (curves - mean).square().nanmean(dim=0).sqrt()
+    mean, count = curves.nanmean(dim=0), curves.isfinite().sum(dim=0)
+    sd = ((curves - mean).square().nansum(dim=0) / (count - 1)).sqrt().where(count >= FEWEST, torch.nan)
     axes.fill_between(percent, mean - sd, mean + sd, color=colour, alpha=0.2, linewidth=0.0)
     axes.plot(percent, mean, color=colour, linestyle=line, linewidth=1.5)
 

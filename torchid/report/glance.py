@@ -7,13 +7,12 @@ from torchid.diagnosis.verdict.instruments import instrument_findings
 from torchid.diagnosis.verdict.records import Cause, Diagnosis
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.recommendations import tell_apart
-from torchid.errors import DataError
 from torchid.report.blocks import Light
 from torchid.report.cause_sentences import called, likely, told
 from torchid.session import Outcome
-from torchid.session.judging import REMEDIES, Mass, Masses, masses, quality_of
-from torchid.session.outcome import ORDER, Criterion, Quality, QualityLevel
-from torchid.wording import change, listing, number, plural, spread
+from torchid.session.judging import REMEDIES, Mass, Masses, masses
+from torchid.session.outcome import ORDER, Quality, QualityLevel
+from torchid.wording import change, clean, listing, number, plural, spread
 
 SIDES = {
     "Mass": ("mass_standing", "mass_recorded"),
@@ -25,19 +24,24 @@ SIDES = {
 FIT = "Fit"
 NOTHING = "Nothing has to be done: masses are in `inertia.json`, the model in `model.osim` and `model.urdf`"
 """What comes next where all is within its norm."""
+LOOK = "Read “What the model gets wrong” and “Data handling” before the results are used"
+"""What comes next where something is wrong that has no remedy of its own."""
+WHOLE = 400
+"""Choice. Letters of a sentence that are shown."""
 
 
-def glance(outcome: Outcome, failure: DataError | None = None) -> tuple[Light, ...]:
+def glance(outcome: Outcome, quality: Quality) -> tuple[Light, ...]:
     """Return what one look tells of a run, line by line.
 
     Args:
         outcome: the run.
-        failure: what kept the rest from being found, or why no body could give it.
+        quality: what it is worth.
     """
-    quality = quality_of(outcome, failure)
     lights = [light for about in SIDES if (light := _side(about, outcome, quality))]
     lights += [*_fit(quality), *_recordings(outcome, quality)]
-    return (*lights, Light("Next", None, f"{next_step(outcome, quality)}."))
+    good = all(one.level in (None, QualityLevel.GOOD) for one in lights)
+    step = next_step(outcome.diagnosis, quality) or (NOTHING if good else LOOK)
+    return (*lights, Light("Next", None, f"{step}."))
 
 
 def _side(about: str, outcome: Outcome, quality: Quality) -> Light | None:
@@ -45,9 +49,11 @@ def _side(about: str, outcome: Outcome, quality: Quality) -> Light | None:
     own = [one for one in quality.criteria if one.name in SIDES[about]]
     level = max((one.level for one in own), key=ORDER.index, default=None)
     if about == "Mass":
-        return Light(about, level, f"{mass_words(masses(outcome), quality.usable)}.")
+        refused = outcome.identified is not None and not quality.usable
+        words = mass_words(masses(outcome), quality.usable)
+        return Light(about, QualityLevel.UNUSABLE if refused else level, f"{words}.")
     shown = [one for k, one in enumerate(own) if k < 2 or one.level is not QualityLevel.GOOD]
-    return Light(about, level, _sentence(shown)) if shown else None
+    return Light(about, level, _sentence("; ".join(one.words for one in shown))) if shown else None
 
 
 def _fit(quality: Quality) -> Iterator[Light]:
@@ -55,24 +61,24 @@ def _fit(quality: Quality) -> Iterator[Light]:
     known = {name for names in SIDES.values() for name in names}
     own = [one for one in quality.criteria if one.name not in known]
     if own:
-        yield Light(FIT, max((one.level for one in own), key=ORDER.index), _sentence(own))
+        words = _sentence("; ".join(one.words for one in own))
+        yield Light(FIT, max((one.level for one in own), key=ORDER.index), words)
 
 
-def _sentence(some: list[Criterion]) -> str:
-    text = "; ".join(one.words for one in some)
+def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
 def _recordings(outcome: Outcome, quality: Quality) -> Iterator[Light]:
-    """What distances between markers and the diagnosis say of the recordings."""
-    said = [f"{one.sentence} ({one.trial})." for one in outcome.session.tracking]
-    more = [f"{len(said) - 1} more of markers: see “Data handling”."] if len(said) > 1 else []
-    found = outcome.diagnosis
-    named = [] if found is None else [verdict_words(found, quality.usable)]
-    if found is not None or said:
-        wrong = said or (found is not None and found.likely)
-        yield Light("Recordings", QualityLevel.CARE if wrong else QualityLevel.GOOD,
-                    " ".join((*named, *said[:1], *more)))  # fmt: skip
+    """What the diagnosis and distances between markers say of the recordings."""
+    found, moved = outcome.diagnosis, outcome.session.tracking
+    said = [] if found is None else [verdict_words(found, quality.usable)]
+    said += [_sentence(f"{clean(one.sentence, WHOLE)} ({clean(one.trial)})") for one in moved[:1]]
+    said += [f"{plural(len(moved) - 1, 'more finding')} of markers: see “Data handling”."] if len(moved) > 1 else []
+    if said:
+        named = found is not None and (found.likely or found.unexplained.significant)
+        wrong = named or moved or not quality.usable
+        yield Light("Recordings", QualityLevel.CARE if wrong else QualityLevel.GOOD, " ".join(said))
 
 
 def verdict_words(found: Diagnosis, usable: bool) -> str:
@@ -103,24 +109,24 @@ def verdict_words(found: Diagnosis, usable: bool) -> str:
     return " ".join(said)
 
 
-def next_step(outcome: Outcome, quality: Quality) -> str:
-    """Return what to do next, as a sentence without its end.
+def next_step(found: Diagnosis | None, quality: Quality) -> str:
+    """Return what to do next, as a sentence without its end: the remedy of what kept a run from its end, the line that
+    mends a recording, the recording that tells causes apart, the remedy of the worst figure; empty where there is none.
 
     Args:
-        outcome: the run.
-        quality: what it is worth.
+        found: the diagnosis; None where there was none.
+        quality: what the run is worth.
     """
-    found = outcome.diagnosis
     instruments = [] if found is None else instrument_findings(found)
     problems = [one for one in instruments if one.severity is Severity.PROBLEM]
     worst = quality.deciding
     beyond = worst.remedy if worst is not None and worst.level is not QualityLevel.GOOD else ""
     failed = beyond if worst is not None and worst.name not in REMEDIES else ""
-    cures = (one.remedy() for one in problems if one.cures)
+    lines = (one.cures[0].config for one in problems if one.cures)
+    cures = (f"Add `{line}` to the trials of the config, so that they are read without it" for line in lines)
     apart = () if found is None else map(_to_tell_apart, found.likely[:1])
-    steps = filter(None, (failed, *cures, *apart, beyond, *(one.remedy() for one in problems), NOTHING))
-    text = next(steps).rstrip(".")
-    return f"{text[0].upper()}{text[1:]}"
+    text = next(filter(None, (failed, *cures, *apart, beyond, *(one.advice for one in problems))), "").rstrip(".")
+    return text and f"{text[0].upper()}{text[1:]}"
 
 
 def _to_tell_apart(cause: Cause) -> str:

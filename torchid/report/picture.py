@@ -59,8 +59,7 @@ def person_picture(outcome: Outcome) -> tuple[Markup, str]:
     markers = recorded.markers.frames(slice(frame, frame + 1)).select(fit.attachment.labels).position[0]
     plates, arrows = [], []
     if recorded.forces is not None:
-        sample = int((recorded.forces.time - tracked.time[frame]).abs().argmin())
-        plates, arrows = _ground(recorded.forces.samples(slice(sample, sample + 1)), view, body_weight(outcome))
+        plates, arrows = _ground(recorded.forces.samples(slice(frame, frame + 1)), view, body_weight(outcome))
 
     def paint(canvas: Canvas) -> None:
         panel = canvas.subplots()
@@ -93,9 +92,7 @@ def shown_frame(outcome: Outcome) -> tuple[str, int]:
         if contact is None or forces is None or not contact.used.any():
             continue
         frames = contact.used.nonzero()[:, 0]
-        time = outcome.followed[name].tracked.time[frames]
-        samples = torch.searchsorted(forces.time, time).clamp(max=len(forces.time) - 1)
-        loaded = (forces.wrench[samples, :, 2] > LEAST * body_weight(outcome)).sum(dim=1)
+        loaded = (forces.wrench[frames, :, 2] > LEAST * body_weight(outcome)).sum(dim=1)
         most = frames[loaded == loaded.max()]
         return name, int(most[len(most) // 2])
     return chosen_frame(outcome)

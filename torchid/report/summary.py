@@ -44,7 +44,7 @@ def head_section(outcome: Outcome, forces: dict[str, Wrenches], failure: DataErr
     tested = some(forces, judges(outcome, "inertia").names)
     quality = quality_of(outcome, failure)
     blocks: list[Block] = [
-        Glance(*person_picture(outcome), glance(outcome, failure)),
+        Glance(*person_picture(outcome), glance(outcome, quality)),
         criteria_table(quality),
         _subject(outcome),
         Table(

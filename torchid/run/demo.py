@@ -1,6 +1,7 @@
 """Hides an effect by lot in a simulated session, runs torchid on the files alone, opens the truth only then."""
 
 import json
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib.resources import as_file, files
@@ -19,17 +20,33 @@ SECTIONS = "demo.yaml"
 """Config of the session: beside this module where torchid is installed, in ``configs`` of a checkout."""
 
 
+OUT = Path("out") / "demo"
+"""Folder of the results, from where the command is given."""
+
+
+def by_lot(words: Sequence[str]) -> tuple[int, Sequence[str]]:
+    """Return the seed that stands first, else the clock's, and what stands behind it.
+
+    Args:
+        words: of a command.
+    """
+    given = bool(words) and words[0].isdecimal()
+    return int(words[0]) if given else time.time_ns() // 10**6 % 10**6, words[given:]
+
+
 def demo_config(seed: int, overrides: Sequence[str] = ()) -> Config:
     """Return the config of a seed, with the effect that it hides.
 
     Args:
         seed: of the person, their motion, and of what is hidden.
-        overrides: as ``key=value``.
+        overrides: as ``key=value``; ``out`` is meant from where the command is given.
     """
+    own = [one for one in overrides if not one.startswith("out=")]
+    out = Path(next((one.removeprefix("out=") for one in overrides if one.startswith("out=")), OUT)).resolve()
     with as_file(files("torchid.run").joinpath(SECTIONS)) as installed:
         found = installed if installed.exists() else Path(__file__).parents[2] / "configs" / SECTIONS
-        config = load_config(found, [f"seed={seed}", f"out={Path('out/demo').resolve()}", *overrides])
-    return hide(config.model_copy(update={"out": config.out / str(config.seed)}))
+        config = load_config(found, [f"seed={seed}", *own])
+    return hide(config.model_copy(update={"out": out / str(config.seed)}))
 
 
 def demonstrate(config: Config, progress: OnStage) -> Iterator[str]:
@@ -45,8 +62,9 @@ def demonstrate(config: Config, progress: OnStage) -> Iterator[str]:
     outcome = run_experiment(blind(config, recordings), progress)
     yield from verdict(outcome)
     truth = json.loads((recordings.parent / "truth" / "subject.json").read_text())["options"]["effects"]
-    causes = json.loads((config.out / "diagnosis.json").read_text())["causes"]
-    yield from compared(truth, [cause for cause in causes if cause["level"] != "possible"])
+    if outcome.diagnosis is not None:
+        causes = json.loads((config.out / "diagnosis.json").read_text())["causes"]
+        yield from compared(truth, [cause for cause in causes if cause["level"] != "possible"])
     yield f"Report: {config.out / 'report.html'}"
 
 
@@ -69,9 +87,9 @@ def blind(config: Config, recordings: Path) -> Config:
 def verdict(outcome: Outcome) -> list[str]:
     """The diagnosis in plain lines."""
     found = outcome.diagnosis
-    none = ["Verdict: no effect of the catalogue is supported by the recordings."]
     if found is None:
-        return none
+        return ["Nothing was diagnosed."]
+    none = ["Verdict: no effect of the catalogue is supported by the recordings."]
     lines = [_named("Verdict", cause) for cause in found.likely] or none
     lines += [_named("Possible", cause) for cause in found.possible]
     if found.unexplained.significant:

@@ -14,14 +14,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.contact.sharing.records import ContactWrenches, WrenchSource
+from torchid.conventions import LOADED_N
 from torchid.io.storage import write_storage
 from torchid.model.markup import document, node, plain_name, spelt, write_xml
 from torchid.model.opensim.rotations import R_OW
+from torchid.model.osim import VERSION
 from torchid.runs import runs
 
-LOADED_N = 20.0
-"""Choice. Vertical force from which on a contact has a centre of pressure (``Forces.centre_of_pressure``) [N]."""
-VERSION = "40000"
 SUFFIXES = "{}_grf.mot", "{}_external_loads.xml", "{}_id_setup.xml"
 """Names of a trial's files."""
 
@@ -48,7 +47,9 @@ def write_tool_files(under: ContactWrenches, time: Float[Tensor, " frames"], fil
         InputError: a file cannot be written.
     """
     known = (under.source != WrenchSource.UNKNOWN).all(dim=1) & under.wrench.isfinite().flatten(1).all(dim=1)
-    names = [plain_name(name) for name in under.contacts]
+    names: list[str] = []
+    for name in under.contacts:
+        names.append(plain_name(name, names))
     columns = [f"{name}_{kind}{axis}" for name in names for kind in ("force_v", "force_p", "torque_") for axis in "xyz"]
     values = torch.cat([applied(wrench) for wrench in under.wrench.nan_to_num(0.0).unbind(1)], dim=1)
     write_storage(files.forces, tuple(columns), time.numpy(), values.numpy(), title=files.forces.stem)

@@ -62,7 +62,7 @@ def scalars(outcome: Outcome, tables: Mapping[str, Any]) -> Iterator[Scalar]:
     """
     geometry, body = tables["geometry.json"], tables.get("inertia.json", {})
     for one in () if outcome.quality is None else outcome.quality.criteria:
-        yield _bare("quality", one.name, one.level.value, plain(one.value), "", one.words)
+        yield _bare("quality", one.name, "figure", plain(one.value), "", f"{one.level.value}: {one.words}")
     yield from _body(body)
     for name, own in geometry["segments"].items():
         yield Scalar("length", name, "length", own["length_m"], own["sd"], "m", "from its joint to the next one")
@@ -144,10 +144,12 @@ def _trials(markers: dict[str, Any], forces: dict[str, Any]) -> Iterator[Scalar]
 def _causes(causes: list[dict[str, Any]]) -> Iterator[Scalar]:
     """What the diagnosis names, with its parameters."""
     for one in causes:
-        item = f"{one['effect']} {' '.join(one['where'])}"
-        yield _bare("cause", item, "confidence", one["confidence"], "", "probability that it, or a twin, is there")
+        when = dict.fromkeys(span["trial"] for span in one["when"] or ())
+        item = " ".join((one["effect"], *one["where"], *(f"in {trial}" for trial in when)))
+        said = f"{one['level']}, {'corrected' if one['applied'] else 'not corrected'}"
+        yield _bare("cause", item, "confidence", one["confidence"], "", f"probability of it, or of a twin: {said}")
         for key, entry in one["parameters"].items():
             values, sds = (entry[k] if isinstance(entry[k], list) else [entry[k]] for k in ("value", "sd"))
             for k, (value, sd) in enumerate(zip(values, sds, strict=True)):
                 name = f"{key}_{k}" if len(values) > 1 else key
-                yield Scalar("cause", item, name, value, sd, units_of(key)[0], "size of the effect")
+                yield Scalar("cause", item, name, value, sd, units_of(key)[0], f"size: {said}")

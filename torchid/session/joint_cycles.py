@@ -37,7 +37,7 @@ class JointCycles:
     """Net moment; NaN where a wrench under the leg is not known."""
     power_W: Float[Tensor, "cycles points joints"]
     mass_kg: float
-    """Of the subject, by which moments and powers are divided where they are compared."""
+    """Of the model, identified or of tables, by which moments and powers are divided where they are compared."""
 
     def of(self, side: str) -> list[int]:
         """Strides of one foot.
@@ -88,6 +88,8 @@ def _strides(outcome: Outcome, name: str, rows: dict[str, dict[str, tuple[int, f
     heels = {foot: points[:, 0] for foot, points in soles(outcome.fit, followed.tracked).items()}
     step = float(motion.time[1] - motion.time[0])
     for cycle in find_cycles(course, options):
+        if any(cycle.side not in own for own in rows.values()):
+            continue  # a foot of a model file whose name ends otherwise
         values = stride_values(cycle, contact, heels, step)
         if float(values[STRIDE.index("stride_length_m")]) < WALKED_M:
             continue
