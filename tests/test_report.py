@@ -613,7 +613,10 @@ def test_what_would_have_been_shown_is_said(run):
     found = Diagnosis((), none, none, (), Adequacy(False, 0.4, 0.1, ""), detectable=sizes)
     section = diagnosis_section(replace(run.outcome, diagnosis=found))
     assert section is not None
-    said = "It would have shown, 8 times in 10: a clock that is off from 9.0 ms and a wrong place from 19 mm."
+    said = (
+        "It would have shown, 8 times in 10 if nothing else explains the same: a clock that is off from 9.0 ms and a "
+        "wrong place from 19 mm."
+    )
     assert said in section.finding
     (table,) = (b for d in section.blocks if isinstance(d, Details) for b in d.blocks if isinstance(b, Table))
     assert table.rows == (
