@@ -186,8 +186,9 @@ class Config(ConfigSection):
     """What `torchid evaluate` compares (docs/evaluate.md)."""
     simulate: SimulateOptions | None = None
     """A synthetic session in place of recordings."""
-    threads: Annotated[Count, Field(le=1024)] | None = None
-    """Threads of torch; absent: its own choice."""
+    threads: Annotated[Count, Field(le=1024)] = 1
+    """Threads of torch. More make a session of seconds no faster, and where other programs want the processor they wait
+    for each other: seven times the work."""
     out: UserPath = Field(default=Path("out"), validate_default=True)
     """Folder of the results."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0

@@ -48,8 +48,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
     Raises:
         TorchidError: bad input (what is in ``out`` stays), or data that do not support a result (what there is, is).
     """
-    if config.threads:
-        torch.set_num_threads(config.threads)
+    torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     listed, config = config.trials, config.body
     with OutputFolder(config.out) as folder:

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import torch
+
 from torchid.config import Config, load_config
 from torchid.errors import ConfigError
 from torchid.simulate.session import simulate_session
@@ -23,6 +25,7 @@ def run_simulation(config: Config, progress: Callable[[str, float], None] = lamb
         raise ConfigError(
             "simulate.missing", "the config has no `simulate:` section", remedy="add one, if only `simulate: {}`"
         )
+    torch.set_num_threads(config.threads)
     progress("simulate", 0.0)
     with OutputFolder(config.out / RECORDINGS) as folder:
         written = simulate_session(config.simulate, config.seed, folder.staging).config
