@@ -187,8 +187,7 @@ class Config(ConfigSection):
     simulate: SimulateOptions | None = None
     """A synthetic session in place of recordings."""
     threads: Annotated[Count, Field(le=1024)] = 1
-    """Threads of torch. More make a session of seconds no faster, and where other programs want the processor they wait
-    for each other: seven times the work."""
+    """Threads of torch. More help little with a session of seconds, and wait for each other on a busy machine."""
     out: UserPath = Field(default=Path("out"), validate_default=True)
     """Folder of the results."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0

@@ -18,8 +18,6 @@ from torchid.simulate.hiding import draw_hidden, judge
 
 SECTIONS = "demo.yaml"
 """Config of the session: beside this module where torchid is installed, in ``configs`` of a checkout."""
-
-
 OUT = Path("out") / "demo"
 """Folder of the results, from where the command is given."""
 
