@@ -19,6 +19,7 @@ from torchid.io.storage import write_storage
 from torchid.model.markup import document, node, plain_name, spelt, write_xml
 from torchid.model.opensim.rotations import R_OW
 from torchid.model.osim import VERSION
+from torchid.recording import Forces, Plate
 from torchid.runs import runs
 
 SUFFIXES = "{}_grf.mot", "{}_external_loads.xml", "{}_id_setup.xml"
@@ -71,12 +72,10 @@ def applied(wrench: Float[Tensor, "frames 6"]) -> Float[Tensor, "frames 9"]:
         wrench: about the origin of W [N, N m].
     """
     force, moment = wrench[:, :3], wrench[:, 3:]
-    loaded = (force[:, 2] > LOADED_N).nonzero()[:, 0]
-    point = torch.zeros_like(force)
-    if len(loaded):
-        fz = force[loaded, 2]
-        pressed = torch.stack([-moment[loaded, 1] / fz, moment[loaded, 0] / fz, torch.zeros_like(fz)], dim=1)
-        point = pressed[_nearest(loaded, len(wrench))]
+    ground = Forces(torch.arange(len(wrench), dtype=wrench.dtype), wrench[:, None], (Plate("ground"),))
+    point = ground.centre_of_pressure(LOADED_N)[:, 0]
+    loaded = point.isfinite().all(dim=1).nonzero()[:, 0]
+    point = point[loaded][_nearest(loaded, len(wrench))] if len(loaded) else torch.zeros_like(force)
     turn = R_OW.to(wrench)
     return torch.cat([x @ turn.T for x in (force, point, moment - torch.linalg.cross(point, force))], dim=1)
 
