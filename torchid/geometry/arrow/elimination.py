@@ -13,8 +13,10 @@ from torch import Tensor
 from torchid.geometry.arrow.limb_partition import LimbGroup, Partition, pick
 from torchid.geometry.arrow.normal_blocks import BlockPieces, fold_rows
 
-ROUNDING = (1e-3, 0.1, 10.0)
-"""Damping, relative to the diagonal, that a block made indefinite by rounding gets, one after the other; chosen."""
+ROUNDING = (1e-3, 0.1, 10.0, 1e8)
+"""Damping, relative to the diagonal, that a block made indefinite by rounding gets, one after the other; chosen. The
+last is beyond what rounding in single precision can take away: it holds the block still until the frame's own damping
+has grown."""
 
 
 @dataclass(frozen=True)
