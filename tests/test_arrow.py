@@ -54,10 +54,14 @@ def test_arrow_reaches_the_optimum_of_scipy(case: int, coupled: bool, seed: int)
 
 
 def test_coarse_to_fine_ends_where_the_plain_descent_does(seed: int) -> None:
-    """With enough frames for the coarse stage the optimum is the same, also when the frames are in no order."""
+    """With enough frames for the coarse stage the optimum is the same, also when the frames are in no order.
+
+    Some frames go down a narrow valley, for which forty steps are too few.
+    """
     problem, q, xi = random_problem(np.random.default_rng(seed), frames=210, bodies=3, noise=5e-4)
-    solution = solve_arrow(problem, q + 0.01, xi, tolerance=1e-9, iterations=40)
-    truth = solve_arrow(problem, q, xi, tolerance=1e-9, iterations=40)
+    solution = solve_arrow(problem, q + 0.01, xi, tolerance=1e-9, iterations=400)
+    truth = solve_arrow(problem, q, xi, tolerance=1e-9, iterations=400)
+    assert solution.converged and truth.converged
     assert_close(solution.cost, truth.cost, rtol=1e-5, atol=0)
 
 
