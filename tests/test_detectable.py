@@ -25,7 +25,7 @@ from torchid.observation.statements import Statements
 DRAWS, BAND, HALF = 100, 0.1, 0.45
 """Sessions drawn for each size; how far the share that is named may lie from ``CHANCE``; the share at half the size."""
 NUISANCES, TRIALS, ROWS, STATED = 3, 2, 60, 20
-NATS = NamingOptions().named_nats
+NAMING = NamingOptions()
 PLATES = Place(("plate_1",)), Place(("plate_2",))
 CASES = [
     ("time_offset", (SESSION,), 3.0, 0.6, "lag_s"),
@@ -96,7 +96,7 @@ class Bench:
     def sizes(self) -> tuple[Detectable, ...]:
         """What a session with nothing in it would have shown."""
         nothing = torch.zeros(self.width - NUISANCES).double()
-        return detectable(self.statistics(nothing), (), self.candidates, NATS)
+        return detectable(self.statistics(nothing), (), self.candidates, NAMING)
 
 
 @pytest.mark.slow
@@ -120,6 +120,18 @@ def test_what_only_looks_like_it_can_tell_is_not_testable(seed):
     assert [one.size for one in blind.sizes()] == [None]
 
 
+def test_what_another_effect_explains_as_well_is_not_testable(seed):
+    """All plates that read too much are a body heavier than recorded: columns as good as the same leave no size."""
+    one, nothing = Bench(effect("body_mass"), (SESSION,), 3.0, 3.0, seed), torch.zeros(1).double()
+    (own,), alone = one.candidates, one.sizes()[0].size
+    gain, plates = effect("plate_gain"), Place(("plate_1", "plate_2"))
+    other = Candidate(
+        gain, plates, ColumnSource(gain, plates, own.source.columns, (0.0,), gain.scale(plates)), own.trials
+    )
+    both = detectable(one.statistics(nothing), (), (own, other), NAMING)
+    assert alone is not None and [found.size for found in both] == [None, None]
+
+
 def test_more_rows_show_smaller_sizes(seed):
     """Sizes fall as the noise does; the same session has the same sizes, bit by bit."""
     found = [Bench(effect("plate_gain"), (Place(("plate_1",)),), k, k, seed).sizes()[0].size for k in (0.5, 1.0, 2.0)]
@@ -137,7 +149,7 @@ def test_effects_without_one_size_are_left_out(name):
     own = effect(name)
     other = Candidate(own, SESSION, drag.candidates[0].source, frozenset({0}))
     nothing = torch.zeros(drag.width - NUISANCES).double()
-    found = detectable(drag.statistics(nothing), (), [other, *drag.candidates], NATS)
+    found = detectable(drag.statistics(nothing), (), [other, *drag.candidates], NAMING)
     assert [one.effect for one in found] == ["drag"]
 
 

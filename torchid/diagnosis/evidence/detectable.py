@@ -1,8 +1,9 @@
 """The smallest size of each effect that a session would have shown: what a verdict without a cause is worth.
 
 An effect of that size, in a direction by lot, would be named in ``CHANCE`` of all cases by the rules of a round
-(``search/rivals.py``): its score, and what it has beyond its appearance, both reach ``named_nats``. Not asked are the
-consent of single trials, and whether another effect explains the same.
+(``search/rivals.py``): its score, and what it has beyond its appearance, both reach ``named_nats``, and it explains
+what the session would hold then by ``very_strong_nats`` better than any other effect or place. Not asked is the consent
+of single trials.
 
 Left out are effects without one size: what comes and goes, what differs from trial to trial, what is there in full or
 not at all. So is what bodies imitate at every place, and what other proof than forces decides about.
@@ -18,11 +19,14 @@ from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.gains import informed
+from torchid.diagnosis.evidence.joint_information import JointInformation, joint_information
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.planted_moments import directions, moments_of
+from torchid.diagnosis.evidence.planted_rivals import rival_moments
 from torchid.diagnosis.evidence.planted_rules import PlantedRules, smallest
 from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.diagnosis.options import NamingOptions
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.effect import Effect
 from torchid.effects.place import Place
@@ -50,7 +54,7 @@ class Detectable:
 
 
 def detectable(
-    statistics: Statistics, chosen: Sequence[Candidate], candidates: Sequence[Candidate], named_nats: float
+    statistics: Statistics, chosen: Sequence[Candidate], candidates: Sequence[Candidate], naming: NamingOptions
 ) -> tuple[Detectable, ...]:
     """Return the smallest size that would have been named of each effect at each place, key by key.
 
@@ -58,17 +62,18 @@ def detectable(
         statistics: statistics of all trials.
         chosen: effects that the model has.
         candidates: candidates that could have been named beside them.
-        named_nats: log odds from which an effect is named (``NamingOptions``).
+        naming: thresholds.
     """
     bare, others = marginalise_per_trial(statistics.unstated, chosen)
     whole, _ = marginalise_per_trial(statistics, chosen)
     base, less = fit(whole, others), fit(bare, others)
-    found = []
-    for name in dict.fromkeys(c.effect.name for c in candidates if _has_size(c.effect)):
-        own = [c for c in candidates if c.effect.name == name]
+    asked = [c for c in candidates if _has_size(c.effect)]
+    joint, found = joint_information(whole, base, asked), []
+    for name in dict.fromkeys(c.effect.name for c in asked):
+        own = [c for c in asked if c.effect.name == name]
         both = zip(informed(whole, base, own), informed(bare, less, own), strict=True)
         for (rows, told, _), (_, unstated, _) in both:
-            found += _of_keys([own[k] for k in rows], told, unstated, named_nats)
+            found += _of_keys([own[k] for k in rows], told, unstated, joint, naming)
     return tuple(found)
 
 
@@ -79,16 +84,22 @@ def _has_size(effect: Effect) -> bool:
 
 
 def _of_keys(
-    some: Sequence[Candidate], told: Float[Tensor, "some n n"], unstated: Float[Tensor, "some n n"], named_nats: float
+    some: Sequence[Candidate],
+    told: Float[Tensor, "some n n"],
+    unstated: Float[Tensor, "some n n"],
+    joint: JointInformation,
+    naming: NamingOptions,
 ) -> Iterator[Detectable]:
-    """Yield the sizes of candidates of one effect, given the information of all rows and of those without
-    statements."""
+    """Yield the sizes of candidates of one effect, given the information of all rows and of those without statements,
+    and that of all candidates."""
     effect = some[0].effect
     for key, parts in _keys(effect, some[0].place):
         lot = torch.Generator().manual_seed(LOT)
         direction = directions(some[0], parts, lot).to(told)
-        rules = PlantedRules.of(some, moments_of(told, unstated, direction, lot))
-        for one, size in zip(some, smallest(rules, named_nats).tolist(), strict=True):
+        moments = moments_of(told, unstated, direction, lot)
+        rivals = [rival_moments(joint, one, direction, moments[0], k) for k, one in enumerate(some)]
+        rules = PlantedRules.of(some, moments, rivals)
+        for one, size in zip(some, smallest(rules, naming).tolist(), strict=True):
             own = size * float(direction[0].norm()) * effect.scale(one.place)[parts[0]]
             yield Detectable(effect.name, one.place.where, key, own if math.isfinite(own) else None)
 

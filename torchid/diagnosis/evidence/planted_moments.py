@@ -117,7 +117,9 @@ def moments_of(
     lots = torch.cat([half, -half], 1).to(all_rows)
     less = lots[0] @ _root(unstated)
     more = less + lots[1] @ _root(all_rows - unstated)
-    return _moments(all_rows, more, direction), _moments(unstated, less, direction)
+    both = (all_rows, more), (unstated, less)
+    whole, bare = (moments_along(told, noise, direction @ told) for told, noise in both)
+    return whole, bare
 
 
 def _root(information: Float[Tensor, "places n n"]) -> Float[Tensor, "places n n"]:
@@ -126,12 +128,17 @@ def _root(information: Float[Tensor, "places n n"]) -> Float[Tensor, "places n n
     return (vector * value.clamp(min=0.0).sqrt()[:, None]) @ vector.mT
 
 
-def _moments(
+def moments_along(
     information: Float[Tensor, "places n n"],
     noise: Float[Tensor, "places draws n"],
-    direction: Float[Tensor, "draws n"],
+    pushed: Float[Tensor, "places draws n"],
 ) -> Moments:
-    """Return moments along the vectors of the information."""
+    """Return moments along the vectors of the information.
+
+    Args:
+        information: what the data hold of the parameters at each place, in units of their priors.
+        noise: moments that noise alone gives.
+        pushed: moments that the effect adds at the size of the directions.
+    """
     value, vector = torch.linalg.eigh(information)
-    value = value.clamp(min=0.0)
-    return Moments(value, vector, noise @ vector, (direction @ vector) * value[:, None])
+    return Moments(value.clamp(min=0.0), vector, noise @ vector, pushed @ vector)

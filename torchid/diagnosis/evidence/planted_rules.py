@@ -1,7 +1,7 @@
 """The rules by which a round names, for effects of growing size, and the size from which most of them are named."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +11,7 @@ from torch import Tensor
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.apparent import SIZES, has_appearance, shares_of
 from torchid.diagnosis.evidence.planted_moments import Mixture, Moments
+from torchid.diagnosis.options import NamingOptions
 
 CHANCE = 0.8
 """Wording. Share of cases in which an effect of the stated size would be named: the usual power of a study (Cohen,
@@ -33,49 +34,71 @@ class PlantedRules:
     """Log evidence."""
     apparent: Mixture | None
     """Log evidence of the appearance; None: the effect has none."""
+    rivals: tuple[tuple["PlantedRules", ...], ...] = ()
+    """Rules of what else would explain the effect, for each place; none: nothing else would."""
 
     @classmethod
-    def of(cls, some: Sequence[Candidate], moments: tuple[Moments, Moments]) -> "PlantedRules":
+    def of(
+        cls,
+        some: Sequence[Candidate],
+        moments: tuple[Moments, Moments],
+        rivals: Iterable[Iterable[tuple[Candidate, Moments]]] = (),
+    ) -> "PlantedRules":
         """Return the rules for moments of all rows, and of those without statements.
 
         Args:
             some: candidates of one effect.
             moments: both moments.
+            rivals: what else would explain each of them, with the moments that it gets.
         """
         (whole, bare), effect = moments, some[0].effect
         one, sizes = whole.value.new_ones(1), whole.value.new_tensor(SIZES)
         seems = bare.evidence(sizes.square(), shares_of(effect).to(one).log()) if has_appearance(effect) else None
         positives = effect.positives(some[0].place)
-        return cls(one.new_tensor([c.odds for c in some]), positives, whole, whole.evidence(one, 0.0 * one), seems)
+        odds, evidence = one.new_tensor([c.odds for c in some]), whole.evidence(one, 0.0 * one)
+        others = tuple(tuple(cls.of([c], (own, own)) for c, own in each) for each in rivals)
+        return cls(odds, positives, whole, evidence, seems, others)
 
-    def named(self, size: Float[Tensor, " some"], named_nats: float) -> Bool[Tensor, " some"]:
+    def named(self, size: Float[Tensor, " some"], naming: NamingOptions) -> Bool[Tensor, " some"]:
         """Return where effects of a size would be named in ``CHANCE`` of the draws, see ``Round``.
 
         Args:
             size: size at each place, against the directions' own.
-            named_nats: log odds from which an effect is named.
+            naming: thresholds.
         """
-        odds = self.odds[:, None]
-        score = self.evidence.at(size) + odds.log() + self.moments.halved(self.positives, size)
+        odds, score = self.odds[:, None], self._score(size)
+        shown = score >= self._best_rival(size) + naming.very_strong_nats
         if self.apparent is not None:
             # The effect's other places have no appearance of it.
             seems = self.apparent.at(size).clamp(min=0.0) + odds.log()
             score = score - torch.logaddexp(seems, (1.0 - odds).clamp(min=0.0).log()).clamp(min=0.0)
-        return (score >= named_nats).double().mean(1) >= CHANCE
+        return (shown & (score >= naming.named_nats)).double().mean(1) >= CHANCE
+
+    def _score(self, size: Float[Tensor, " some"]) -> Float[Tensor, "some draws"]:
+        """Return the log odds of each place [nat], but for what is told by other proof, and consent."""
+        return self.evidence.at(size) + self.odds.log()[:, None] + self.moments.halved(self.positives, size)
+
+    def _best_rival(self, size: Float[Tensor, " some"]) -> Float[Tensor, "some draws"]:
+        """Return the log odds of what else explains each place best; minus infinity where nothing does."""
+        best = size.new_full((len(size), self.moments.noise.shape[1]), -math.inf)
+        for k, rivals in enumerate(self.rivals):
+            for one in rivals:
+                best[k] = torch.maximum(best[k], one._score(size[k, None])[0])
+        return best
 
 
-def smallest(rules: PlantedRules, named_nats: float) -> Float[Tensor, " some"]:
+def smallest(rules: PlantedRules, naming: NamingOptions) -> Float[Tensor, " some"]:
     """Return the part of the directions' length that ``CHANCE`` of the draws need to be named; infinite where all of
     it is not enough.
 
     Args:
         rules: what is weighed.
-        named_nats: log odds from which an effect is named.
+        naming: thresholds.
     """
     high = rules.odds.new_zeros(len(rules.odds))
-    low, enough = high - math.log(1000.0), rules.named(high.exp(), named_nats)
+    low, enough = high - math.log(1000.0), rules.named(high.exp(), naming)
     for _ in range(STEPS if bool(enough.any()) else 0):
         middle = 0.5 * (low + high)
-        shown = rules.named(middle.exp(), named_nats)
+        shown = rules.named(middle.exp(), naming)
         low, high = torch.where(shown, low, middle), torch.where(shown, middle, high)
     return torch.where(enough, high.exp(), math.inf)

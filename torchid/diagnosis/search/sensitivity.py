@@ -25,5 +25,5 @@ def sizes_shown(
     """
     asked = [(tuple(chosen), left)]
     asked += [(tuple(without(chosen, one)), closed_by(model.design, chosen, one)) for one in chosen]
-    found = [detectable(model.statistics, beside, some, naming.named_nats) for beside, some in asked if some]
+    found = [detectable(model.statistics, beside, some, naming) for beside, some in asked if some]
     return extremes([one for own in found for one in own])

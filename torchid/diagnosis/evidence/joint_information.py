@@ -1,0 +1,94 @@
+"""Information that data hold of the parameters of all candidates at once, and what they say of them, beside a base.
+
+The blocks on its diagonal are those of ``gains.informed``; the others say how much one effect looks like another.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchid.diagnosis.candidates.candidate import Candidate
+from torchid.diagnosis.evidence.posterior import Posterior
+from torchid.diagnosis.evidence.statistics import Statistics
+
+
+@dataclass(frozen=True)
+class JointInformation:
+    """Information and moment of all parameters of some candidates, in units of their priors."""
+
+    candidates: tuple[Candidate, ...]
+    """The candidates that act in a trial of the base."""
+    at: tuple[Int[Tensor, " n"], ...]
+    """Where the parameters of each candidate stand."""
+    value: Float[Tensor, "all all"]
+    """The information."""
+    moment: Float[Tensor, " all"]
+    """What the data say of them: they would be estimated as the information's inverse times it."""
+
+    def between(self, one: int, other: int) -> Float[Tensor, "n m"]:
+        """Return the block of two candidates.
+
+        Args:
+            one: index of the candidate of its rows.
+            other: index of that of its columns.
+        """
+        return self.value[self.at[one]][:, self.at[other]]
+
+
+def joint_information(statistics: Statistics, base: Posterior, candidates: Sequence[Candidate]) -> JointInformation:
+    """Return the information of all candidates' parameters.
+
+    Args:
+        statistics: statistics of all trials.
+        base: posterior of the base.
+        candidates: candidates, of the same design.
+    """
+    groups: dict[frozenset[int], list[int]] = {}
+    for k, one in enumerate(candidates):
+        for block in one.blocks:
+            if block & base.seen:
+                groups.setdefault(block & base.seen, []).append(k)
+    parts = [_Part.of(statistics, base, block, [candidates[k] for k in some]) for block, some in groups.items()]
+    rows = [torch.cat([one.against(other, statistics) for other in parts], 1) for one in parts]
+    places: dict[int, list[Tensor]] = {}
+    start = 0
+    for k in (k for some in groups.values() for k in some):
+        columns = len(candidates[k].columns)
+        places.setdefault(k, []).append(torch.arange(start, start + columns))
+        start += columns
+    at = tuple(torch.cat(own) for own in places.values())
+    moment = torch.cat([one.moment(base, statistics) for one in parts])
+    return JointInformation(tuple(candidates[k] for k in places), at, torch.cat(rows), moment)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Parameters that act in the same trials."""
+
+    block: frozenset[int]
+    """The trials."""
+    columns: Int[Tensor, " n"]
+    """Columns of the design."""
+    relative: Float[Tensor, " n"]
+    """Standard deviations of the priors over those of the columns' sources."""
+    shared: Float[Tensor, "base n"]
+    """What they share with the base, whitened."""
+
+    @classmethod
+    def of(cls, statistics: Statistics, base: Posterior, block: frozenset[int], some: Sequence[Candidate]) -> "_Part":
+        """Return the parameters of some candidates in some trials."""
+        columns, relative = torch.cat([c.columns for c in some]), torch.cat([c.relative for c in some]).to(base.factor)
+        cross = statistics.cross(base.chosen, columns, block) * relative
+        return cls(block, columns, relative, torch.linalg.solve_triangular(base.factor, cross, upper=False))
+
+    def moment(self, base: Posterior, statistics: Statistics) -> Float[Tensor, " n"]:
+        """Return what the data say of them beside the base."""
+        return self.relative * statistics.moment(self.columns, self.block) - self.shared.mT @ base.whitened
+
+    def against(self, other: "_Part", statistics: Statistics) -> Float[Tensor, "n m"]:
+        """Return the information of both."""
+        own = statistics.block(self.columns, other.columns, self.block & other.block)
+        return self.relative[:, None] * own * other.relative - self.shared.mT @ other.shared
