@@ -1,6 +1,7 @@
 """Sizes that a session would have shown: planted again and again, they are named as often as is claimed."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -138,6 +139,14 @@ def test_more_rows_show_smaller_sizes(seed):
     assert found[0] > 1.5 * found[1] > 2.0 * found[2]
     again = Bench(effect("plate_gain"), (Place(("plate_1",)),), 1.0, 1.0, seed).sizes()[0].size
     assert again == found[1]
+
+
+def test_without_candidates_nothing_is_stated(seed):
+    """Nor where all that is left acts in no trial."""
+    one = Bench(effect("drag"), (Place(("pelvis",)),), 1.0, 1.0, seed)
+    statistics = one.statistics(torch.zeros(1).double())
+    nowhere = replace(one.candidates[0], trials=frozenset())
+    assert detectable(statistics, (), (), NAMING) == detectable(statistics, (), (nowhere,), NAMING) == ()
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,8 @@ def joint_information(statistics: Statistics, base: Posterior, candidates: Seque
             if block & base.seen:
                 groups.setdefault(block & base.seen, []).append(k)
     parts = [_Part.of(statistics, base, block, [candidates[k] for k in some]) for block, some in groups.items()]
+    if not parts:
+        return JointInformation((), (), base.factor.new_zeros(0, 0), base.factor.new_zeros(0))
     rows = [torch.cat([one.against(other, statistics) for other in parts], 1) for one in parts]
     places: dict[int, list[Tensor]] = {}
     start = 0
