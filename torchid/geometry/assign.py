@@ -1,6 +1,5 @@
 """This module turns the labels of a session into markers of a model, labels that no marker set lists included."""
 
-import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -9,11 +8,12 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.errors import DataError, Note
+from torchid.geometry.rigidity import RIGID, Carrier, carrier_of
 from torchid.model.marker_set import MarkerSet, MarkerSpec, marker_prior
 from torchid.model.model import Model
 from torchid.model.tree import Tree
 from torchid.model.whole_body import lock_bodies
-from torchid.recording import Markers, Trial
+from torchid.recording import Trial
 from torchid.wording import listing
 
 
@@ -37,34 +37,6 @@ class Attachment:
         return torch.tensor([name is not None for name in self.landmark], device=self.body.device)
 
 
-def rigid_scatter(
-    position: Float[Tensor, "frames 3"],
-    clusters: dict[int, Float[Tensor, "frames markers 3"]],
-) -> dict[int, tuple[float, int]]:
-    """Tell how rigidly an unassigned marker moves with the markers of each body.
-
-    The criterion is the mean variance of the distances to the body's markers, which needs neither a fit nor axes.
-    Bodies with fewer than two markers, or fewer than ten common frames, are passed over.
-
-    Args:
-        position: path of the unassigned marker, NaN where missing [m].
-        clusters: paths of the markers of each body, by the body's index in the tree, NaN where missing [m].
-
-    Returns:
-        By the body's index, the criterion [m^2] and the common frames.
-    """
-    found = {}
-    for body, markers in clusters.items():
-        distance = (markers - position[:, None]).norm(dim=2)
-        common = torch.isfinite(distance).all(dim=1)
-        frames = int(common.sum())
-        if markers.shape[1] >= 2 and frames >= 10:
-            found[body] = float(distance[common].var(dim=0).mean()), frames
-    return found
-
-
-RIGID = 0.02
-"""An unlisted label joins a segment when its distances to the segment's markers scatter less than this [m]; chosen."""
 FIRM = 0.1
 """A body without markers between marked ones has joint angles that scatter this much about rest [rad]; chosen."""
 HINGES = 2
@@ -89,8 +61,8 @@ def assign_markers(
 ) -> Assignment:
     """Assign every label of the trials to a segment, and lock the bodies that no marker sees.
 
-    A label that no marker set lists joins the segment with which it moves most rigidly, or is left out with a note; so
-    is one that moves in some trial as if it was computed from others (``Trial.computed``).
+    A label that no marker set lists joins the segment that it moves with, if none else comes near (``rigidity``), or is
+    left out with a note; so is one that moves in some trial as if it was computed from others (``Trial.computed``).
 
     Args:
         model: template of the subject.
@@ -112,17 +84,11 @@ def assign_markers(
     specs, notes = dict(match.assigned), []
     if match.computed:
         notes.append(Note("markers.computed", f"left out as computed points: {', '.join(match.computed)}"))
-    known = dict(specs)
     unknown, said = _unlisted(match.unknown, trials, unlisted)
     notes += said
-    for label in unknown:
-        segment, scatter = _most_rigid_segment(label, known, model, trials)
-        if segment is None or scatter > RIGID:
-            notes.append(Note("markers.unknown", f"{label} is in no marker set and moves with no segment; left out"))
-            continue
-        specs[label] = MarkerSpec(segment)
-        said = f"{label} is in no marker set; it moves with {segment} (distances scatter {1e3 * scatter:.1f} mm)"
-        notes.append(Note("markers.assigned", said))
+    carried, said = _carried(unknown, specs, model, trials)
+    specs |= carried
+    notes += said
     root = model.tree.bodies[0].name
     if sum(spec.segment == root for spec in specs.values()) < 3:
         raise DataError(
@@ -146,6 +112,35 @@ def _unlisted(
     text = f"left out, for they move in another trial as if computed from others: {listing(sorted(computed))}"
     notes = [Note("markers.computed", text)] if computed else []
     return tuple(label for label in labels if label not in computed), notes
+
+
+def _carried(
+    labels: tuple[str, ...], known: dict[str, MarkerSpec], model: Model, trials: tuple[Trial, ...]
+) -> tuple[dict[str, MarkerSpec], list[Note]]:
+    """Return the segments of the labels that surely move with one, the surest first, and what is said of all.
+
+    Each that is told helps to tell the next ones.
+    """
+    found, left, notes = {}, list(labels), []
+    while left:
+        each = {label: carrier_of(label, known | found, model, trials) for label in left}
+        sure = {label: one for label, one in each.items() if one is not None and one.sure}
+        if not sure:
+            return found, [*notes, *(Note("markers.unknown", _unsure(label, one)) for label, one in each.items())]
+        label = max(sure, key=lambda label: sure[label].probability)
+        one = sure[label]
+        found[label] = MarkerSpec(one.segment)
+        left.remove(label)
+        how = f"distances scatter {1e3 * one.scatter:.1f} mm, probability {one.probability:.2f}"
+        notes.append(Note("markers.assigned", f"{label} is in no marker set; it moves with {one.segment} ({how})"))
+    return found, notes
+
+
+def _unsure(label: str, one: Carrier | None) -> str:
+    """Return why a label is left out."""
+    if one is None or one.scatter > RIGID:
+        return f"{label} is in no marker set and moves with no segment; left out"
+    return f"{label} is in no marker set; it may move with {one.segment} or {one.other}; left out"
 
 
 def _settle_bare(model: Model, marked: set[str]) -> tuple[Model, tuple[Note, ...]]:
@@ -194,34 +189,6 @@ def _unseen(trials: tuple[Trial, ...]) -> DataError:
         found=listing(said, 3) if said else "",
         remedy="Label the points in the recording system and export the trials again",
     )  # fmt: skip
-
-
-def _most_rigid_segment(
-    label: str, known: dict[str, MarkerSpec], model: Model, trials: tuple[Trial, ...]
-) -> tuple[str | None, float]:
-    """Return the segment with which an unlisted label moves most rigidly, and the scatter of its distances [m].
-
-    All trials that move are asked together: in one alone the joint between two segments may hardly turn.
-    """
-    squares: dict[int, list[tuple[float, int]]] = {}
-    moving = [t for t in trials if t.role != "static"] or list(trials)
-    for markers in (t.markers for t in moving if label in t.markers.labels):
-        path = markers.select((label,)).position[:, 0]
-        for body, found in rigid_scatter(path, _clusters(markers, known, model)).items():
-            squares.setdefault(body, []).append(found)
-    scatter = {k: math.sqrt(sum(v * n for v, n in each) / sum(n for _, n in each)) for k, each in squares.items()}
-    best = min(scatter, key=scatter.__getitem__, default=None)
-    return (None, math.inf) if best is None else (model.tree.names[best], scatter[best])
-
-
-def _clusters(markers: Markers, known: dict[str, MarkerSpec], model: Model) -> dict[int, torch.Tensor]:
-    """Return the positions of the known markers of each body, by the body's index in the tree."""
-    found = {}
-    for k, name in enumerate(model.tree.names):
-        labels = tuple(label for label in markers.labels if label in known and known[label].segment == name)
-        if labels:
-            found[k] = markers.select(labels).position
-    return found
 
 
 def _attach(model: Model, specs: dict[str, MarkerSpec]) -> Attachment:
