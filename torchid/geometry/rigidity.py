@@ -1,4 +1,4 @@
-"""Which segment a marker moves with: markers of one segment keep their distances, whatever the posture.
+"""This module tells which segment a marker moves with: markers of one keep their distances, whatever the posture.
 
 Of two segments, the one to which the distances scatter less is likelier: by the power of a variance ratio that as many
 independent postures give as a session has. A neighbour of the best that too few markers show cannot be asked, and may
@@ -22,9 +22,8 @@ RIGID = 0.02
 NOISE = 0.003
 """Distances on one segment scatter by so much for cameras and skin alone [m]; chosen."""
 POSTURES = 6.0
-"""Independent postures that a session shows: frames of one motion resemble each other. Chosen by eleven recordings with
-half or a fifth of their markers unlisted (``python -m batteries.unlisted``): with 8 one of 269 was on a wrong segment,
-with 6 none."""
+"""Independent postures that a session shows: frames of one motion resemble each other. Chosen on eleven recordings with
+half of their markers unlisted (``python -m batteries.unlisted``)."""
 SURE = 0.9
 """Probability from which a marker is given to a segment; chosen, the one below which a verdict is not told either."""
 JUDGES = 2
@@ -40,15 +39,15 @@ class Carrier:
 
     segment: str
     probability: float
-    """Among all segments that could be asked, and neighbours that could not."""
+    """Probability among all segments that could be asked, and neighbours that could not."""
     scatter: float
-    """Of the distances to the segment's markers [m]."""
+    """Scatter of the distances to the segment's markers [m]."""
     other: str
     """The segment that is likeliest but for this one; empty where there is none."""
 
     @property
     def sure(self) -> bool:
-        """Whether it is a segment's marker beyond doubt."""
+        """True if it is a segment's marker beyond doubt."""
         return self.scatter <= RIGID and self.probability >= SURE
 
 

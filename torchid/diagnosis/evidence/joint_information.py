@@ -22,11 +22,11 @@ class JointInformation:
     candidates: tuple[Candidate, ...]
     """The candidates that act in a trial of the base."""
     at: tuple[Int[Tensor, " n"], ...]
-    """Where the parameters of each candidate stand."""
+    """Indices of the parameters of each candidate."""
     value: Float[Tensor, "all all"]
     """The information."""
     moment: Float[Tensor, " all"]
-    """What the data say of them: they would be estimated as the information's inverse times it."""
+    """Moment of the data: the parameters would be estimated as the information's inverse times it."""
 
     def between(self, one: int, other: int) -> Float[Tensor, "n m"]:
         """Return the block of two candidates.
@@ -77,7 +77,7 @@ class _Part:
     relative: Float[Tensor, " n"]
     """Standard deviations of the priors over those of the columns' sources."""
     shared: Float[Tensor, "base n"]
-    """What they share with the base, whitened."""
+    """Whitened products with the base."""
 
     @classmethod
     def of(cls, statistics: Statistics, base: Posterior, block: frozenset[int], some: Sequence[Candidate]) -> "_Part":

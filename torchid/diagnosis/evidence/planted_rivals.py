@@ -1,4 +1,4 @@
-"""What an effect that is there says for others: the moments that it gives where they look.
+"""This module gives what an effect that is there says for others: the moments that it leaves where they look.
 
 Where the data hold information A of the parameters of all candidates, parameters z_j of one of them give another one a
 moment A_kj z_j, and what adds to b_j, their own, adds A_kj A_jj^-1 as much to b_k. The rest of b_k is what the session
