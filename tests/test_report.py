@@ -91,8 +91,8 @@ def run(tmp_path_factory) -> Run:
 
 
 def _renamed(trial):
-    """The trial with one landmark's label replaced; the rest keeps the names of the marker set."""
-    labels = tuple(LABEL if label == "T10" else label for label in trial.markers.labels)
+    """The trial with one marker's label replaced; the rest keeps the names of the marker set."""
+    labels = tuple(LABEL if label == "LTHI" else label for label in trial.markers.labels)
     assert LABEL in labels
     return replace(trial, markers=replace(trial.markers, labels=labels))
 
@@ -614,8 +614,7 @@ def test_what_would_have_been_shown_is_said(run):
     section = diagnosis_section(replace(run.outcome, diagnosis=found))
     assert section is not None
     said = (
-        "It would have shown, 8 times in 10 if nothing else explains the same: a clock that is off from 9.0 ms and a "
-        "wrong place from 19 mm."
+        "It would have shown, 8 times in 10 by its noise: a clock that is off from 9.0 ms and a wrong place from 19 mm."
     )
     assert said in section.finding
     (table,) = (b for d in section.blocks if isinstance(d, Details) for b in d.blocks if isinstance(b, Table))

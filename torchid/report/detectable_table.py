@@ -16,11 +16,10 @@ UNTESTABLE = "not testable here"
 SAID = 5
 """Wording. Faults that the sentence lists."""
 HEAD = (
-    f"From these sizes on, {number(10.0 * CHANCE, 0)} of 10 such effects would have been named, or one that cannot be "
-    "told from them, if nothing else explains the same. Other effects often do: of faults of these sizes planted into "
-    "real recordings about four in ten were named (docs/diagnosis.md). Smaller ones may go unseen. Sizes rest on this "
-    "session's noise, and on what sound sessions seem to have of each effect. Of several parameters of an effect, one "
-    "is there at a time."
+    f"From these sizes on, {number(10.0 * CHANCE, 0)} of 10 such effects would have been named, by the noise here, "
+    "what sound sessions seem to have of each effect, and what other effects would explain of it. Real recordings hold "
+    "more: of faults of these sizes planted into some, six in ten were named (docs/diagnosis.md). Smaller ones may go "
+    "unseen. Of several parameters of an effect, one is there at a time."
 )
 
 
@@ -50,7 +49,7 @@ def would_show(found: Sequence[Detectable]) -> list[str]:
             name, key = some[0].effect, some[0].key
             least.setdefault(name, f"{effect(name).noun} from {sized(key, max(sizes))}")
     times = number(10.0 * CHANCE, 0)
-    said = f"It would have shown, {times} times in 10 if nothing else explains the same: "
+    said = f"It would have shown, {times} times in 10 by its noise: "
     return [f"{said}{listing(list(least.values()), SAID)}."] if least else []
 
 
