@@ -182,3 +182,9 @@ def test_impossible_masses_are_refused(mass, mass_sd, key):
         "mass_sd": ("subject.mass_sd", "mass_sd_kg"),
     }[key]
     assert error.found == f"{mass if key == 'mass' else mass_sd:g}" and error.remedy
+
+
+def test_the_page_says_that_a_child_is_no_small_adult():
+    """A small person's sources end with it, a grown one's do not speak of it."""
+    small, grown = whole_body(1.2, 25.0), whole_body(1.7, 70.0)
+    assert "Jensen" in small.sources[-1] and not any("Jensen" in source for source in grown.sources)

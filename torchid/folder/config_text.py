@@ -40,12 +40,12 @@ def marker_map_text(markers: Recognised) -> str:
         markers: what was recognised.
     """
     lines = [
-        f"# {clean(markers.said)}. Every line is LABEL: SEGMENT, or with a landmark; what is not listed is left out."
+        f"# {clean(markers.said)}. Every line is LABEL: SEGMENT, or with a landmark."
     ]
     for said, some in ((f"By the set {markers.name}:", markers.listed), ("By their words:", markers.worded)):
         lines += [f"# {said}"] * bool(some)
         lines += [f"{json.dumps(label, ensure_ascii=False)}: {_spec(one)}" for label, one in some.items()]
-    lines += ["# Not told; write a segment behind those that are markers:"] * bool(markers.unknown)
+    lines += ["# Not told; write a segment behind those whose place you know:"] * bool(markers.unknown)
     lines += [f"# {json.dumps(clean(label), ensure_ascii=False)}:" for label in markers.unknown]
     return "\n".join(lines) + "\n"
 
@@ -69,7 +69,9 @@ def _markers(markers: Recognised, marker_map: str) -> Iterator[str]:
     yield f"markers: {_scalar(marker_map) if marker_map else markers.name}  # {clean(markers.said)}"
     if markers.unknown:
         named = clean(listing(markers.unknown, 12))
-        yield f"# Not told and left out: {named}." if marker_map else f"# Not listed, placed by how they move: {named}."
+        yield f"# Not told: {named}. Each joins the segment that it surely moves with, or is left out."
+        if marker_map:
+            yield "unlisted: assign  # leave_out: they take no part"
 
 
 def _trials(proposal: Proposal, beside: Path) -> Iterator[str]:

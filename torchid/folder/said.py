@@ -21,8 +21,8 @@ def said_of(proposal: Proposal, config: Path) -> Iterator[tuple[str, str]]:
     """
     yield "subject", ", ".join((proposal.name, *_facts(proposal)))
     markers = proposal.markers
-    rest = "left out" if markers.worded else "placed by how they move"
-    yield "markers", markers.said + (f"; {rest}: {listing(markers.unknown)}" if markers.unknown else "")
+    rest = f"; by how they move, if that is sure: {listing(markers.unknown)}" if markers.unknown else ""
+    yield "markers", markers.said + rest
     for role, word in (("static", "standing"), ("fit", "fit"), ("heldout", "held out")):
         names = [use.of.name + (f" ({use.mend})" if use.mend else "") for use in proposal.of(role)]
         yield word, listing(names, MOST)

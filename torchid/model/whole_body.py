@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 
 from torchid.errors import ConfigError, Note
-from torchid.model.anthropometry import inertial_prior
+from torchid.model.anthropometry import GROWN_M, inertial_prior
 from torchid.model.geometry_prior import whole_body_geometry
 from torchid.model.landmarks import whole_body_landmarks
 from torchid.model.model import GeometryPrior, Model
@@ -39,6 +39,8 @@ def whole_body(height: float | None, mass: float | None, sex: str = "unknown", m
     tree = whole_body_tree(shape.hip_height * tall)
     geometry = whole_body_geometry(tree, shape, tall, tall_sd)
     sources = SOURCES if height is not None else (*SOURCES, f"height not given: {tall:.3f} m, mean of adults ({sex})")
+    if tall < GROWN_M:
+        sources = (*sources, f"a person below {GROWN_M} m: shares of mass scatter more than adults' do (Jensen 1986)")
     return Model(
         tree=tree,
         geometry=geometry,
