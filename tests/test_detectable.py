@@ -131,6 +131,8 @@ def test_what_another_effect_explains_as_well_is_not_testable(seed):
     )
     both = detectable(one.statistics(nothing), (), (own, other), NAMING)
     assert alone is not None and [found.size for found in both] == [None, None]
+    (against,) = detectable(one.statistics(nothing), (), (own,), NAMING, rivals=(other,))
+    assert against == both[0], "what is not asked about itself competes as well"
 
 
 def test_more_rows_show_smaller_sizes(seed):

@@ -39,9 +39,7 @@ def marker_map_text(markers: Recognised) -> str:
     Args:
         markers: what was recognised.
     """
-    lines = [
-        f"# {clean(markers.said)}. Every line is LABEL: SEGMENT, or with a landmark."
-    ]
+    lines = [f"# {clean(markers.said)}. Every line is LABEL: SEGMENT, or with a landmark."]
     for said, some in ((f"By the set {markers.name}:", markers.listed), ("By their words:", markers.worded)):
         lines += [f"# {said}"] * bool(some)
         lines += [f"{json.dumps(label, ensure_ascii=False)}: {_spec(one)}" for label, one in some.items()]

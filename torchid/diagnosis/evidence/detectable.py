@@ -54,7 +54,11 @@ class Detectable:
 
 
 def detectable(
-    statistics: Statistics, chosen: Sequence[Candidate], candidates: Sequence[Candidate], naming: NamingOptions
+    statistics: Statistics,
+    chosen: Sequence[Candidate],
+    candidates: Sequence[Candidate],
+    naming: NamingOptions,
+    rivals: Sequence[Candidate] = (),
 ) -> tuple[Detectable, ...]:
     """Return the smallest size that would have been named of each effect at each place, key by key.
 
@@ -63,12 +67,13 @@ def detectable(
         chosen: effects that the model has.
         candidates: candidates that could have been named beside them.
         naming: thresholds.
+        rivals: what competes with them and is not asked about itself.
     """
-    bare, others = marginalise_per_trial(statistics.unstated, chosen)
+    bare, kept = marginalise_per_trial(statistics.unstated, chosen)
     whole, _ = marginalise_per_trial(statistics, chosen)
-    base, less = fit(whole, others), fit(bare, others)
-    asked = [c for c in candidates if _has_size(c.effect)]
-    joint, found = joint_information(whole, base, asked), []
+    base, less = fit(whole, kept), fit(bare, kept)
+    asked, beside = ([c for c in some if _has_size(c.effect)] for some in (candidates, rivals))
+    joint, found = joint_information(whole, base, [*asked, *beside]), []
     for name in dict.fromkeys(c.effect.name for c in asked):
         own = [c for c in asked if c.effect.name == name]
         both = zip(informed(whole, base, own), informed(bare, less, own), strict=True)

@@ -15,7 +15,7 @@ def sizes_shown(
 ) -> tuple[Detectable, ...]:
     """Return the smallest size of each effect that would have been named.
 
-    What a chosen effect keeps from being named is asked in its place, not beside it.
+    What a chosen effect keeps from being named is asked in its place, against it.
 
     Args:
         model: model of the last round.
@@ -23,7 +23,7 @@ def sizes_shown(
         left: candidates that could still be named.
         naming: thresholds.
     """
-    asked = [(tuple(chosen), left)]
-    asked += [(tuple(without(chosen, one)), closed_by(model.design, chosen, one)) for one in chosen]
-    found = [detectable(model.statistics, beside, some, naming) for beside, some in asked if some]
+    asked: list[tuple[Sequence[Candidate], Sequence[Candidate], Sequence[Candidate]]] = [(tuple(chosen), left, ())]
+    asked += [(tuple(without(chosen, one)), closed_by(model.design, chosen, one), (one,)) for one in chosen]
+    found = [detectable(model.statistics, beside, some, naming, rivals) for beside, some, rivals in asked if some]
     return extremes([one for own in found for one in own])
