@@ -2,7 +2,7 @@
 
 Of two segments, the one to which the distances scatter less is likelier: by the power of a variance ratio that as many
 independent postures give as a session has. A neighbour of the best that too few markers show cannot be asked, and may
-carry the marker just as well.
+carry the marker just as well, unless nobody puts markers on it: it has no landmark.
 """
 
 import math
@@ -28,9 +28,9 @@ SURE = 0.9
 """Probability from which a marker is given to a segment; chosen, the one below which a verdict is not told either."""
 JUDGES = 2
 """Markers by which a segment can be asked: by one alone, every marker on a sphere about it would keep its distance."""
-REACH = 0.23
-"""Mean distance from a segment's other markers at which none of it sits any more [of stature]; chosen, a thigh's
-length. In a walk, an elbow keeps its distance from the head."""
+REACH = 0.4
+"""Mean distance from a segment's other markers at which none of it sits any more [m]; chosen, a thigh's length. In a
+walk, an elbow keeps its distance from the head."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,6 @@ class Carrier:
 def rigid_scatter(
     position: Float[torch.Tensor, "frames 3"],
     clusters: dict[int, Float[torch.Tensor, "frames markers 3"]],
-    reach: float = math.inf,
 ) -> dict[int, tuple[float, int]]:
     """Tell how rigidly an unassigned marker moves with the markers of each body.
 
@@ -65,7 +64,6 @@ def rigid_scatter(
     Args:
         position: path of the unassigned marker, NaN where missing [m].
         clusters: paths of the markers of each body, by the body's index in the tree, NaN where missing [m].
-        reach: mean distance from a body's markers at which it is out of reach [m].
 
     Returns:
         By the body's index, the criterion [m^2] and the common frames.
@@ -76,7 +74,7 @@ def rigid_scatter(
         common = torch.isfinite(distance).all(dim=1)
         frames = int(common.sum())
         if markers.shape[1] >= JUDGES and frames >= 10:
-            near = float(distance[common].mean()) <= reach
+            near = float(distance[common].mean()) <= REACH
             found[body] = float(distance[common].var(dim=0).mean()) if near else math.inf, frames
     return found
 
@@ -92,12 +90,12 @@ def carrier_of(label: str, known: Mapping[str, MarkerSpec], model: Model, trials
         model: template of the subject.
         trials: all trials of the session.
     """
-    tree, variance = model.tree, _variances(label, known, model, trials)
+    tree, variance = model.tree, _variances(label, known, model.tree, trials)
     best = min(variance, key=variance.__getitem__, default=None)
     if best is None or not math.isfinite(variance[best]):
         return None
-    # A neighbour that cannot be asked is as likely as the best.
-    beside = [k for k in range(len(tree.bodies)) if k not in variance and _neighbours(tree, k, best)]
+    marked = {tree.index(one.segment) for one in model.landmarks.values()}
+    beside = [k for k in marked if k not in variance and _neighbours(tree, k, best)]
     asked = variance | dict.fromkeys(beside, variance[best])
     weight = {k: ((v + NOISE**2) / (variance[best] + NOISE**2)) ** (-0.5 * POSTURES) for k, v in asked.items()}
     other = max((k for k in weight if k != best), key=weight.__getitem__, default=None)
@@ -105,15 +103,13 @@ def carrier_of(label: str, known: Mapping[str, MarkerSpec], model: Model, trials
     return Carrier(tree.names[best], weight[best] / sum(weight.values()), math.sqrt(variance[best]), name)
 
 
-def _variances(
-    label: str, known: Mapping[str, MarkerSpec], model: Model, trials: tuple[Trial, ...]
-) -> dict[int, float]:
+def _variances(label: str, known: Mapping[str, MarkerSpec], tree: Tree, trials: tuple[Trial, ...]) -> dict[int, float]:
     """Return the variance of the distances to the markers of each body that can be asked [m^2]."""
     squares: dict[int, list[tuple[float, int]]] = {}
     moving = [t for t in trials if t.role != "static"] or list(trials)
     for markers in (t.markers for t in moving if label in t.markers.labels):
         path = markers.select((label,)).position[:, 0]
-        for body, found in rigid_scatter(path, _clusters(markers, known, model.tree), REACH * model.height).items():
+        for body, found in rigid_scatter(path, _clusters(markers, known, tree)).items():
             squares.setdefault(body, []).append(found)
     return {k: sum(v * n for v, n in each) / sum(n for _, n in each) for k, each in squares.items()}
 
@@ -124,10 +120,12 @@ def _neighbours(tree: Tree, one: int, other: int) -> bool:
 
 
 def _clusters(markers: Markers, known: Mapping[str, MarkerSpec], tree: Tree) -> dict[int, torch.Tensor]:
-    """Return the positions of the known markers of each body, by the body's index in the tree."""
+    """Return the positions of the known markers of each body that are seen in most frames, by the body's index."""
+    often = torch.isfinite(markers.position[..., 0]).double().mean(0) > 0.5
+    seen = [label for label, one in zip(markers.labels, often.tolist(), strict=True) if one]
     found = {}
     for k, name in enumerate(tree.names):
-        labels = tuple(label for label in markers.labels if label in known and known[label].segment == name)
-        if labels:
+        own = (label for label in seen if label in known and known[label].segment == name)
+        if labels := tuple(own):
             found[k] = markers.select(labels).position
     return found

@@ -2,8 +2,8 @@
 
 An effect of that size, in a direction by lot, would be named in ``CHANCE`` of all cases by the rules of a round
 (``search/rivals.py``): its score, and what it has beyond its appearance, both reach ``named_nats``, and it explains
-what the session would hold then by ``very_strong_nats`` better than any other effect or place. Not asked is the consent
-of single trials.
+what the session would hold then by ``very_strong_nats`` better than any other effect or place that has a size; that
+margin is a choice. Not asked is the consent of single trials.
 
 Left out are effects without one size: what comes and goes, what differs from trial to trial, what is there in full or
 not at all. So is what bodies imitate at every place, and what other proof than forces decides about.

@@ -5,6 +5,7 @@ moment A_kj z_j, and what adds to b_j, their own, adds A_kj A_jj^-1 as much to b
 has there anyway.
 """
 
+import math
 from collections.abc import Iterator
 
 import torch
@@ -16,7 +17,7 @@ from torchid.diagnosis.evidence.joint_information import JointInformation
 from torchid.diagnosis.evidence.planted_moments import Moments, moments_along
 
 RIVALS = 8
-"""Resolution. Other effects that are asked, those that an effect as large as is ever stated says most for."""
+"""Resolution. Other effects and places that are asked: those that an effect of the largest size says most for."""
 
 
 def rival_moments(
@@ -47,11 +48,17 @@ def rival_moments(
 
 
 def _nearest(joint: JointInformation, one: int, direction: Float[Tensor, "draws n"]) -> list[int]:
-    """Return the other effects or places that could take most of what a candidate's effect does to the data."""
+    """Return the other effects or places that could take most of what a candidate's effect does to the data, each at
+    the frequency that takes most."""
     own = joint.candidates[one]
-    others = [k for k, c in enumerate(joint.candidates) if not _same(c, own)]
-    taken = {k: _taken(joint.between(k, k), direction @ joint.between(one, k)) for k in others}
-    return sorted(others, key=lambda k: -taken[k])[:RIVALS]
+    best: dict[tuple[str, tuple[str, ...]], tuple[float, int]] = {}
+    for k, other in enumerate(joint.candidates):
+        if not _same(other, own):
+            taken = _taken(joint.between(k, k), direction @ joint.between(one, k))
+            found = 0.5 * taken + math.log(other.odds), k
+            key = other.effect.name, other.place.where
+            best[key] = max(best.get(key, found), found)
+    return [k for _, k in sorted(best.values(), reverse=True)[:RIVALS]]
 
 
 def _same(one: Candidate, other: Candidate) -> bool:
