@@ -21,7 +21,7 @@ class JointInformation:
 
     candidates: tuple[Candidate, ...]
     """The candidates that act in a trial of the base."""
-    at: tuple[Int[Tensor, " n"], ...]
+    at: tuple[Int[Tensor, " _"], ...]
     """Indices of the parameters of each candidate."""
     value: Float[Tensor, "all all"]
     """The information."""
