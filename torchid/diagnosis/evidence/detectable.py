@@ -101,9 +101,9 @@ def _of_keys(
     for key, parts in _keys(effect, some[0].place):
         lot = torch.Generator().manual_seed(LOT)
         direction = directions(some[0], parts, lot).to(told)
-        moments = moments_of(told, unstated, direction, lot)
-        rivals = [rival_moments(joint, one, direction, moments[0], k) for k, one in enumerate(some)]
-        rules = PlantedRules.of(some, moments, rivals)
+        whole, bare = moments_of(told, unstated, direction, lot)
+        rivals = [rival_moments(joint, one, direction, whole, k) for k, one in enumerate(some)]
+        rules = PlantedRules.of(some, whole, bare, rivals)
         for one, size in zip(some, smallest(rules, naming).tolist(), strict=True):
             own = size * float(direction[0].norm()) * effect.scale(one.place)[parts[0]]
             yield Detectable(effect.name, one.place.where, key, own if math.isfinite(own) else None)

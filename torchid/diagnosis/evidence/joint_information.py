@@ -44,26 +44,21 @@ def joint_information(statistics: Statistics, base: Posterior, candidates: Seque
     Args:
         statistics: statistics of all trials.
         base: posterior of the base.
-        candidates: candidates, of the same design.
+        candidates: candidates of the same design, whose parameters all their trials share.
     """
-    groups: dict[frozenset[int], list[int]] = {}
-    for k, one in enumerate(candidates):
-        for block in one.blocks:
-            if block & base.seen:
-                groups.setdefault(block & base.seen, []).append(k)
-    parts = [_Part.of(statistics, base, block, [candidates[k] for k in some]) for block, some in groups.items()]
-    if not parts:
+    groups: dict[frozenset[int], list[Candidate]] = {}
+    for one in candidates:
+        assert not one.effect.per_trial, "parameters that differ from trial to trial"
+        if block := one.trials & base.seen:
+            groups.setdefault(block, []).append(one)
+    if not groups:
         return JointInformation((), (), base.factor.new_zeros(0, 0), base.factor.new_zeros(0))
+    parts = [_Part.of(statistics, base, block, some) for block, some in groups.items()]
     rows = [torch.cat([one.against(other, statistics) for other in parts], 1) for one in parts]
-    places: dict[int, list[Tensor]] = {}
-    start = 0
-    for k in (k for some in groups.values() for k in some):
-        columns = len(candidates[k].columns)
-        places.setdefault(k, []).append(torch.arange(start, start + columns))
-        start += columns
-    at = tuple(torch.cat(own) for own in places.values())
     moment = torch.cat([one.moment(base, statistics) for one in parts])
-    return JointInformation(tuple(candidates[k] for k in places), at, torch.cat(rows), moment)
+    order = tuple(one for some in groups.values() for one in some)
+    at = torch.arange(len(moment)).split([len(one.columns) for one in order])
+    return JointInformation(order, at, torch.cat(rows), moment)
 
 
 @dataclass(frozen=True)

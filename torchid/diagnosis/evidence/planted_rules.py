@@ -41,22 +41,24 @@ class PlantedRules:
     def of(
         cls,
         some: Sequence[Candidate],
-        moments: tuple[Moments, Moments],
+        whole: Moments,
+        bare: Moments | None = None,
         rivals: Iterable[Iterable[tuple[Candidate, Moments]]] = (),
     ) -> "PlantedRules":
         """Return the rules for moments of all rows, and of those without statements.
 
         Args:
             some: candidates of one effect.
-            moments: both moments.
+            whole: moments of all rows.
+            bare: moments of the rows without statements; None: the appearance is not asked about.
             rivals: what else would explain each of them, with the moments that it gets.
         """
-        (whole, bare), effect = moments, some[0].effect
-        one, sizes = whole.value.new_ones(1), whole.value.new_tensor(SIZES)
-        seems = bare.evidence(sizes.square(), shares_of(effect).to(one).log()) if has_appearance(effect) else None
+        effect, one = some[0].effect, whole.value.new_ones(1)
+        asked = bare if has_appearance(effect) else None
+        seems = asked and asked.evidence(one.new_tensor(SIZES).square(), shares_of(effect).to(one).log())
         positives = effect.positives(some[0].place)
         odds, evidence = one.new_tensor([c.odds for c in some]), whole.evidence(one, 0.0 * one)
-        others = tuple(tuple(cls.of([c], (own, own)) for c, own in each) for each in rivals)
+        others = tuple(tuple(cls.of([c], own) for c, own in each) for each in rivals)
         return cls(odds, positives, whole, evidence, seems, others)
 
     def named(self, size: Float[Tensor, " some"], naming: NamingOptions) -> Bool[Tensor, " some"]:
