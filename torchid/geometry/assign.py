@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.errors import DataError, Note
-from torchid.geometry.rigidity import RIGID, Carrier, carrier_of
+from torchid.geometry.rigidity import ELSEWHERE, Carrier, carrier_of
 from torchid.model.marker_set import MarkerSet, MarkerSpec, marker_prior
 from torchid.model.model import Model
 from torchid.model.tree import Tree
@@ -138,7 +138,7 @@ def _carried(
 
 def _unsure(label: str, one: Carrier | None) -> str:
     """Return why a label is left out."""
-    if one is None or one.scatter > RIGID:
+    if one is None or one.scatter > ELSEWHERE:
         return f"{label} is in no marker set and moves with no segment; left out"
     return f"{label} is in no marker set; it may move with {one.segment} or {one.other}; left out"
 

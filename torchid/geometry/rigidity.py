@@ -17,8 +17,9 @@ from torchid.model.model import Model
 from torchid.model.tree import Tree
 from torchid.recording import Markers, Trial
 
-RIGID = 0.02
-"""A marker that a segment carries keeps its distances to the segment's markers to within this [m]; chosen."""
+ELSEWHERE = 0.015
+"""What is on no segment that could be asked keeps its distances to some segment's markers to within this by chance [m];
+chosen. In a walk, an elbow does so to the pelvis to 20 mm."""
 NOISE = 0.003
 """Distances on one segment scatter by so much for cameras and skin alone [m]; chosen."""
 POSTURES = 6.0
@@ -39,7 +40,7 @@ class Carrier:
 
     segment: str
     probability: float
-    """Probability among all segments that could be asked, and neighbours that could not."""
+    """Probability among all segments that could be asked, neighbours that could not, and none of them."""
     scatter: float
     """Scatter of the distances to the segment's markers [m]."""
     other: str
@@ -48,7 +49,7 @@ class Carrier:
     @property
     def sure(self) -> bool:
         """True if it is a segment's marker beyond doubt."""
-        return self.scatter <= RIGID and self.probability >= SURE
+        return self.probability >= SURE
 
 
 def rigid_scatter(
@@ -97,10 +98,10 @@ def carrier_of(label: str, known: Mapping[str, MarkerSpec], model: Model, trials
     marked = {tree.index(one.segment) for one in model.landmarks.values()}
     beside = [k for k in marked if k not in variance and _neighbours(tree, k, best)]
     asked = variance | dict.fromkeys(beside, variance[best])
-    weight = {k: ((v + NOISE**2) / (variance[best] + NOISE**2)) ** (-0.5 * POSTURES) for k, v in asked.items()}
+    weight = {k: ((v + NOISE**2) / (ELSEWHERE**2 + NOISE**2)) ** (-0.5 * POSTURES) for k, v in asked.items()}
     other = max((k for k in weight if k != best), key=weight.__getitem__, default=None)
     name = "" if other is None else tree.names[other]
-    return Carrier(tree.names[best], weight[best] / sum(weight.values()), math.sqrt(variance[best]), name)
+    return Carrier(tree.names[best], weight[best] / (1.0 + sum(weight.values())), math.sqrt(variance[best]), name)
 
 
 def _variances(label: str, known: Mapping[str, MarkerSpec], tree: Tree, trials: tuple[Trial, ...]) -> dict[int, float]:
