@@ -18,8 +18,8 @@ from torchid.model.tree import Tree
 from torchid.recording import Markers, Trial
 
 ELSEWHERE = 0.015
-"""What is on no segment that could be asked keeps its distances to some segment's markers to within this by chance [m];
-chosen. In a walk, an elbow does so to the pelvis to 20 mm."""
+"""Scatter of the distances to some segment's markers that what is on none that could be asked may have by chance [m];
+chosen. In a walk, an elbow keeps its distance from the pelvis to 20 mm."""
 NOISE = 0.003
 """Distances on one segment scatter by so much for cameras and skin alone [m]; chosen."""
 POSTURES = 6.0
