@@ -18,8 +18,8 @@ SAID = 5
 HEAD = (
     f"From these sizes on, {number(10.0 * CHANCE, 0)} of 10 such effects would have been named, by the noise here, "
     "what sound sessions seem to have of each effect, and what other effects would explain of it. Real recordings hold "
-    "more: of faults of these sizes planted into some, seven in ten were named (docs/diagnosis.md). Smaller ones may "
-    "go unseen. Of several parameters of an effect, one is there at a time."
+    "more, and fewer of the faults of these sizes planted into some were named, of plates' places none "
+    "(docs/diagnosis.md). Smaller ones may go unseen. Of several parameters of an effect, one is there at a time."
 )
 
 
