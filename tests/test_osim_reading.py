@@ -109,6 +109,38 @@ def test_every_plain_joint_moves_as_opensims(kind: str, seed: int, tmp_path: Pat
         _compare(_write(tmp_path / "old.osim", text), seed)
 
 
+ON_ELLIPSOID = {
+    "EllipsoidJoint": (NAMED[:3], "<radii_x_y_z>{0} {1} {2}</radii_x_y_z>"),
+    "ScapulothoracicJoint": (
+        NAMED[:4],
+        "<thoracic_ellipsoid_radii_x_y_z>{0} {1} {2}</thoracic_ellipsoid_radii_x_y_z>"
+        "<scapula_winging_axis_origin>{3} {4}</scapula_winging_axis_origin>"
+        "<scapula_winging_axis_direction>{5}</scapula_winging_axis_direction>",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", ON_ELLIPSOID)
+def test_bodies_on_an_ellipsoid_move_as_opensims(kind: str, seed: int, tmp_path: Path) -> None:
+    """The joints of shoulder models: outwards, inwards and in old files, with radii and axes by lot.
+
+    A ScapulothoracicJoint whose child is ground ends OpenSim itself, without a word.
+    """
+    rng = np.random.default_rng(seed)
+    names, rest = ON_ELLIPSOID[kind]
+    rest = rest.format(*rng.uniform(0.05, 0.3, 3), *rng.uniform(-0.1, 0.1, 2), rng.uniform(-3.0, 3.0))
+    model = _compare(_write(tmp_path / "out.osim", osim(joint(kind, *names, rest=rest))), seed)
+    if kind == "EllipsoidJoint":
+        inwards = joint(kind, *names, parent="/bodyset/a", child="/ground", rest=rest)
+        _compare(_write(tmp_path / "in.osim", osim(inwards)), seed)
+    old = old_joint(kind, *names, rest=rest)
+    _compare(_write(tmp_path / "old.osim", old_osim(OLD_BODY.format("a", old))), seed)
+    x = torch.tensor(rng.uniform(-1.5, 1.5, size=(3, len(names))))
+    for slide in model.joints[0].slides:
+        by_forward_mode = torch.stack([torch.func.jacfwd(slide.function)(one) for one in x])
+        assert_close(slide.function.slopes(x), by_forward_mode, rtol=0, atol=1e-14)
+
+
 POINTS = "<x>-1.3 -0.4 0.1 0.9 1</x><y>0.2 -0.1 0.3 0.25 -0.2</y>"
 FUNCTIONS = {
     "constant": ("", "<Constant><value>0.37</value></Constant>"),

@@ -6,20 +6,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import roma
 import torch
 import yaml
 from harness.opensim_forces import as_free, osim_inverse_dynamics
 from osim_dynamics import opensim_consistency, opensim_forces
-from osim_files import NAMES, draw, joint, osim, transform
+from osim_files import MARKER, NAMES, draw, joint, osim, transform
 from osim_session import FUNCTION_KNEES, identified
 from torch import Tensor
 from torch.testing import assert_close
 
 from torchid.config import load_config
 from torchid.dynamics.rows import residual_rms
-from torchid.errors import ConfigError, InputError
+from torchid.errors import ConfigError, InputError, Note
 from torchid.kinematics.chain import chain_points, chain_poses
 from torchid.model.files import load_model
+from torchid.model.model import Model
 from torchid.model.opensim.as_model import LEAST_MASS, read_osim_model
 from torchid.model.opensim.group_inertia import of_bodies, of_groups
 from torchid.model.opensim.model import GROUND, OsimModel
@@ -255,34 +257,107 @@ def test_torques_of_laboratories_are_opensims(case: int, data_dir: Path) -> None
 SIX = ("q0", "q1", "q2", "q3", "q4", "q5")
 
 
-def test_roots_that_are_no_floating_base_are_refused(tmp_path: Path) -> None:
-    """A planar root, two bodies on ground, a base with leaning axes and reversed slides are refused by name."""
-    knee = joint("PinJoint", "q6", parent="/bodyset/a", child="/bodyset/b")
-    free = joint("FreeJoint", *SIX)
-    leaning = {f"rotation{k}": (f"q{k - 1}", "1 0.2 0" if k == 1 else f"{int(k == 1)} {int(k == 2)} {int(k == 3)}",
-                                "<LinearFunction><coefficients>1 0</coefficients></LinearFunction>")
-               for k in (1, 2, 3)}  # fmt: skip
-    leaning |= {f"translation{k}": (f"q{k + 2}", f"{int(k == 1)} {int(k == 2)} {int(k == 3)}",
-                                    "<LinearFunction><coefficients>1 0</coefficients></LinearFunction>")
-                for k in (1, 2, 3)}  # fmt: skip
-    cases = {
-        "osim.root": (
-            osim(joint("PlanarJoint", *SIX[:3])),
-            osim(free, joint("PinJoint", "q6", child="/bodyset/b"), bodies="ab"),
-            osim(joint("CustomJoint", *SIX, rest=transform(leaning))),
-        ),
-        "osim.reversed": (
-            osim(free, joint("SliderJoint", "q6", parent="/bodyset/b", child="/bodyset/a"), bodies="ab"),
-        ),
-    }
-    for code, texts in cases.items():
-        for text in texts:
-            (tmp_path / "a.osim").write_text(text)
-            with pytest.raises(InputError, match=code.replace(".", r"\.")):
-                load_model(tmp_path / "a.osim")
-    (tmp_path / "a.osim").write_text(osim(free, knee, bodies="ab"))
-    made, _ = load_model(tmp_path / "a.osim")
+STRAIGHT = "<LinearFunction><coefficients>{0} {1}</coefficients></LinearFunction>"
+LEANING = {
+    "rotation1": ("q0", "1 0.2 0", STRAIGHT.format(1, 0)),
+    "rotation2": ("q1", "0 1 0", STRAIGHT.format(1, 0)),
+    "rotation3": ("q2", "0 0 1", STRAIGHT.format(-1, 0.3)),
+    "translation1": ("q3", "1 0 0.4", STRAIGHT.format(1, 0)),
+    "translation2": ("q4", "0 1 0", STRAIGHT.format(1, 0.2)),
+    "translation3": ("q5", "0 0 1", STRAIGHT.format(1, 0)),
+}
+"""Axes of a root that do not stand at right angles."""
+MARKS = "<MarkerSet><objects>{0}</objects></MarkerSet>"
+PIN = {"parent": "/bodyset/a", "child": "/bodyset/b"}
+ROOTS = {
+    "planar": (joint("PlanarJoint", *SIX[:3]), joint("PinJoint", "q6", **PIN)),
+    "pinned": (joint("PinJoint", "q0"), joint("PinJoint", "q6", **PIN)),
+    "still": (joint("WeldJoint"), joint("PinJoint", "q6", **PIN)),
+    "inwards": (joint("PlanarJoint", *SIX[:3], parent="/bodyset/a", child="/ground"), joint("PinJoint", "q6", **PIN)),
+    "leaning": (joint("CustomJoint", *SIX, rest=transform(LEANING)), joint("PinJoint", "q6", **PIN)),
+}
+"""Roots that are no floating base."""
+BESIDE = {
+    "on ground": (
+        joint("PinJoint", "q7", child="/bodyset/c"), joint("PlanarJoint", *SIX[:3]), joint("PinJoint", "q6", **PIN)
+    ),
+    "below": (
+        joint("WeldJoint", child="/bodyset/c"), joint("PlanarJoint", *SIX[:3], parent="/bodyset/c"),
+        joint("PinJoint", "q6", **PIN),
+    ),
+    "moving below": (
+        joint("SliderJoint", "q7", child="/bodyset/c"), joint("FreeJoint", *SIX, parent="/bodyset/c"),
+        joint("PinJoint", "q6", **PIN),
+    ),
+}  # fmt: skip
+"""Files in which body c is no part of the person a, b."""
+
+
+@pytest.mark.parametrize("case", ROOTS)
+def test_a_person_floats_whatever_the_root_leaves_free(case: str, seed: int, tmp_path: Path) -> None:
+    """Poses are the file's, coordinates come back from them, and what the file does not show is said."""
+    made, notes = _check(tmp_path, osim(*ROOTS[case], bodies="ab"), np.random.default_rng(seed))
     assert made.tree.dof_names[6:] == ("q6",)
+    assert [note.code for note in notes if note.code.startswith("osim.")] == ["osim.root"]
+
+
+@pytest.mark.parametrize("case", BESIDE)
+def test_what_stands_beside_a_person_stays_in_the_file(case: str, seed: int, tmp_path: Path) -> None:
+    """Neither body nor coordinate of it is identified; written back it has its own numbers, the person others."""
+    text = osim(*BESIDE[case], bodies="abc", rest=MARKS.format(MARKER.format("M", "/bodyset/a")))
+    made, notes = _check(tmp_path, text, np.random.default_rng(seed))
+    assert made.osim is not None
+    assert made.tree.names == ("a", "b") and made.tree.dof_names[6:] == ("q6",) and set(made.landmarks) == {"M"}
+    assert "c: no part of the person" in next(note.message for note in notes if note.code == "osim.beside")
+    phi = made.inertia.mean * torch.tensor([[1.3], [0.8]])
+    geometry = made.geometry.geometry(made.geometry.mean)
+    write_back(identified_model(made.osim, geometry, phi, {}), tmp_path / "b.osim")
+    model, _ = read_osim(tmp_path / "b.osim")
+    assert_close(model.inertias.mass, torch.tensor([2.6, 1.6, 2.0]).double())
+    old, new = (path.read_text().partition('<Body name="c">')[2] for path in (tmp_path / "a.osim", tmp_path / "b.osim"))
+    assert old.partition("</Body>")[0] == new.partition("</Body>")[0]
+
+
+def test_a_limited_root_shows_the_nearest_pose(seed: int, tmp_path: Path) -> None:
+    """No pose within reach of a planar root is nearer to one that is not, by squares of turn and way."""
+    (tmp_path / "a.osim").write_text(osim(*ROOTS["planar"], bodies="ab"))
+    made, _ = read_osim_model(tmp_path / "a.osim")
+    assert made.osim is not None
+    rng, names = np.random.default_rng(seed), made.tree.dof_names
+    q = torch.tensor(rng.normal(scale=0.6, size=(5, len(names))))
+    found = made.osim.from_tree(names, q)
+
+    def missed(coordinates: Tensor) -> Tensor:
+        pose = made.osim.to_tree(names, coordinates, 0.0 * coordinates, 0.0 * coordinates)[0]
+        turns = [roma.rotvec_to_rotmat(one[:, 3:6]) for one in (q, pose)]
+        turn = torch.as_tensor(roma.rotmat_to_rotvec(turns[0] @ turns[1].mT))
+        return (q[:, :3] - pose[:, :3]).square().sum(1) + turn.square().sum(1)
+
+    least = missed(found)
+    for _ in range(20):
+        other = found.clone()
+        other[:, :3] += torch.tensor(rng.normal(scale=0.02, size=(5, 3)))
+        assert bool((missed(other) > least).all())
+
+
+def test_roots_that_lead_others_and_reversed_slides_are_refused(tmp_path: Path) -> None:
+    """Each by name."""
+    knee = joint("PinJoint", "q6", **PIN)
+    coupler = (
+        "<ConstraintSet><objects><CoordinateCouplerConstraint name='k'><coupled_coordinates_function>"
+        f"{STRAIGHT.format(1, 0)}</coupled_coordinates_function><independent_coordinate_names>q0"
+        "</independent_coordinate_names><dependent_coordinate_name>q6</dependent_coordinate_name>"
+        "</CoordinateCouplerConstraint></objects></ConstraintSet>"
+    )
+    free = joint("FreeJoint", *SIX)
+    cases = {
+        "osim.root": osim(free, knee, bodies="ab", rest=coupler),
+        "osim.reversed": osim(free, joint("SliderJoint", "q6", parent="/bodyset/b", child="/bodyset/a"), bodies="ab"),
+    }
+    for code, text in cases.items():
+        (tmp_path / "a.osim").write_text(text)
+        with pytest.raises(InputError, match=code.replace(".", r"\.")):
+            load_model(tmp_path / "a.osim")
 
 
 def test_every_kind_of_joint_hangs_in_a_tree(seed: int, tmp_path: Path) -> None:
@@ -310,18 +385,24 @@ def test_every_kind_of_joint_hangs_in_a_tree(seed: int, tmp_path: Path) -> None:
     _check(tmp_path, osim(joint("FreeJoint", *SIX), custom, bodies="ab"), rng)
 
 
-def _check(folder: Path, text: str, rng: np.random.Generator) -> None:
+def _check(folder: Path, text: str, rng: np.random.Generator) -> tuple[Model, tuple[Note, ...]]:
+    """The model of a file, its poses and its coordinates compared with the file's."""
     (folder / "a.osim").write_text(text)
-    made, _ = read_osim_model(folder / "a.osim")
-    assert made.osim is not None
-    q, v, a = _state(made.osim.model, rng)
-    states, _, _ = made.osim.to_tree(made.tree.dof_names, q, v, a)
+    made, notes = read_osim_model(folder / "a.osim")
+    binding, names = made.osim, made.tree.dof_names
+    assert binding is not None
+    q, v, a = _state(binding.model, rng)
+    states, _, _ = binding.to_tree(names, q, v, a)
     X_WT = chain_poses(made.tree, states, made.geometry.geometry(made.geometry.mean))
-    X_GB = body_poses(made.osim.model, q)
-    for body in range(2):
-        X_WB = X_WT[:, made.osim.group_of(body)] @ made.osim.X_TB[body]
+    X_GB = body_poses(binding.model, q)
+    for body in binding.bodies:
+        X_WB = X_WT[:, binding.group_of(body)] @ binding.X_TB[body]
         assert_close(R_OW @ X_WB[:, :3, :3], X_GB[:, body, :3, :3], rtol=0, atol=1e-9)
         assert_close(X_WB[:, :3, 3] @ R_OW.T, X_GB[:, body, :3, 3], rtol=0, atol=1e-9)
+    back = body_poses(binding.model, binding.from_tree(names, states))
+    if len(binding.bodies) == len(binding.model.bodies):
+        assert_close(back, X_GB, rtol=0, atol=1e-8)
+    return made, notes
 
 
 def test_bodies_without_mass_get_a_little_and_it_is_said(tmp_path: Path) -> None:

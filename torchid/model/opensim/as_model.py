@@ -10,9 +10,9 @@ from torch import Tensor
 from torchid.conventions import GRAVITY
 from torchid.errors import Note
 from torchid.model.model import Landmark, Model
-from torchid.model.opensim.binding import OsimBinding
+from torchid.model.opensim.binding import OsimBinding, is_floating
 from torchid.model.opensim.group_inertia import heavy_enough, of_groups
-from torchid.model.opensim.model import GROUND, OsimModel
+from torchid.model.opensim.model import OsimModel
 from torchid.model.opensim.posing import body_poses, coupled, marker_places
 from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.rotations import moved
@@ -65,7 +65,7 @@ def model_of_osim(model: OsimModel, scatter: FileScatter | None = None) -> tuple
         geometry=file_geometry(tree, geometry, scatter.offset),
         inertia=file_inertia(phi, scatter),
         landmarks=_soles(binding, tree, geometry.offset, scatter.landmark) | _markers(binding, tree, scatter.marker),
-        height=_size(model),
+        height=_size(binding),
         sources=(f"geometry, inertia and markers: {source}", "scatter: chosen, the same for every body"),
         osim=binding,
     )
@@ -81,6 +81,7 @@ def _notes(model: OsimModel, tree: Tree, binding: OsimBinding, light: Sequence[i
     names = [tree.names[k] for k in light]
     if names:
         found.append(Note("osim.massless", f"{', '.join(names)}: no mass; taken as {1e3 * LEAST_MASS:g} g", source))
+    found += _hung(binding)
     locked = ", ".join(one.name for one in model.coordinates if one.locked)
     if locked:
         found.append(Note("osim.locked", f"locked at their defaults: {locked}", source))
@@ -90,12 +91,27 @@ def _notes(model: OsimModel, tree: Tree, binding: OsimBinding, light: Sequence[i
     return tuple(found)
 
 
+def _hung(binding: OsimBinding) -> list[Note]:
+    """What the file has beside the person, and what it leaves free of where the person is, where that is not all."""
+    model, root, source, found = binding.model, binding.root, str(binding.model.source), []
+    beside = [name for body, name in enumerate(model.bodies) if body not in binding.bodies]
+    if beside:
+        found.append(Note("osim.beside", f"{', '.join(beside)}: no part of the person; kept in the file", source))
+    if not is_floating(root):
+        body, names = model.bodies[root.carried.body], binding.root_names
+        held = f"has {len(names)} coordinates there ({', '.join(names)})" if names else "does not move there"
+        shown = "holds the nearest to it" if names else "does not show where it is"
+        said = f"{body} {held}; markers and plates place it freely, and `_ik.mot` {shown}"
+        found.append(Note("osim.root", said, source))
+    return found
+
+
 def _markers(binding: OsimBinding, tree: Tree, sd: float) -> dict[str, Landmark]:
     """The file's markers on the bodies of the tree."""
     found = {}
     for marker in binding.model.markers:
         body = marker.frame.body
-        if body != GROUND:
+        if body in binding.bodies:
             place = moved(binding.X_TB[body], marker.p_BM_B).tolist()
             name = tree.names[binding.group_of(body)]
             found[marker.name] = Landmark(name, (place[0], place[1], place[2]), (sd, sd, sd))
@@ -108,7 +124,7 @@ def _soles(binding: OsimBinding, tree: Tree, offset: Float[Tensor, "bodies 3"], 
     for body, name in enumerate(model.bodies):
         side = name[-1:].lower()
         toes = [joint for joint in model.joints if joint.carrier.body == body]
-        if not name.lower().startswith(FEET) or side not in "lr" or not toes:
+        if body not in binding.bodies or not name.lower().startswith(FEET) or side not in "lr" or not toes:
             continue
         heel, tip = (moved(binding.X_TB[body], p) for p in (torch.zeros(3).to(offset), toes[0].carrier.X_BF[:3, 3]))
         line = tip - heel
@@ -121,8 +137,11 @@ def _soles(binding: OsimBinding, tree: Tree, offset: Float[Tensor, "bodies 3"], 
     return found
 
 
-def _size(model: OsimModel) -> float:
-    """Largest distance between origins of bodies and markers in the default pose, which stands for stature [m]."""
+def _size(binding: OsimBinding) -> float:
+    """Largest distance between origins of the person's bodies and markers in the default pose, which stands for stature
+    [m]."""
+    model = binding.model
     q = coupled(model, model.defaults)
-    points = torch.cat([body_poses(model, q)[:, :3, 3], marker_places(model, q)])
+    names = [marker.name for marker in model.markers if marker.frame.body in binding.bodies]
+    points = torch.cat([body_poses(model, q)[sorted(binding.bodies), :3, 3], marker_places(model, q, names)])
     return float(torch.cdist(points, points).max())

@@ -31,7 +31,7 @@ def of_bodies(binding: OsimBinding, phi: Float[Tensor, "groups 10"]) -> Inertias
 
     With P = U U' of a group before and now (U upper triangular), A = U_now U_before^-1 is an affine map: its last row
     moves no place into mass. A P_k A' of the group's bodies are pseudo-inertias again, and add up to the group's new
-    one: all of its mass is moved and stretched alike.
+    one: all of its mass is moved and stretched alike. Bodies in no group stay as they are.
     """
     P = binding.X_TB @ params_to_pseudo(binding.model.inertias.phi) @ binding.X_TB.mT
     new = torch.zeros_like(P)
@@ -44,7 +44,13 @@ def of_bodies(binding: OsimBinding, phi: Float[Tensor, "groups 10"]) -> Inertias
             A = _upper(wanted)[0] @ torch.linalg.inv(before)
             new[rows] = A @ P[rows] @ A.mT
     X_BT = inverse(binding.X_TB)
-    return _centred(pseudo_to_params(X_BT @ new @ X_BT.mT))
+    found, old = _centred(pseudo_to_params(X_BT @ new @ X_BT.mT)), binding.model.inertias
+    ours = torch.tensor([body in binding.bodies for body in range(len(new))], device=phi.device)
+    return Inertias(
+        torch.where(ours, found.mass, old.mass),
+        torch.where(ours[:, None], found.centre, old.centre),
+        torch.where(ours[:, None, None], found.moments, old.moments),
+    )
 
 
 def _upper(P: Float[Tensor, "4 4"]) -> tuple[Float[Tensor, "4 4"], bool]:

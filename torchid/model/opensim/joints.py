@@ -5,6 +5,7 @@ Eastman, Delp, Nonlinear Dynamics 62:291 (2010)). A turn of a mobilizer is about
 reached, a slide along the axes of the parent's frame.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from torchid.model.opensim.frames import Frames, Stated
 from torchid.model.opensim.function_elements import function_in
 from torchid.model.opensim.functions import Constant, Function, LinearFunction, ScaledFunction
 from torchid.model.opensim.model import OsimCoordinate, OsimJoint, TransformAxis
+from torchid.model.opensim.on_ellipsoid import OnEllipsoid
 from torchid.model.opensim.words import OsimDocument, child_text, objects
 
 KINDS: Mapping[str, tuple[str, str]] = {
@@ -29,6 +31,8 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "FreeJoint": ("xyz", "xyz"),
 }
 """Turns and slides of the joints whose coordinates are their turns, then their slides."""
+ELLIPSOID, SCAPULOTHORACIC = "EllipsoidJoint", "ScapulothoracicJoint"
+"""Wording. Joints whose child touches an ellipsoid of the parent by its origin, its Z axis along the normal there."""
 PLACES = ("rotation1", "rotation2", "rotation3", "translation1", "translation2", "translation3")
 """Wording. Names of a custom joint's axes: three turns, three slides."""
 
@@ -87,8 +91,11 @@ def read_joint(stated: JointElement, first: int, document: OsimDocument) -> tupl
         turns, slides, names = _custom(element, first, document)
     elif kind in KINDS:
         turns, slides, names = _plain(element, first, document)
+    elif kind in (ELLIPSOID, SCAPULOTHORACIC):
+        turns, slides, names = _on_ellipsoid(element, first, document)
     else:
-        remedy = f"Known: CustomJoint, {', '.join(KINDS)}. Put one of these there, such as a CustomJoint of functions."
+        known = ", ".join(("CustomJoint", *KINDS, ELLIPSOID, SCAPULOTHORACIC))
+        remedy = f"Known: {known}. Put one of these there, such as a CustomJoint of functions."
         raise document.fault(element, "osim.joint", "a joint of a kind that is not read", kind, remedy=remedy)
     motions = [motion_of(first + k, turns, slides) for k in range(len(names))]
     coordinates = joint_coordinates(element, names, motions, document)
@@ -110,7 +117,13 @@ _Axes = tuple[list[TransformAxis], list[TransformAxis], list[str]]
 
 def _plain(element: Element, first: int, document: OsimDocument) -> _Axes:
     turns, slides = KINDS[str(element.tag)]
-    count = len(turns) + len(slides)
+    names = _names(element, len(turns) + len(slides), document)
+    axes = [_alone(_unit(axis), first + k) for k, axis in enumerate(turns + slides)]
+    return axes[: len(turns)], axes[len(turns) :], names
+
+
+def _names(element: Element, count: int, document: OsimDocument) -> list[str]:
+    """Return the names of the coordinates of a joint that has so many."""
     names = [document.name(one) for one in coordinate_elements(element)]
     if document.sets_of_joints and element.find("coordinates") is None:
         names = [f"{_prefix_of_left_out(element, document)}_coord_{k}" for k in range(count)]
@@ -118,9 +131,40 @@ def _plain(element: Element, first: int, document: OsimDocument) -> _Axes:
         remedy = "State one coordinate for every turn and slide, or save the model again with OpenSim."
         found = f"{len(names)} instead of {count}"
         raise document.fault(element, "osim.joint", "not as many coordinates as this joint has", found, remedy=remedy)
-    itself = LinearFunction(torch.ones(1, dtype=torch.float64), 0.0)
-    axes = [TransformAxis(_unit(axis), (first + k,), itself) for k, axis in enumerate(turns + slides)]
-    return axes[: len(turns)], axes[len(turns) :], names
+    return names
+
+
+def _alone(unit: torch.Tensor, row: int) -> TransformAxis:
+    """Return the axis that a coordinate moves by its own value."""
+    return TransformAxis(unit, (row,), LinearFunction(torch.ones(1, dtype=torch.float64), 0.0))
+
+
+def _on_ellipsoid(element: Element, first: int, document: OsimDocument) -> _Axes:
+    """Return the axes of a joint on an ellipsoid.
+
+    An EllipsoidJoint turns about X, Y, Z. A ScapulothoracicJoint turns about Y (abduction), -X (elevation) and Z
+    (upward rotation), in the parent frame's axes, and then about an axis in the shoulder blade's plane (winging): in
+    OpenSim's ScapulothoracicJoint.cpp the ellipsoid stands turned by 90 degrees about Z (Seth et al., PLoS ONE
+    11:e0141028, 2016).
+    """
+    scapula = element.tag == SCAPULOTHORACIC
+    radii = document.vector(element, "thoracic_ellipsoid_radii_x_y_z" if scapula else "radii_x_y_z", [0.0] * 3)
+    if not bool((radii > 0.0).all()):
+        found = ", ".join(f"{radius:g}" for radius in radii.tolist())
+        raise document.fault(element, "osim.joint", "its ellipsoid needs radii above zero", found, remedy="State them.")
+    units, centre = [_unit(axis) for axis in "xyz"], torch.zeros(3, dtype=torch.float64)
+    if scapula:
+        angle = document.number(element, "scapula_winging_axis_direction", 0.0)
+        winging = torch.tensor([-math.sin(angle), math.cos(angle), 0.0], dtype=torch.float64)
+        units = [_unit("y"), -_unit("x"), _unit("z"), winging]
+        centre[:2] = document.vector(element, "scapula_winging_axis_origin", [0.0, 0.0])
+    names = _names(element, len(units), document)
+    rows = tuple(range(first, first + len(units)))
+    slides = [
+        TransformAxis(_unit(axis), rows, OnEllipsoid(k, float(radii[k]), torch.stack(units), centre))
+        for k, axis in enumerate("xyz")
+    ]
+    return [_alone(unit, row) for unit, row in zip(units, rows, strict=True)], slides, names
 
 
 def _prefix_of_left_out(joint: Element, document: OsimDocument) -> str:
@@ -128,7 +172,8 @@ def _prefix_of_left_out(joint: Element, document: OsimDocument) -> str:
     name where several joints lack theirs, to which OpenSim gives the same names."""
     parent, lacking = joint.getparent(), 0
     for one in () if parent is None else parent:
-        lacking += any(KINDS.get(str(one.tag), ())) and one.find("coordinates") is None
+        moves = any(KINDS.get(str(one.tag), ())) or one.tag in (ELLIPSOID, SCAPULOTHORACIC)
+        lacking += moves and one.find("coordinates") is None
     return document.name(joint) if lacking > 1 else ""
 
 

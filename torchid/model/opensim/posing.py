@@ -56,11 +56,30 @@ def body_poses(model: OsimModel, q: Float[Tensor, "*batch coordinates"]) -> Floa
     ground = torch.eye(4).to(q).expand(*q.shape[:-1], 4, 4)
     poses: dict[int, Tensor] = {GROUND: ground}
     for joint in model.joints:
-        X = joint_pose(joint, q)
-        step = X if joint.outward else inverse(X)
-        carrier, carried = joint.carrier.X_BF.to(q), inverse(joint.carried.X_BF.to(q))
-        poses[joint.carried.body] = poses[joint.carrier.body] @ (carrier @ step @ carried)
+        poses[joint.carried.body] = poses[joint.carrier.body] @ _across(joint, q)
     return torch.stack([poses[body] for body in range(len(model.bodies))], dim=-3)
+
+
+def body_pose(model: OsimModel, body: int, q: Float[Tensor, "*batch coordinates"]) -> Float[Tensor, "*batch 4 4"]:
+    """Return the pose of one body in ground; of ``body_poses`` the chain that leads to it.
+
+    Args:
+        body: index of the body, or ``GROUND``.
+        q: values of all coordinates [rad, m], couplers obeyed.
+    """
+    X_GB = torch.eye(4).to(q).expand(*q.shape[:-1], 4, 4)
+    carried = {joint.carried.body: joint for joint in model.joints}
+    while body != GROUND:
+        X_GB = _across(carried[body], q) @ X_GB
+        body = carried[body].carrier.body
+    return X_GB
+
+
+def _across(joint: OsimJoint, q: Float[Tensor, "*batch coordinates"]) -> Float[Tensor, "*batch 4 4"]:
+    """Pose of the body that a joint carries in the one that carries it."""
+    X = joint_pose(joint, q)
+    step = X if joint.outward else inverse(X)
+    return joint.carrier.X_BF.to(q) @ step @ inverse(joint.carried.X_BF.to(q))
 
 
 def joint_pose(joint: OsimJoint, q: Float[Tensor, "*batch coordinates"]) -> Float[Tensor, "*batch 4 4"]:

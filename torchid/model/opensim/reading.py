@@ -15,11 +15,11 @@ from torchid.model.opensim.bodies import consistent, read_inertias
 from torchid.model.opensim.coordinates import read_couplers
 from torchid.model.opensim.frames import Frames, Stated, body_elements
 from torchid.model.opensim.function_elements import READERS
-from torchid.model.opensim.joints import KINDS, JointElement, joint_elements, read_joint
+from torchid.model.opensim.joints import ELLIPSOID, KINDS, SCAPULOTHORACIC, JointElement, joint_elements, read_joint
 from torchid.model.opensim.model import GROUND, Marker, OsimCoordinate, OsimJoint, OsimModel
 from torchid.model.opensim.words import OsimDocument, child_text, objects
 
-JOINTS = ("CustomJoint", *KINDS)
+JOINTS = ("CustomJoint", *KINDS, ELLIPSOID, SCAPULOTHORACIC)
 CONSTRAINTS = (
     "CoordinateCouplerConstraint", "ConstantDistanceConstraint", "PointConstraint", "PointOnLineConstraint",
     "RollingOnSurfaceConstraint", "WeldConstraint",
@@ -29,6 +29,11 @@ _JOINT = (
     "socket_parent_frame socket_child_frame coordinates frames components parent_body location_in_parent "
     "orientation_in_parent location orientation location_in_child orientation_in_child CoordinateSet reverse"
 )
+_OF_JOINTS = {
+    "CustomJoint": "SpatialTransform",
+    ELLIPSOID: "radii_x_y_z Appearance",
+    SCAPULOTHORACIC: "thoracic_ellipsoid_radii_x_y_z scapula_winging_axis_origin scapula_winging_axis_direction",
+}
 _FUNCTIONS = " ".join(READERS)
 _POINTS = dict.fromkeys(
     ("SimmSpline", "NaturalCubicSpline", "natCubicSpline", "PiecewiseLinearFunction"), ("name", "x y")
@@ -49,7 +54,7 @@ WORDS: Vocabulary = {
         f"{_LOOKS}",
     ),
     "Joint": ("name", " ".join(JOINTS)),
-    **{kind: ("name", f"{_JOINT} SpatialTransform" if kind == "CustomJoint" else _JOINT) for kind in JOINTS},
+    **{kind: ("name", f"{_JOINT} {_OF_JOINTS.get(kind, '')}") for kind in JOINTS},
     "coordinates": ("", "Coordinate*"),
     "Coordinate": (
         "name",

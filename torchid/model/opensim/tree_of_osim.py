@@ -18,67 +18,56 @@ from torchid.model.mechanics import as_rotation
 from torchid.model.model import Geometry
 from torchid.model.opensim.binding import OsimBinding, affine
 from torchid.model.opensim.functions import Constant, Function, LinearFunction
-from torchid.model.opensim.model import GROUND, OsimJoint, OsimModel, TransformAxis
+from torchid.model.opensim.model import OsimJoint, OsimModel, TransformAxis
 from torchid.model.opensim.posing import joint_pose
+from torchid.model.opensim.roots import Root, root_of
 from torchid.model.opensim.rotations import R_OW, inverse, pose
 from torchid.model.skeleton import BASE_SD
 from torchid.model.tree import BASE_DOFS, Body, Dof, Slide, Tree, Turn
 from torchid.model.tree_of_links import leaning_turn
 from torchid.storage.snapshot import to_bytes
 
-SQUARE = 1e-9
-"""Resolution. Largest product of two of the root joint's unit axes that stand at right angles."""
-
 
 def tree_of_osim(model: OsimModel) -> tuple[Tree, Geometry, OsimBinding]:
     """Return the tree of an OpenSim model, its geometry, and how the two hang together.
 
+    The tree's base floats, whatever freedoms the file gives the body that carries the person; what stands in the file
+    beside the person is no part of the tree.
+
     Raises:
-        InputError: ``osim.root`` unless one joint with six coordinates, three turns and three slides at right angles,
-            carries everything from ground; ``osim.reversed`` for a joint with slides whose child carries its parent.
+        InputError: ``osim.root`` where coordinates of the joint that carries the person drive something else as well;
+            ``osim.reversed`` for a joint with slides whose child carries its parent.
     """
-    _refuse_other_roots(model)
-    groups, joints = _welded(model)
-    poses = _poses_in_groups(model, groups, joints)
-    binding = OsimBinding(model, tuple(map(tuple, groups)), poses)
-    builder = _Builder(model, binding)
+    root = root_of(model)
+    _refuse_shared(model, model.joints[root.row])
+    groups, joints = _welded(model, root)
+    poses = _poses_in_groups(model, root, joints)
+    binding = OsimBinding(model, tuple(map(tuple, groups)), poses, root.row)
+    builder = _Builder(model, binding, [joint.rows for joint in joints])
     for k, joint in enumerate(joints):
         builder.add(k, joint)
     return builder.tree(), builder.geometry(), binding
 
 
-def _refuse_other_roots(model: OsimModel) -> None:
-    def refuse(message: str, found: str) -> InputError:
-        remedy = "Join one body to ground by a FreeJoint, or by a CustomJoint of three turns and three slides."
-        return InputError("osim.root", message, source=model.source, found=found, remedy=remedy)
-
-    grounded = [joint for joint in model.joints if joint.carrier.body == GROUND]
-    root = model.joints[0]
-    if len(grounded) != 1:
-        raise refuse("not exactly one body is joined to ground", ", ".join(joint.name for joint in grounded))
-    axes = (*root.turns, *root.slides)
-    led = sorted(row for axis in axes for row in axis.rows)
-    straight = all(affine(axis.function) is not None for axis in axes)
-    if led != sorted(root.rows) or len(root.turns) != 3 or len(root.slides) != 3 or not straight:
-        raise refuse("the joint on ground needs a turn and a slide about and along three axes", root.name)
-    for axes in (root.turns, root.slides):
-        units = torch.stack([axis.unit for axis in axes])
-        if float((units @ units.T - torch.eye(3).to(units)).abs().max()) > SQUARE:
-            raise refuse("axes of the joint on ground are not at right angles", root.name)
+def _refuse_shared(model: OsimModel, root: OsimJoint) -> None:
     follows = {row for one in model.couplers for row in (one.dependent, one.independent)}
-    moved = {row for joint in model.joints[1:] for axis in (*joint.turns, *joint.slides) for row in axis.rows}
-    if (follows | moved) & set(root.rows):
-        raise refuse("coordinates of the joint on ground drive something else as well", root.name)
+    if follows & set(root.rows):
+        raise InputError(
+            "osim.root", "coordinates of the joint that carries the person lead or follow others", source=model.source,
+            place=root.name, remedy="Remove their couplers: markers tell where the person is.",
+        )  # fmt: skip
 
 
-def _welded(model: OsimModel) -> tuple[list[list[int]], list[OsimJoint]]:
+def _welded(model: OsimModel, root: Root) -> tuple[list[list[int]], list[OsimJoint]]:
     """Groups of bodies that are welded together, the heaviest first, and the joint that carries each group."""
     group: dict[int, int] = {}
     groups: list[list[int]] = []
     joints: list[OsimJoint] = []
-    for joint in model.joints:
+    for row, joint in enumerate(model.joints):
+        if joint.carried.body not in root.bodies:
+            continue
         still = not any(axis.rows and axis.function.n_arguments for axis in (*joint.turns, *joint.slides))
-        if still and joint.carrier.body != GROUND:
+        if still and row != root.row:
             group[joint.carried.body] = group[joint.carrier.body]
             groups[group[joint.carrier.body]].append(joint.carried.body)
         else:
@@ -89,18 +78,19 @@ def _welded(model: OsimModel) -> tuple[list[list[int]], list[OsimJoint]]:
     return [sorted(members, key=lambda body: -mass[body]) for members in groups], joints
 
 
-def _poses_in_groups(model: OsimModel, groups: list[list[int]], joints: list[OsimJoint]) -> Float[Tensor, "bodies 4 4"]:
+def _poses_in_groups(model: OsimModel, root: Root, joints: list[OsimJoint]) -> Float[Tensor, "bodies 4 4"]:
     """X_TB of every body of the file: the carried one of a group's joint stands turned about its joint's centre."""
     X_TB: dict[int, Tensor] = {}
     for joint in joints:
         X_TB[joint.carried.body] = inverse(pose(R_OW, joint.carried.X_BF[:3, 3]))
     for joint in model.joints:
-        if joint.carried.body not in X_TB:
+        if joint.carried.body not in X_TB and joint.carried.body in root.bodies:
             X = joint_pose(joint, model.defaults)
             step = X if joint.outward else inverse(X)
             place = joint.carrier.X_BF @ step @ inverse(joint.carried.X_BF)
             X_TB[joint.carried.body] = X_TB[joint.carrier.body] @ place
-    return torch.stack([X_TB[body] for body in range(len(model.bodies))])
+    left_out = torch.eye(4, dtype=torch.float64)
+    return torch.stack([X_TB.get(body, left_out) for body in range(len(model.bodies))])
 
 
 @dataclass
@@ -109,6 +99,8 @@ class _Builder:
 
     model: OsimModel
     binding: OsimBinding
+    rows: list[tuple[int, ...]]
+    """Coordinates of the joints of the tree."""
     bodies: list[Body] = field(default_factory=list)
     offset: list[Tensor] = field(default_factory=list)
     followers: list[CoupledAxis] = field(default_factory=list)
@@ -120,7 +112,8 @@ class _Builder:
         model, root = self.model, set(self.binding.root.rows)
         following = {one.dependent for one in model.couplers}
         rest = [row for row in range(len(model.coordinates)) if row not in root]
-        self.free = [row for row in rest if row not in following and not model.coordinates[row].locked]
+        moved = {row for rows in self.rows for row in rows} - following
+        self.free = [row for row in rest if row in moved and not model.coordinates[row].locked]
         self.row = {row: BASE_DOFS + k for k, row in enumerate(self.free)}
         self.n_dofs = BASE_DOFS + len(self.free)
         self.busy: set[int] = set()
@@ -143,7 +136,7 @@ class _Builder:
         """A group of welded bodies and the joint that carries it."""
         groups, names = self.binding.groups, self.model.bodies
         name = names[groups[index][0]]
-        if joint.carrier.body == GROUND:
+        if joint is self.binding.root:
             self.bodies.append(Body(name, -1))
             self.offset.append(torch.zeros(3, dtype=torch.float64))
             return

@@ -50,7 +50,7 @@ def identified_model(
 
 def _placed(binding: OsimBinding, geometry: Geometry, joint: OsimJoint) -> OsimJoint:
     """The joint whose carrier's frame stands where the geometry has it."""
-    if joint is binding.root:
+    if joint is binding.root or joint.carried.body not in binding.bodies:
         return joint
     at, group = joint.carrier, binding.group_of(joint.carried.body)
     if group == binding.group_of(at.body):
