@@ -102,7 +102,7 @@ def _hung(binding: OsimBinding) -> list[Note]:
         held = f"has {len(names)} coordinates there ({', '.join(names)})" if names else "does not move there"
         shown = "holds the nearest to it" if names else "does not show where it is"
         said = f"{body} {held}; markers and plates place it freely, and `_ik.mot` {shown}"
-        found.append(Note("osim.root", said, source))
+        found.append(Note("osim.floats", said, source))
     return found
 
 
