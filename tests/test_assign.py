@@ -42,21 +42,19 @@ def test_every_listed_label_is_attached():
 
 
 def test_unlisted_labels_join_the_segments_they_move_with():
-    """Labels in no marker set, each alone: most go to their segments, the others are left out, and the result says so.
+    """Labels in no marker set: most go to their segments, the others are left out, and the result says of each.
 
     Of a forearm and a hand that hardly move against each other, either may carry a marker.
     """
-    subject, told = session().subject, []
+    subject = session().subject
     own = dict(zip(subject.labels, subject.segments, strict=True))
     some = [label for label in own if label[1:4] in ("THI", "TIB", "FRA", "UPA")]
-    for label in some:
-        found = assign_markers(template(), marker_set(label), trials())
-        joined = label in found.attachment.labels
-        assert not joined or segment(found, label) == own[label]
-        assert [note.code for note in found.notes] == ["markers.assigned" if joined else "markers.unknown"]
-        assert label in found.notes[0].message
-        told.append(joined)
-    assert len(told) > 6 and sum(told) > len(told) / 2, dict(zip(some, told, strict=True))
+    found = assign_markers(template(), marker_set(*some), trials())
+    joined = {label: segment(found, label) for label in some if label in found.attachment.labels}
+    assert joined == {label: own[label] for label in joined}
+    assert len(some) > 6 and len(joined) > len(some) / 2, joined
+    said = {note.message.split(" ")[0]: note.code for note in found.notes}
+    assert said == {label: "markers.assigned" if label in joined else "markers.unknown" for label in some}
 
 
 def test_unlisted_labels_can_be_left_out():
@@ -86,15 +84,17 @@ def test_label_that_moves_with_nothing_is_left_out():
     assert [note.code for note in found.notes] == ["markers.unknown"] and "wand" in found.notes[0].message
 
 
-def test_a_label_that_a_segment_without_judges_may_carry_is_left_out():
-    """Where one marker is left on a shank, the shank's others may be the thigh's or its own: they are left out, and the
-    note says which segments are likeliest."""
+def test_a_segment_with_one_listed_marker_takes_no_other_segments():
+    """Where one marker is left on a shank, its others are told by where they stand, or left out: then the note says
+    between which segments they may be."""
     subject = session().subject
     shank = [x for x, s in zip(subject.labels, subject.segments, strict=True) if s == "shank_l"]
     found = assign_markers(template(), marker_set(*shank[1:]), trials())
-    assert not {*shank[1:]} & {*found.attachment.labels}
+    joined = {label: segment(found, label) for label in shank[1:] if label in found.attachment.labels}
+    assert set(joined.values()) <= {"shank_l"}
     notes = [note.message for note in found.notes if note.code == "markers.unknown"]
-    assert len(notes) == len(shank) - 1 and all("shank_l" in said or "no segment" in said for said in notes)
+    assert len(notes) == len(shank) - 1 - len(joined)
+    assert all("shank_l" in said or "no segment" in said for said in notes)
 
 
 def test_a_segment_that_nobody_marks_keeps_no_label_from_its_neighbours():
@@ -117,14 +117,19 @@ def _blind(trial: Trial, label: str) -> Trial:
     return replace(trial, markers=replace(trial.markers, position=position))
 
 
-def test_of_half_of_all_labels_at_most_one_goes_astray(seed):
-    """Half of the labels that are not on the pelvis, by lot, are taken out of the set."""
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_labels_that_say_nothing_are_placed(share, seed):
+    """Half of the labels, by lot, or all of them, are taken out of the set: at most one goes astray, and most of those
+    on segments with three markers are told. Those on the abdomen, which nobody marks, stay."""
     subject, lot = session().subject, np.random.default_rng(seed)
-    own = dict(zip(subject.labels, subject.segments, strict=True))
-    out = lot.permutation([label for label, name in own.items() if name != "pelvis"])[: len(own) // 2].tolist()
-    found = assign_markers(template(), marker_set(*out), trials())
-    wrong = [x for x in out if x in found.attachment.labels and segment(found, x) != own[x]]
-    assert len(wrong) <= 1, wrong
+    own = {x: s for x, s in zip(subject.labels, subject.segments, strict=True) if s != "abdomen"}
+    out = lot.permutation([*own])[: round(share * len(own))].tolist()
+    given = trials() if share < 1.0 else tuple(cut(trial, tuple(own)) for trial in trials())
+    found = assign_markers(template(), marker_set(*out), given)
+    told = {x: segment(found, x) for x in out if x in found.attachment.labels}
+    assert sum(told[x] != own[x] for x in told) <= 1, {x: (told[x], own[x]) for x in told if told[x] != own[x]}
+    often = [x for x in out if list(own.values()).count(own[x]) >= 3]
+    assert sum(told.get(x) == own[x] for x in often) >= 0.7 * len(often), told
 
 
 def test_bodies_without_markers_are_locked():

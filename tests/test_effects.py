@@ -34,7 +34,7 @@ from torchid.effects.wobbling import wobble
 from torchid.errors import ConfigError
 from torchid.filters import Smoother
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
-from torchid.geometry.assign import Attachment
+from torchid.geometry.attachment import Attachment
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import modelled, track

@@ -221,10 +221,12 @@ def test_free_markers_are_wide_about_the_segment_and_landmarks_narrow():
         (MarkerSpec("tail"), "markers.segment", "", "did you mean thigh_l"),
         (
             MarkerSpec("shank_l", "knee_lateral_l"), "markers.landmark", "knee_lateral_l; it lies on thigh_l",
-            "write segment: thigh_l, or a landmark of shank_l (ankle_lateral_l, ankle_medial_l)",
+            "write segment: thigh_l, or a landmark of shank_l (tuberosity_l, ankle_lateral_l, ankle_medial_l)",
         ),
         (MarkerSpec("shank_l", "knee_lateral"), "markers.landmark", "knee_lateral", "did you mean knee_lateral_"),
-        (MarkerSpec("hand_l", "knee_lateral_l"), "markers.landmark", "knee_lateral_l; it lies on thigh_l", "(none)"),
+        (
+            MarkerSpec("abdomen", "knee_lateral_l"), "markers.landmark", "knee_lateral_l; it lies on thigh_l", "(none)",
+        ),
     ],
 )  # fmt: skip
 def test_places_that_the_model_lacks_are_refused(spec, code, said, remedy):

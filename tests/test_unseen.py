@@ -13,7 +13,7 @@ from torchid.config import load_config
 from torchid.config.sections import Inertia
 from torchid.conventions import Inertial
 from torchid.errors import DataError
-from torchid.geometry.assign import Attachment
+from torchid.geometry.attachment import Attachment
 from torchid.model.marker_set import load_marker_set
 from torchid.run import run_experiment
 from torchid.session.unseen import HELD, hold_shape, hold_unseen, refuse_unseen

@@ -40,7 +40,12 @@ def marker_map_text(markers: Recognised) -> str:
         markers: what was recognised.
     """
     lines = [f"# {clean(markers.said)}. Every line is LABEL: SEGMENT, or with a landmark."]
-    for said, some in ((f"By the set {markers.name}:", markers.listed), ("By their words:", markers.worded)):
+    ways = (
+        (f"By the set {markers.name}:", markers.listed),
+        ("By their words:", markers.worded),
+        ("By where they stand and how they move, each to at least 90 %:", markers.placed),
+    )
+    for said, some in ways:
         lines += [f"# {said}"] * bool(some)
         lines += [f"{json.dumps(label, ensure_ascii=False)}: {_spec(one)}" for label, one in some.items()]
     lines += ["# Not told; write a segment behind those whose place you know:"] * bool(markers.unknown)

@@ -6,11 +6,12 @@ from pathlib import Path
 
 from torchid.errors import DataError, InputError
 from torchid.folder.people import PersonFacts, people_in, stature_of, told_of
+from torchid.folder.placing import placed
 from torchid.folder.roles import Use, uses_of
 from torchid.folder.statements import Person
 from torchid.folder.survey import Surveyed, plain_name, survey
 from torchid.io.pairing import shares_name, unpaired_forces
-from torchid.model.recognition import Recognised, recognise, recognised
+from torchid.model.recognition import Recognised, recognised, unrecognised
 from torchid.wording import listing, plural
 
 
@@ -55,7 +56,7 @@ def propose(
     every = survey(folder, progress)
     _refuse_unread(every, folder)
     found = _of_person(every, folder, given.name)
-    markers, known = _markers(found, folder)
+    markers, known = _markers(found, folder, told_of(folder, found, given).person, progress)
     uses = uses_of(found, known)
     if not any(use.role == "fit" for use in uses):
         said = [f"{use.of.name}: {use.why}" for use in uses]
@@ -101,13 +102,22 @@ def _refuse_unread(found: Sequence[Surveyed], folder: Path) -> None:
     )  # fmt: skip
 
 
-def _markers(found: Sequence[Surveyed], folder: Path) -> tuple[Recognised, dict[str, int]]:
-    """Return the markers of the recordings whose labels are most alike, and how many of them each recording shows."""
+def _markers(
+    found: Sequence[Surveyed], folder: Path, person: Person, progress: Callable[[str, float], None]
+) -> tuple[Recognised, dict[str, int]]:
+    """Return the markers of the recordings whose labels are most alike, and how many of them each recording shows.
+
+    Where labels do not tell enough, places and motion are asked.
+    """
     each = {one.name: recognised(one.labels) for one in found if one.labels}
     sets = [own.name for own in each.values() if own.enough]
     first = max(sets, key=sets.count, default=None)
     own = [one for one in found if one.name in each and first in (None, each[one.name].name)]
-    markers = recognise((label for one in own for label in one.labels), str(folder))
+    markers = recognised(label for one in own for label in one.labels)
+    if not markers.enough:
+        markers = placed(markers, own, person, progress)
+    if not markers.enough:
+        raise unrecognised(markers, str(folder))
     known = {one.name: len(markers.markers.match(one.labels).assigned) for one in found}
     return markers, known
 

@@ -125,6 +125,15 @@ def _static(still: Sequence[Surveyed], known: Mapping[str, int]) -> Surveyed | N
     )
 
 
+def standing_of(found: Sequence[Surveyed]) -> Surveyed | None:
+    """Return the recording that tells the standing posture best; None where nobody stands still.
+
+    Args:
+        found: the recordings of one subject.
+    """
+    return _static([one for one in found if one.labels and _still(one)], {one.name: len(one.labels) for one in found})
+
+
 def _kinds(some: Sequence[Surveyed]) -> dict[tuple[str, str], list[Surveyed]]:
     """Return recordings by kind: by their names but for numbers, and by what they show."""
     kinds: dict[tuple[str, str], list[Surveyed]] = {}

@@ -13,7 +13,7 @@ from torchid.checks.recording import TrialCheck
 from torchid.checks.report import Given, Refusal, check_recordings
 from torchid.conventions import SAMPLE_LOADED_N
 from torchid.io.pairing import find_recordings, trial_name
-from torchid.recording import Trial
+from torchid.recording import Markers, Trial
 
 SEEN = 0.5
 """Choice. A label counts where it is seen in this share of the frames."""
@@ -21,6 +21,8 @@ MOVING = 0.9
 """Choice. A body is as still as the marker of which nine in ten move less."""
 MOST_FRAMES = 2000
 """Resolution. Frames that tell how far markers wander."""
+SOME_FRAMES = 150
+"""Resolution. Frames that are kept, of which places and motion tell markers whose labels say nothing."""
 STATED = ("subject", "mass_kg", "height_m")
 """Facts of a file about whom it shows."""
 
@@ -48,6 +50,8 @@ class Surveyed:
     """Share of the time that plates carry somebody."""
     heights: Mapping[str, float] = field(default_factory=dict)
     """Median height of each label above the lowest one [m]."""
+    some: Markers | None = None
+    """Some frames of the labels that are seen."""
 
     @property
     def seconds(self) -> float:
@@ -140,6 +144,7 @@ def _facts(of: Surveyed, trial: Trial) -> Surveyed:
         travel_m=_travel(seen),
         carried=_carried(trial),
         heights=dict(zip(labels, (height - height.min()).tolist(), strict=True)),
+        some=trial.markers.select(labels).frames(slice(None, None, max(1, len(seen) // SOME_FRAMES))),
     )
 
 

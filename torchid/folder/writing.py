@@ -30,7 +30,7 @@ def refuse_taken(config: Path) -> None:
 
 
 def write_config(proposal: Proposal, config: Path) -> tuple[Path, ...]:
-    """Write the config of a proposal, and the marker map where labels are told by their words.
+    """Write the config of a proposal, and the marker map where labels are told beside a set.
 
     Args:
         proposal: the session.
@@ -44,7 +44,7 @@ def write_config(proposal: Proposal, config: Path) -> tuple[Path, ...]:
         InputError: a file cannot be written.
     """
     refuse_taken(config)
-    markers = config.with_name(f"{config.stem}_markers.yaml") if proposal.markers.worded else None
+    markers = config.with_name(f"{config.stem}_markers.yaml") if proposal.markers.beside else None
     if markers is not None:
         refuse_taken(markers)
         write_text(markers, marker_map_text(proposal.markers))

@@ -1,47 +1,21 @@
 """This module turns the labels of a session into markers of a model, labels that no marker set lists included."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Float, Int
-from torch import Tensor
 
 from torchid.errors import DataError, Note
-from torchid.geometry.rigidity import ELSEWHERE, Carrier, carrier_of
-from torchid.model.marker_set import MarkerSet, MarkerSpec, marker_prior
+from torchid.geometry.attachment import Attachment, attach, settle_bare
+from torchid.geometry.carriers import ELSEWHERE, Carrier
+from torchid.geometry.placing.place import place_markers
+from torchid.model.marker_set import MarkerSet, MarkerSpec
 from torchid.model.model import Model
-from torchid.model.tree import Tree
-from torchid.model.whole_body import lock_bodies
 from torchid.recording import Trial
 from torchid.wording import listing
 
-
-@dataclass(frozen=True)
-class Attachment:
-    """The markers of a subject on the bodies of a tree, with the prior of their places."""
-
-    labels: tuple[str, ...]
-    body: Int[Tensor, " markers"]
-    """Each marker's segment as its index in the tree."""
-    mean: Float[Tensor, "markers 3"]
-    """Prior mean of p_BM_B [m]."""
-    sd: Float[Tensor, "markers 3"]
-    """Prior scatter [m]; large for markers that are free on their segment."""
-    landmark: tuple[str | None, ...]
-    """Each marker's landmark on the template; None for markers that are free on their segment."""
-
-    @property
-    def known(self) -> Tensor:
-        """Return the mask of the markers on a landmark, whose places on the template are known (markers,)."""
-        return torch.tensor([name is not None for name in self.landmark], device=self.body.device)
-
-
-FIRM = 0.1
-"""A body without markers between marked ones has joint angles that scatter this much about rest [rad]; chosen."""
-HINGES = 2
-"""Coordinates between marked bodies that need no holding; chosen: markers on both sides tell an ankle and a subtalar
-joint apart, but three turns only with three good markers on either side."""
+ROOT_MARKERS = 3
+"""Markers on the root body without which no posture is told."""
 SEEN = 0.2
 """A marker takes part when it is visible in at least this share of the frames of some trial; chosen."""
 
@@ -61,7 +35,7 @@ def assign_markers(
 ) -> Assignment:
     """Assign every label of the trials to a segment, and lock the bodies that no marker sees.
 
-    A label that no marker set lists joins the segment that it moves with, if none else comes near (``rigidity``), or is
+    A label that no marker set lists joins the segment that it moves with, if none else comes near (``carriers``), or is
     left out with a note; so is one that moves in some trial as if it was computed from others (``Trial.computed``).
 
     Args:
@@ -90,13 +64,13 @@ def assign_markers(
     specs |= carried
     notes += said
     root = model.tree.bodies[0].name
-    if sum(spec.segment == root for spec in specs.values()) < 3:
+    if sum(spec.segment == root for spec in specs.values()) < ROOT_MARKERS:
         raise DataError(
             "markers.root", f"fewer than three markers on the {root}", found=", ".join(specs) or "no known labels",
             remedy="name a marker set that fits these labels (markers: in the config), or list them in a YAML file",
         )  # fmt: skip
-    model, said = _settle_bare(model, {spec.segment for spec in specs.values()})
-    return Assignment(model, _attach(model, specs), (*notes, *said))
+    model, said = settle_bare(model, {spec.segment for spec in specs.values()})
+    return Assignment(model, attach(model, specs), (*notes, *said))
 
 
 def _unlisted(
@@ -117,56 +91,25 @@ def _unlisted(
 def _carried(
     labels: tuple[str, ...], known: dict[str, MarkerSpec], model: Model, trials: tuple[Trial, ...]
 ) -> tuple[dict[str, MarkerSpec], list[Note]]:
-    """Return the segments of the labels that surely move with one, the surest first, and what is said of all.
-
-    Each that is told helps to tell the next ones.
-    """
-    found, left, notes = {}, list(labels), []
-    while left:
-        each = {label: carrier_of(label, known | found, model, trials) for label in left}
-        sure = {label: one for label, one in each.items() if one is not None and one.sure}
-        if not sure:
-            return found, [*notes, *(Note("markers.unknown", _unsure(label, one)) for label, one in each.items())]
-        label = max(sure, key=lambda label: sure[label].probability)
-        one = sure[label]
-        found[label] = MarkerSpec(one.segment)
-        left.remove(label)
-        how = f"distances scatter {1e3 * one.scatter:.1f} mm, probability {one.probability:.2f}"
-        notes.append(Note("markers.assigned", f"{label} is in no marker set; it moves with {one.segment} ({how})"))
-    return found, notes
+    """Return the segments of the labels that surely are on one, and what is said of all."""
+    placed = place_markers(labels, model, trials, known) if labels else None
+    if placed is None:
+        said = "is in no marker set, and too few others are to tell where it is; left out"
+        return {}, [Note("markers.unknown", f"{label} {said}") for label in labels]
+    notes = []
+    for label in labels:
+        one = placed.told.of(label)
+        how = f"scatters {1e3 * one.scatter:.0f} mm in its axes, probability {one.probability:.2f}"
+        told = Note("markers.assigned", f"{label} is in no marker set; it moves with {one.segment} ({how})")
+        notes.append(told if label in placed.specs else Note("markers.unknown", _unsure(label, one)))
+    return dict(placed.specs), notes
 
 
-def _unsure(label: str, one: Carrier | None) -> str:
+def _unsure(label: str, one: Carrier) -> str:
     """Return why a label is left out."""
-    if one is None or one.scatter > ELSEWHERE:
+    if not one.scatter <= ELSEWHERE:
         return f"{label} is in no marker set and moves with no segment; left out"
     return f"{label} is in no marker set; it may move with {one.segment} or {one.other}; left out"
-
-
-def _settle_bare(model: Model, marked: set[str]) -> tuple[Model, tuple[Note, ...]]:
-    """Lock bodies without markers at the ends to their parents, and hold those between marked ones by a firm prior."""
-    tree = model.tree
-    bare = [k for k, name in enumerate(tree.names) if k and name not in marked]
-    between = [k for k in bare if any(tree.names[below] in marked for below in tree.subtree(k))]
-    model, said = lock_bodies(model, tuple(tree.names[k] for k in bare if k not in between))
-    names = [tree.names[k] for k in between if _undetermined(tree, k, marked)]
-    if not names:
-        return model, said
-    rows = {row for k, name in enumerate(model.tree.names) if name in names for row in model.tree.driving(k)}
-    dofs = tuple(replace(dof, sd=FIRM) if row in rows else dof for row, dof in enumerate(model.tree.dofs))
-    message = f"{', '.join(names)} without markers of its own: its joint is held within about {FIRM} rad of rest"
-    return replace(model, tree=replace(model.tree, dofs=dofs)), (*said, Note("model.between", message))
-
-
-def _undetermined(tree: Tree, body: int, marked: set[str]) -> bool:
-    """Return whether more than ``HINGES`` coordinates lie between the marked bodies above and below an unmarked one."""
-
-    def bare_above(k: int) -> list[int]:
-        parent = tree.bodies[k].parent
-        return [k, *(bare_above(parent) if parent > 0 and tree.names[parent] not in marked else [])]
-
-    ends = [k for k in tree.subtree(body) if tree.names[k] in marked and body in bare_above(k)]
-    return any(len({row for k in bare_above(end) for row in tree.driving(k)}) > HINGES for end in ends)
 
 
 def _visible_labels(trials: tuple[Trial, ...]) -> tuple[str, ...]:
@@ -189,10 +132,3 @@ def _unseen(trials: tuple[Trial, ...]) -> DataError:
         found=listing(said, 3) if said else "",
         remedy="Label the points in the recording system and export the trials again",
     )  # fmt: skip
-
-
-def _attach(model: Model, specs: dict[str, MarkerSpec]) -> Attachment:
-    """Return the markers of ``specs`` with their places on the model's bodies as the prior has them."""
-    mean, sd = marker_prior(model, specs.values())
-    body = torch.tensor([model.tree.index(spec.segment) for spec in specs.values()])
-    return Attachment(tuple(specs), body, mean, sd, tuple(spec.landmark for spec in specs.values()))

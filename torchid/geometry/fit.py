@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchid.errors import DataError, Note
 from torchid.geometry.arrow.solver import OnIteration, Solution, solve_arrow
-from torchid.geometry.assign import Attachment
+from torchid.geometry.attachment import Attachment
 from torchid.geometry.gradient_solvers import solve_adam, solve_lbfgs
 from torchid.geometry.marker_weights import reweighted, stated_sigma
 from torchid.geometry.options import GeometryOptions

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchid.geometry.arrow.solver import Solution
-from torchid.geometry.assign import Attachment
+from torchid.geometry.attachment import Attachment
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.problem import MarkerProblem
 from torchid.geometry.result import GeometryFit

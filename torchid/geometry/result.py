@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchid.errors import Note
 from torchid.geometry.arrow.solver import Solution
-from torchid.geometry.assign import Attachment
+from torchid.geometry.attachment import Attachment
 from torchid.geometry.options import GeometryOptions
 from torchid.geometry.uncertainty import GeometryUncertainty
 from torchid.model.geometry_prior import group, tie_sides

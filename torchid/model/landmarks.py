@@ -25,11 +25,15 @@ PELVIS_DEPTH = 0.095
 ANKLE_FROM_HEEL = 0.235
 """Fraction of the foot's length."""
 
+KNUCKLE = 0.0495
+"""From the wrist to the head of the third metacarpal, fraction of stature (de Leva, J Biomech 29:1223, 1996)."""
+
 _Place = tuple[str, tuple[float, float, float], tuple[float, float, float]]
 """Segment, place (x forward, y outward, z up) [m], scatter [mm]."""
 SIDED = (
     "asis", "psis", "trochanter", "knee_lateral", "knee_medial", "ankle_lateral", "ankle_medial", "heel", "toe", "mt1",
     "mt5", "acromion", "elbow_lateral", "elbow_medial", "wrist_radial", "wrist_ulnar", "head_front", "head_back",
+    "tuberosity", "knuckle",
 )  # fmt: skip
 CENTRAL = ("c7", "t10", "jugular_notch", "xiphoid")
 LANDMARKS = CENTRAL + tuple(f"{name}_{side}" for name in SIDED for side in ("l", "r"))
@@ -75,6 +79,7 @@ def _leg(p: Proportions, h: float) -> dict[str, _Place]:
         "trochanter": ("thigh", (-0.005 * h, 0.041 * h + COVER, -0.010 * h), (15.0, 12.0, 18.0)),
         "knee_lateral": ("thigh", (0.0, knee, -thigh), (10.0, 8.0, 10.0)),
         "knee_medial": ("thigh", (0.0, -knee, -thigh), (10.0, 8.0, 10.0)),
+        "tuberosity": ("shank", (0.025 * h + COVER, 0.0, -0.030 * h), (15.0, 15.0, 20.0)),
         "ankle_lateral": ("shank", (-0.002 * h, malleoli, -shank - 0.0026 * h), (8.0, 7.0, 8.0)),
         "ankle_medial": ("shank", (0.002 * h, -malleoli, -shank + 0.0026 * h), (8.0, 7.0, 8.0)),
         "heel": ("foot", (sole(-0.01, 0.0, 0.0)[0] - COVER, 0.0, sole(0.0, 0.0, 0.13)[2]), (12.0, 10.0, 15.0)),
@@ -110,6 +115,7 @@ def _arm(p: Proportions, h: float) -> dict[str, _Place]:
         "elbow_medial": ("upper_arm", (0.0, -elbow, -upper), (10.0, 10.0, 10.0)),
         "wrist_radial": ("forearm", (wrist, 0.0, -fore), (10.0, 12.0, 10.0)),
         "wrist_ulnar": ("forearm", (-wrist, 0.0, -fore), (10.0, 12.0, 10.0)),
+        "knuckle": ("hand", (0.0, 0.008 * h + COVER, -KNUCKLE * h), (20.0, 15.0, 20.0)),
         "head_front": ("head", (0.060 * h, 0.038 * h + 0.5 * COVER, 0.080 * h), (20.0, 15.0, 20.0)),
         "head_back": ("head", (-0.032 * h, 0.034 * h + 0.5 * COVER, 0.078 * h), (20.0, 15.0, 20.0)),
     }

@@ -1,7 +1,8 @@
-"""Which segments a recording's labels are on: by the built-in set that lists most of them, and by their own words."""
+"""Which segments a recording's labels are on: by the built-in set that lists most of them, by their own words, and by
+places and motion where these were asked (``geometry/placing``)."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from torchid.errors import ConfigError
 from torchid.model.label_words import told_by_words
@@ -31,41 +32,54 @@ class Recognised:
     """Labels that say nothing."""
     absent: int
     """Places of the set that no label is at."""
+    placed: dict[str, MarkerSpec] = field(default_factory=dict)
+    """Labels that say nothing, and whose markers stand and move as on a segment."""
 
     @property
     def every(self) -> int:
         """Number of labels, without those that the set knows as computed."""
-        return len(self.listed) + len(self.worded) + len(self.unknown)
+        return len(self.told) + len(self.unknown)
+
+    @property
+    def told(self) -> dict[str, MarkerSpec]:
+        """Labels whose segments are known."""
+        return self.listed | self.worded | self.placed
 
     @property
     def markers(self) -> MarkerSet:
-        """The set with what words tell."""
-        if not self.worded:
+        """The set with what it does not list."""
+        if not self.beside:
             return self.set
-        return replace(self.set, specs={**self.set.specs, **self.worded})
+        return replace(self.set, specs={**self.set.specs, **self.beside})
+
+    @property
+    def beside(self) -> dict[str, MarkerSpec]:
+        """Labels that the set does not list and that are told nevertheless."""
+        return self.worded | self.placed
 
     @property
     def name(self) -> str:
-        """Of the set, by which a config may name it where words add nothing."""
+        """Of the set, by which a config may name it where nothing is told beside it."""
         return self.set.name
 
     @property
     def root(self) -> int:
         """Labels on the pelvis."""
-        return sum(spec.segment == "pelvis" for spec in (*self.listed.values(), *self.worded.values()))
+        return sum(spec.segment == "pelvis" for spec in self.told.values())
 
     @property
     def enough(self) -> bool:
         """Whether a person can be followed by what is told."""
-        told = len(self.listed) + len(self.worded)
-        return told >= ENOUGH * max(1, self.every) and self.root >= ROOT_MARKERS
+        return len(self.told) >= ENOUGH * max(1, self.every) and self.root >= ROOT_MARKERS
 
     @property
     def said(self) -> str:
         """What was recognised, as a phrase."""
         parts = [f"{self.name} lists {len(self.listed)} of {self.every} labels"] if self.listed else []
         if self.worded:
-            parts.append(f"words tell {len(self.worded)}" + ("" if self.listed else f" of {self.every} labels"))
+            parts.append(f"words tell {len(self.worded)}" + ("" if parts else f" of {self.every} labels"))
+        if self.placed:
+            parts.append(f"places and motion tell {len(self.placed)}" + ("" if parts else f" of {self.every} labels"))
         return ", ".join(parts) or f"nothing tells where {self.every} labels are"
 
 
@@ -86,21 +100,15 @@ def recognised(labels: Iterable[str]) -> Recognised:
     return replace(own, worded=told, unknown=tuple(label for label in own.unknown if label not in told))
 
 
-def recognise(labels: Iterable[str], source: str = "") -> Recognised:
-    """Return where labels are.
+def unrecognised(found: Recognised, source: str = "") -> ConfigError:
+    """Return the refusal of labels of which too few are told, or too few on the pelvis: ``markers.unrecognised``.
 
     Args:
-        labels: of recordings.
-        source: where they come from, for the error.
-
-    Raises:
-        ConfigError: ``markers.unrecognised`` where too few labels are told, or too few on the pelvis.
+        found: what is told.
+        source: where the labels come from.
     """
-    found = recognised(labels)
-    if found.enough:
-        return found
     untold = f"; not {listing(found.unknown, 12)}" if found.unknown else ""
-    raise ConfigError(
+    return ConfigError(
         "markers.unrecognised", "labels do not tell where the markers are", source=source, place="markers",
         found=f"{found.said}, {found.root} on the pelvis{untold}",
         remedy="Give markers: FILE.yaml with a line LABEL: SEGMENT for every marker (docs/config.md)",

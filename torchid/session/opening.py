@@ -20,7 +20,7 @@ from torchid.io.resample import synchronise
 from torchid.model.files import load_model
 from torchid.model.marker_set import MarkerSet, MarkerSpec, load_marker_set
 from torchid.model.model import Model
-from torchid.model.recognition import recognise
+from torchid.model.recognition import recognised, unrecognised
 from torchid.model.whole_body import whole_body
 from torchid.recording import Trial
 from torchid.session import Session
@@ -212,7 +212,9 @@ def _recognised(config: Config) -> tuple[MarkerSet, tuple[Note, ...]]:
         )  # fmt: skip
     first = next((file for file in config.trials if file.role != "static"), config.trials[0])
     options = ReadOptions(first.subject, first.up, first.units, first.allow_truncated, ForcesAs(use=False))
-    found = recognise(read_trial(first.name, first.file, None, "fit", options).markers.labels, str(first.file))
+    found = recognised(read_trial(first.name, first.file, None, "fit", options).markers.labels)
+    if not found.enough and config.unlisted_choice == "leave_out":
+        raise unrecognised(found, str(first.file))
     return found.markers, (Note("markers.auto", f"markers: auto, by {first.name}: {found.said}"),)
 
 

@@ -12,7 +12,8 @@ from torchid.contact.options import ContactOptions, OtherContact, Point
 from torchid.contact.others import Others, find_others
 from torchid.contact.sharing.patches import Patch, axes_about
 from torchid.errors import ConfigError, DataError
-from torchid.geometry.assign import Assignment, Attachment
+from torchid.geometry.assign import Assignment
+from torchid.geometry.attachment import Attachment
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked
 from torchid.io.mend import number_of

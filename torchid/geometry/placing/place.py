@@ -1,0 +1,189 @@
+"""This module tells which segments markers are on whose labels say nothing: by where they stand, then by how they move.
+
+How a person stands among the markers gives landmarks to many of them (``standing``); a body fitted to these tells where
+all others are, and whether these are right (``geometry/carriers``). Ways to stand that are nearly as likely are all
+fitted, and motion decides: knees bend one way.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.errors import DataError
+from torchid.geometry.carriers import SURE, Carriers, carriers
+from torchid.geometry.placing.standing import Standing, stand
+from torchid.geometry.posture.initial_posture import evenly
+from torchid.model.marker_set import MarkerSpec
+from torchid.model.model import Model
+from torchid.recording import Trial
+
+FIRST_SURE = 0.8
+"""Probability of a segment, by places alone, from which a marker takes part in the first fit; chosen."""
+LIKELY = 0.5
+"""Probability from which a marker takes part in later fits, and is put on a landmark; chosen."""
+NEAR = 30.0
+"""Log odds by which another way to stand may be less likely and is fitted nevertheless; chosen."""
+MOTION_FRAMES = 5
+"""Choice. Frames of motion that are looked at where nobody stands still: in one of them legs are nearly straight."""
+LOOKED_AT = 150
+"""Resolution. Frames of a trial among which these are chosen."""
+FEWEST_LANDMARKS = 8
+"""Choice. Landmarks of a template below which nobody can be seen to stand."""
+UNDECIDED = 0.02
+"""Probability that places leave open even where they are sure; chosen."""
+FEWEST_TOLD = 6
+"""Choice. Markers below which no body is fitted."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where markers are, as places and motion have it."""
+
+    specs: Mapping[str, MarkerSpec]
+    """Markers that are surely on a segment, with the landmark that they are likely on; none of the known ones."""
+    told: Carriers
+    """How likely each is on which segment."""
+
+
+def place_markers(
+    labels: Sequence[str], model: Model, trials: Sequence[Trial], known: Mapping[str, MarkerSpec] = {}
+) -> Placed | None:
+    """Return the segments that markers are on; None where no body can be fitted.
+
+    Args:
+        labels: of the markers that are asked for.
+        model: template of the subject.
+        trials: all trials of the session; the same labels are the same markers.
+        known: markers whose segments are known.
+    """
+    every = (*labels, *known)
+    found = [one for way in _ways(every, model, trials, known) if (one := _moved(labels, way, model, trials, known))]
+    if not found:
+        return None
+    best = max(found, key=lambda one: one.told.evidence + one.way.score)
+    best = _moved(labels, best.way, model, trials, known, best) or best
+    specs = best.specs(SURE, model)
+    return Placed({label: specs[label] for label in labels if label in specs}, best.told)
+
+
+def seen_standing(labels: Sequence[str], model: Model, trials: Sequence[Trial]) -> float:
+    """Return how clearly a person of a template's size stands among markers, as log odds.
+
+    Args:
+        labels: of the markers.
+        model: template of a size.
+        trials: all trials of the session.
+    """
+    return stand(model, _standing_frames(labels, trials))[0].score
+
+
+@dataclass(frozen=True)
+class _Way:
+    """One way to stand, and what it says of every label."""
+
+    score: float
+    absent: frozenset[str]
+    segment: Mapping[str, Float[Tensor, " segments"]]
+    """Probability of every segment, by places alone."""
+    landmark: Mapping[str, Float[Tensor, " landmarks"]]
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """A way to stand whose body was followed through all trials."""
+
+    way: _Way
+    told: Carriers
+
+    def specs(self, least: float, model: Model) -> dict[str, MarkerSpec]:
+        """Markers that are on a segment with at least this probability."""
+        each = {label: self.told.of(label) for label in self.told.labels}
+        return {
+            label: MarkerSpec(one.segment, _landmark(self.way, label, one.segment, model))
+            for label, one in each.items()
+            if one.probability >= least
+        }
+
+
+def _ways(
+    labels: Sequence[str], model: Model, trials: Sequence[Trial], known: Mapping[str, MarkerSpec]
+) -> Iterator[_Way]:
+    """Ways to stand that are worth a fit; the one of what is known alone where nobody can be seen to stand."""
+    own = {label: spec for label, spec in known.items() if spec.landmark in (None, *model.landmarks)}
+    found: tuple[Standing, ...] = ()
+    if len(model.landmarks) >= FEWEST_LANDMARKS:
+        rows = {row: own[label] for row, label in enumerate(labels) if label in own}
+        found = stand(model, _standing_frames(labels, trials), rows)
+    for one in found:
+        if one.score > found[0].score - NEAR:
+            yield _way(labels, model, one)
+    if not found:
+        yield _Way(0.0, frozenset(), {}, {})
+
+
+def _way(labels: Sequence[str], model: Model, one: Standing) -> _Way:
+    """What a way to stand says of every label."""
+    bodies = torch.tensor([model.tree.index(landmark.segment) for landmark in model.landmarks.values()])
+    segment = one.match.new_zeros(len(labels), len(model.tree.names)).index_add_(1, bodies, one.match)
+    segments, landmarks = (dict(zip(labels, x, strict=True)) for x in (segment, one.match))
+    return _Way(one.score, one.absent, segments, landmarks)
+
+
+def _standing_frames(labels: Sequence[str], trials: Sequence[Trial]) -> Float[Tensor, "frames markers 3"]:
+    """A frame of standing in which most markers are seen, or several of motion."""
+    still = [trial for trial in trials if trial.role == "static"]
+    some = [trial.markers.frames(evenly(len(trial.markers.time), LOOKED_AT)) for trial in still or trials]
+    position = torch.cat([markers.select(tuple(labels)).position for markers in some])
+    seen = position.isfinite().all(2).sum(1)
+    whole = (seen >= seen.max() - 1).nonzero()[:, 0]
+    return position[whole[evenly(len(whole), 1 if still else MOTION_FRAMES)]]
+
+
+def _moved(
+    labels: Sequence[str],
+    way: _Way,
+    model: Model,
+    trials: Sequence[Trial],
+    known: Mapping[str, MarkerSpec],
+    before: _Moved | None = None,
+) -> _Moved | None:
+    """Fit a body to the markers that are told so far, and judge all; None where too few are told, or no body fits."""
+    told = _first(labels, way, model) if before is None else before.specs(LIKELY, model)
+    specs = {**told, **known}
+    if len(specs) < FEWEST_TOLD:
+        return None
+    try:
+        found = carriers(labels, specs, model, trials, _before(labels, way, model), way.absent)
+    except DataError:
+        return None
+    return _Moved(way, found)
+
+
+def _first(labels: Sequence[str], way: _Way, model: Model) -> dict[str, MarkerSpec]:
+    """Segments that places alone tell."""
+    found = {}
+    for label in labels if way.segment else ():
+        best = int(way.segment[label].argmax())
+        if float(way.segment[label][best]) > FIRST_SURE:
+            segment = model.tree.names[best]
+            found[label] = MarkerSpec(segment, _landmark(way, label, segment, model))
+    return found
+
+
+def _landmark(way: _Way, label: str, segment: str, model: Model) -> str | None:
+    """The landmark of a segment that a marker is likely on."""
+    each = zip(model.landmarks.items(), way.landmark[label].tolist() if way.landmark else (), strict=False)
+    likely = {name: share for (name, one), share in each if one.segment == segment and share > LIKELY}
+    return max(likely, key=likely.__getitem__, default=None)
+
+
+def _before(labels: Sequence[str], way: _Way, model: Model) -> Float[Tensor, "labels segments"] | None:
+    """Probabilities of segments by places; what they leave open is on any of them."""
+    if not way.segment:
+        return None
+    by_place = torch.stack([way.segment[label] for label in labels])
+    left = (1.0 - by_place.sum(dim=1, keepdim=True)).clamp(min=UNDECIDED)
+    return by_place + left / len(model.tree.names)
