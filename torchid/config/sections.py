@@ -160,9 +160,8 @@ class Config(ConfigSection):
     """Name of a built-in marker set, or the path of a YAML file {label: segment}; auto: the built-in set that lists
     most labels, the others by their words (docs/folder.md), or the markers of an OpenSim model."""
     unlisted: Literal["assign", "leave_out"] | None = None
-    """Labels that the marker set does not list: assigned by where they stand and how they move, or left out; absent: left
-    out by a set of
-    the user's own (a path), assigned by a built-in one."""
+    """Labels that the marker set does not list: assigned by where they stand and how they move, or left out; absent:
+    left out by a set of the user's own (a path), assigned by a built-in one."""
     trials: tuple[TrialFile, ...] = ()
     """The recordings."""
     forces_as: ForcesAs = ForcesAs()

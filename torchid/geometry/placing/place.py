@@ -113,15 +113,12 @@ def _ways(
 ) -> Iterator[_Way]:
     """Ways to stand that are worth a fit; the one of what is known alone where nobody can be seen to stand."""
     own = {label: spec for label, spec in known.items() if spec.landmark in (None, *model.landmarks)}
-    found: tuple[Standing, ...] = ()
-    if len(model.landmarks) >= FEWEST_LANDMARKS:
-        rows = {row: own[label] for row, label in enumerate(labels) if label in own}
-        found = stand(model, _standing_frames(labels, trials), rows)
-    for one in found:
-        if one.score > found[0].score - NEAR:
-            yield _way(labels, model, one)
-    if not found:
+    if len(model.landmarks) < FEWEST_LANDMARKS:
         yield _Way(0.0, frozenset(), {}, {})
+        return
+    rows = {row: own[label] for row, label in enumerate(labels) if label in own}
+    found = stand(model, _standing_frames(labels, trials), rows)
+    yield from (_way(labels, model, one) for one in found if one.score > found[0].score - NEAR)
 
 
 def _way(labels: Sequence[str], model: Model, one: Standing) -> _Way:
