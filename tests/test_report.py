@@ -287,7 +287,7 @@ def test_one_look_tells_every_side_and_what_to_do_next(run):
     assert named["Recordings"].level is QualityLevel.CARE and told(late) in named["Recordings"].text
     assert "forces_as" in named["Next"].text
     good = Quality(tuple(replace(one, level=QualityLevel.GOOD) for one in quality.criteria))
-    assert next_step(None, good) == ""
+    assert next_step((), (), good) == ""
     calm = replace(run.outcome, session=replace(run.outcome.session, tracking=()), diagnosis=None)
     assert glance(calm, good)[-1].text == f"{NOTHING}."
     more = replace(found, causes=(), unexplained=Adequacy(True, 1e-9, 0.6, "much"))
