@@ -384,3 +384,13 @@ def test_a_thigh_marker_by_another_name_is_found(data_dir):
     found = [one for one in look_at_trial(trials["walkingTI3"], clusters, others) if one.kind is TrackFault.EXCHANGED]
     assert [set(one.labels) for one in found] == [{"r_thigh3", "r_thigh5"}]
     assert found[0].share > 0.9 and found[0].left_mm < 5.0
+
+
+def test_a_single_frame_has_one_time_and_distances_agree_to_a_millimetre_at_best():
+    """Not from a time to the same time, and not within nothing."""
+    leap = TrackStatement(TrackFault.JUMP, "walk", ("LTHI",), ((0.1, 0.1),), 60.0, 3.0)
+    assert leap.sentence.endswith("60 mm off, at 0.10 s")
+    assert replace(leap, when=((0.1, 0.3), (0.5, 0.5))).sentence.endswith("at 0.10-0.30 s, 0.50 s")
+    moved = replace(leap, kind=TrackFault.MOVED, when=(), left_mm=0.2, against=("a", "b"))
+    assert "sits elsewhere than in a and b, by 60 mm (sd 3 mm)" in moved.sentence
+    assert moved.sentence.endswith("within 1 mm") and replace(moved, left_mm=1.2).sentence.endswith("within 2 mm")

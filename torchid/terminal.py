@@ -20,6 +20,8 @@ UNBROKEN = 1 << 16
 """Width of what is not shown on a terminal: nobody but a terminal wants lines broken."""
 MARKS = {"good": ("●", "green"), "usable with care": ("▲", "yellow"), "do not use": ("■", "red")}
 """Sign and colour of what a reader may do with a result."""
+ITEM = "-"
+"""Before each line of a list."""
 
 
 class Terminal(Console):
@@ -76,5 +78,6 @@ def print_lights(lights: "Sequence[Light]") -> None:
     table = Table(show_header=False, box=None, pad_edge=False)
     for light in lights:
         sign, colour = ("→", "blue") if light.level is None else MARKS[light.level.value]
-        table.add_row(Text(sign, style=colour), Text(light.about, style="bold"), Text(light.text))
+        said = "\n".join((*filter(None, (light.text,)), *(f"{ITEM} {item}" for item in light.items)))
+        table.add_row(Text(sign, style=colour), Text(light.about, style="bold"), Text(said))
     unbroken().print(table)

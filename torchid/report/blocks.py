@@ -83,7 +83,9 @@ class Light:
     level: QualityLevel | None
     """None where nothing is judged."""
     text: str
-    """A sentence or two."""
+    """A sentence or two; empty where there are lines."""
+    items: tuple[str, ...] = ()
+    """Lines of a list."""
 
 
 @dataclass(frozen=True)

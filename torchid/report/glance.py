@@ -1,18 +1,16 @@
 """What one look tells of a run: each side of it beside its norm, what is wrong with the recordings, what to do next."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from torchid.checks.finding import Severity
-from torchid.diagnosis.verdict.instruments import instrument_findings
-from torchid.diagnosis.verdict.records import Cause, Diagnosis
+from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.effects.catalogue import CATALOGUE
-from torchid.effects.recommendations import tell_apart
 from torchid.report.blocks import Light
-from torchid.report.cause_sentences import called, likely, told
+from torchid.report.read_as import read_as
+from torchid.report.recording_faults import WRONG, Fault, recording_faults
 from torchid.session import Outcome
-from torchid.session.judging import REMEDIES, Mass, Masses, masses
+from torchid.session.judging import Mass, Masses, masses
 from torchid.session.outcome import ORDER, Quality, QualityLevel
-from torchid.wording import change, clean, listing, number, plural, spread
+from torchid.wording import change, listing, number, plural, spread
 
 SIDES = {
     "Mass": ("mass_standing", "mass_recorded"),
@@ -26,8 +24,11 @@ NOTHING = "Nothing has to be done: masses are in `inertia.json`, the model in `m
 """What comes next where all is within its norm."""
 LOOK = "Read “What the model gets wrong” and “Data handling” before the results are used"
 """What comes next where something is wrong that has no remedy of its own."""
-WHOLE = 400
-"""Choice. Letters of a sentence that are shown."""
+SETTLED = "Faults that are corrected or left out here ask for nothing in this run."
+"""What is said beside where no listed fault asks for anything."""
+REMAINS = "More remains in the forces than noise makes, and no named cause explains it."
+LINES, BODILY = 4, 2
+"""Choice. Lines on the recordings, beside the one that counts the rest; those that faults of the body may fill."""
 
 
 def glance(outcome: Outcome, quality: Quality) -> tuple[Light, ...]:
@@ -38,10 +39,14 @@ def glance(outcome: Outcome, quality: Quality) -> tuple[Light, ...]:
         quality: what it is worth.
     """
     lights = [light for about in SIDES if (light := _side(about, outcome, quality))]
-    lights += [*_fit(quality), *_recordings(outcome, quality)]
+    faults = recording_faults(outcome)
+    beside = _beside(outcome, quality, faults)
+    shown = faults[: _room(faults, beside)]
+    lights += [*_fit(quality), *_recordings(outcome, quality, shown, faults[len(shown) :], beside)]
     good = all(one.level in (None, QualityLevel.GOOD) for one in lights)
-    step = next_step(outcome.diagnosis, quality) or (NOTHING if good else LOOK)
-    return (*lights, Light("Next", None, f"{step}."))
+    step = next_step(faults, shown, quality) or (NOTHING if good else LOOK)
+    settled = f" {SETTLED}" if any(f.settled for f in shown) and not any(f.step or f.apart for f in shown) else ""
+    return (*lights, Light("Next", None, f"{step}.{settled}"))
 
 
 def _side(about: str, outcome: Outcome, quality: Quality) -> Light | None:
@@ -69,72 +74,75 @@ def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _recordings(outcome: Outcome, quality: Quality) -> Iterator[Light]:
-    """What the diagnosis and distances between markers say of the recordings."""
-    found, moved = outcome.diagnosis, outcome.session.tracking
-    said = [] if found is None else [verdict_words(found, quality.usable)]
-    said += [_sentence(f"{clean(one.sentence, WHOLE)} ({clean(one.trial)})") for one in moved[:1]]
-    said += [f"{plural(len(moved) - 1, 'more finding')} of markers: see “Data handling”."] if len(moved) > 1 else []
-    if said:
-        named = found is not None and (found.likely or found.unexplained.significant)
-        wrong = named or moved or not quality.usable
-        yield Light("Recordings", QualityLevel.CARE if wrong else QualityLevel.GOOD, " ".join(said))
+def _beside(outcome: Outcome, quality: Quality, faults: Sequence[Fault]) -> tuple[list[str], list[str]]:
+    """Lines before and after those of faults: that none is likely, what remains, and as what forces were read."""
+    found = outcome.diagnosis
+    first = "" if found is None else unnamed(found, quality.usable, bool(faults))
+    remains = REMAINS if found is not None and found.unexplained.significant else ""
+    return [*filter(None, (first,))], [*filter(None, (remains, read_as(outcome)))]
 
 
-def verdict_words(found: Diagnosis, usable: bool) -> str:
-    """What the diagnosis says, in a sentence or two; its section has the rest.
+def _room(faults: Sequence[Fault], beside: tuple[list[str], list[str]]) -> int:
+    """How many faults are told: of the body's, which come last, only what fills the first lines."""
+    own = sum(not one.bodily for one in faults)
+    return min(LINES - len(beside[0]) - len(beside[1]), max(own, BODILY))
+
+
+def _recordings(
+    outcome: Outcome, quality: Quality, shown: Sequence[Fault], hidden: Sequence[Fault],
+    beside: tuple[list[str], list[str]],
+) -> Iterator[Light]:  # fmt: skip
+    """What is wrong with the recordings, a line each, and as what they were read."""
+    found = outcome.diagnosis
+    more = _more(hidden, 0 if found is None else len(found.possible))
+    lines = [*beside[0], *(one.line for one in shown), *([more] if more else []), *beside[1]]
+    if not lines:
+        return
+    wrong = bool(shown) or REMAINS in lines or not quality.usable
+    level = QualityLevel.CARE if wrong else None if found is None else QualityLevel.GOOD
+    yield Light("Recordings", level, lines[0]) if len(lines) == 1 else Light("Recordings", level, "", tuple(lines))
+
+
+def _more(hidden: Sequence[Fault], possible: int) -> str:
+    """How many faults are not told here, and where they are."""
+    counts = [f"{len(hidden)} more"] if hidden else []
+    counts += [plural(possible, "possible cause")] if possible else []
+    places = dict.fromkeys([one.section for one in hidden] + ([WRONG] if possible else []))
+    return f"And {listing(counts)}: see {listing([f'“{name}”' for name in places])}." if counts else ""
+
+
+def unnamed(found: Diagnosis, usable: bool, others: bool) -> str:
+    """Return what a diagnosis says that names nothing likely; empty where it does.
 
     Args:
         found: the diagnosis.
         usable: False where the run is not to be used: that nothing was found is no good news then.
+        others: whether tracks of markers tell of faults.
     """
-    sure = found.likely
-    more, possible = max(len(sure) - 1, 0), len(found.possible)
-    said = []
-    if sure:
-        twins = " or ".join(map(called, sure[0].indistinguishable))
-        apart = f"; it may as well be {twins}, which the recordings do not tell apart" if twins else ""
-        done = "" if sure[0].applied else "; it is not corrected, as the model would predict worse"
-        said = [told(sure[0]), f"That is {likely(sure[0])}{apart}{done}."]
-    elif usable:
-        kinds = f"({len(CATALOGUE)} kinds tested)"
-        said = [f"No fault confirmed {kinds}." if found.causes or found.refuted else f"No fault found {kinds}."]
-    elif not possible:
-        said = [f"None of the {len(CATALOGUE)} kinds of fault that were tested explains it."]
-    others = [plural(count, f"{kind} cause") for count, kind in ((more, "more"), (possible, "possible")) if count]
-    if others:
-        said.append(f"{listing(others)} and all rivals: see “What the model gets wrong”.")
-    if found.unexplained.significant:
-        said.append("More remains in the forces than noise makes, and no named cause explains it.")
-    return " ".join(said)
+    kinds = len(CATALOGUE)
+    if found.likely:
+        return ""
+    if usable:
+        sure = "confirmed" if found.causes or found.refuted else "found"
+        return f"No {'other ' if others else ''}fault {sure} ({kinds} kinds tested)."
+    return "" if found.possible else f"None of the {kinds} kinds of fault that were tested explains it."
 
 
-def next_step(found: Diagnosis | None, quality: Quality) -> str:
-    """Return what to do next, as a sentence without its end: the remedy of what kept a run from its end, the line that
-    mends a recording, the recording that tells causes apart, the remedy of the worst figure; empty where there is none.
+def next_step(faults: Sequence[Fault], shown: Sequence[Fault], quality: Quality) -> str:
+    """Return what to do next, as a sentence without its end: the remedy of what kept a run from its end, what mends the
+    surest fault, the recording that tells it from its twin, the remedy of the worst figure; empty where there is none.
 
     Args:
-        found: the diagnosis; None where there was none.
+        faults: of the recordings, those that ask for something first.
+        shown: those of them that are told; no other is told from its twin.
         quality: what the run is worth.
     """
-    instruments = [] if found is None else instrument_findings(found)
-    problems = [one for one in instruments if one.severity is Severity.PROBLEM]
     worst = quality.deciding
     beyond = worst.remedy if worst is not None and worst.level is not QualityLevel.GOOD else ""
-    failed = beyond if worst is not None and worst.name not in REMEDIES else ""
-    lines = (one.cures[0].config for one in problems if one.cures)
-    cures = (f"Add `{line}` to the trials of the config, so that they are read without it" for line in lines)
-    apart = () if found is None else map(_to_tell_apart, found.likely[:1])
-    text = next(filter(None, (failed, *cures, *apart, beyond, *(one.advice for one in problems))), "").rstrip(".")
+    failed = beyond if worst is not None and worst.failed else ""
+    mending, apart = (one.step for one in faults), (one.apart for one in shown)
+    text = next(filter(None, (failed, *mending, *apart, beyond)), "").rstrip(".")
     return text and f"{text[0].upper()}{text[1:]}"
-
-
-def _to_tell_apart(cause: Cause) -> str:
-    """What to record where a cause has a twin; empty where it has none."""
-    if not cause.indistinguishable:
-        return ""
-    twin = cause.indistinguishable[0]
-    return f"To tell {called(cause)} from {called(twin)}, record {tell_apart(cause.effect, twin.effect)}"
 
 
 def mass_words(said: Masses, usable: bool) -> str:

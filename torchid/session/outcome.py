@@ -1,5 +1,6 @@
 """Everything a finished (or stopped) experiment knows: what is written to files and what the report draws."""
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -32,13 +33,16 @@ class QualityLevel(StrEnum):
 ORDER = (QualityLevel.GOOD, QualityLevel.CARE, QualityLevel.UNUSABLE)
 """From the best to the worst."""
 
+FOREMOST = ("unseen",)
+"""Figures that all others are read by: what no marker saw is no result, however well the rest agrees."""
+
 
 @dataclass(frozen=True)
 class Criterion:
     """One figure of a run beside its norm."""
 
     name: str
-    """Key of files, such as ``force``."""
+    """Key of files, such as ``force``; of a failure its code."""
     level: QualityLevel
     value: float
     norm: float
@@ -57,6 +61,19 @@ class Criterion:
         """The figure and its norm."""
         return f"{self.shown} ({self.bound})" if self.bound else self.shown
 
+    @property
+    def failed(self) -> bool:
+        """Whether it is what kept the rest from being found: its name is the dotted code of a failure."""
+        return "." in self.name
+
+    @property
+    def ratio(self) -> float:
+        """How many times its norm it is: infinite of what all others are read by, zero where there is no figure."""
+        if self.failed or self.name in FOREMOST:
+            return math.inf
+        share = self.value / self.norm if self.norm else math.nan
+        return share if math.isfinite(share) else 0.0
+
 
 @dataclass(frozen=True)
 class Quality:
@@ -71,8 +88,10 @@ class Quality:
 
     @property
     def deciding(self) -> Criterion | None:
-        """The first figure of the worst level; None of a run without any."""
-        return next((one for one in self.criteria if one.level is self.level), None)
+        """Of those of the worst level what kept the rest from being found, else what nobody saw, else what is the most
+        times its norm; None of a run without any."""
+        worst = [one for one in self.criteria if one.level is self.level]
+        return max(worst, key=lambda one: one.ratio, default=None)
 
     @property
     def usable(self) -> bool:

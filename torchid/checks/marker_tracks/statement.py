@@ -1,5 +1,6 @@
 """Records of what is wrong with the track of a marker, and what is said of it."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -84,8 +85,8 @@ class TrackStatement:
                     f"(sd {self.sd_mm:.0f} mm) if it is {self.labels[0]}, and nothing tells which"
                 )
             return (
-                f"{names} sits {self.size_mm:.0f} mm (sd {self.sd_mm:.0f} mm) from its place in {compared}; without "
-                f"it, distances on the segment agree within {self.left_mm:.0f} mm"
+                f"{names} sits elsewhere than in {compared}, by {self.size_mm:.0f} mm (sd {self.sd_mm:.0f} mm); "
+                f"without it, distances on the segment agree within {math.ceil(max(self.left_mm, 1.0))} mm"
             )
         how = "leaps to another place" if self.kind is TrackFault.JUMP else "leaps between two places"
         return f"{names} {how} on its segment, {self.size_mm:.0f} mm off, {when}"
@@ -94,7 +95,8 @@ class TrackStatement:
         """Return the times in words."""
         if not self.when:
             return "throughout"
-        listed = ", ".join(f"{t0:.2f}-{t1:.2f} s" for t0, t1 in self.when[:LISTED])
+        spans = [(f"{t0:.2f}", f"{t1:.2f}") for t0, t1 in self.when[:LISTED]]
+        listed = ", ".join(f"{t0} s" if t0 == t1 else f"{t0}-{t1} s" for t0, t1 in spans)
         more = len(self.when) - LISTED
         return f"at {listed}" + (f" and {more} times more" if more > 0 else "")
 
