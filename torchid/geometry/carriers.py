@@ -44,19 +44,19 @@ FRAMES, POSED, STEPS = 150, 60, 25
 """Resolution. Frames of all trials that the body is fitted to, frames of each in which markers are looked at, and most
 steps of the fit."""
 LOOKED_AT = 6
-"""Choice. Recordings that are looked at, the longest: in one alone, the joint between two segments may hardly turn."""
+"""Recordings that are looked at, the longest; chosen. In one alone, the joint between two segments may hardly turn."""
 LOST = -20.0
-"""Choice. Least log evidence of a marker: one that is lost in every hypothesis shall not decide between them."""
+"""Least log evidence of a marker; chosen: one that is lost in every hypothesis shall not decide between them."""
 
 
 @dataclass(frozen=True)
 class Carriers:
-    """How likely every marker is on every segment."""
+    """The probability of every segment for every marker."""
 
     labels: tuple[str, ...]
     segments: tuple[str, ...]
     probability: Float[Tensor, "labels segments"]
-    """What is missing from 1 is on none of them."""
+    """Probability by marker and segment; what is missing from 1 is on none of them."""
     scatter: Float[Tensor, "labels segments"]
     """Along an axis of each segment [m]."""
     evidence: float
@@ -160,7 +160,7 @@ def _in_tree_order(fit: GeometryFit, like: Tensor) -> Int[Tensor, " bodies"]:
 def _scatter(
     paths: Float[Tensor, "bodies labels 3 frames"], place: Float[Tensor, "bodies labels 3"]
 ) -> Float[Tensor, "bodies labels"]:
-    """How far markers are from their places, along an axis, in all but the worst frames [m]."""
+    """Return how far markers are from their places, along an axis, in all but the worst frames [m]."""
     away = (paths - place[..., None]).square().sum(dim=2)
     return (away.nanquantile(WITHIN, dim=2) / 3.0).sqrt()
 
@@ -182,7 +182,7 @@ def _asked(motion: Float[Tensor, "bodies labels"], others: Int[Tensor, "bodies l
 
 
 def _bears_markers(model: Model, body: int) -> bool:
-    """Whether people put markers on a body: not on one between others that has no landmark."""
+    """Return whether people put markers on a body: not on one between others that has no landmark."""
     tree = model.tree
     if not model.landmarks or any(one.segment == tree.names[body] for one in model.landmarks.values()):
         return True

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from torchid.errors import DataError
 from torchid.geometry.carriers import SURE, Carriers, carriers
-from torchid.geometry.placing.standing import Standing, stand
+from torchid.geometry.placing.sizes import of_sizes
+from torchid.geometry.placing.standing import SCHEDULES, Standing, stand
 from torchid.geometry.posture.initial_posture import evenly
 from torchid.model.marker_set import MarkerSpec
 from torchid.model.model import Model
@@ -27,25 +28,28 @@ LIKELY = 0.5
 NEAR = 30.0
 """Log odds by which another way to stand may be less likely and is fitted nevertheless; chosen."""
 MOTION_FRAMES = 5
-"""Choice. Frames of motion that are looked at where nobody stands still: in one of them legs are nearly straight."""
+"""Frames of motion that are looked at where nobody stands still; chosen: in one of them legs are nearly straight."""
 LOOKED_AT = 150
 """Resolution. Frames of a trial among which these are chosen."""
 FEWEST_LANDMARKS = 8
-"""Choice. Landmarks of a template below which nobody can be seen to stand."""
+"""Landmarks of a template below which nobody can be seen to stand; chosen."""
+LEAST = 0.3
+"""Log evidence of a marker, on average, below which none is placed; chosen: 0.4 to 4 where they are placed rightly, and
+below 0.1 where the template stands in the wrong place."""
 UNDECIDED = 0.02
 """Probability that places leave open even where they are sure; chosen."""
 FEWEST_TOLD = 6
-"""Choice. Markers below which no body is fitted."""
+"""Markers below which no body is fitted; chosen."""
 
 
 @dataclass(frozen=True)
 class Placed:
-    """Where markers are, as places and motion have it."""
+    """The segments of markers, as places and motion have it."""
 
     specs: Mapping[str, MarkerSpec]
     """Markers that are surely on a segment, with the landmark that they are likely on; none of the known ones."""
     told: Carriers
-    """How likely each is on which segment."""
+    """Probabilities of all segments for all labels, known ones included."""
 
 
 def place_markers(
@@ -60,24 +64,30 @@ def place_markers(
         known: markers whose segments are known.
     """
     every = (*labels, *known)
-    found = [one for way in _ways(every, model, trials, known) if (one := _moved(labels, way, model, trials, known))]
+    model = _sized(every, model, trials, known)
+    found = [one for way in _ways(every, model, trials, known) if (one := _moved(every, way, model, trials, known))]
     if not found:
         return None
     best = max(found, key=lambda one: one.told.evidence + one.way.score)
-    best = _moved(labels, best.way, model, trials, known, best) or best
+    best = _moved(every, best.way, model, trials, known, best) or best
+    if best.told.evidence < LEAST * len(every):
+        return None
     specs = best.specs(SURE, model)
     return Placed({label: specs[label] for label in labels if label in specs}, best.told)
 
 
-def seen_standing(labels: Sequence[str], model: Model, trials: Sequence[Trial]) -> float:
-    """Return how clearly a person of a template's size stands among markers, as log odds.
+def _sized(labels: Sequence[str], model: Model, trials: Sequence[Trial], known: Mapping[str, MarkerSpec]) -> Model:
+    """Return the template in whose size a person is seen to stand best."""
+    if len(model.landmarks) < FEWEST_LANDMARKS:
+        return model
+    frames, rows = _standing_frames(labels, trials), _rows(labels, model, known)
+    return max(of_sizes(model, frames), key=lambda one: stand(one, frames, rows, SCHEDULES[:1])[0].score)
 
-    Args:
-        labels: of the markers.
-        model: template of a size.
-        trials: all trials of the session.
-    """
-    return stand(model, _standing_frames(labels, trials))[0].score
+
+def _rows(labels: Sequence[str], model: Model, known: Mapping[str, MarkerSpec]) -> dict[int, MarkerSpec]:
+    """Return what is known of markers, by their rows, as far as the template has it."""
+    own = {label: spec for label, spec in known.items() if spec.landmark in (None, *model.landmarks)}
+    return {row: own[label] for row, label in enumerate(labels) if label in own}
 
 
 @dataclass(frozen=True)
@@ -112,17 +122,15 @@ def _ways(
     labels: Sequence[str], model: Model, trials: Sequence[Trial], known: Mapping[str, MarkerSpec]
 ) -> Iterator[_Way]:
     """Ways to stand that are worth a fit; the one of what is known alone where nobody can be seen to stand."""
-    own = {label: spec for label, spec in known.items() if spec.landmark in (None, *model.landmarks)}
     if len(model.landmarks) < FEWEST_LANDMARKS:
         yield _Way(0.0, frozenset(), {}, {})
         return
-    rows = {row: own[label] for row, label in enumerate(labels) if label in own}
-    found = stand(model, _standing_frames(labels, trials), rows)
+    found = stand(model, _standing_frames(labels, trials), _rows(labels, model, known))
     yield from (_way(labels, model, one) for one in found if one.score > found[0].score - NEAR)
 
 
 def _way(labels: Sequence[str], model: Model, one: Standing) -> _Way:
-    """What a way to stand says of every label."""
+    """Return what a way to stand says of every label."""
     bodies = torch.tensor([model.tree.index(landmark.segment) for landmark in model.landmarks.values()])
     segment = one.match.new_zeros(len(labels), len(model.tree.names)).index_add_(1, bodies, one.match)
     segments, landmarks = (dict(zip(labels, x, strict=True)) for x in (segment, one.match))

@@ -34,29 +34,29 @@ LONE_MARKER, LONE_LANDMARK = -3.0, -1.0
 """Prices of a marker on no landmark and of a landmark without marker, as log odds; chosen on eleven recordings
 (``python -m batteries.unnamed``, seed 77): half of a laboratory's markers are on no landmark."""
 HEADINGS = 8
-"""Choice. Headings that the template starts in, evenly about the circle."""
+"""Headings that the template starts in, evenly about the circle; chosen."""
 ARMS = ((0.0, 0.1, 0.1), (0.0, 1.4, 0.0), (0.0, 0.7, 0.3), (0.8, 0.2, 1.4), (0.3, 0.2, 0.6))
-"""Choice. Shoulder flexion, shoulder abduction and elbow flexion that it starts in [rad]."""
+"""Shoulder flexion, shoulder abduction and elbow flexion that it starts in [rad]; chosen."""
 WITHOUT = ((), ("head",), ("head", "upper_arm_l", "upper_arm_r"), ("abdomen",))
-"""Choice. Parts of the body, each with all beyond it, that a laboratory leaves without markers."""
+"""Parts of the body, each with all beyond it, that a laboratory leaves without markers; chosen."""
 ARMLESS = 2
 """Wording. Index of the first of them that has no arms: their postures do not matter."""
 TILT_SD, HEIGHT_SD = 0.15, 0.06
-"""Choice. Scatter of a standing pelvis's tilt [rad] and height [m]."""
+"""Scatter of a standing pelvis's tilt [rad] and height [m]; chosen."""
 STIFF, STIFFNESS = ("spine", "neck", "wrist"), 4.0
-"""Choice. Joints that hardly bend in one who stands, and how much less they scatter in variance."""
+"""Joints that hardly bend in one who stands, and how much less they scatter in variance; chosen."""
 LIMIT_SD = 0.03
-"""Choice. Softness of joint limits [rad]."""
+"""Softness of joint limits [rad]; chosen."""
 SOLE = 0.03
-"""Choice. Height of the lowest marker above the sole [m]."""
+"""Height of the lowest marker above the sole [m]; chosen."""
 SWEEPS, LAST_SWEEPS, POSE_STEPS, ROUNDS = 8, 20, 5, 2
 """Resolution. Normalisations of a match, and of the last; steps of poses between matches; rounds at a scatter."""
 NEVER = -1e6
 """Resolution. Log odds of what cannot be."""
 OTHERWISE = 1.0
-"""Choice. Headings that differ by more than this are other hypotheses [rad]."""
+"""Headings that differ by more than this are other hypotheses [rad]; chosen."""
 MOST_HYPOTHESES = 3
-"""Choice. Hypotheses that are returned."""
+"""Hypotheses that are returned; chosen."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Standing:
     score: float
     """Log odds against a match of nothing."""
     heading: float
-    """Of the pelvis, about the vertical [rad]."""
+    """Heading of the pelvis, about the vertical [rad]."""
     absent: frozenset[str]
     """Segments without markers."""
 
@@ -79,13 +79,16 @@ class _Starts:
 
     q: Float[Tensor, "dofs starts"]
     frame: Int[Tensor, " starts"]
-    """Which frame each stands in."""
+    """The frame that each stands in."""
     without: Int[Tensor, " starts"]
     """Index among ``WITHOUT``."""
 
 
 def stand(
-    model: Model, position: Float[Tensor, "frames markers 3"], known: Mapping[int, MarkerSpec] = {}
+    model: Model,
+    position: Float[Tensor, "frames markers 3"],
+    known: Mapping[int, MarkerSpec] = {},
+    schedules: Sequence[Sequence[float]] = SCHEDULES,
 ) -> tuple[Standing, ...]:
     """Return the likeliest ways in which a person stands among markers, the best first.
 
@@ -94,6 +97,7 @@ def stand(
         position: of the markers in a frame of standing, or in several of motion of which one is nearly so; NaN where
             missing [m].
         known: segments of some markers, and landmarks where they are known, by the markers' indices.
+        schedules: scatters, step by step; the best match of all is taken.
     """
     starts = _starts(model, position)
     landmarks = tuple(model.landmarks.values())
@@ -103,10 +107,10 @@ def stand(
     body = torch.tensor(plan_tree(model.tree).position)[[model.tree.index(one.segment) for one in landmarks]]
     prior = _prior(model, float(position[..., 2].nan_to_num(math.inf).min()) - SOLE)
     fit = _Fit(model, plan_tree(model.tree), body, target, allowed, prior)
-    every = [fit.annealed(starts.q, schedule) for schedule in SCHEDULES]
+    every = [fit.annealed(starts.q, schedule) for schedule in schedules]
     q, match, score = (torch.cat(parts, dim=-1) for parts in zip(*every, strict=True))
-    score = score + LONE_LANDMARK * there.sum(0).repeat(len(SCHEDULES))
-    return tuple(_distinct(model, starts.without.repeat(len(SCHEDULES)), q, match, score))
+    score = score + LONE_LANDMARK * there.sum(0).repeat(len(schedules))
+    return tuple(_distinct(model, starts.without.repeat(len(schedules)), q, match, score))
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,7 @@ class _Fit:
 
     @property
     def place(self) -> Float[Tensor, "landmarks 3"]:
-        """Of the landmarks on their bodies [m]."""
+        """Return the places of the landmarks on their bodies [m]."""
         return torch.tensor([one.p_BM_B for one in self.model.landmarks.values()], dtype=torch.float64)
 
     def annealed(self, q: Float[Tensor, "dofs starts"], schedule: Sequence[float]) -> tuple[Tensor, Tensor, Tensor]:
@@ -136,7 +140,7 @@ class _Fit:
         return q, match, gain - self.prior.cost(q).sum(0)
 
     def variance(self, scatter: float) -> Float[Tensor, " landmarks"]:
-        """Of a marker about a landmark, along an axis [m^2]."""
+        """Return the variance of a marker about a landmark, along an axis [m^2]."""
         own = torch.tensor([one.sd for one in self.model.landmarks.values()], dtype=torch.float64)
         return scatter**2 + own.square().mean(1)
 
@@ -212,14 +216,14 @@ def _absent(model: Model, without: int) -> frozenset[str]:
 
 
 def _there(model: Model, starts: _Starts) -> Bool[Tensor, "landmarks starts"]:
-    """Whether a landmark's part of the body bears markers, for every hypothesis."""
+    """Return whether a landmark's part of the body bears markers, for every hypothesis."""
     missing = [_absent(model, k) if set(parts) <= set(model.tree.names) else () for k, parts in enumerate(WITHOUT)]
     kinds = torch.tensor([[one.segment not in gone for gone in missing] for one in model.landmarks.values()])
     return kinds[:, starts.without]
 
 
 def _allowed(model: Model, markers: int, known: Mapping[int, MarkerSpec]) -> Bool[Tensor, "markers landmarks"]:
-    """Whether a marker may be on a landmark by what is known of it."""
+    """Return whether a marker may be on a landmark by what is known of it."""
     allowed = torch.ones(markers, len(model.landmarks), dtype=torch.bool)
     for row, spec in known.items():
         for column, (name, one) in enumerate(model.landmarks.items()):
