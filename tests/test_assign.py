@@ -132,6 +132,14 @@ def test_labels_that_say_nothing_are_placed(share, seed):
     assert sum(told.get(x) == own[x] for x in often) >= 0.7 * len(often), told
 
 
+def test_a_static_trial_that_shows_nothing_does_not_stop_the_others():
+    """Where nobody is seen to stand, motion tells a label, or it is left out."""
+    label = next(x for x in session().subject.labels if "THI" in x)
+    given = tuple(hidden(trial) if trial.role == "static" else trial for trial in trials())
+    found = assign_markers(template(), marker_set(label), given)
+    assert label not in found.attachment.labels or segment(found, label).startswith("thigh")
+
+
 def test_bodies_without_markers_are_locked():
     """Without head markers the head stays, keeps its inertia, and its three coordinates leave the model."""
     subject = session().subject

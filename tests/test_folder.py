@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from torchid import run
 from torchid.cli import app
 from torchid.config import Config, load_config
-from torchid.errors import DataError, InputError
+from torchid.errors import ConfigError, DataError, InputError
 from torchid.folder.config_text import config_text
 from torchid.folder.people import people_in, stature_of, told_of
 from torchid.folder.proposal import Proposal, propose
@@ -382,6 +382,16 @@ def test_labels_of_no_set_are_refused(seed: int) -> None:
     labels = [f"M{k:03d}" for k in random.choice(1000, 40, replace=False)]
     found = recognised(labels)
     assert not found.enough and "nothing tells where 40 labels are" in str(unrecognised(found, "folder"))
+
+
+def test_too_few_labels_that_say_nothing_are_refused(person: SimulatedSession, tmp_path: Path) -> None:
+    """Five of them show no body: the command stops and lists them."""
+    for name in TWO:
+        trial = person.trial(name).trial
+        markers = replace(trial.markers.select(trial.markers.labels[:5]), labels=tuple(f"M{k}" for k in range(5)))
+        write_c3d(tmp_path / f"{name}.c3d", replace(trial, markers=markers))
+    with pytest.raises(ConfigError, match=r"nothing tells where 5 labels are.*M0.*\[markers\.unrecognised\]"):
+        propose(tmp_path)
 
 
 def test_recordings_without_forces_give_geometry_alone(person: SimulatedSession, tmp_path: Path) -> None:

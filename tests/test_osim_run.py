@@ -318,6 +318,34 @@ def test_what_stands_beside_a_person_stays_in_the_file(case: str, seed: int, tmp
     assert old.partition("</Body>")[0] == new.partition("</Body>")[0]
 
 
+def test_a_shoulder_blade_is_no_person_of_its_own(seed: int, tmp_path: Path) -> None:
+    """It slides on a thorax that is fixed on ground and bears no markers: its slides follow its turns."""
+    radii = "<thoracic_ellipsoid_radii_x_y_z>0.07 0.15 0.07</thoracic_ellipsoid_radii_x_y_z>"
+    blade = joint("ScapulothoracicJoint", *SIX[:4], **PIN, rest=radii)
+    made, _ = _check(tmp_path, osim(joint("WeldJoint"), blade, bodies="ab"), np.random.default_rng(seed))
+    assert made.tree.names == ("a", "b") and made.tree.dof_names[6:] == SIX[:4]
+
+
+def test_a_marker_on_a_treadmill_makes_it_no_person(seed: int, tmp_path: Path) -> None:
+    """One on the belt, more on the person."""
+    marks = [MARKER.format(f"M{k}", f"/bodyset/{body}") for k, body in enumerate("caab")]
+    text = osim(*BESIDE["moving below"], bodies="abc", rest=MARKS.format("".join(marks)))
+    made, _ = _check(tmp_path, text, np.random.default_rng(seed))
+    assert made.tree.names == ("a", "b") and set(made.landmarks) == {"M1", "M2", "M3"}
+
+
+def test_angles_of_a_limited_root_do_not_jump(tmp_path: Path) -> None:
+    """Three turns about the vertical are three turns."""
+    (tmp_path / "a.osim").write_text(osim(*ROOTS["pinned"], bodies="ab"))
+    made, _ = read_osim_model(tmp_path / "a.osim")
+    assert made.osim is not None
+    q = torch.zeros(60, 2, dtype=torch.float64)
+    q[:, 0] = torch.linspace(0.0, 9.4, 60)
+    states = made.osim.to_tree(made.tree.dof_names, q, 0.0 * q, 0.0 * q)
+    found = made.osim.from_tree(made.tree.dof_names, states[0])
+    assert_close(found - found[:1], q - q[:1], rtol=0, atol=1e-8)
+
+
 def test_a_limited_root_shows_the_nearest_pose(seed: int, tmp_path: Path) -> None:
     """No pose within reach of a planar root is nearer to one that is not, by squares of turn and way."""
     (tmp_path / "a.osim").write_text(osim(*ROOTS["planar"], bodies="ab"))

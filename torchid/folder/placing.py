@@ -29,7 +29,8 @@ def placed(
         progress: gets the stage and the part of it that is done.
     """
     labels = dict.fromkeys(label for one in found for label in one.labels)
-    unknown = tuple(label for label in labels if label in markers.unknown)
+    computed = {label for one in found for label in one.computed}
+    unknown = tuple(label for label in labels if label in markers.unknown and label not in computed)
     trials = _trials(found)
     if not unknown or not trials:
         return markers

@@ -52,6 +52,8 @@ class Surveyed:
     """Median height of each label above the lowest one [m]."""
     some: Markers | None = None
     """Some frames of the labels that are seen."""
+    computed: tuple[str, ...] = ()
+    """Labels that were left out because they move as if computed from others."""
 
     @property
     def seconds(self) -> float:
@@ -144,7 +146,8 @@ def _facts(of: Surveyed, trial: Trial) -> Surveyed:
         travel_m=_travel(seen),
         carried=_carried(trial),
         heights=dict(zip(labels, (height - height.min()).tolist(), strict=True)),
-        some=trial.markers.select(labels).frames(slice(None, None, max(1, len(seen) // SOME_FRAMES))),
+        some=trial.markers.select(labels).frames(slice(None, None, -(-len(seen) // SOME_FRAMES))),
+        computed=trial.computed,
     )
 
 

@@ -35,7 +35,7 @@ def assign_markers(
 ) -> Assignment:
     """Assign every label of the trials to a segment, and lock the bodies that no marker sees.
 
-    A label that no marker set lists joins the segment that it moves with, if none else comes near (``carriers``), or is
+    A label that no marker set lists joins the segment that its marker surely stands and moves on (``placing``), or is
     left out with a note; so is one that moves in some trial as if it was computed from others (``Trial.computed``).
 
     Args:
@@ -80,7 +80,7 @@ def _unlisted(
     if choice == "leave_out":
         text = f"{len(labels)} labels that the marker set does not list are left out: {listing(labels)}"
         return (), [
-            Note("markers.unlisted", f"{text}. unlisted: assign places them by how they move")
+            Note("markers.unlisted", f"{text}. unlisted: assign places them by where they stand and how they move")
         ] if labels else []
     computed = {label for trial in trials for label in trial.computed}.intersection(labels)
     text = f"left out, for they move in another trial as if computed from others: {listing(sorted(computed))}"
@@ -94,7 +94,7 @@ def _carried(
     """Return the segments of the labels that surely are on one, and what is said of all."""
     placed = place_markers(labels, model, trials, known) if labels else None
     if placed is None:
-        said = "is in no marker set, and too few others are to tell where it is; left out"
+        said = "is in no marker set, and no body fits what is told of the others; left out"
         return {}, [Note("markers.unknown", f"{label} {said}") for label in labels]
     notes = []
     for label in labels:

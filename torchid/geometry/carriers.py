@@ -31,7 +31,7 @@ NOISE = 0.012
 """Scatter that skin, cameras and the template's joints alone make [m]; chosen."""
 POSTURES = 4.0
 """Independent postures that a session shows: frames of one motion resemble each other. Chosen on eleven recordings, as
-the other bounds here (``python -m batteries.unlisted`` and ``batteries.unnamed``, seeds 77 and 78)."""
+the other bounds here (``python -m batteries.unlisted --seed 77``)."""
 FLESH = 0.05
 """Distance of markers from the lines between joints and landmarks, as their standard deviation [m]; chosen."""
 NOWHERE = 0.02
@@ -114,7 +114,7 @@ def carriers(
     """
     tree = model.tree
     fit = _fitted(model, known, trials)
-    longest = sorted(trials, key=lambda trial: -len(trial.markers.time))[:LOOKED_AT]
+    longest = sorted(trials, key=lambda trial: -_seconds(trial.markers))[:LOOKED_AT]
     paths = torch.cat([_seen_from(fit, trial.markers, labels) for trial in longest], dim=3)
     place = paths.nanmedian(dim=3).values
     scatter = _scatter(paths, place)
@@ -137,10 +137,14 @@ def _fitted(model: Model, known: Mapping[str, MarkerSpec], trials: Sequence[Tria
     settled_model, _ = settle_bare(model, {spec.segment for spec in known.values()})
     static = next((trial.markers for trial in trials if trial.role == "static"), None)
     moving = {trial.name: trial.markers for trial in trials if trial.role != "static"}
-    longest = sorted(moving, key=lambda name: -len(moving[name].time))[:LOOKED_AT]
+    longest = sorted(moving, key=lambda name: -_seconds(moving[name]))[:LOOKED_AT]
     every = {name: moving[name] for name in longest} or {trial.name: trial.markers for trial in trials}
     options = GeometryOptions(max_frames=FRAMES, iterations=STEPS)
     return fit_geometry(settled_model, attach(settled_model, known), every, static, options)
+
+
+def _seconds(markers: Markers) -> float:
+    return float(markers.time[-1] - markers.time[0])
 
 
 def _seen_from(fit: GeometryFit, markers: Markers, labels: Sequence[str]) -> Float[Tensor, "bodies labels 3 frames"]:

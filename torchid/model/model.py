@@ -80,3 +80,5 @@ class Model:
     """Where the numbers come from."""
     osim: OsimBinding | None = None
     """The OpenSim model that it was made of, in whose coordinates results are written; None for any other."""
+    of_stature: bool = True
+    """Whether the stature is the person's; else it is the mean of adults."""

@@ -48,6 +48,7 @@ def whole_body(height: float | None, mass: float | None, sex: str = "unknown", m
         landmarks=whole_body_landmarks(shape, tall),
         height=tall,
         sources=sources,
+        of_stature=height is not None,
     )
 
 

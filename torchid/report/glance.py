@@ -98,7 +98,7 @@ def _recordings(
     lines = [*beside[0], *(one.line for one in shown), *([more] if more else []), *beside[1]]
     if not lines:
         return
-    wrong = bool(shown) or REMAINS in lines or not quality.usable
+    wrong = not all(one.settled for one in (*shown, *hidden)) or REMAINS in lines or not quality.usable
     level = QualityLevel.CARE if wrong else None if found is None else QualityLevel.GOOD
     yield Light("Recordings", level, lines[0]) if len(lines) == 1 else Light("Recordings", level, "", tuple(lines))
 

@@ -64,8 +64,8 @@ def place_markers(
         known: markers whose segments are known.
     """
     every = (*labels, *known)
-    model = _sized(every, model, trials, known)
-    found = [one for way in _ways(every, model, trials, known) if (one := _moved(every, way, model, trials, known))]
+    model, frames = _sized(every, model, trials, known)
+    found = [one for way in _ways(every, model, frames, known) if (one := _moved(every, way, model, trials, known))]
     if not found:
         return None
     best = max(found, key=lambda one: one.told.evidence + one.way.score)
@@ -76,12 +76,18 @@ def place_markers(
     return Placed({label: specs[label] for label in labels if label in specs}, best.told)
 
 
-def _sized(labels: Sequence[str], model: Model, trials: Sequence[Trial], known: Mapping[str, MarkerSpec]) -> Model:
-    """Return the template in whose size a person is seen to stand best."""
-    if len(model.landmarks) < FEWEST_LANDMARKS:
-        return model
+def _sized(
+    labels: Sequence[str], model: Model, trials: Sequence[Trial], known: Mapping[str, MarkerSpec]
+) -> tuple[Model, Float[Tensor, "frames markers 3"]]:
+    """Return the template, where no stature is stated in the size in which a person is seen to stand best, and the
+    frames in which; maybe none."""
     frames, rows = _standing_frames(labels, trials), _rows(labels, model, known)
-    return max(of_sizes(model, frames), key=lambda one: stand(one, frames, rows, SCHEDULES[:1])[0].score)
+    if len(model.landmarks) < FEWEST_LANDMARKS or not len(frames):
+        return model, frames[:0]
+    if model.of_stature:
+        return model, frames
+    sizes = of_sizes(model, frames)
+    return max(sizes, key=lambda one: stand(one, frames, rows, SCHEDULES[:1])[0].score), frames
 
 
 def _rows(labels: Sequence[str], model: Model, known: Mapping[str, MarkerSpec]) -> dict[int, MarkerSpec]:
@@ -119,13 +125,13 @@ class _Moved:
 
 
 def _ways(
-    labels: Sequence[str], model: Model, trials: Sequence[Trial], known: Mapping[str, MarkerSpec]
+    labels: Sequence[str], model: Model, frames: Float[Tensor, "frames markers 3"], known: Mapping[str, MarkerSpec]
 ) -> Iterator[_Way]:
-    """Ways to stand that are worth a fit; the one of what is known alone where nobody can be seen to stand."""
-    if len(model.landmarks) < FEWEST_LANDMARKS:
+    """Return ways to stand that are worth a fit; the one of what is known alone where nobody is seen to stand."""
+    if not len(frames):
         yield _Way(0.0, frozenset(), {}, {})
         return
-    found = stand(model, _standing_frames(labels, trials), _rows(labels, model, known))
+    found = stand(model, frames, _rows(labels, model, known))
     yield from (_way(labels, model, one) for one in found if one.score > found[0].score - NEAR)
 
 
@@ -138,13 +144,15 @@ def _way(labels: Sequence[str], model: Model, one: Standing) -> _Way:
 
 
 def _standing_frames(labels: Sequence[str], trials: Sequence[Trial]) -> Float[Tensor, "frames markers 3"]:
-    """A frame of standing in which most markers are seen, or several of motion."""
-    still = [trial for trial in trials if trial.role == "static"]
-    some = [trial.markers.frames(evenly(len(trial.markers.time), LOOKED_AT)) for trial in still or trials]
-    position = torch.cat([markers.select(tuple(labels)).position for markers in some])
-    seen = position.isfinite().all(2).sum(1)
-    whole = (seen >= seen.max() - 1).nonzero()[:, 0]
-    return position[whole[evenly(len(whole), 1 if still else MOTION_FRAMES)]]
+    """Return a frame of standing in which most markers are seen, or several of motion; none where too few are seen."""
+    for some, count in (([t for t in trials if t.role == "static"], 1), (trials, MOTION_FRAMES)):
+        parts = [trial.markers.frames(evenly(len(trial.markers.time), LOOKED_AT)) for trial in some]
+        position = torch.cat([markers.select(tuple(labels)).position for markers in parts]) if parts else torch.empty(0)
+        seen = position.isfinite().all(2).sum(1) if len(position) else position
+        if len(seen) and int(seen.max()) >= FEWEST_TOLD:
+            whole = (seen >= seen.max() - 1).nonzero()[:, 0]
+            return position[whole[evenly(len(whole), count)]]
+    return torch.empty(0, len(labels), 3, dtype=torch.float64)
 
 
 def _moved(

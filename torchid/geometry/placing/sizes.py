@@ -1,4 +1,4 @@
-"""This module holds templates of other sizes, for a person whose stature nobody states or who is smaller than that."""
+"""This module holds templates of other sizes, for a person whose stature nobody states."""
 
 from collections.abc import Iterator
 from dataclasses import replace

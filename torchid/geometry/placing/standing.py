@@ -32,7 +32,7 @@ SCHEDULES = (
 beginning finds arms that are held apart, a narrow one is not drawn to clusters of markers; the better match counts."""
 LONE_MARKER, LONE_LANDMARK = -3.0, -1.0
 """Prices of a marker on no landmark and of a landmark without marker, as log odds; chosen on eleven recordings
-(``python -m batteries.unnamed``, seed 77): half of a laboratory's markers are on no landmark."""
+(``python -m batteries.unlisted --seed 77``): half of a laboratory's markers are on no landmark."""
 HEADINGS = 8
 """Headings that the template starts in, evenly about the circle; chosen."""
 ARMS = ((0.0, 0.1, 0.1), (0.0, 1.4, 0.0), (0.0, 0.7, 0.3), (0.8, 0.2, 1.4), (0.3, 0.2, 0.6))
@@ -47,8 +47,6 @@ STIFF, STIFFNESS = ("spine", "neck", "wrist"), 4.0
 """Joints that hardly bend in one who stands, and how much less they scatter in variance; chosen."""
 LIMIT_SD = 0.03
 """Softness of joint limits [rad]; chosen."""
-SOLE = 0.03
-"""Height of the lowest marker above the sole [m]; chosen."""
 SWEEPS, LAST_SWEEPS, POSE_STEPS, ROUNDS = 8, 20, 5, 2
 """Resolution. Normalisations of a match, and of the last; steps of poses between matches; rounds at a scatter."""
 NEVER = -1e6
@@ -105,7 +103,7 @@ def stand(
     allowed = _allowed(model, position.shape[1], known)[:, :, None] & there[None]
     target = position[starts.frame].permute(1, 2, 0)
     body = torch.tensor(plan_tree(model.tree).position)[[model.tree.index(one.segment) for one in landmarks]]
-    prior = _prior(model, float(position[..., 2].nan_to_num(math.inf).min()) - SOLE)
+    prior = _prior(model, _ground(model, position))
     fit = _Fit(model, plan_tree(model.tree), body, target, allowed, prior)
     every = [fit.annealed(starts.q, schedule) for schedule in schedules]
     q, match, score = (torch.cat(parts, dim=-1) for parts in zip(*every, strict=True))
@@ -182,7 +180,7 @@ def _starts(model: Model, position: Float[Tensor, "frames markers 3"]) -> _Start
     """Every frame, heading, posture of the arms and part of the body left out."""
     names = model.tree.dof_names
     rest = torch.tensor([dof.rest for dof in model.tree.dofs], dtype=torch.float64)
-    middle, floor = position.nanmedian(dim=1).values, float(position[..., 2].nan_to_num(math.inf).min()) - SOLE
+    middle, floor = position.nanmedian(dim=1).values, _ground(model, position)
     found: list[tuple[Tensor, int, int]] = []
     for without, parts in enumerate(WITHOUT):
         if not set(parts) <= set(model.tree.names):
@@ -197,6 +195,16 @@ def _starts(model: Model, position: Float[Tensor, "frames markers 3"]) -> _Start
                     found.append((q, frame, without))
     q, frame, without = zip(*found, strict=True)
     return _Starts(torch.stack(q, dim=1), torch.tensor(frame), torch.tensor(without))
+
+
+def _ground(model: Model, position: Float[Tensor, "frames markers 3"]) -> float:
+    """Return how much higher the root stands than at rest, so that the lowest marker is on the lowest landmark [m]."""
+    rest = torch.tensor([[dof.rest] for dof in model.tree.dofs], dtype=torch.float64)
+    geometry, plan = model.geometry.geometry(model.geometry.mean), plan_tree(model.tree)
+    body = torch.tensor(plan.position)[[model.tree.index(one.segment) for one in model.landmarks.values()]]
+    place = torch.tensor([one.p_BM_B for one in model.landmarks.values()], dtype=torch.float64)
+    lowest = points(poses(plan, rest, geometry), body, place)[:, 2].min()
+    return float(position[..., 2].nan_to_num(math.inf).min() - lowest)
 
 
 def _raise_arms(q: Float[Tensor, " dofs"], names: Sequence[str], arms: tuple[float, float, float]) -> None:

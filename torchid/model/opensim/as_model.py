@@ -82,7 +82,8 @@ def _notes(model: OsimModel, tree: Tree, binding: OsimBinding, light: Sequence[i
     if names:
         found.append(Note("osim.massless", f"{', '.join(names)}: no mass; taken as {1e3 * LEAST_MASS:g} g", source))
     found += _hung(binding)
-    locked = ", ".join(one.name for one in model.coordinates if one.locked)
+    kept = [one for row, one in enumerate(model.coordinates) if row not in binding.root.rows]
+    locked = ", ".join(one.name for one in kept if one.locked)
     if locked:
         found.append(Note("osim.locked", f"locked at their defaults: {locked}", source))
     gravity = float((model.gravity - model.gravity.new_tensor([0.0, -GRAVITY, 0.0])).norm())
@@ -103,6 +104,9 @@ def _hung(binding: OsimBinding) -> list[Note]:
         shown = "holds the nearest to it" if names else "does not show where it is"
         said = f"{body} {held}; markers and plates place it freely, and `_ik.mot` {shown}"
         found.append(Note("osim.floats", said, source))
+    locked = [model.coordinates[row].name for row in root.rows if model.coordinates[row].locked]
+    if locked:
+        found.append(Note("osim.floats", f"locks of {', '.join(locked)} are not held: the person moves there", source))
     return found
 
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchid.model.coupling import pushed
 from torchid.model.opensim.functions import Function
-from torchid.model.opensim.model import GROUND, OsimJoint, OsimModel
+from torchid.model.opensim.model import GROUND, CoordinateKind, OsimJoint, OsimModel
 from torchid.model.opensim.posing import body_pose, coupled, joint_pose
 from torchid.model.opensim.rotations import R_OW, inverse, pose
 from torchid.model.tree import BASE_DOFS
@@ -136,7 +136,7 @@ class OsimBinding:
 
     def _nearest(self, q: Float[Tensor, "frames coordinates"], X_WT: Float[Tensor, "frames 4 4"]) -> Tensor:
         """Coordinates with those of the root's joint changed so that the root's pose is as near as it gets."""
-        rows = [row for row in self.root.rows if not self.model.coordinates[row].locked]
+        rows = list(self.root.rows)
         for _ in range(STEPS if rows else 0):
             X = self.base_pose(q)
             turn = torch.as_tensor(roma.rotmat_to_rotvec(X_WT[:, :3, :3] @ X[:, :3, :3].mT))
@@ -145,7 +145,8 @@ class OsimBinding:
             q = q.index_add(1, torch.tensor(rows), step)
             if float(step.abs().max()) < SETTLED:
                 break
-        return q
+        turns = [row for row in rows if self.model.coordinates[row].motion is CoordinateKind.ROTATIONAL]
+        return q.index_copy(1, torch.tensor(turns, dtype=torch.long), _unwrapped(q[:, turns]))
 
     def forces(
         self, names: tuple[str, ...], q: Float[Tensor, "frames coordinates"], tau: Float[Tensor, "frames dofs"]
