@@ -33,9 +33,9 @@ LOOKED_AT = 150
 """Resolution. Frames of a trial among which these are chosen."""
 FEWEST_LANDMARKS = 8
 """Landmarks of a template below which nobody can be seen to stand; chosen."""
-LEAST = 0.3
-"""Log evidence of a marker, on average, below which none is placed; chosen: 0.4 to 4 where they are placed rightly, and
-below 0.1 where the template stands in the wrong place."""
+LEAST = 0.0
+"""Log evidence of a marker, on average, below which none is placed; chosen: 0.1 to 4 where they are placed rightly, and
+-0.2 where a child met a template of another stature."""
 UNDECIDED = 0.02
 """Probability that places leave open even where they are sure; chosen."""
 FEWEST_TOLD = 6
