@@ -35,7 +35,7 @@ FEWEST_LANDMARKS = 8
 """Landmarks of a template below which nobody can be seen to stand; chosen."""
 LEAST = 0.0
 """Log evidence of a marker, on average, below which none is placed; chosen: 0.1 to 4 where they are placed rightly, and
--0.2 where a child met a template of another stature."""
+-0.2 where a child met a template of another stature. Where most markers are known, these hold the body in place."""
 UNDECIDED = 0.02
 """Probability that places leave open even where they are sure; chosen."""
 FEWEST_TOLD = 6
@@ -70,7 +70,7 @@ def place_markers(
         return None
     best = max(found, key=lambda one: one.told.evidence + one.way.score)
     best = _moved(every, best.way, model, trials, known, best) or best
-    if best.told.evidence < LEAST * len(every):
+    if len(known) < len(labels) and best.told.evidence < LEAST * len(every):
         return None
     specs = best.specs(SURE, model)
     return Placed({label: specs[label] for label in labels if label in specs}, best.told)
