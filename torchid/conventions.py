@@ -63,3 +63,7 @@ INERTIA_PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 def y_up_to_z_up(vector: Tensor) -> Tensor:
     """Rotate vectors (*batch, 3) of a Y-up file into W: (x, y, z) -> (x, -z, y)."""
     return torch.stack([vector[..., 0], -vector[..., 2], vector[..., 1]], dim=-1)
+
+
+ROOT_MARKERS = 3
+"""Markers on the root body without which no posture is told."""

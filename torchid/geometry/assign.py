@@ -5,6 +5,7 @@ from typing import Literal
 
 import torch
 
+from torchid.conventions import ROOT_MARKERS
 from torchid.errors import DataError, Note
 from torchid.geometry.attachment import Attachment, attach, settle_bare
 from torchid.geometry.carriers import ELSEWHERE, Carrier
@@ -14,8 +15,6 @@ from torchid.model.model import Model
 from torchid.recording import Trial
 from torchid.wording import listing
 
-ROOT_MARKERS = 3
-"""Markers on the root body without which no posture is told."""
 SEEN = 0.2
 """A marker takes part when it is visible in at least this share of the frames of some trial; chosen."""
 

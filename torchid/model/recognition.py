@@ -4,6 +4,7 @@ places and motion where these were asked (``geometry/placing``)."""
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
+from torchid.conventions import ROOT_MARKERS
 from torchid.errors import ConfigError
 from torchid.model.label_words import told_by_words
 from torchid.model.marker_set import MarkerSet, MarkerSpec, load_marker_set, marker_sets
@@ -12,8 +13,6 @@ from torchid.wording import listing
 ENOUGH = 0.6
 """Choice. Share of a recording's labels that a set must list to be taken for the laboratory's own; and that a set and
 words must tell together, so that a person can be followed."""
-ROOT_MARKERS = 3
-"""Markers on the pelvis without which no posture is told."""
 WORDS = "words"
 """Wording. Name of a set that is told by words alone."""
 

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
 from torchid.geometry.problem import MarkerProblem, PosturePrior
+from torchid.geometry.trial_problem import LIMITLESS
 from torchid.kinematics.plan import Plan, plan_tree
 from torchid.kinematics.recursion import points, poses
 from torchid.model.marker_set import MarkerSpec
@@ -241,14 +242,14 @@ def _allowed(model: Model, markers: int, known: Mapping[int, MarkerSpec]) -> Boo
 
 def _prior(model: Model, floor: float) -> PosturePrior:
     """Postures of one who stands, about rest; the pelvis anywhere, in any heading."""
-    dofs, far = model.tree.dofs, 1e6
+    dofs = model.tree.dofs
     precision = torch.tensor([dof.sd**-2 for dof in dofs], dtype=torch.float64)
     precision[[any(word in dof.name for word in STIFF) for dof in dofs]] *= STIFFNESS
     precision[:BASE_DOFS] = torch.tensor([0.0, 0.0, HEIGHT_SD**-2, TILT_SD**-2, TILT_SD**-2, 0.0])
     mean = torch.tensor([dof.rest for dof in dofs], dtype=torch.float64)
     mean[2] += floor
     lower, upper = (
-        torch.tensor([getattr(dof, end) for dof in dofs], dtype=torch.float64).clamp(-far, far)[:, None]
+        torch.tensor([getattr(dof, end) for dof in dofs], dtype=torch.float64).clamp(-LIMITLESS, LIMITLESS)[:, None]
         for end in ("lower", "upper")
     )
     return PosturePrior(mean[:, None], precision[:, None], lower, upper, LIMIT_SD**-2)
@@ -257,7 +258,7 @@ def _prior(model: Model, floor: float) -> PosturePrior:
 def _distinct(
     model: Model, without: Int[Tensor, " starts"], q: Tensor, match: Tensor, score: Float[Tensor, " starts"]
 ) -> list[Standing]:
-    """The best hypotheses of different headings."""
+    """Return the best hypotheses of different headings."""
     found: list[Standing] = []
     for k in score.argsort(descending=True).tolist():
         heading = float(q[5, k])

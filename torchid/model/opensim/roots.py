@@ -7,13 +7,12 @@ carried by ground, or goes about on such a body.
 import math
 from dataclasses import dataclass
 
+from torchid.conventions import ROOT_MARKERS
 from torchid.model.opensim.model import GROUND, OsimJoint, OsimModel
 
 LEAST_FREEDOMS, LEAST_SLIDES = 3, 2
 """Choice. Free coordinates of a joint, and slides that one of them moves and nothing else, from which on the body that
 it carries goes about by itself: a pelvis that is planar has both, joints of bones seldom two slides that are free."""
-ROOT_MARKERS = 3
-"""Markers that tell where a root is."""
 
 
 @dataclass(frozen=True)
