@@ -277,6 +277,12 @@ def test_a_cause_that_is_there_is_published(tmp_path, heldout):
     before, after = (residual_rms(list(forceful(o, "fit").values()), o.phi) for o in (found.base, found))
     assert max(b / a for a, b in zip(before, after, strict=True)) < 1.02
     assert min(b / a for a, b in zip(before, after, strict=True)) < 0.8
+    for name in forceful(base, "fit"):  # joint moments are of what plates bore
+        true, read = clean().session.trials[name].forces, base.session.trials[name].forces
+        right = found.right(name).forces
+        assert true is not None and read is not None and right is not None
+        off, left = ((some.wrench - true.wrench).nan_to_num().norm() for some in (read, right))
+        assert float(left) < 0.1 * float(off) and off > 0
 
 
 @pytest.mark.slow

@@ -339,6 +339,28 @@ def test_verdicts_are_judged_by_effect_place_and_size():
     assert len(list(differences([told(gain)], [told(gain)]))) == 1
 
 
+def test_rules_that_take_a_true_cause_out_are_listed():
+    """Those that leave it out or refuse it, where nothing right is left; not those that act on others."""
+    right = Answer("plate_gain", (), {"gain": [1.04]}, ({"walk": "plate 1"},))
+    steps = [
+        {"kind": kind, "effect": name, "where": [where], "rule": f"{kind} {name} {where}", "numbers": {}}
+        for kind in ("enter", "leave", "refuse")
+        for name in ("plate_gain", "tether") for where in ("plate_1", "plate_2")
+    ]  # fmt: skip
+
+    def row(*causes: dict) -> dict:
+        kept = verdict(*causes, truth=Truth((right,), "+4 %").table())
+        kept["diagnosis"] = kept["diagnosis"] | {"trace": steps}
+        return judged(json.loads(json.dumps(kept)), (), None)
+
+    lost = row(cause("tether", "head"))
+    assert lost["lost"] == ["leave plate_gain plate_1", "refuse plate_gain plate_1"]
+    found = row(cause("plate_gain", "plate_1", gain=(1.04, 0.01)))
+    assert not found["lost"]
+    lines = "\n".join(tables([lost, found]))
+    assert "true causes that a rule took out: 1 of 2" in lines and "  a: leave plate_gain plate_1, refuse" in lines
+
+
 def test_truths_pass_through_json():
     """What is kept of a truth is the truth."""
     for kind in KINDS:

@@ -18,10 +18,12 @@ from torchid.report.glance import LINES, SETTLED, glance, next_step, unnamed
 from torchid.report.page import render_report
 from torchid.report.read_as import read_as
 from torchid.report.recording_faults import LEFT_OUT, MASSES, NOT_DONE, Fault, recording_faults
+from torchid.run.sequence import with_torques
 from torchid.session import Outcome
-from torchid.session.following import torques
+from torchid.session.following import limb, torques
 from torchid.session.judging import quality_of
 from torchid.session.outcome import Quality, QualityLevel
+from torchid.storage.results import OutputFolder
 from torchid.terminal import print_lights
 
 QUIET, LOUD = (Adequacy(flag, 1e-9 if flag else 0.5, 0.6, "much") for flag in (False, True))
@@ -76,7 +78,7 @@ def good(outcome: Outcome) -> Quality:
 @pytest.mark.parametrize(
     ("name", "applied", "said"),
     [
-        ("plate_gain", True, MASSES),
+        ("plate_gain", True, "corrected here"),
         ("payload", True, MASSES),
         ("soft_tissue", True, "corrected here"),
         ("body_mass", True, "corrected here"),
@@ -84,19 +86,29 @@ def good(outcome: Outcome) -> Quality:
     ],
 )
 def test_each_fault_says_how_sure_it_is_and_whether_it_is_corrected(run, name, applied, said):
-    """Readings and loads are taken out where masses are fitted, not where joint moments are computed."""
+    """Loads are taken out where masses are fitted, not where joint moments are computed."""
     one = alone(name, applied=applied)
     (fault,) = recording_faults(with_faults(run.outcome, one))
     assert fault.line == f"{told(one)} Practically certain (over 99 %); {said}."
 
 
-def test_moments_of_joints_are_of_forces_as_they_were_read(run):
-    """What ``corrected in masses, not in joint moments`` rests on: the published session has the forces of the base."""
-    trial = run.outcome.session.trials[TRIAL]
+def test_moments_of_joints_are_of_forces_that_are_put_right(run, tmp_path):
+    """What ``corrected here`` rests on; loads are taken off the total alone, which moments of joints do not ask."""
+    trial, tree = run.outcome.session.trials[TRIAL], run.outcome.fit.model.tree
+    assert trial.forces is not None
+    half = replace(trial, forces=replace(trial.forces, wrench=0.5 * trial.forces.wrench))
+    with OutputFolder(tmp_path / "out") as folder:
+        as_read, right = (with_torques(replace(run.outcome, corrected=own), folder) for own in ({}, {TRIAL: half}))
+        rows = limb(tree, "foot_l")
+        before, after = (one.torque[TRIAL][:, rows] for one in (as_read, right))
+        assert float((before - after).nan_to_num().abs().max()) > 1.0
+        torch.testing.assert_close(right.torque["squats"], as_read.torque["squats"], equal_nan=True)
+        torch.testing.assert_close(right.torque_scaled[TRIAL], as_read.torque_scaled[TRIAL], equal_nan=True)
+
     followed, fit = run.outcome.followed[TRIAL], run.outcome.fit
     assert followed.wrench is not None
-    corrected = replace(followed, wrench=replace(followed.wrench, wrench=0.5 * followed.wrench.wrench))
-    own = [torques(one, fit.model.tree, fit.geometry, run.outcome.phi, trial) for one in (followed, corrected)]
+    taken_off = replace(followed, wrench=replace(followed.wrench, wrench=0.5 * followed.wrench.wrench))
+    own = [torques(one, tree, fit.geometry, run.outcome.phi, trial) for one in (followed, taken_off)]
     torch.testing.assert_close(*own, equal_nan=True)
 
 
@@ -170,9 +182,10 @@ def test_next_mends_the_surest_fault_before_it_mends_a_figure(run):
     settled = recording_faults(with_faults(run.outcome, swap()))
     assert after(settled) == "Mend force" and after(()) == "Mend force"
     line = after(recording_faults(with_faults(run.outcome, late)))
-    assert line.startswith("Add `forces_as: {lag_ms:") and line.endswith("joint moments are without it, too")
-    kept = after(recording_faults(with_faults(run.outcome, alone("plate_gain"))))
-    assert kept.startswith("Joint moments still have a wrong gain of plate 1: to mend it, record a known weight")
+    assert line.startswith("Add `forces_as: {lag_ms:") and line.endswith("`evaluate` and `live` are without it, too")
+    kept = after(recording_faults(with_faults(run.outcome, alone("filter_lag"))))
+    assert kept.startswith("Joint moments still have markers that were low-passed: to mend it, record a quick motion")
+    assert after(recording_faults(with_faults(run.outcome, alone("plate_gain")))) == "Mend force"
     assert " to squats of the config" in after(
         recording_faults(with_faults(run.outcome, replace(late, where=("squats",))))
     )
@@ -207,7 +220,7 @@ def test_at_most_four_lines_and_how_many_more(run):
 
 def test_the_list_is_a_list_on_the_page_and_on_the_terminal(run, capsys):
     """One line a fault."""
-    outcome = with_faults(run.outcome, swap(), alone("plate_gain"))
+    outcome = with_faults(run.outcome, swap(), alone("plate_gain", applied=False))
     page = render_report(outcome)
     (listed,) = re.findall(r"<dd><ul>(.*?)</ul></dd>", page)
     assert listed.count("<li>") == 2 == listed.count("Practically certain")

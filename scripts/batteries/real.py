@@ -50,7 +50,7 @@ SMALL_KINDS = (UNPLANTED, "clock20", "gain", "mass")
 """Choice. Sessions that take least, and kinds that a balance of momentum sees: about two minutes on two cores."""
 EACH = 2
 """Choice. Sessions in which each kind is planted, by lot: with all as recorded, an hour on two cores at 97 s a run."""
-KEPT = ("causes", "plates", "baseline", "extended", "unexplained", "refuted", "nearest", "detectable")
+KEPT = ("causes", "plates", "baseline", "extended", "unexplained", "refuted", "nearest", "detectable", "trace")
 """Parts of ``diagnosis.json`` that are kept."""
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from planted_faults.real_kinds import KINDS, UNPLANTED
 from planted_faults.real_truth import ANYWHERE, Answer, Truth, truth_from
 
+from torchid.diagnosis.trace import StepKind
 from torchid.effects.catalogue import BODILY
 
 PART, SIGMAS = 0.25, 2.0
@@ -51,6 +52,7 @@ def judged(kept: Mapping[str, Any], known: Sequence[Sequence[str]], unplanted: M
         "bodily": [c["effect"] for c in said["causes"] if c["effect"] in BODILY],
         "wrong": [one for one in named if one["is"] in ("wrong", "elsewhere")],
         "result": _result([one["is"] for _, one in counted]) if truth.right else ("none" if not counted else "named"),
+        "lost": [] if any(one["is"] == "right" for one in named) else _lost(said, truth),
         "size": next((_size(c, truth, plates) for c, one in counted if one["is"] == "right"), None),
         "unexplained": said.get("unexplained", {}).get("significant"),
     }
@@ -76,6 +78,12 @@ def _named(
 def _right(cause: Mapping[str, Any], truth: Truth, plates: Mapping[str, Any]) -> bool:
     said = [cause, *cause["indistinguishable"]]
     return any(_is(answer, one, plates) for answer in truth.right for one in said)
+
+
+def _lost(said: Mapping[str, Any], truth: Truth) -> list[str]:
+    """Rules that took a right cause out, or let none in, in the order in which they did."""
+    own = [one for one in said.get("trace", ()) if any(_is(answer, one, said["plates"]) for answer in truth.right)]
+    return [one["rule"] for one in own if one["kind"] in (StepKind.LEAVE, StepKind.REFUSE)]
 
 
 def _is(answer: Answer, cause: Mapping[str, Any], plates: Mapping[str, Any]) -> bool:
@@ -150,6 +158,7 @@ def tables(rows: Sequence[dict]) -> Iterator[str]:
         if own:
             yield _line(title, own)
             yield from _goals(own, scored)
+    yield from _taken_out(planted)
     yield ""
     yield from _by_session(rows)
     yield ""
@@ -206,6 +215,14 @@ def _goals(rows: Sequence[dict], scored: bool) -> Iterator[str]:
         f"{np.mean(sizes) if sizes else float('nan'):.0%}; a wrong laboratory cause above {bound:g} in "
         f"{np.mean(wrong):.0%}, in {np.mean(fresh):.0%} one that the session as recorded does not have"
     )
+
+
+def _taken_out(rows: Sequence[dict]) -> Iterator[str]:
+    """Right causes that entered or nearly did, and that a rule took out."""
+    lost = [row for row in rows if row.get("lost")]
+    if rows:
+        yield f"true causes that a rule took out: {len(lost)} of {len(rows)}"
+    yield from (f"  {row['case']}: {', '.join(dict.fromkeys(row['lost']))}" for row in lost)
 
 
 def _by_session(rows: Sequence[dict]) -> Iterator[str]:

@@ -77,6 +77,7 @@ def extend_outcome(base: Outcome, relabelled: Outcome, folder: OutputFolder, key
         prior=subject_prior(config.model, config.subject, fit),
         base=base,
         added=added,
+        corrected={own: trial for own, trial in session.trials.items() if trial is not base.session.trials[own]},
     )
     name, key = _stage("inertia_extended", key, causes)
     identified = folder.stage(name, key, lambda: identify(config.inertia, config.subject, outcome, progress))

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchid.conventions import LOADED_N
 from torchid.effects.scene import PlateFrame, plate_frame
+from torchid.io.mend import number_of
 from torchid.recording import Forces, Plate
 
 SAME_CORNERS = 0.02
@@ -29,6 +30,8 @@ class SessionPlate:
     """Corners in W [m]; None where no file has them."""
     channels: dict[str, str]
     """Name of the plate in the file, by trial."""
+    numbers: dict[str, int]
+    """Number by which a config names it, by trial."""
 
 
 def recognise(forces: Mapping[str, Forces]) -> tuple[tuple[SessionPlate, ...], dict[str, tuple[PlateFrame, ...]]]:
@@ -49,9 +52,9 @@ def recognise(forces: Mapping[str, Forces]) -> tuple[tuple[SessionPlate, ...], d
                 centre = torch.nan_to_num(middle[k])
                 eye = torch.eye(3, dtype=centre.dtype, device=centre.device)
                 frame = PlateFrame(name, centre, eye) if plate.corners is None else plate_frame(name, plate.corners)
-                known = SessionPlate(frame, plate.corners, {})
+                known = SessionPlate(frame, plate.corners, {}, {})
                 plates.append(known)
-            known.channels[trial] = plate.name
+            known.channels[trial], known.numbers[trial] = plate.name, number_of(plate, k)
             found.append(known.frame)
         frames[trial] = tuple(found)
     return tuple(plates), frames

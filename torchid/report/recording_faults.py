@@ -24,12 +24,12 @@ WHOLE = 400
 MASSES = "corrected in masses, not in joint moments"
 DONE = {
     Correction.WRENCH: MASSES,
-    Correction.READING: MASSES,
+    Correction.READING: "corrected here",
     Correction.MARKERS: "corrected here",
     Correction.LABELS: "names put right here",
     Correction.RECORD: "corrected here",
 }
-"""What the results have of a correction: moments of joints are of the plates as they were read."""
+"""What the results have of a correction: a load is not taken out of the moments of the joints that bear it."""
 NOT_DONE = "not corrected here, as the model would predict worse"
 LEFT_OUT = "left out here"
 COUNTS = ("two", "three", "four")
@@ -120,19 +120,27 @@ def _unused(cause: Cause, outcome: Outcome) -> bool:
 def _step(cause: Cause, found: Diagnosis, unused: bool) -> str:
     """What to do about a cause: of instruments alone, and only where results are not yet without it."""
     own = effect(cause.effect)
-    if cause.effect not in FAULTS or (cause.applied and not unused and DONE[own.correction] != MASSES):
+    if cause.effect not in FAULTS:
         return ""
+    if cause.applied and not unused and own.correction is not Correction.WRENCH:
+        return _line_of(cause, found)
     if own.correction is Correction.LABELS:
         return _rename(cause.where, cause.trials)
     if FAULTS[cause.effect] is InstrumentFault.MOVED:
         return _look_at(cause.where, cause.trials)
-    (finding,) = instrument_findings(replace(found, causes=(cause,)))
-    if finding.cures:
-        single = own.site is Site.TRIAL and cause.where != SESSION.where
-        where = listing(list(cause.where)) if single else "the trials"
-        return f"Add `{finding.cures[0].config}` to {where} of the config, so that joint moments are without it, too"
     why = f"Joint moments still have {called(cause)}: to mend it" if cause.applied else f"To be sure of {called(cause)}"
     return f"{why}, record {own.advice}"
+
+
+def _line_of(cause: Cause, found: Diagnosis) -> str:
+    """The config line for what was corrected here alone; empty where there is none."""
+    (finding,) = instrument_findings(replace(found, causes=(cause,)))
+    if not finding.cures:
+        return ""
+    single = effect(cause.effect).site is Site.TRIAL and cause.where != SESSION.where
+    where = listing(list(cause.where)) if single else "the trials"
+    line = finding.cures[0].config
+    return f"Add `{line}` to {where} of the config, so that `evaluate` and `live` are without it, too"
 
 
 def _rename(labels: Sequence[str], trials: Sequence[str]) -> str:

@@ -2,6 +2,7 @@
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import chain
@@ -15,6 +16,7 @@ from torchid.extension.verdict import with_verdict
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
 from torchid.motion.impossible_rates import frames_of, impossible_steps
+from torchid.recording import Trial
 from torchid.report import write_report
 from torchid.run.acceptance import impossible
 from torchid.run.simulation import with_recordings
@@ -138,18 +140,18 @@ def compute_outcome(
     )  # fmt: skip
     outcome = replace(outcome, notes=(*outcome.notes, *_contact_notes(followed), *_rate_notes(fit, followed)))
     if not config.inertia.enabled:
-        return _with_torques(outcome, folder), None
+        return with_torques(outcome, folder), None
     try:
         identified = folder.stage("inertia", key, lambda: identify(config.inertia, config.subject, outcome, progress))
     except DataError as failure:
         log.info("%s", failure)
-        return _with_torques(outcome, folder), failure
+        return with_torques(outcome, folder), failure
     outcome = replace(outcome, identified=identified, notes=(*outcome.notes, *identified.fit.notes))
     with folder.timed("residuals"):
         outcome = replace(outcome, residuals=contributions(outcome))
     if config.diagnosis.enabled:
         outcome = with_verdict(outcome, folder, key, progress)
-    return _with_torques(outcome, folder), None
+    return with_torques(outcome, folder), None
 
 
 def _geometry(
@@ -210,22 +212,33 @@ def _rate_notes(fit: GeometryFit, followed: dict[str, Followed]) -> list[Note]:
     return notes
 
 
-def _with_torques(outcome: Outcome, folder: OutputFolder) -> Outcome:
-    trials, under = outcome.session.trials, {}
+def with_torques(outcome: Outcome, folder: OutputFolder) -> Outcome:
+    """Return the outcome with wrenches under the feet and joint torques, of forces that are put right.
 
-    def each(followed: dict[str, Followed], fit: GeometryFit, phi: torch.Tensor) -> dict[str, torch.Tensor]:
+    Those of the scaled template are of forces as they were read.
+
+    Args:
+        outcome: up to the inertia and the verdict.
+        folder: holds what is as long as a recording.
+    """
+    under = {}
+
+    def each(
+        followed: dict[str, Followed], fit: GeometryFit, phi: torch.Tensor, read: Callable[[str], Trial]
+    ) -> dict[str, torch.Tensor]:
         found = {}
         for name, one in followed.items():
-            feet = wrenches_under(one, fit, phi, trials[name], outcome.config.contact)
+            feet = wrenches_under(one, fit, phi, read(name), outcome.config.contact)
             feet = None if feet is None else folder.aside(feet)
             if fit is outcome.fit and feet is not None:
                 under[name] = feet
-            found[name] = folder.aside(torques(one, fit.model.tree, fit.geometry, phi, trials[name], feet))
+            found[name] = folder.aside(torques(one, fit.model.tree, fit.geometry, phi, read(name), feet))
         return found
 
     with folder.timed("torques"):
-        torque = each(outcome.followed, outcome.fit, outcome.phi)
-        scaled = each(outcome.followed_scaled, outcome.scaled, outcome.prior_scaled.mean)
+        torque = each(outcome.followed, outcome.fit, outcome.phi, outcome.right)
+        as_read = outcome.session.trials.__getitem__
+        scaled = each(outcome.followed_scaled, outcome.scaled, outcome.prior_scaled.mean, as_read)
     notes = (*outcome.notes, *sharing_notes(under))
     return _with_bands(replace(outcome, torque=torque, torque_scaled=scaled, under=under, notes=notes), folder)
 

@@ -50,7 +50,7 @@ def seen_trials(outcome: Outcome, names: Sequence[str]) -> list[SeenTrial]:
     _, frames = plate_frames(outcome)
     found = []
     for name in names:
-        item, trial = outcome.followed[name], outcome.session.trials[name]
+        item, trial = outcome.followed[name], outcome.right(name)
         scene = make_scene(name, outcome.fit.model.tree, outcome.fit.geometry, item.motion, outcome.phi)
         response = make_response(scene, outcome.fit, trial.markers, item.tracked)
         plates = [one.name for one in frames[name]] if trial.forces is not None else []

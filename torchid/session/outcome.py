@@ -18,6 +18,7 @@ from torchid.geometry.tracking import Tracked
 from torchid.inertia.identify import Identified
 from torchid.model.model import InertialPrior
 from torchid.motion import Motion
+from torchid.recording import Trial
 from torchid.session.session import Session
 from torchid.storage.provenance import StageTime
 
@@ -162,6 +163,8 @@ class Outcome:
     identified: Identified | None = None
     diagnosis: Diagnosis | None = None
     """None where it was not asked for, or nothing was identified."""
+    corrected: dict[str, Trial] = field(default_factory=dict)
+    """Trials whose readings or markers are put right by what the diagnosis names; the others are as they were read."""
     base: "Outcome | None" = None
     """Before the model was extended by what the diagnosis names; None where it was not."""
     added: dict[str, Float[Tensor, "_ 6"]] = field(default_factory=dict)
@@ -183,6 +186,10 @@ class Outcome:
     def phi(self) -> Float[Tensor, "bodies 10"]:
         """Identified inertia, or the prior where no forces were measured."""
         return self.prior.mean if self.identified is None else self.identified.fit.phi
+
+    def right(self, name: str) -> Trial:
+        """Return a trial as it was read, with what the diagnosis corrects put right."""
+        return self.corrected.get(name, self.session.trials[name])
 
     def tracked(self, name: str) -> Tracked:
         """Trial followed by the identified geometry."""

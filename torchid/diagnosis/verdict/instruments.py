@@ -3,7 +3,6 @@
 They are of the type of those of a check before any fit, with config lines of the same keys.
 """
 
-import re
 from collections.abc import Sequence
 
 from torchid.checks.finding import Cure, Finding, Severity
@@ -81,6 +80,5 @@ def _cure(cause: Cause, plates: Sequence[SessionPlate]) -> tuple[Cure, ...]:
 
 def _number(name: str, plates: Sequence[SessionPlate]) -> int | None:
     """Return the number by which a config names a plate of the session; None where its trials disagree."""
-    channels = {c for plate in plates if plate.frame.name == name for c in plate.channels.values()}
-    match = re.fullmatch(r"plate (\d+)", next(iter(channels))) if len(channels) == 1 else None
-    return None if match is None else int(match[1])
+    numbers = {number for plate in plates if plate.frame.name == name for number in plate.numbers.values()}
+    return numbers.pop() if len(numbers) == 1 else None
