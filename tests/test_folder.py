@@ -117,8 +117,13 @@ def test_what_files_state_of_the_person_is_taken_and_its_source_said(person: Sim
         ("participants.tsv", "participant_id\tsex\tweight\theight\nsub-01\tM\t81\t183\n", (81.0, 1.83, "male")),
         ("participants.tsv", "participant_id\tweight\nhere\t81\nsub-02\t60\n", (81.0, None, None)),
         ("participants.csv", "id;mass;height\n1;62,5;1,68\n", (62.5, 1.68, None)),
-        ("x_Setup_Scale.xml", "<OpenSimDocument><ScaleTool><mass> 72.6 </mass><height> 1803.4 </height></ScaleTool>"
-         "</OpenSimDocument>", (72.6, 1.8034, None)),
+        ("x_Setup_Scale.xml", "<OpenSimDocument><ScaleTool><mass> 72.6 </mass><height> 1803.4 </height><age>99</age>"
+         "</ScaleTool></OpenSimDocument>", (72.6, 1.8034, None)),
+        ("_subject.json", '{"massKg": 25.0, "heightM": 1.2, "ageYears": 7}', (25.0, 1.2, None, 7.0)),
+        ("participants.tsv", "participant_id\tage\tsex\tweight\nsub-01\t72.5\tF\t60\n", (60.0, None, "female", 72.5)),
+        ("session.yaml", "mass: 70\nage: 31 years\n", (70.0, None, None, 31.0)),
+        ("subject.json", '{"mass": 70, "age": "18-30", "ageMonths": 84}', (70.0, None, None)),
+        ("subject.json", '{"mass": 70, "ageYears": 0}', (70.0, None, None)),
         # Of other contents, of several people, in other units, or damaged: nothing.
         ("subject.json", "{broken", (None, None, None)),
         ("subject.json", "[" * 100000, (None, None, None)),
@@ -142,6 +147,7 @@ def test_facts_are_read_from_files_of_several_programs(
     found = told_of(tmp_path, (recording,), Person()).person
     assert (found.mass_kg, found.sex) == (known[0], known[2])
     assert found.height_m == (known[1] if known[1] is None else pytest.approx(known[1]))
+    assert found.age_years == (known[3] if len(known) > 3 else None)
 
 
 def standing(folder: Path, name: str, **stated: str) -> Surveyed:
@@ -420,8 +426,9 @@ def test_run_takes_a_folder(person: SimulatedSession, tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(run, "run_experiment", experiment)
     monkeypatch.setattr("torchid.report.glance.glance", lambda *_: ())
-    assert CliRunner().invoke(app, ["new", str(folder), "-o", "a.yaml", "--mass", "70"]).exit_code == 0
-    assert load_config("a.yaml").subject.mass_kg == 70.0
+    assert CliRunner().invoke(app, ["new", str(folder), "-o", "a.yaml", "--mass", "70", "--age", "31"]).exit_code == 0
+    assert load_config("a.yaml").subject.mass_kg == 70.0 and load_config("a.yaml").subject.age_years == 31.0
+    assert "age_years: as given" in Path("a.yaml").read_text(encoding="utf-8")
     again = CliRunner().invoke(app, ["new", str(folder), "-o", "a.yaml"])
     assert again.exit_code == 2 and "there already" in again.stderr
     done = CliRunner().invoke(app, ["run", str(folder), "geometry.solver=adam", "--sex", "female"])

@@ -43,6 +43,7 @@ Subject = Annotated[str | None, typer.Option(help="Whose recordings, where they 
 Mass = Annotated[float | None, typer.Option(help="In kg; default: as files say, or plates weigh.")]
 Height = Annotated[float | None, typer.Option(help="In m; default: as files say, or markers stand.")]
 Sex = Annotated[str | None, typer.Option(help="male or female; default: as files state it.")]
+Age = Annotated[float | None, typer.Option(help="In years; default: as files state it.")]
 
 
 class _Given(NamedTuple):
@@ -52,6 +53,7 @@ class _Given(NamedTuple):
     mass_kg: float | None = None
     height_m: float | None = None
     sex: str | None = None
+    age_years: float | None = None
 
 
 @app.callback(invoke_without_command=True)
@@ -74,11 +76,12 @@ def new(
     mass: Mass = None,
     height: Height = None,
     sex: Sex = None,
+    age: Age = None,
     debug: Debug = False,
 ) -> None:
     """A config from nothing but files: marker set, standing trial, what is fitted and held out, and why."""
     with _exit_codes(debug):
-        config = _new_config(folder, output, _Given(subject, mass, height, sex))
+        config = _new_config(folder, output, _Given(subject, mass, height, sex, age))
         Terminal().print(f"next: torchid run {quote(str(config))}", soft_wrap=True, highlight=False, markup=False)
 
 
@@ -90,6 +93,7 @@ def run(
     mass: Mass = None,
     height: Height = None,
     sex: Sex = None,
+    age: Age = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the last line alone.")] = False,
     show: Annotated[bool, typer.Option("--open", help="Open the report when it is done.")] = False,
     debug: Debug = False,
@@ -98,7 +102,7 @@ def run(
     with _exit_codes(debug):
         from torchid.config import load_config
 
-        given = _Given(subject, mass, height, sex)
+        given = _Given(subject, mass, height, sex, age)
         if config.is_dir():
             config = _new_config(config, None, given, keep=True, quiet=quiet)
         elif given != _Given():
@@ -284,7 +288,7 @@ def _new_config(folder: Path, output: Path | None, given: _Given, keep: bool = F
         refuse_taken(output)
     sex = given.sex and SEXES.get(given.sex.lower(), given.sex)
     with progress_bars() as progress:
-        proposal = propose(folder, Person(*given[:3], sex), progress)
+        proposal = propose(folder, Person(*given[:3], sex, given.age_years), progress)
     config, console = output or Path(f"{proposal.name}.yaml"), Terminal(quiet=quiet)
     if keep and config.exists():
         refuse_other(config, folder)

@@ -65,9 +65,11 @@ class Subject(ConfigSection):
     mass_sd_kg: Positive | None = None
     """Standard deviation of the recorded mass; absent: 1 %."""
     height_m: Annotated[float, Field(gt=0.3, lt=3)] | None = None
-    """Standing height, which scales the template; absent: the mean of adults."""
+    """Standing height, which scales the template; absent: the mean of adults, or of children of ``age_years``."""
     sex: Literal["male", "female", "unknown"] = "unknown"
     """Chooses the tables of proportions and inertia; unknown: the mean of both."""
+    age_years: Annotated[float, Field(gt=0, lt=120)] | None = None
+    """Changes the shares of mass for children and old people; absent: an adult's, unless the stature is a child's."""
 
 
 class TrialFile(ConfigSection):

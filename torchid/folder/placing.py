@@ -36,7 +36,7 @@ def placed(
         return markers
     progress(STAGE, 0.0)
     known = {label: spec for label, spec in (markers.listed | markers.worded).items() if label in labels}
-    model = whole_body(person.height_m, person.mass_kg, person.sex or "unknown")
+    model = whole_body(person.height_m, person.mass_kg, person.sex or "unknown", age=person.age_years)
     told = place_markers(unknown, model, trials, known)
     progress(STAGE, 1.0)
     if told is None:

@@ -11,6 +11,7 @@ from torchid.folder.roles import Use, uses_of
 from torchid.folder.statements import Person
 from torchid.folder.survey import Surveyed, plain_name, survey
 from torchid.io.pairing import shares_name, unpaired_forces
+from torchid.model.build import CHILD_M
 from torchid.model.recognition import Recognised, recognised, unrecognised
 from torchid.wording import listing, plural
 
@@ -160,6 +161,8 @@ def _doubts(facts: PersonFacts, uses: Sequence[Use]) -> Iterator[str]:
         yield f"no stature is stated; {person.height_m:.2f} m is what standing markers tell, to about 3 %"
     elif person.height_m is None:
         yield "no stature is stated: the mean of adults is taken, which no child has"
+    if person.age_years is None and person.height_m is not None and person.height_m < CHILD_M[1]:
+        yield "no age is stated: the stature tells it, which a small adult's does not"
     if not any(use.role and use.serves_inertia for use in uses):
         yield "no forces: mass and inertia are not identified"
     elif person.mass_kg is None:

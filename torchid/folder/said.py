@@ -7,7 +7,7 @@ from torchid.folder.config_text import LONG
 from torchid.folder.proposal import Proposal
 from torchid.wording import clean, listing
 
-UNITS = {"mass_kg": ("mass", "kg"), "height_m": ("stature", "m"), "sex": ("sex", "")}
+UNITS = {"mass_kg": ("mass", "kg"), "height_m": ("stature", "m"), "sex": ("sex", ""), "age_years": ("age", "years")}
 MOST = 12
 """Choice. Names or reasons that are listed; the config has them all."""
 

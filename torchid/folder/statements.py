@@ -15,7 +15,7 @@ from torchid.storage.documents import read_document
 
 LARGEST = 1 << 20
 """Resolution. Bytes of the largest file in which facts about a person are looked for."""
-TALLEST_M, SMALLEST_M, HEAVIEST_KG = 3.0, 0.3, 1000.0
+TALLEST_M, SMALLEST_M, HEAVIEST_KG, OLDEST_YEARS = 3.0, 0.3, 1000.0, 120.0
 """Bounds of ``config.sections.Subject``: a larger stature is in cm or mm, other values are nobody's."""
 ABOUT = re.compile(
     r"(.*\.)?_?(subject|participant|session|metadata|demograph|person|patient|info)\w*\.(json|ya?ml|enf)", re.I
@@ -27,15 +27,17 @@ PARTICIPANTS = re.compile(r"participants?\.(tsv|csv)", re.I)
 PARAMETERS = re.compile(r".*\.mp", re.I)
 """Vicon's parameters of a subject."""
 SCALING = re.compile(r".*scal\w*\.xml", re.I)
-"""OpenSim's settings of scaling, which hold the subject's mass and stature."""
+"""OpenSim's settings of scaling, which hold the subject's mass and stature. The age there serves nothing, and is often
+that of an example."""
 KEYS = {
     "mass_kg": re.compile(r"(subject|body)?_?(mass|weight)(_?kg)?"),
     "height_m": re.compile(r"(subject|body)?_?(height|stature)(_?(m|cm|mm))?"),
     "sex": re.compile(r"(biological)?_?(sex|gender)(_?mf)?"),
+    "age_years": re.compile(r"(subject|body)?_?age(_?(y|yrs?|years?))?"),
 }
 """What the facts are called, in small letters."""
 SEXES = {"m": "male", "male": "male", "f": "female", "female": "female", "w": "female"}
-VALUE = re.compile(r"\s*(\d+(?:[.,]\d+)?(?:[eE][-+]?\d{1,2})?)\s*(kg|m|cm|mm)?\s*")
+VALUE = re.compile(r"\s*(\d+(?:[.,]\d+)?(?:[eE][-+]?\d{1,2})?)\s*(kg|m|cm|mm|y|yrs?|years?)?\s*")
 """A number as people write it, with its unit."""
 log = logging.getLogger(__name__)
 
@@ -48,6 +50,7 @@ class Person:
     mass_kg: float | None = None
     height_m: float | None = None
     sex: str | None = None
+    age_years: float | None = None
 
     @property
     def known(self) -> dict[str, str | float]:
@@ -105,7 +108,7 @@ def _mappings(file: Path, names: frozenset[str]) -> Iterator[dict[str, str]]:
     kind = file.suffix.lower()
     if kind == ".xml":
         tool = read_xml(file, "OpenSimDocument").find(".//ScaleTool")
-        yield {} if tool is None else {str(part.tag): part.text or "" for part in tool}
+        yield {} if tool is None else {str(part.tag): part.text or "" for part in tool if part.tag != "age"}
     elif kind == ".json":
         yield from _nested(json.loads(file.read_text("utf-8-sig")))
     elif kind in (".yaml", ".yml"):
@@ -129,12 +132,12 @@ def _nested(content: object) -> Iterator[dict[str, str]]:
 
 
 def _person_of(pairs: Mapping[str, object]) -> Person:
-    """Return the facts among keys and values, in kilograms and metres; what is nobody's is none."""
+    """Return the facts among keys and values, in kilograms, metres and years; what is nobody's is none."""
     found: dict[str, str] = {}
     for key, value in pairs.items():
         small = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", str(key)).lower()
         found |= {name: str(value) for name, word in KEYS.items() if word.fullmatch(small) and name not in found}
-    mass, height = _number(found.get("mass_kg", "")), _number(found.get("height_m", ""))
+    mass, height, age = (_number(found.get(key, "")) for key in ("mass_kg", "height_m", "age_years"))
     if height and height > TALLEST_M:  # cm, or mm
         height /= 1000.0 if height > 100.0 * TALLEST_M else 100.0
     sex = SEXES.get(found.get("sex", "").strip().lower())
@@ -143,6 +146,7 @@ def _person_of(pairs: Mapping[str, object]) -> Person:
         mass if mass and 0.0 < mass < HEAVIEST_KG else None,
         height if height and SMALLEST_M < height < TALLEST_M else None,
         sex,
+        age if age and 0.0 < age < OLDEST_YEARS else None,
     )
 
 

@@ -1,6 +1,7 @@
 """Masses, centres of mass and moments of inertia of the segments before any force is seen, and how well they are known.
 
-Means: de Leva's table (``torchid.model.de_leva``).
+Means: de Leva's table (``torchid.model.de_leva``), changed for people who are no adults of medium build
+(``torchid.model.build``).
 
 Scatter: no source gives a covariance for these segments. The standard deviations are a choice, sized by how far
 published tables stand apart for the same segment, which bounds what a table can say about one person: thigh mass
@@ -17,13 +18,12 @@ from torch import Tensor
 
 from torchid.conventions import INERTIA_PAIRS
 from torchid.errors import ConfigError
+from torchid.model.build import BMI, BMI_SD, Build, build_of
 from torchid.model.de_leva import Segment, segments
 from torchid.model.model import Geometry, InertialPrior
 from torchid.model.proportions import stature
 from torchid.model.skeleton import SEGMENTS
 
-BMI, BMI_SD = 23.0, 4.0
-"""Body mass index of adults where the mass is not given [kg/m^2]."""
 LATENT = 10
 """Unknowns per segment: log mass, centre (3), log extents (3), normalised products of inertia (3)."""
 
@@ -41,19 +41,14 @@ PRODUCT_SD = 0.08
 """Of a product of inertia over mass and the two extents: principal axes lean by some degrees."""
 SCALE_SD = 0.02
 """Of the logarithm of one length scale common to all segments."""
-
-
-GROWN_M = 1.5
-"""Stature from which on adults' tables are taken at their word."""
-GROWTH, HEAD_GROWTH = 1.2, 3.0
-"""What a part of that stature that is missing adds to the scatter of the logarithm of a mass fraction, and the head's:
-at seven years it has more than twice an adult's share, and falls by 1.1 % of the body a year (Jensen 1986, J Biomech
-19:359)."""
+PARTS = tuple(name[:-2] if name[-2:] in ("_l", "_r") else name for name in SEGMENTS)
+"""Segments without their side."""
 
 
 def inertial_prior(
-    geometry: Geometry, height: float | None, mass: float | None, mass_sd: float | None, sex: str
-) -> InertialPrior:
+    geometry: Geometry, height: float | None, mass: float | None, mass_sd: float | None, sex: str,
+    age: float | None = None,
+) -> InertialPrior:  # fmt: skip
     """Prior of the whole body's inertia for given joint centres; geometry may be the template's or identified.
 
     The covariance is that of independent latents (``LATENT`` per segment, one length scale, the total mass), carried
@@ -61,20 +56,23 @@ def inertial_prior(
     together scatter as the total does.
 
     Args:
-        height: [m], None for the mean of adults.
-        mass: [kg], None for a body mass index of 23 (sd 4) kg/m^2.
+        height: [m], None for the mean of adults, or of children of a known age.
+        mass: [kg], None for a body mass index of 23 (sd 4) kg/m^2, or what a child has for it.
         mass_sd: [kg], None for 1 percent of a given mass.
         sex: unknown takes the mean of both tables and adds half their difference to the scatter.
+        age: [years], None where it is not known.
 
     Raises:
-        ConfigError: height or mass is no person's, or ``mass_sd`` is not positive.
+        ConfigError: height, mass or age is no person's, or ``mass_sd`` is not positive.
     """
-    tall, _ = stature(height, sex)
-    total, total_sd = body_mass(tall, mass, mass_sd)
+    tall, _ = stature(height, sex, age)
+    build = build_of(height, mass, age)
+    total, total_sd = body_mass(tall, mass, mass_sd, build.slender)
     tables = [segments(geometry, tall, s) for s in (("male", "female") if sex == "unknown" else (sex,))]
     both = torch.stack([_encode(table) for table in tables]).to(geometry.offset)
     centre, apart = both.mean(dim=0), 0.5 * (both[0] - both[-1]).abs()
-    scatter = torch.hypot(_scatter(tall).to(apart), apart)
+    scatter = torch.hypot(_scatter(tall, build).to(apart), apart)
+    centre = _built(centre, build)
     latent = torch.cat([centre.flatten(), centre.new_tensor([0.0, total])])
     sd = torch.cat([scatter.flatten(), scatter.new_tensor([SCALE_SD, total_sd])])
     jacobian = torch.autograd.functional.jacobian(_decode, latent)
@@ -83,14 +81,16 @@ def inertial_prior(
     return InertialPrior(mean=_decode(latent).reshape(-1, 10), covariance=half @ half.T)
 
 
-def body_mass(height: float, mass: float | None, mass_sd: float | None) -> tuple[float, float]:
-    """Total mass and its standard deviation [kg].
+def body_mass(
+    height: float, mass: float | None, mass_sd: float | None, slender: float = 1.0
+) -> tuple[float, float]:  # fmt: skip
+    """Total mass and its standard deviation [kg]; where no mass is given, of ``slender`` times an adult's index.
 
     Raises:
         ConfigError: the mass is outside 5 to 350 kg or its standard deviation is not positive.
     """
     if mass is None:
-        return BMI * height**2, BMI_SD * height**2
+        return slender * BMI * height**2, slender * BMI_SD * height**2
     if not 5.0 <= mass <= 350.0:
         raise ConfigError(
             "subject.mass", "not the mass of a person in kg", place="mass_kg", found=f"{mass:g}", remedy="give kg"
@@ -108,14 +108,30 @@ def _encode(table: list[Segment]) -> Float[Tensor, "bodies 10"]:
     return torch.tensor(rows, dtype=torch.float64)
 
 
-def _scatter(height: float) -> Float[Tensor, "bodies 10"]:
-    rows, missing = [], max(0.0, 1.0 - height / GROWN_M)
-    for name in SEGMENTS:
-        part = name[:-2] if name[-2:] in ("_l", "_r") else name
-        mass = math.hypot(MASS_SD[part], missing * (HEAD_GROWTH if part == "head" else GROWTH))
+def _scatter(height: float, build: Build) -> Float[Tensor, "bodies 10"]:
+    rows = []
+    for part in PARTS:
+        mass = math.hypot(MASS_SD[part], build.change(part)[1])
         com = [sd * height / 1.74 * mass / MASS_SD[part] for sd in COM_SD[part]]
         rows.append([mass, *com, *[EXTENT_SD * mass / MASS_SD[part]] * 3, *[PRODUCT_SD] * 3])
     return torch.tensor(rows, dtype=torch.float64)
+
+
+def _built(latent: Float[Tensor, "bodies 10"], build: Build) -> Float[Tensor, "bodies 10"]:
+    """Latents of the tables, changed for a build at constant density.
+
+    Lengths between joints stay, so that what a segment gains of volume widens it; a head grows in all directions, its
+    centre with it.
+    """
+    found = latent.clone()
+    found[:, 0] += latent.new_tensor([build.change(part)[0] for part in PARTS])
+    volume = found[:, 0].log_softmax(0) - latent[:, 0].log_softmax(0) + build.heavy
+    for k, part in enumerate(PARTS):
+        axes = {"head": (4, 5, 6), "foot": (5, 6)}.get(part, (4, 5))
+        found[k, list(axes)] += volume[k] / len(axes)
+    head = PARTS.index("head")
+    found[head, 1:4] *= (volume[head] / 3.0).exp()
+    return found
 
 
 def _decode(latent: Float[Tensor, " latents"]) -> Float[Tensor, " params"]:

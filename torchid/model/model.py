@@ -78,6 +78,8 @@ class Model:
     """Stature the template was scaled to [m]."""
     sources: tuple[str, ...] = ()
     """Where the numbers come from."""
+    build: tuple[str, ...] = ()
+    """What tables of adults were changed for; empty for an adult of medium build, and for a model from a file."""
     osim: OsimBinding | None = None
     """The OpenSim model that it was made of, in whose coordinates results are written; None for any other."""
     of_stature: bool = True

@@ -15,6 +15,7 @@ sources.
 from dataclasses import dataclass, fields
 
 from torchid.errors import ConfigError
+from torchid.model.build import build_of
 
 SEXES = ("male", "female", "unknown")
 STATURE = {"male": (1.755, 0.07), "female": (1.63, 0.065), "unknown": (1.69, 0.095)}
@@ -120,15 +121,16 @@ def check_sex(sex: str) -> None:
         )
 
 
-def stature(height: float | None, sex: str) -> tuple[float, float]:
-    """Height and its standard deviation [m]: as given (to 1 cm), or the mean and scatter of adults of that sex.
+def stature(height: float | None, sex: str, age: float | None = None) -> tuple[float, float]:
+    """Height and its standard deviation [m]: as given (to 1 cm), or what people of that sex and age have.
 
     Raises:
         ConfigError: ``height`` is not between 0.5 and 2.5 m.
     """
     check_sex(sex)
     if height is None:
-        return STATURE[sex]
+        mean, sd = STATURE[sex]
+        return mean * build_of(None, None, age).stature, sd
     if not 0.5 <= height <= 2.5:
         raise ConfigError(
             "subject.height", "not the height of a person in metres", place="height_m", found=f"{height:g}",

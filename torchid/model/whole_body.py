@@ -5,7 +5,8 @@ from dataclasses import replace
 import torch
 
 from torchid.errors import ConfigError, Note
-from torchid.model.anthropometry import GROWN_M, inertial_prior
+from torchid.model.anthropometry import inertial_prior
+from torchid.model.build import build_of
 from torchid.model.geometry_prior import whole_body_geometry
 from torchid.model.landmarks import whole_body_landmarks
 from torchid.model.model import GeometryPrior, Model
@@ -22,32 +23,37 @@ SOURCES = (
 )
 
 
-def whole_body(height: float | None, mass: float | None, sex: str = "unknown", mass_sd: float | None = None) -> Model:
+def whole_body(
+    height: float | None, mass: float | None, sex: str = "unknown", mass_sd: float | None = None,
+    age: float | None = None,
+) -> Model:  # fmt: skip
     """Template of 16 bodies and 41 coordinates with priors of geometry, inertia and landmarks (float64, CPU).
 
     Args:
-        height: stature [m]; None: mean of adults of that sex, with their scatter in every length.
+        height: stature [m]; None: mean of that sex and age, with its scatter in every length.
         mass: [kg]; None: from the stature, widely.
         sex: male, female or unknown.
         mass_sd: scatter of the given mass [kg].
+        age: [years]; None: an adult's, unless the stature is a child's.
 
     Raises:
         ConfigError: a value is no person's.
     """
-    tall, tall_sd = stature(height, sex)
+    tall, tall_sd = stature(height, sex, age)
     shape = proportions(sex)
     tree = whole_body_tree(shape.hip_height * tall)
     geometry = whole_body_geometry(tree, shape, tall, tall_sd)
-    sources = SOURCES if height is not None else (*SOURCES, f"height not given: {tall:.3f} m, mean of adults ({sex})")
-    if tall < GROWN_M:
-        sources = (*sources, f"a person below {GROWN_M} m: shares of mass scatter more than adults' do (Jensen 1986)")
+    of_whom = "of adults" if age is None else f"at {age:g} years"
+    sources = SOURCES if height is not None else (*SOURCES, f"height not given: {tall:.3f} m, mean {of_whom} ({sex})")
+    build = build_of(height, mass, age).said
     return Model(
         tree=tree,
         geometry=geometry,
-        inertia=inertial_prior(geometry.geometry(geometry.mean), height, mass, mass_sd, sex),
+        inertia=inertial_prior(geometry.geometry(geometry.mean), height, mass, mass_sd, sex, age),
         landmarks=whole_body_landmarks(shape, tall),
         height=tall,
-        sources=sources,
+        sources=(*sources, *(f"shares of mass: adults' tables, {line}" for line in build)),
+        build=build,
         of_stature=height is not None,
     )
 

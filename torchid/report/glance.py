@@ -42,7 +42,7 @@ def glance(outcome: Outcome, quality: Quality) -> tuple[Light, ...]:
     faults = recording_faults(outcome)
     beside = _beside(outcome, quality, faults)
     shown = faults[: _room(faults, beside)]
-    lights += [*_fit(quality), *_recordings(outcome, quality, shown, faults[len(shown) :], beside)]
+    lights += [*_tables(outcome), *_fit(quality), *_recordings(outcome, quality, shown, faults[len(shown) :], beside)]
     good = all(one.level in (None, QualityLevel.GOOD) for one in lights)
     step = next_step(faults, shown, quality) or (NOTHING if good else LOOK)
     settled = f" {SETTLED}" if any(f.settled for f in shown) and not any(f.step or f.apart for f in shown) else ""
@@ -59,6 +59,12 @@ def _side(about: str, outcome: Outcome, quality: Quality) -> Light | None:
         return Light(about, QualityLevel.UNUSABLE if refused else level, f"{words}.")
     shown = [one for k, one in enumerate(own) if k < 2 or one.level is not QualityLevel.GOOD]
     return Light(about, level, _sentence("; ".join(one.words for one in shown))) if shown else None
+
+
+def _tables(outcome: Outcome) -> Iterator[Light]:
+    """For whom the tables of adults were changed, where they were."""
+    if outcome.fit.model.build:
+        yield Light("Tables", None, f"Of adults, {listing(outcome.fit.model.build)}.")
 
 
 def _fit(quality: Quality) -> Iterator[Light]:

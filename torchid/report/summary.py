@@ -95,7 +95,8 @@ def _subject(outcome: Outcome) -> Table:
     who, fit = outcome.config.subject, outcome.fit
     rows = [
         ("Subject", clean(who.name)),
-        ("Height, sex", f"{f'{number(who.height_m, 2)} m' if who.height_m else 'not recorded'}, {who.sex}"),
+        ("Height, sex, age", f"{f'{number(who.height_m, 2)} m' if who.height_m else 'not recorded'}, {who.sex}, "
+                             f"{f'{who.age_years:g} years' if who.age_years else 'not recorded'}"),
         ("Model", f"{clean(str(outcome.config.model))}: {len(fit.model.tree.bodies)} segments, "
                   f"{len(fit.model.tree.dofs)} coordinates, {len(fit.attachment.labels)} markers"),
     ]  # fmt: skip

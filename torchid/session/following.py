@@ -154,7 +154,7 @@ def subject_prior(model: ModelSource, who: Subject, fit: GeometryFit) -> Inertia
     """Inertial prior for the fit's segment lengths; a model from a file brings its own."""
     if model != "whole_body":
         return fit.model.inertia
-    return inertial_prior(fit.geometry, who.height_m, who.mass_kg, who.mass_sd_kg, who.sex)
+    return inertial_prior(fit.geometry, who.height_m, who.mass_kg, who.mass_sd_kg, who.sex, who.age_years)
 
 
 def torques(

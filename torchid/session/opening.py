@@ -285,5 +285,5 @@ def _refuse_short(trials: dict[str, Trial]) -> None:
 def _model(config: Config) -> tuple[Model, tuple[Note, ...]]:
     if config.model == "whole_body":
         who = config.subject
-        return whole_body(who.height_m, who.mass_kg, who.sex, who.mass_sd_kg), ()
+        return whole_body(who.height_m, who.mass_kg, who.sex, who.mass_sd_kg, who.age_years), ()
     return load_model(config.model, config.scatter)

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchid.effects.effect import Planted
 from torchid.errors import ConfigError
-from torchid.model.anthropometry import BMI, inertial_prior
+from torchid.model.anthropometry import inertial_prior
+from torchid.model.build import BMI
 from torchid.model.landmarks import ANKLE_FROM_HEEL
 from torchid.model.marker_set import MarkerSpec, load_marker_set, marker_prior
 from torchid.model.model import Geometry, GeometryPrior, Model
