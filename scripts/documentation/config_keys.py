@@ -27,7 +27,7 @@ REQUIRED = object()
 """Default of a key that has none."""
 _UNITS = {
     "kg": "kg", "m": "m", "mm": "mm", "hz": "Hz", "s": "s", "ms": "ms", "deg": "deg", "n": "N", "N": "N",
-    "m_s": "m/s", "N_s": "N/s", "nats": "nats",
+    "m_s": "m/s", "N_s": "N/s", "nats": "nats", "years": "years",
 }  # fmt: skip
 """Unit of a key by what its name ends in, longest first where two fit."""
 _KINDS = ("Derived. ", "Cited. ", "Calibrated. ", "Choice. ", "Chosen: ")
