@@ -297,6 +297,14 @@ def test_one_look_tells_every_side_and_what_to_do_next(run):
     assert glance(calm, bad)[0].level is QualityLevel.UNUSABLE and "not to be used" in glance(calm, bad)[0].text
 
 
+def test_one_look_tells_for_whom_tables_were_changed(run):
+    """A child's run says so on a line of its own, an adult's has none."""
+    fit = replace(run.outcome.fit, model=replace(run.outcome.fit.model, build=("shifted and wider for a child",)))
+    child = {one.about: one for one in glance(replace(run.outcome, fit=fit), quality_of(run.outcome))}
+    assert child["Tables"].text == "Of adults, shifted and wider for a child." and child["Tables"].level is None
+    assert "Tables" not in {one.about for one in glance(run.outcome, quality_of(run.outcome))}
+
+
 def test_the_picture_shows_the_person_on_the_plates(run):
     """As many arrows as plates are stood on, and every stick of the body."""
     svg, caption = person_picture(run.outcome)
