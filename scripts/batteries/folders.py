@@ -43,7 +43,7 @@ def _performed(out: Path, config: str) -> Row:
     by_hand = ROOT / "configs" / f"{config}.yaml"
     who = load_config(by_hand).subject
     folder, name = FOLDERS[config]
-    proposal = propose(DATA / folder, Person(name, who.mass_kg, who.height_m, who.sex))
+    proposal = propose(DATA / folder, Person(name, who.mass_kg, who.height_m, who.sex, who.age_years))
     path = out / f"{config}.yaml"
     path.write_text(config_text(proposal, out), encoding="utf-8")
     try:
