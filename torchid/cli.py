@@ -70,7 +70,9 @@ def _main(version: Annotated[bool, typer.Option("--version", help="Show the vers
 
 @app.command()
 def new(
-    folder: Annotated[Path, typer.Argument(help="With the recordings of one session.", show_default=False)],
+    folder: Annotated[
+        Path, typer.Argument(help="With the recordings of one session; or a .b3d file.", show_default=False)
+    ],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Default: SUBJECT.yaml here.")] = None,
     subject: Subject = None,
     mass: Mass = None,
@@ -87,7 +89,9 @@ def new(
 
 @app.command()
 def run(
-    config: Annotated[Path, typer.Argument(help="YAML or JSON; or a folder of recordings.", show_default=False)],
+    config: Annotated[
+        Path, typer.Argument(help="YAML or JSON; or a folder of recordings, or a .b3d file.", show_default=False)
+    ],
     overrides: Overrides = None,
     subject: Subject = None,
     mass: Mass = None,
@@ -101,9 +105,10 @@ def run(
     """Everything the config asks for, into its `out` folder; of a folder of recordings, with a config made of it."""
     with _exit_codes(debug):
         from torchid.config import load_config
+        from torchid.io.files import container_of
 
         given = _Given(subject, mass, height, sex, age)
-        if config.is_dir():
+        if config.is_dir() or container_of(config) == config:
             config = _new_config(config, None, given, keep=True, quiet=quiet)
         elif given != _Given():
             raise _person_twice(config)

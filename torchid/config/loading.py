@@ -12,6 +12,7 @@ from torchid.config.explain import InvalidConfig, explain
 from torchid.config.sections import Config
 from torchid.config.study import Study
 from torchid.errors import ConfigError
+from torchid.io.files import file_on_disk
 from torchid.storage.documents import Document, dump_document, parse_document, read_document
 
 Kind = TypeVar("Kind", bound=BaseModel)
@@ -109,7 +110,9 @@ def _missing_files(config: Config, source: str) -> list[ConfigError]:
     for k, trial in enumerate(config.trials):
         named |= {f"trials.{k}.{key}": getattr(trial, key) for key in ("file", "forces", "channels")}
     named |= {f"conditions.{name}.device": condition.device for name, condition in config.conditions.items()}
-    absent = [(key, file) for key, file in named.items() if isinstance(file, Path) and not os.path.isfile(file)]
+    absent = [
+        (key, file) for key, file in named.items() if isinstance(file, Path) and not os.path.isfile(file_on_disk(file))
+    ]
     return [_missing(key, file, source) for key, file in absent]
 
 

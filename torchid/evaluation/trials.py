@@ -11,6 +11,7 @@ from torchid.config.sections import TrialFile
 from torchid.errors import DataError, InputError
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
+from torchid.io.files import file_on_disk
 from torchid.recording import Trial
 from torchid.run.sequence import run_key
 from torchid.session import Followed, Outcome, Session
@@ -98,7 +99,8 @@ def _refuse_strange(outcome: Outcome, session: Session) -> None:
 
 
 def _files(config: Config, worn: list) -> dict[str, object]:
-    hashes = [file_sha256(path) for file in worn for path in (file.file, file.forces) if path is not None]
+    paths = [path for file in worn for path in (file.file, file.forces) if path is not None]
+    hashes = [file_sha256(path) for path in dict.fromkeys(map(file_on_disk, paths))]
     return {"trials": [file.model_dump(mode="json") for file in worn], "hashes": hashes}
 
 

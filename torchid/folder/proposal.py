@@ -10,6 +10,7 @@ from torchid.folder.placing import placed
 from torchid.folder.roles import Use, uses_of
 from torchid.folder.statements import Person
 from torchid.folder.survey import Surveyed, plain_name, survey
+from torchid.io.files import container_of
 from torchid.io.pairing import shares_name, unpaired_forces
 from torchid.model.build import CHILD_M
 from torchid.model.recognition import Recognised, recognised, unrecognised
@@ -83,11 +84,11 @@ def _existing(folder: Path) -> Path:
     Raises:
         InputError: ``folder.absent``.
     """
-    if folder.is_dir():
+    if folder.is_dir() or (folder.is_file() and container_of(folder) == folder):
         return folder.resolve()
     raise InputError(
         "folder.absent", "a file is no folder" if folder.exists() else "no such folder", source=str(folder),
-        remedy="Name the folder that holds the recordings",
+        remedy="Name the folder, or the .b3d file, that holds the recordings",
     )  # fmt: skip
 
 

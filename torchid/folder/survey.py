@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import count
 from pathlib import Path
 
 from jaxtyping import Float
@@ -12,6 +11,7 @@ from torch import Tensor
 from torchid.checks.recording import TrialCheck
 from torchid.checks.report import Given, Refusal, check_recordings
 from torchid.conventions import SAMPLE_LOADED_N
+from torchid.io.files import unique_names
 from torchid.io.pairing import find_recordings, trial_name
 from torchid.recording import Markers, Trial
 
@@ -23,7 +23,7 @@ MOST_FRAMES = 2000
 """Resolution. Frames that tell how far markers wander."""
 SOME_FRAMES = 150
 """Resolution. Frames that are kept, of which places and motion tell markers whose labels say nothing."""
-STATED = ("subject", "mass_kg", "height_m")
+STATED = ("subject", "mass_kg", "height_m", "sex")
 """Facts of a file about whom it shows."""
 
 
@@ -41,7 +41,7 @@ class Surveyed:
     labels: tuple[str, ...] = ()
     """That are seen in half of the frames."""
     stated: Mapping[str, str] = field(default_factory=dict)
-    """Subject, mass and stature, where the file states them."""
+    """Subject, mass, stature and sex, where the file states them."""
     wander_m: float = 0.0
     """How far markers are from their mean places: nine in ten are nearer."""
     travel_m: float = 0.0
@@ -114,12 +114,7 @@ def names_of(files: list[Path], folder: Path) -> list[str]:
         alike = [k for k, name in enumerate(names) if names.count(name) > 1]
         for k in alike:
             names[k] = plain_name(longer[k])
-    seen: set[str] = set()
-    for k, name in enumerate(names):
-        free = (f"{name}_{number}" for number in count(2))
-        names[k] = name if name not in seen else next(one for one in free if one not in names)
-        seen.add(names[k])
-    return names
+    return unique_names(names)
 
 
 def plain_name(text: str) -> str:

@@ -1,13 +1,36 @@
 """Reading whole files within limits."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import overload
 
 from torchid.errors import InputError
 
 MAX_BYTES = 4 << 30
+CONTAINERS = (".b3d",)
+"""Endings of files that hold many trials, each of which is named as if the file were a folder: ``S1.b3d/walk``."""
+
+
+def container_of(path: Path) -> Path | None:
+    """The file of many trials that a path names, or of which it names a trial; None for other paths."""
+    return next((one for one in (path.parent, path) if one.suffix.lower() in CONTAINERS and not one.is_dir()), None)
+
+
+def file_on_disk(path: Path) -> Path:
+    """The file in which a recording lies: its own, or the one that holds it among others."""
+    return container_of(path) or path
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """The names, with a number behind those that stood there before."""
+    found: dict[str, None] = {}
+    for name in names:
+        free = (f"{name}_{number}" for number in count(2))
+        own = name if name not in found else next(one for one in free if one not in found and one not in names)
+        found[own] = None
+    return list(found)
 
 
 class FileBytes:

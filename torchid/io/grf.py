@@ -69,8 +69,21 @@ def forces_from_storage(
             where most rows have missing values, ``mot.cop_units`` where centres of pressure are not in m,
             ``mot.force_units`` where forces are not in N, ``time.*``.
     """
+    return forces_of_columns(storage, force_columns(storage.columns, source), source, moment_gain)
+
+
+def forces_of_columns(
+    storage: Storage,
+    sets: dict[str, dict[str, dict[str, int]]],
+    source: str,
+    moment_gain: Callable[[int], float] = lambda number: 1.0,
+) -> tuple[Forces, tuple[Note, ...]]:
+    """As ``forces_from_storage``, of columns that are known.
+
+    Args:
+        sets: columns by the name of the plate, the quantity and the axis, as of ``force_columns``.
+    """
     notes: list[Note] = list(storage.notes)
-    sets = force_columns(storage.columns, source)
     if not len(storage.time):
         raise InputError("mot.empty", "the file has no rows", source=source, remedy="Export the forces again")
     lines = storage.lines if len(storage.lines) else np.arange(len(storage.time)) + 1

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from torchid.errors import InputError
+from torchid.io.b3d_header import read_header
+from torchid.io.files import CONTAINERS, container_of
 
 MARKER_SUFFIXES = (".c3d", ".trc")
 FORCE_SUFFIXES = (".mot", ".sto")
@@ -24,7 +26,7 @@ HEAD = 16384
 def pair_files(files: list[Path]) -> list[tuple[Path, Path | None]]:
     """Each marker file with the force file that follows it, as in ``squat.trc squat_grf.mot``.
 
-    A folder stands for all recordings below it (``find_recordings``).
+    A folder, or a file of many trials, stands for all recordings in it (``find_recordings``).
 
     Raises:
         InputError: ``check.order`` for a force file without markers before it, ``check.kind`` for anything else,
@@ -33,24 +35,28 @@ def pair_files(files: list[Path]) -> list[tuple[Path, Path | None]]:
     pairs: list[tuple[Path, Path | None]] = []
     for file in files:
         kind = file.suffix.lower()
-        if file.is_dir():
+        if file.is_dir() or container_of(file) == file:
             pairs += find_recordings(file)
-        elif kind in MARKER_SUFFIXES:
+        elif kind in MARKER_SUFFIXES or container_of(file):
             pairs.append((file, None))
-        elif kind in FORCE_SUFFIXES and pairs and pairs[-1][1] is None:
+        elif kind in FORCE_SUFFIXES and pairs and pairs[-1][1] is None and not container_of(pairs[-1][0]):
             pairs[-1] = (pairs[-1][0], file)
         elif kind in FORCE_SUFFIXES:
             raise InputError(
                 "check.order", "forces without markers", source=file, remedy="Name its marker file before it."
             )
         else:
-            known = ", ".join((*MARKER_SUFFIXES, *FORCE_SUFFIXES, "a config (.yaml, .yml, .json), a folder"))
+            known = ", ".join(
+                (*MARKER_SUFFIXES, *CONTAINERS, *FORCE_SUFFIXES, "a config (.yaml, .yml, .json), a folder")
+            )
             raise InputError("check.kind", "not a known kind of file", source=file, remedy=f"Known: {known}.")
     return pairs
 
 
 def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
     """All marker files below a folder, each TRC with the forces that its name and place give it.
+
+    A file of many trials (``torchid.io.files.CONTAINERS``) is a folder of them, in a folder or alone.
 
     A force file belongs to a TRC where both names are equal but for words such as ``grf``; it lies in the same folder,
     or in one beside it or below it that holds no markers itself (``MarkerData/walk.trc``, ``ForceData/walk_grf.mot``).
@@ -61,17 +67,30 @@ def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
         InputError: ``check.empty``.
     """
     files = sorted(_visible(folder))
-    markers = [file for file in files if file.suffix.lower() in MARKER_SUFFIXES]
+    markers = [one for file in files for one in _recordings_in(file)]
     forces = [file for file in files if file.suffix.lower() in FORCE_SUFFIXES and _has_forces(file)]
     if not markers:
         raise InputError(
-            "check.empty", "no recordings in this folder", source=folder, remedy="Name a folder with C3D or TRC files"
+            "check.empty",
+            "no recordings in this folder",
+            source=folder,
+            remedy="Name a folder with C3D, TRC or B3D files",
         )
     inhabited = {file.parent for file in markers}
     by_name = {file: _forces_of(file, forces, inhabited) for file in markers if file.suffix.lower() == ".trc"}
     lone = [file for file, own in by_name.items() if own is None]
     by_time = _same_time(lone, [file for file in forces if file not in by_name.values()]) if lone else {}
     return [(file, by_name.get(file) or by_time.get(file)) for file in markers]
+
+
+def _recordings_in(file: Path) -> list[Path]:
+    """A marker file itself, or the trials that a file holds; reading one that holds none will tell why."""
+    if container_of(file) != file:
+        return [file] if file.suffix.lower() in MARKER_SUFFIXES else []
+    try:
+        return [file / trial.name for trial in read_header(file).trials]
+    except InputError:
+        return [file]
 
 
 def shares_name(markers: Path, forces: Path) -> bool:
@@ -120,7 +139,9 @@ def unpaired_forces(folder: Path, pairs: Sequence[tuple[Path, Path | None]]) -> 
 
 
 def _visible(folder: Path) -> Iterator[Path]:
-    """Files below the folder, but for hidden ones and those in hidden folders."""
+    """Files below the folder, but for hidden ones and those in hidden folders; a file itself."""
+    if folder.is_file():
+        yield folder
     for place, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
         yield from (Path(place, name) for name in names if not name.startswith("."))

@@ -24,6 +24,26 @@ Measured = tuple[Forces | None, tuple[Note, ...], tuple[tuple[str, str], ...]]
 
 
 @dataclass(frozen=True)
+class MarkerTable:
+    """Markers over time as a file holds them, in its unit and axes."""
+
+    labels: tuple[str, ...]
+    time: Float[np.ndarray, " frames"]
+    position: Float[np.ndarray, "frames markers 3"]
+    """NaN where cells are blank and where rows are missing."""
+    lines: Int[np.ndarray, " frames"] | None
+    """Line of the file of every frame, from 1; 0 where the row is missing; None where the file has no lines."""
+    units: str
+    notes: tuple[Note, ...]
+    facts: tuple[tuple[str, str], ...] = ()
+    """What the file says beside, such as whom it shows."""
+    up: str = ""
+    """Vertical axis that the file states, empty where it does not."""
+    kind: str = "TRC"
+    """Of the file."""
+
+
+@dataclass(frozen=True)
 class RawTrial:
     """One file's content in its own axes, lengths in m, forces in N and N m."""
 

@@ -1,37 +1,21 @@
 """TRC files: marker trajectories as tab-separated text."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from torchid.errors import InputError, Note
 from torchid.io.clock import Clock, uniform_clock
 from torchid.io.files import read_lines
 from torchid.io.force_names import refuse_forces
+from torchid.io.raw import MarkerTable
 from torchid.io.table import Rows, parse_rows, split_row
 
 PARTLY = 0.5
 """Share of a marker's points that may lack a coordinate: cells are damaged now and then, not in every other row."""
 
 
-@dataclass(frozen=True)
-class TrcFile:
-    """The content of a TRC file in its own unit and axes."""
-
-    labels: tuple[str, ...]
-    time: Float[np.ndarray, " frames"]
-    position: Float[np.ndarray, "frames markers 3"]
-    """NaN where cells are blank and where rows are missing."""
-    lines: Int[np.ndarray, " frames"]
-    """Line of the file of every frame, from 1; 0 where the row is missing."""
-    units: str
-    header: dict[str, str]
-    notes: tuple[Note, ...]
-
-
-def read_trc(path: str | Path) -> TrcFile:
+def read_trc(path: str | Path) -> MarkerTable:
     """A TRC file; a blank cell keeps its column, whatever the number of tabs in the header.
 
     Rows that the time column shows to be missing become frames without markers.
@@ -59,10 +43,9 @@ def read_trc(path: str | Path) -> TrcFile:
     notes += [*_rate_note(header, clock, source), *_numbers_note(rows, clock, source)]
     position = rows.values[:, 2:].reshape(len(rows.lines), len(labels), 3)
     notes += _whole_points(position, labels, rows.lines, source)
-    return TrcFile(
-        tuple(labels), clock.time, clock.spread(position), clock.spread(rows.lines, 0), _units(header), header,
-        tuple(notes)
-    )  # fmt: skip
+    return MarkerTable(
+        tuple(labels), clock.time, clock.spread(position), clock.spread(rows.lines, 0), _units(header), tuple(notes)
+    )
 
 
 def _refuse_others(lines: list[str], source: str) -> None:

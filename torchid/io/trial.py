@@ -1,18 +1,21 @@
 """One trial from whatever the laboratory exported."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from torchid.errors import InputError
+from torchid.io.b3d import read_b3d
 from torchid.io.c3d import read_c3d
+from torchid.io.files import container_of
 from torchid.io.frame import METRES, length_unit
 from torchid.io.grf import forces_from_storage
 from torchid.io.labels import select_markers
 from torchid.io.mend import PlateAs
 from torchid.io.options import ReadOptions
-from torchid.io.raw import Measured, RawTrial, assemble
+from torchid.io.raw import MarkerTable, Measured, RawTrial, assemble
 from torchid.io.storage import read_storage
 from torchid.io.trc import read_trc
 from torchid.recording import Forces, Trial
@@ -25,12 +28,12 @@ SAME_TRIAL = 0.1
 def read_trial(
     name: str, file: str | Path, forces: str | Path | None = None, role: str = "fit", options: ReadOptions | None = None
 ) -> Trial:
-    """A trial in W, SI units and float64, from a C3D or a TRC, with or without a MOT/STO of ground reactions.
+    """A trial in W, SI units and float64, from a C3D, TRC or .b3d, with or without a MOT/STO of ground reactions.
 
     Args:
         name: of the trial.
-        file: .c3d or .trc.
-        forces: .mot or .sto; beside a .c3d, its own plates are left out.
+        file: .c3d, .trc, or a trial of a .b3d as if that were a folder.
+        forces: .mot or .sto; beside a .c3d or .b3d, its own plates are left out.
         role: static, fit or heldout.
         options: what the file leaves open.
 
@@ -38,44 +41,48 @@ def read_trial(
         InputError: a file cannot be read, or files contradict themselves or each other.
     """
     file, options = Path(file), options or ReadOptions()
-    suffix = file.suffix.lower()
+    container = container_of(file)
+    suffix = (container or file).suffix.lower()
     if role not in ROLES:
         raise InputError(
             "trial.role", "this role does not exist", place=f"trial {name}", found=role,
             remedy=f"Use one of {', '.join(ROLES)}",
         )  # fmt: skip
-    if suffix not in (".c3d", ".trc"):
+    if suffix not in (".c3d", ".trc", ".b3d"):
         raise InputError(
-            "trial.format", "markers are read from .c3d and .trc files", source=file, found=file.suffix or "no suffix",
+            "trial.format", "markers are read from .c3d, .trc and .b3d files", source=file,
+            found=file.suffix or "no suffix",
             remedy="Export the markers as C3D or TRC; forces (.mot, .sto) are given under forces:",
         )  # fmt: skip
     measured = _read_forces(None if forces is None else Path(forces), options)
-    options = options if forces is None else replace(options, moments_read=True)
+    options = options if forces is None and container is None else replace(options, moments_read=True)
+    if container is not None:
+        table, own = read_b3d(container, "" if container == file else file.name, _moment_gain(options))
+        return _from_table(name, file, table, own if forces is None else measured, role, options)
     if suffix == ".trc":
-        return _read_text(name, file, measured, role, options)
+        return _from_table(name, file, read_trc(file), measured, role, options)
     return read_c3d(file, name, role, options, measured)
 
 
-def _read_text(name: str, file: Path, forces: Measured, role: str, options: ReadOptions) -> Trial:
-    trc = read_trc(file)
+def _from_table(name: str, file: Path, table: MarkerTable, forces: Measured, role: str, options: ReadOptions) -> Trial:
     source = str(file)
-    chosen = select_markers(list(trc.labels), source, subject=options.subject, wanted=options.wanted)
-    position = trc.position[:, list(chosen.columns)]
-    unit, said = length_unit(trc.units, position, options, source)
+    chosen = select_markers(list(table.labels), source, subject=options.subject, wanted=options.wanted)
+    position = table.position[:, list(chosen.columns)]
+    unit, said = length_unit(table.units, position, options, source)
     measured, force_notes, facts = forces
-    rate = (len(trc.time) - 1) / (trc.time[-1] - trc.time[0]) if len(trc.time) > 1 else 0.0
-    _refuse_other_clock(trc.time, measured, source, dict(facts).get("forces", ""))
+    rate = (len(table.time) - 1) / (table.time[-1] - table.time[0]) if len(table.time) > 1 else 0.0
+    _refuse_other_clock(table.time, measured, source, dict(facts).get("forces", ""))
     raw = RawTrial(
         source=source,
         labels=chosen.labels,
-        time=trc.time,
+        time=table.time,
         position=position * METRES[unit],
         forces=measured,
-        up="",
+        up=table.up,
         customary="y",
-        notes=(*trc.notes, *chosen.notes, *said, *force_notes),
-        lines=trc.lines,
-        parameters=(("format", "TRC"), ("units", unit), ("rate_hz", f"{rate:.10g}"), *facts),
+        notes=(*table.notes, *chosen.notes, *said, *force_notes),
+        lines=table.lines,
+        parameters=(("format", table.kind), ("units", unit), ("rate_hz", f"{rate:.10g}"), *table.facts, *facts),
     )
     return assemble(raw, name, role, options)
 
@@ -103,9 +110,15 @@ def _read_forces(path: Path | None, options: ReadOptions) -> Measured:
             remedy="Give a MOT or STO of ground reactions",
         )  # fmt: skip
 
-    def moment_gain(number: int) -> float:
-        return options.forces_as.moment_gain * options.plates.get(number, PlateAs()).moment_gain
-
-    measured, notes = forces_from_storage(read_storage(path), str(path), moment_gain)
+    measured, notes = forces_from_storage(read_storage(path), str(path), _moment_gain(options))
     rate = f"{measured.rate:.10g}" if len(measured.time) > 1 else "0"
     return measured, notes, (("forces", str(path)), ("analog_rate_hz", rate))
+
+
+def _moment_gain(options: ReadOptions) -> Callable[[int], float]:
+    """Factor of the free moments of a plate, by its number: what the user says of file and plate."""
+
+    def gain(number: int) -> float:
+        return options.forces_as.moment_gain * options.plates.get(number, PlateAs()).moment_gain
+
+    return gain
