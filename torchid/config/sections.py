@@ -22,6 +22,7 @@ from torchid.inertia.options import IdentifyOptions
 from torchid.io.mend import ForcesAs, PlateAs
 from torchid.model.tree_of_links import FileScatter
 from torchid.simulate.options import SimulateOptions
+from torchid.storage.tables import Form
 
 BUILTIN_MODELS = ("whole_body",)
 MODEL_SUFFIXES = (".urdf", ".xml", ".osim")
@@ -192,6 +193,8 @@ class Config(ConfigSection):
     """Threads of torch. More help little with a session of seconds, and wait for each other on a busy machine."""
     out: UserPath = Field(default=Path("out"), validate_default=True)
     """Folder of the results."""
+    tables: tuple[Form, ...] = ()
+    """Forms beside CSV in which the tables of results and cycles are written: `pip install 'torchid[tables]'`."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Of all random draws."""
 

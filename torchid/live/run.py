@@ -22,7 +22,7 @@ from torchid.live.exercises.guidance import make_guide
 from torchid.live.sources.recorder import Recorder
 from torchid.live.sources.stream import Replay, Source
 from torchid.model.model import InertialPrior
-from torchid.run.sequence import GEOMETRY, run_key
+from torchid.run.sequence import GEOMETRY, UNKEYED, run_key
 from torchid.session import Outcome, Session
 from torchid.session.fitting import fit_session, given_mass
 from torchid.session.following import Following, subject_prior
@@ -173,7 +173,7 @@ def _refuse_intervals(config: Config) -> None:
 
 def _from_standing(config: Config, session: Session, folder: OutputFolder, progress: OnStage) -> GeometryFit:
     paths = [file_on_disk(path) for file in config.trials for path in (file.file, file.forces) if path is not None]
-    own = config.model_dump(mode="json", exclude={"out", "threads", "diagnosis", "inertia"})
+    own = config.model_dump(mode="json", exclude={*UNKEYED, "diagnosis", "inertia"})
     key = stage_key(inputs=[file_sha256(path) for path in paths], config=own)
     return folder.stage("live_geometry", key, lambda: fit_session(config.geometry, session, True, progress))
 

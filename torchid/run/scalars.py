@@ -1,11 +1,10 @@
-"""Numbers of a run as statistics programs and spreadsheets take them: ``results.csv`` and ``cycles.csv``."""
+"""Numbers of a run as statistics programs and spreadsheets take them: tables ``results`` and ``cycles``."""
 
-import csv
-import math
 from collections.abc import Iterator, Mapping
-from io import StringIO
 from typing import Any, NamedTuple
 
+import numpy as np
+import pandas as pd
 import torch
 
 from torchid.cycles.measures import STRIDE, unit_of
@@ -36,21 +35,18 @@ class Scalar(NamedTuple):
     """The quantity in words."""
 
 
-def results_csv(outcome: Outcome, tables: Mapping[str, Any], strides: JointCycles | None) -> str:
-    """Return every single number of a run as text, a line each, with its standard deviation, its unit and its meaning.
+def results_table(outcome: Outcome, tables: Mapping[str, Any], strides: JointCycles | None) -> pd.DataFrame:
+    """Return every single number of a run, a line each, with its standard deviation, its unit and its meaning.
 
     Args:
         outcome: the run.
         tables: contents of its JSON files by their names; those that it does not have are left out.
         strides: of its trials; None where there are none.
     """
-    file = StringIO(newline="")
-    write = csv.writer(file, lineterminator="\n")
-    write.writerow(("subject", *Scalar._fields))
-    for one in (*scalars(outcome, plain(tables)), *(() if strides is None else stride_scalars(strides))):
-        value, sd = ("" if x is None else repr(x) for x in (one.value, one.sd))
-        write.writerow((outcome.config.subject.name, *one[:3], value, sd, *one[5:]))
-    return file.getvalue()
+    found = [*scalars(outcome, plain(tables)), *(() if strides is None else stride_scalars(strides))]
+    table = pd.DataFrame(found, columns=list(Scalar._fields))
+    table.insert(0, "subject", outcome.config.subject.name)
+    return table.astype({"value": float, "sd": float})
 
 
 def scalars(outcome: Outcome, tables: Mapping[str, Any]) -> Iterator[Scalar]:
@@ -58,7 +54,7 @@ def scalars(outcome: Outcome, tables: Mapping[str, Any]) -> Iterator[Scalar]:
 
     Args:
         outcome: the run.
-        tables: as of ``results_csv``, made of what JSON holds.
+        tables: as of ``results_table``, made of what JSON holds.
     """
     geometry, body = tables["geometry.json"], tables.get("inertia.json", {})
     for one in () if outcome.quality is None else outcome.quality.criteria:
@@ -72,24 +68,25 @@ def scalars(outcome: Outcome, tables: Mapping[str, Any]) -> Iterator[Scalar]:
     yield from _causes(tables.get("diagnosis.json", {}).get("causes", []))
 
 
-def cycles_csv(found: JointCycles) -> str:
-    """Return the courses of all strides as text: a line each for a joint at a percent of a stride.
+def cycles_table(found: JointCycles) -> pd.DataFrame:
+    """Return the courses of all strides, to seven digits: a line each for a joint at a percent of a stride.
 
     Args:
         found: the strides.
     """
-    file = StringIO(newline="")
-    write = csv.writer(file, lineterminator="\n")
-    write.writerow(("trial", "side", "start_s", "percent", "joint", "angle_deg", "moment_Nm", "power_W"))
-    courses = torch.stack([found.angle_deg, found.moment_Nm, found.power_W], dim=-1)
-    points = courses.shape[1]
-    for cycle, start, own in zip(found.cycles, found.start_s.tolist(), courses.tolist(), strict=True):
-        for k, joints in enumerate(own):
-            for joint, values in zip(found.joints, joints, strict=True):
-                shown = ("" if math.isnan(x) else f"{x:.6g}" for x in values)
-                percent = f"{100.0 * k / (points - 1):g}"
-                write.writerow((cycle.trial, cycle.side, f"{start:.4f}", percent, joint, *shown))
-    return file.getvalue()
+    strides, points, joints = found.angle_deg.shape
+    each = points * joints  # lines of a stride
+    courses = {"angle_deg": found.angle_deg, "moment_Nm": found.moment_Nm, "power_W": found.power_W}
+    return pd.DataFrame(
+        {
+            "trial": np.repeat([cycle.trial for cycle in found.cycles], each),
+            "side": np.repeat([cycle.side for cycle in found.cycles], each),
+            "start_s": np.repeat(found.start_s.numpy().round(4), each),
+            "percent": np.tile(np.repeat(np.linspace(0, 100, points).round().astype(int), joints), strides),
+            "joint": np.tile(list(found.joints), strides * points),
+            **{name: values.reshape(-1).to(torch.float32).numpy() for name, values in courses.items()},
+        }
+    )
 
 
 def stride_scalars(found: JointCycles) -> Iterator[Scalar]:

@@ -37,6 +37,7 @@ from torchid.storage.provenance import provenance, stage_key
 from torchid.storage.publication import CONFIGS
 from torchid.storage.results import OutputFolder
 from torchid.storage.snapshot import release
+from torchid.storage.tables import refuse_missing
 
 log = logging.getLogger(__name__)
 UNFILTERED_HZ = 20.0
@@ -51,6 +52,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
     Raises:
         TorchidError: bad input (what is in ``out`` stays), or data that do not support a result (what there is, is).
     """
+    refuse_missing(config.tables)
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     listed, config = config.trials, config.body
@@ -99,9 +101,13 @@ GEOMETRY = "geometry"
 """Stage of the identified geometry."""
 
 
+UNKEYED = frozenset({"out", "threads", "tables"})
+"""Keys of a config on which no result depends."""
+
+
 def _claim(folder: OutputFolder, config: Config) -> None:
     """No work for results that have no place: InputError where a file of the user's has the name of one."""
-    folder.claim(result_names(trial.name for trial in config.trials))
+    folder.claim(result_names((trial.name for trial in config.trials), config.tables))
     if not folder.owns(CONFIGS[0]):
         folder.claim(CONFIGS[1:])
 
@@ -115,7 +121,7 @@ def _inputs(config: Config) -> list:
 
 def run_key(config: Config) -> str:
     """Key of a run's stages: files and options."""
-    own = {k: v for k, v in config.model_dump(mode="json").items() if k not in ("out", "threads")}
+    own = {k: v for k, v in config.model_dump(mode="json").items() if k not in UNKEYED}
     return stage_key(inputs=[file_sha256(path) for path in _inputs(config)], config=own)
 
 

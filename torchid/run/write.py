@@ -23,20 +23,20 @@ from torchid.model.osim import osim_coordinates, osim_forces, osim_names, write_
 from torchid.model.urdf import write_urdf
 from torchid.recording import Plate
 from torchid.run.opensim_setup import SUFFIXES, ToolFiles, write_tool_files
-from torchid.run.scalars import cycles_csv, results_csv
+from torchid.run.scalars import cycles_table, results_table
 from torchid.session import Followed, Outcome
 from torchid.session.joint_cycles import joint_cycles
 from torchid.session.tables import diagnosis_table, geometry_table, inertia_table
-from torchid.storage.files import safe_name, write_json, write_text
+from torchid.storage.files import safe_name, write_json
 from torchid.storage.netcdf import write_netcdf
 from torchid.storage.results import OutputFolder
 from torchid.storage.snapshot import release
+from torchid.storage.tables import Form, write_table
 
 PIECE = 8192
 """Frames of a motion file that are put together at a time."""
 TABLES = (
-    "geometry.json", "inertia.json", "diagnosis.json", "results.csv", "cycles.csv", "model.urdf", "model.osim",
-    "report.html", "provenance.json",
+    "geometry.json", "inertia.json", "diagnosis.json", "model.urdf", "model.osim", "report.html", "provenance.json",
 )  # fmt: skip
 COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
 """Names of a wrench's components in files."""
@@ -45,9 +45,15 @@ SERIES = ("motion_{}.nc", "forces_{}.nc", "{}_ik.mot", "{}_id.sto")
 """Names of a trial's files beside those for OpenSim's tool (``opensim_setup.SUFFIXES``)."""
 
 
-def result_names(trials: Iterable[str]) -> list[str]:
-    """Every file that a run may write, but for its config."""
-    return [*TABLES, *(name.format(safe_name(trial)) for trial in trials for name in (*SERIES, *SUFFIXES))]
+def result_names(trials: Iterable[str], forms: Iterable[Form] = ()) -> list[str]:
+    """Every file that a run may write, but for its config.
+
+    Args:
+        trials: their names.
+        forms: of its tables, beside CSV.
+    """
+    tables = [f"{name}.{form}" for form in ("csv", *forms) for name in ("results", "cycles")]
+    return [*TABLES, *tables, *(name.format(safe_name(trial)) for trial in trials for name in (*SERIES, *SUFFIXES))]
 
 
 def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | None) -> None:
@@ -60,9 +66,10 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
     for name, table in tables.items():
         write_json(folder.path(name), table)
     strides = joint_cycles(outcome)
-    write_text(folder.path("results.csv"), results_csv(outcome, tables, strides))
+    forms = outcome.config.tables
+    write_table(results_table(outcome, tables, strides), "results", forms, folder.path)
     if strides is not None:
-        write_text(folder.path("cycles.csv"), cycles_csv(strides))
+        write_table(cycles_table(strides), "cycles", forms, folder.path)
     for name in outcome.session.trials:
         _write_trial(outcome, name, folder)
         release()
