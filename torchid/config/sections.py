@@ -79,9 +79,9 @@ class TrialFile(ConfigSection):
     name: Name
     """Name in all files of results."""
     file: UserPath
-    """C3D, TRC, or a trial of a .b3d as if that were a folder: ``S1.b3d/walk``."""
+    """C3D, TRC, ``_motion.tsv`` of BIDS, or a trial of a .b3d as if that were a folder: ``S1.b3d/walk``."""
     forces: UserPath | None = None
-    """MOT or STO beside a TRC, or instead of the plates of a C3D or .b3d."""
+    """MOT or STO beside a TRC or ``_motion.tsv``, or instead of the plates of a C3D or .b3d."""
     role: Literal["static", "fit", "heldout"] = "fit"
     """Standing still, used to identify the body, or held out to test predictions."""
     subject: Name | tuple[Name, ...] | None = None

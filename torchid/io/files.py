@@ -11,6 +11,8 @@ from torchid.errors import InputError
 MAX_BYTES = 4 << 30
 CONTAINERS = (".b3d",)
 """Endings of files that hold many trials, each of which is named as if the file were a folder: ``S1.b3d/walk``."""
+MOTION_BIDS = "_motion.tsv"
+"""Ending of a file of positions of the Brain Imaging Data Structure."""
 
 
 def container_of(path: Path) -> Path | None:

@@ -8,12 +8,16 @@ from pathlib import Path
 
 from torchid.errors import InputError
 from torchid.io.b3d_header import read_header
-from torchid.io.files import CONTAINERS, container_of
+from torchid.io.files import CONTAINERS, MOTION_BIDS, container_of
 
 MARKER_SUFFIXES = (".c3d", ".trc")
 FORCE_SUFFIXES = (".mot", ".sto")
+TEXT = (".trc", ".tsv")
+"""Of them and of Motion-BIDS, those without forces of their own."""
 KIND = re.compile(r"(grfs?|forces?|marker(s|data)?|trc|mot|kinetics)", re.IGNORECASE)
 """Words of a file's name that say what is in it, not which trial."""
+TRACKING = re.compile(r"_tracksys-[^_]*|_motion$")
+"""Parts of a name of Motion-BIDS that say with what was measured."""
 FORCE_COLUMN = re.compile(r"force|(^|_)[vf][xyz]\d*$", re.IGNORECASE)
 SAME_S = 0.02
 """Choice. Times by which beginnings and ends of one trial's files may differ: two frames at 100 Hz [s]."""
@@ -37,7 +41,7 @@ def pair_files(files: list[Path]) -> list[tuple[Path, Path | None]]:
         kind = file.suffix.lower()
         if file.is_dir() or container_of(file) == file:
             pairs += find_recordings(file)
-        elif kind in MARKER_SUFFIXES or container_of(file):
+        elif _is_markers(file) or container_of(file):
             pairs.append((file, None))
         elif kind in FORCE_SUFFIXES and pairs and pairs[-1][1] is None and not container_of(pairs[-1][0]):
             pairs[-1] = (pairs[-1][0], file)
@@ -47,16 +51,16 @@ def pair_files(files: list[Path]) -> list[tuple[Path, Path | None]]:
             )
         else:
             known = ", ".join(
-                (*MARKER_SUFFIXES, *CONTAINERS, *FORCE_SUFFIXES, "a config (.yaml, .yml, .json), a folder")
+                (*MARKER_SUFFIXES, MOTION_BIDS, *CONTAINERS, *FORCE_SUFFIXES, "a config (.yaml, .yml, .json), a folder")
             )
             raise InputError("check.kind", "not a known kind of file", source=file, remedy=f"Known: {known}.")
     return pairs
 
 
 def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
-    """All marker files below a folder, each TRC with the forces that its name and place give it.
+    """All marker files below a folder, each text file with the forces that its name and place give it.
 
-    A file of many trials (``torchid.io.files.CONTAINERS``) is a folder of them, in a folder or alone.
+    Text files are TRC and Motion-BIDS. A file of many trials (``torchid.io.files.CONTAINERS``) is a folder of them.
 
     A force file belongs to a TRC where both names are equal but for words such as ``grf``; it lies in the same folder,
     or in one beside it or below it that holds no markers itself (``MarkerData/walk.trc``, ``ForceData/walk_grf.mot``).
@@ -74,19 +78,24 @@ def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
             "check.empty",
             "no recordings in this folder",
             source=folder,
-            remedy="Name a folder with C3D, TRC or B3D files",
+            remedy="Name a folder with C3D, TRC, B3D or _motion.tsv files",
         )
     inhabited = {file.parent for file in markers}
-    by_name = {file: _forces_of(file, forces, inhabited) for file in markers if file.suffix.lower() == ".trc"}
+    by_name = {file: _forces_of(file, forces, inhabited) for file in markers if file.suffix.lower() in TEXT}
     lone = [file for file, own in by_name.items() if own is None]
     by_time = _same_time(lone, [file for file in forces if file not in by_name.values()]) if lone else {}
     return [(file, by_name.get(file) or by_time.get(file)) for file in markers]
 
 
+def _is_markers(file: Path) -> bool:
+    """Whether a file's name says that it holds markers of one trial."""
+    return file.suffix.lower() in MARKER_SUFFIXES or file.name.endswith(MOTION_BIDS)
+
+
 def _recordings_in(file: Path) -> list[Path]:
     """A marker file itself, or the trials that a file holds; reading one that holds none will tell why."""
     if container_of(file) != file:
-        return [file] if file.suffix.lower() in MARKER_SUFFIXES else []
+        return [file] if _is_markers(file) else []
     try:
         return [file / trial.name for trial in read_header(file).trials]
     except InputError:
@@ -161,7 +170,8 @@ def _has_forces(file: Path) -> bool:
 
 def trial_name(file: Path) -> str:
     """The part of a file's name that says which trial it is: empty for ``markers.trc`` and ``grf.mot``."""
-    parts = re.split(r"([\s_\-.]+)", file.stem)  # words and what stands between them
+    stem = TRACKING.sub("", file.stem) if file.name.endswith(MOTION_BIDS) else file.stem
+    parts = re.split(r"([\s_\-.]+)", stem)  # words and what stands between them
     kept = [k for k in range(0, len(parts), 2) if parts[k] and not KIND.fullmatch(parts[k])]
     return "".join((parts[k - 1] if n else "") + parts[k] for n, k in enumerate(kept))
 

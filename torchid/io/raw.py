@@ -39,6 +39,8 @@ class MarkerTable:
     """What the file says beside, such as whom it shows."""
     up: str = ""
     """Vertical axis that the file states, empty where it does not."""
+    customary: str = "y"
+    """Vertical axis that files of this format usually have."""
     kind: str = "TRC"
     """Of the file."""
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from torchid.errors import InputError
 from torchid.io.b3d import read_b3d
+from torchid.io.bids_motion import read_bids_motion
 from torchid.io.c3d import read_c3d
-from torchid.io.files import container_of
+from torchid.io.files import MOTION_BIDS, container_of
 from torchid.io.frame import METRES, length_unit
 from torchid.io.grf import forces_from_storage
 from torchid.io.labels import select_markers
@@ -28,11 +29,11 @@ SAME_TRIAL = 0.1
 def read_trial(
     name: str, file: str | Path, forces: str | Path | None = None, role: str = "fit", options: ReadOptions | None = None
 ) -> Trial:
-    """A trial in W, SI units and float64, from a C3D, TRC or .b3d, with or without a MOT/STO of ground reactions.
+    """A trial in W, SI units and float64, from C3D, TRC, .b3d or Motion-BIDS, perhaps with ground reactions as MOT/STO.
 
     Args:
         name: of the trial.
-        file: .c3d, .trc, or a trial of a .b3d as if that were a folder.
+        file: .c3d, .trc, ``_motion.tsv``, or a trial of a .b3d as if that were a folder.
         forces: .mot or .sto; beside a .c3d or .b3d, its own plates are left out.
         role: static, fit or heldout.
         options: what the file leaves open.
@@ -48,9 +49,10 @@ def read_trial(
             "trial.role", "this role does not exist", place=f"trial {name}", found=role,
             remedy=f"Use one of {', '.join(ROLES)}",
         )  # fmt: skip
-    if suffix not in (".c3d", ".trc", ".b3d"):
+    bids = file.name.endswith(MOTION_BIDS)
+    if suffix not in (".c3d", ".trc", ".b3d") and not bids:
         raise InputError(
-            "trial.format", "markers are read from .c3d, .trc and .b3d files", source=file,
+            "trial.format", "markers are read from .c3d, .trc, .b3d and _motion.tsv files", source=file,
             found=file.suffix or "no suffix",
             remedy="Export the markers as C3D or TRC; forces (.mot, .sto) are given under forces:",
         )  # fmt: skip
@@ -59,8 +61,9 @@ def read_trial(
     if container is not None:
         table, own = read_b3d(container, "" if container == file else file.name, _moment_gain(options))
         return _from_table(name, file, table, own if forces is None else measured, role, options)
-    if suffix == ".trc":
-        return _from_table(name, file, read_trc(file), measured, role, options)
+    if suffix == ".trc" or bids:
+        table = read_bids_motion(file) if bids else read_trc(file)
+        return _from_table(name, file, table, measured, role, options)
     return read_c3d(file, name, role, options, measured)
 
 
@@ -79,7 +82,7 @@ def _from_table(name: str, file: Path, table: MarkerTable, forces: Measured, rol
         position=position * METRES[unit],
         forces=measured,
         up=table.up,
-        customary="y",
+        customary=table.customary,
         notes=(*table.notes, *chosen.notes, *said, *force_notes),
         lines=table.lines,
         parameters=(("format", table.kind), ("units", unit), ("rate_hz", f"{rate:.10g}"), *table.facts, *facts),
