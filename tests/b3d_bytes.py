@@ -78,7 +78,7 @@ class B3dTrial:
 
 
 def b3d_bytes(labels: tuple[str, ...], trials: list[B3dTrial], rate: float, plates: int = 2) -> bytes:
-    """A file of trials of a woman of 72.5 kg and 1.76 m."""
+    """A file of trials of a woman of 72.5 kg, 1.76 m and 31 years."""
     frames = [frame for trial in trials for frame in trial.frames(plates)]
     head = [whole(1, 4), whole(2, len(trials)), whole(3, len(frames[0][0])), whole(4, len(frames[0][1]))]
     head += [packed(5, packed(2, "<OpenSimDocument/>")), packed(6, "calcn_r"), packed(6, "calcn_l")]

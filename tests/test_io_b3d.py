@@ -76,12 +76,12 @@ def test_a_trial_is_what_a_trc_and_a_mot_of_its_numbers_are(tmp_path: Path, walk
 
 
 def test_the_header_says_whom_it_shows(tmp_path: Path, walk: Trial) -> None:
-    """Mass, stature and sex come into the facts of every trial; parts of one subject have one name."""
+    """Mass, stature, sex and age come into the facts of every trial; parts of one subject have one name."""
     trial = read_trial("walk", save(tmp_path / "S1_split2.b3d", walk) / "walk")
-    said = {"subject": "S1", "mass_kg": "72.5", "height_m": "1.76", "sex": "female", "up": "y"}
+    said = {"subject": "S1", "mass_kg": "72.5", "height_m": "1.76", "sex": "female", "age_years": "31", "up": "y"}
     assert said.items() <= trial.parameters.items()
     (one,) = survey(tmp_path)
-    assert (one.name, one.stated["sex"], one.has_forces) == ("walk", "female", True)
+    assert (one.name, one.stated["sex"], one.stated["age_years"], one.has_forces) == ("walk", "female", "31", True)
 
 
 def test_each_trial_has_its_own_frames(tmp_path: Path, walk: Trial) -> None:

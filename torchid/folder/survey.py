@@ -23,7 +23,7 @@ MOST_FRAMES = 2000
 """Resolution. Frames that tell how far markers wander."""
 SOME_FRAMES = 150
 """Resolution. Frames that are kept, of which places and motion tell markers whose labels say nothing."""
-STATED = ("subject", "mass_kg", "height_m", "sex")
+STATED = ("subject", "mass_kg", "height_m", "sex", "age_years")
 """Facts of a file about whom it shows."""
 
 

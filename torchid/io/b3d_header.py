@@ -48,9 +48,11 @@ class B3dHeader:
     def facts(self) -> tuple[tuple[str, str], ...]:
         """Whom it shows, as far as it says so."""
         mass, height = (next(iter(self.said.doubles(number)), 0.0) for number in (15, 14))
+        age = self.said.whole(16)
         known = {
             "subject": PART.sub("", self.file.path.stem), "mass_kg": f"{mass:.6g}" if mass > 0.0 else "",
             "height_m": f"{height:.6g}" if height > 0.0 else "", "sex": self.said.text(13),
+            "age_years": str(age) if age > 0 else "",
         }  # fmt: skip
         return tuple((key, value) for key, value in known.items() if value)
 
