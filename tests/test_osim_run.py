@@ -155,8 +155,8 @@ def test_leading_coordinates_bear_what_follows_them(data_dir: Path, seed: int) -
     q, v, a = _state(model, np.random.default_rng(seed))
     free, held = osim_inverse_dynamics(as_free(model), q, v, a), osim_inverse_dynamics(model, q, v, a)
     for one in model.couplers:
-        leading, following = (model.coordinate_names[row] for row in (one.independent, one.dependent))
-        slope = torch.func.jvp(one.function, (q[:, [one.independent]],), (torch.ones(len(q), 1).to(q),))[1]
+        leading, following = (model.coordinate_names[row] for row in (*one.independents, one.dependent))
+        slope = torch.func.jvp(one.function, (q[:, one.independents],), (torch.ones(len(q), 1).to(q),))[1]
         assert_close(held[leading], free[leading] + slope * free[following], rtol=1e-9, atol=1e-9)
         assert following not in held
 

@@ -10,8 +10,9 @@ from torch import Tensor
 from torchid.conventions import GRAVITY
 from torchid.errors import Note
 from torchid.model.model import Landmark, Model
-from torchid.model.opensim.binding import OsimBinding, is_floating
+from torchid.model.opensim.binding import OsimBinding
 from torchid.model.opensim.group_inertia import heavy_enough, of_groups
+from torchid.model.opensim.joint_values import is_floating
 from torchid.model.opensim.model import OsimModel
 from torchid.model.opensim.posing import body_poses, coupled, marker_places
 from torchid.model.opensim.reading import read_osim
@@ -36,7 +37,7 @@ def read_osim_model(path: str | Path, scatter: FileScatter | None = None) -> tup
         scatter: how uncertain its numbers are; default ``FileScatter()``.
 
     Raises:
-        InputError: as ``read_osim`` and ``tree_of_osim``.
+        InputError: as ``read_osim``.
     """
     model, notes = read_osim(path)
     made, said = model_of_osim(model, scatter)
@@ -52,9 +53,6 @@ def model_of_osim(model: OsimModel, scatter: FileScatter | None = None) -> tuple
     Args:
         model: as it was read.
         scatter: how uncertain its numbers are; default ``FileScatter()``.
-
-    Raises:
-        InputError: as ``tree_of_osim``.
     """
     scatter, source = scatter or FileScatter(), str(model.source)
     tree, geometry, binding = tree_of_osim(model)
@@ -82,6 +80,10 @@ def _notes(model: OsimModel, tree: Tree, binding: OsimBinding, light: Sequence[i
     if names:
         found.append(Note("osim.massless", f"{', '.join(names)}: no mass; taken as {1e3 * LEAST_MASS:g} g", source))
     found += _hung(binding)
+    opened = ", ".join(one.name for one in model.couplers if one not in binding.model.couplers)
+    if opened:
+        said = f"{opened}: couplers with coordinates of where the person is, or beside it; not held"
+        found.append(Note("osim.uncoupled", said, source))
     kept = [one for row, one in enumerate(model.coordinates) if row not in binding.root.rows]
     locked = ", ".join(one.name for one in kept if one.locked)
     if locked:

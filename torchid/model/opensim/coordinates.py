@@ -1,16 +1,14 @@
-"""Coordinates and couplers of OpenSim files."""
+"""Coordinates of OpenSim files."""
 
 from collections.abc import Sequence
 
 from torchid.model.markup import Element
-from torchid.model.opensim.function_elements import function_in
-from torchid.model.opensim.functions import LinearFunction, ScaledFunction
-from torchid.model.opensim.model import CoordinateKind, Coupler, OsimCoordinate, TransformAxis
-from torchid.model.opensim.words import OsimDocument, child_text, objects
+from torchid.model.opensim.functions import LinearFunction
+from torchid.model.opensim.model import CoordinateKind, OsimCoordinate, TransformAxis
+from torchid.model.opensim.words import OsimDocument
 
 RANGE = (-10.0, 10.0)
 """Cited. Range of a coordinate that states none (OpenSim, Coordinate::constructProperties)."""
-COUPLER = "CoordinateCouplerConstraint"
 
 
 def coordinate_elements(joint: Element) -> list[Element]:
@@ -77,59 +75,3 @@ def _coordinate(name: str, element: Element | None, motion: CoordinateKind, docu
         locked=document.flag(element, "locked", False),
         prescribed=document.flag(element, "prescribed", False),
     )
-
-
-def read_couplers(names: Sequence[str], document: OsimDocument) -> tuple[Coupler, ...]:
-    """Return the couplers that hold, each behind those that its leading coordinate needs.
-
-    Raises:
-        InputError: ``osim.constraint`` for another constraint that holds, ``osim.coupler`` for a coupler that has not
-            what it needs, couples two ways or in a circle.
-    """
-    found: dict[int, tuple[Coupler, Element]] = {}
-    for element in objects(document.model, "ConstraintSet"):
-        off = document.flag(element, "isDisabled", not document.flag(element, "isEnforced", True))
-        if off:
-            continue
-        if element.tag != COUPLER:
-            remedy = (
-                f"Only {COUPLER} is read: remove it, or state what it does by joints; disabled ones are passed over."
-            )
-            message = "a constraint that cannot be read"
-            raise document.fault(element, "osim.constraint", message, str(element.tag), remedy=remedy)
-        coupler = _coupler(element, names, document)
-        if coupler.dependent in found:
-            raise _coupler_fault(element, document, "its coordinate follows two others", names[coupler.dependent])
-        found[coupler.dependent] = coupler, element
-    return _ordered(found, document)
-
-
-def _coupler(element: Element, names: Sequence[str], document: OsimDocument) -> Coupler:
-    leading = child_text(element, "independent_coordinate_names").split()
-    following = child_text(element, "dependent_coordinate_name")
-    unknown = [name for name in (*leading, following) if name not in names]
-    if unknown or len(leading) != 1:
-        found = ", ".join(unknown or leading)
-        raise _coupler_fault(element, document, "needs one coordinate that leads and one that follows", found)
-    function = function_in(element, document, "coupled_coordinates_function")
-    if function is None or function.n_arguments > 1:
-        raise _coupler_fault(element, document, "needs a function of one coordinate")
-    scaled = ScaledFunction(function, document.number(element, "scale_factor", 1.0))
-    return Coupler(document.name(element), names.index(following), names.index(leading[0]), scaled)
-
-
-def _ordered(found: dict[int, tuple[Coupler, Element]], document: OsimDocument) -> tuple[Coupler, ...]:
-    order: list[Coupler] = []
-    waiting = dict(found)
-    while waiting:
-        free = [row for row, (coupler, _) in waiting.items() if coupler.independent not in waiting]
-        if not free:
-            element = next(iter(waiting.values()))[1]
-            raise _coupler_fault(element, document, "couplers lead each other in a circle")
-        order += [waiting.pop(row)[0] for row in free]
-    return tuple(order)
-
-
-def _coupler_fault(element: Element, document: OsimDocument, message: str, found: str = "") -> Exception:
-    remedy = "Couple one coordinate of the model to one other."
-    return document.fault(element, "osim.coupler", message, found, remedy=remedy)

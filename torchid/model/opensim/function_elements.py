@@ -1,5 +1,7 @@
 """Elements that state functions, read into functions."""
 
+import itertools
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -10,6 +12,7 @@ from torchid.model.opensim.functions import (
     Constant,
     Function,
     LinearFunction,
+    Multinomial,
     PiecewiseCubic,
     Polynomial,
     ScaledFunction,
@@ -18,6 +21,9 @@ from torchid.model.opensim.functions import (
     simm_spline,
 )
 from torchid.model.opensim.words import OsimDocument
+
+MOST_ARGUMENTS = 6
+"""Cited. Most arguments of a polynomial of several (OpenSim, MultivariatePolynomialFunction.h)."""
 
 
 def function_in(parent: Element, document: OsimDocument, tag: str = "function") -> Function | None:
@@ -64,6 +70,17 @@ def _polynomial(element: Element, document: OsimDocument) -> Function:
     return Polynomial(coefficients)
 
 
+def _multinomial(element: Element, document: OsimDocument) -> Function:
+    """Return a polynomial whose terms stand in ascending order of the powers of the last argument, then of the one
+    before it (OpenSim's MultivariatePolynomialFunction)."""
+    arguments, order = (int(document.number(element, tag, 0.0)) for tag in ("dimension", "order"))
+    coefficients = document.series(element, "coefficients")
+    if not 1 <= arguments <= MOST_ARGUMENTS or order < 0 or len(coefficients) != math.comb(arguments + order, order):
+        raise _lacking(element, document, "a dimension, an order, and a coefficient for every term of them")
+    powers = itertools.product(range(order + 1), repeat=arguments)
+    return Multinomial(coefficients, tuple(term for term in powers if sum(term) <= order))
+
+
 def _scaled(element: Element, document: OsimDocument) -> Function:
     inner = function_in(element, document)
     if inner is None:
@@ -96,6 +113,7 @@ READERS: dict[str, Callable[[Element, OsimDocument], Function]] = {
     "Constant": _constant,
     "LinearFunction": _linear,
     "PolynomialFunction": _polynomial,
+    "MultivariatePolynomialFunction": _multinomial,
     "MultiplierFunction": _scaled,
     **dict.fromkeys(("SimmSpline", "NaturalCubicSpline", "natCubicSpline"), partial(_points, through=simm_spline)),
     "PiecewiseLinearFunction": partial(_points, through=broken_line),

@@ -91,6 +91,37 @@ class Polynomial(Function):
 
 
 @dataclass(frozen=True)
+class Multinomial(Function):
+    """A polynomial of several arguments."""
+
+    coefficients: Float[Tensor, " terms"]
+    exponents: tuple[tuple[int, ...], ...]
+    """Power of every argument in every term."""
+
+    @property
+    def n_arguments(self) -> int:
+        """One argument for every exponent of a term."""
+        return len(self.exponents[0])
+
+    def __call__(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch"]:
+        """Return the sum of the terms."""
+        return self._sum(x, torch.tensor(self.exponents), self.coefficients.to(x))
+
+    def slopes(self, x: Float[Tensor, "*batch arguments"]) -> Float[Tensor, "*batch arguments"]:
+        """Return the sums of the terms' derivatives."""
+        powers, found = torch.tensor(self.exponents), []
+        for k in range(self.n_arguments):
+            lower = powers.clone()
+            lower[:, k] = (lower[:, k] - 1).clamp(min=0)
+            found.append(self._sum(x, lower, self.coefficients.to(x) * powers[:, k].to(x)))
+        return torch.stack(found, dim=-1)
+
+    @staticmethod
+    def _sum(x: Tensor, powers: Tensor, coefficients: Tensor) -> Tensor:
+        return (x[..., None, :] ** powers.to(x.device)).prod(-1) @ coefficients
+
+
+@dataclass(frozen=True)
 class ScaledFunction(Function):
     """A multiple of another function."""
 

@@ -39,11 +39,12 @@ PLACES = ("rotation1", "rotation2", "rotation3", "translation1", "translation2",
 
 @dataclass(frozen=True)
 class JointElement:
-    """A joint's element and the frames that it stands between."""
+    """A joint's element, or a constraint's, and the frames that it stands between."""
 
     element: Element
     parent: Stated
     child: Stated
+    name: str
 
 
 def joint_elements(document: OsimDocument, frames: Frames, bodies: Mapping[str, Element]) -> list[JointElement]:
@@ -54,10 +55,12 @@ def joint_elements(document: OsimDocument, frames: Frames, bodies: Mapping[str, 
     """
     if document.sets_of_joints:
         stated = objects(document.model, "JointSet")
-        ends = [[child_text(joint, f"socket_{side}_frame") for side in ("parent", "child")] for joint in stated]
-        return [
-            JointElement(one, *(frames.named(end, one) for end in pair)) for one, pair in zip(stated, ends, strict=True)
-        ]
+        parents, children = (
+            [frames.named(child_text(one, f"socket_{side}_frame"), one) for one in stated]
+            for side in ("parent", "child")
+        )
+        names = [document.name(one) for one in stated]
+        return [JointElement(*one) for one in zip(stated, parents, children, names, strict=True)]
     return [
         _in_body(joint, name, document, frames)
         for name, body in bodies.items()
@@ -72,7 +75,8 @@ def _in_body(joint: Element, body: str, document: OsimDocument, frames: Frames) 
     parent = frames.offset(parent, joint, ("location_in_parent", "orientation_in_parent"))
     child = frames.offset(frames.named(body, joint).frame, joint, ("location", "orientation"))
     reverse = document.flag(joint, "reverse", False)
-    return JointElement(joint, child, parent) if reverse else JointElement(joint, parent, child)
+    ends = (child, parent) if reverse else (parent, child)
+    return JointElement(joint, *ends, document.name(joint))
 
 
 def read_joint(stated: JointElement, first: int, document: OsimDocument) -> tuple[OsimJoint, list[OsimCoordinate]]:
@@ -100,7 +104,7 @@ def read_joint(stated: JointElement, first: int, document: OsimDocument) -> tupl
     motions = [motion_of(first + k, turns, slides) for k in range(len(names))]
     coordinates = joint_coordinates(element, names, motions, document)
     joint = OsimJoint(
-        name=document.name(element),
+        name=stated.name,
         kind=kind,
         parent=stated.parent.frame,
         child=stated.child.frame,

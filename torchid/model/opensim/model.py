@@ -110,13 +110,13 @@ class OsimJoint:
 
 @dataclass(frozen=True)
 class Coupler:
-    """A coordinate that is a function of another."""
+    """A coordinate that is a function of others."""
 
     name: str
     dependent: int
     """Row of the coordinate that follows."""
-    independent: int
-    """Row of the coordinate that leads."""
+    independents: tuple[int, ...]
+    """Rows of the coordinates that lead."""
     function: Function
 
 
@@ -173,7 +173,10 @@ class OsimModel:
     """Inertia that a distribution of mass can have: the nearest to what is stated."""
     coordinates: tuple[OsimCoordinate, ...]
     joints: tuple[OsimJoint, ...]
-    """Joints from ground outwards: each stands behind the one that moves its carrier."""
+    """Joints from ground outwards: each stands behind the one that moves its carrier. Welds among the constraints that
+    hold a body which its own joint leaves free are joints too, called by their path."""
+    closing: tuple[OsimJoint, ...]
+    """Joints that would close loops: they hold nothing, and their coordinates follow from where their bodies are."""
     couplers: tuple[Coupler, ...]
     """Couplers in an order in which every leading coordinate is known."""
     markers: tuple[Marker, ...]

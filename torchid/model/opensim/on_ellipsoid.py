@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.model.opensim.functions import Function
-from torchid.model.opensim.rotations import about_axis
+from torchid.model.opensim.rotations import about_axis, cross_matrix
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class OnEllipsoid(Function):
         """Return the derivatives by the angles: the rate of a turn is the turn times its axis's cross product."""
         turns, found = self._turns(x), []
         shift = self._shift(x) - self._moved(turns)
-        rates = [_cross(axis.to(x)) @ turn for axis, turn in zip(self.axes, turns, strict=True)]
+        rates = [cross_matrix(axis.to(x)) @ turn for axis, turn in zip(self.axes, turns, strict=True)]
         for k in range(3):
             found.append(self._place([*turns[:k], rates[k], *turns[k + 1 : 3]], shift))
         if len(turns) > 3:
@@ -68,9 +68,3 @@ class OnEllipsoid(Function):
     def _place(self, turns: Sequence[Tensor], shift: Tensor) -> Tensor:
         row = (turns[0] @ turns[1] @ turns[2])[..., self.component, :]
         return self.radius * row[..., 2] + (row * shift).sum(-1)
-
-
-def _cross(axis: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """Return the matrix that takes the cross product of an axis with what it is given."""
-    x, y, z = axis.tolist()
-    return axis.new_tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

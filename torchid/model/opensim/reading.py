@@ -2,8 +2,8 @@
 
 import logging
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -12,18 +12,16 @@ from torchid.conventions import GRAVITY
 from torchid.errors import InputError, Note
 from torchid.model.markup import Element, Vocabulary, parse_xml, read_bytes, unread
 from torchid.model.opensim.bodies import consistent, read_inertias
-from torchid.model.opensim.coordinates import read_couplers
+from torchid.model.opensim.constraints import PROPERTIES, WELD, constraint_elements, links, weld_of
+from torchid.model.opensim.couplers import read_couplers
 from torchid.model.opensim.frames import Frames, Stated, body_elements
 from torchid.model.opensim.function_elements import READERS
 from torchid.model.opensim.joints import ELLIPSOID, KINDS, SCAPULOTHORACIC, JointElement, joint_elements, read_joint
-from torchid.model.opensim.model import GROUND, Marker, OsimCoordinate, OsimJoint, OsimModel
+from torchid.model.opensim.model import Marker, OsimCoordinate, OsimJoint, OsimModel
+from torchid.model.opensim.spanning import Spanning, spanning
 from torchid.model.opensim.words import OsimDocument, child_text, objects
 
 JOINTS = ("CustomJoint", *KINDS, ELLIPSOID, SCAPULOTHORACIC)
-CONSTRAINTS = (
-    "CoordinateCouplerConstraint", "ConstantDistanceConstraint", "PointConstraint", "PointOnLineConstraint",
-    "RollingOnSurfaceConstraint", "WeldConstraint",
-)  # fmt: skip
 _LOOKS = "FrameGeometry attached_geometry WrapObjectSet VisibleObject frame_geometry"
 _JOINT = (
     "socket_parent_frame socket_child_frame coordinates frames components parent_body location_in_parent "
@@ -47,7 +45,7 @@ WORDS: Vocabulary = {
         "ModelVisualPreferences CoordinateSet AnalysisSet",
     ),
     **dict.fromkeys(("BodySet", "JointSet", "ConstraintSet", "MarkerSet", "CoordinateSet"), ("name", "objects groups")),
-    "objects": ("", " ".join(f"{tag}*" for tag in ("Body", "Marker", "Coordinate", *JOINTS, *CONSTRAINTS))),
+    "objects": ("", " ".join(f"{tag}*" for tag in ("Body", "Marker", "Coordinate", *JOINTS, *PROPERTIES))),
     "Body": (
         "name",
         f"mass mass_center inertia inertia_xx inertia_yy inertia_zz inertia_xy inertia_xz inertia_yz Joint components "
@@ -65,17 +63,14 @@ WORDS: Vocabulary = {
     "PhysicalOffsetFrame": ("name", f"socket_parent translation orientation components {_LOOKS}"),
     "SpatialTransform": ("name", "TransformAxis*"),
     "TransformAxis": ("name", f"coordinates axis function {_FUNCTIONS}"),
-    "CoordinateCouplerConstraint": (
-        "name",
-        "isEnforced isDisabled coupled_coordinates_function independent_coordinate_names dependent_coordinate_name "
-        "scale_factor components",
-    ),
+    **{kind: ("name", words) for kind, words in PROPERTIES.items()},
     "coupled_coordinates_function": ("", _FUNCTIONS),
     "function": ("", _FUNCTIONS),
     "Marker": ("name", f"socket_parent_frame body location fixed components {_LOOKS}"),
     "Constant": ("name", "value"),
     "LinearFunction": ("name", "coefficients"),
     "PolynomialFunction": ("name", "coefficients"),
+    "MultivariatePolynomialFunction": ("name", "coefficients dimension order"),
     "MultiplierFunction": ("name", "function scale"),
     "Sine": ("name", "amplitude omega phase offset"),
     **_POINTS,
@@ -96,7 +91,7 @@ task of OpenSim's CMC tool."""
 COLONS = re.compile(rb"</?[A-Za-z_][\w.-]*(?:::[\w.-]+)+")
 """Format. Tags with a name that is none of XML, as OpenSim writes of classes within others."""
 LOOKED_AT = ("BodySet", "JointSet", "ConstraintSet", "MarkerSet")
-"""Wording. Sets of the model whose members are read."""
+"""Wording. Sets of the model whose members are read; constraints may stand among components as well."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +101,8 @@ class Parts:
     document: OsimDocument
     bodies: Mapping[str, Element]
     joints: tuple[JointElement, ...]
+    links: tuple[JointElement, ...]
+    """Constraints that hold two bodies."""
     markers: tuple[tuple[Element, Stated], ...]
 
 
@@ -154,7 +151,7 @@ def parts_of(document: OsimDocument) -> Parts:
     """Return the elements of a document that state numbers.
 
     Raises:
-        InputError: ``osim.body``, ``osim.frame``, ``osim.elsewhere`` for a part that is not read.
+        InputError: ``osim.body``, ``osim.frame``, ``osim.constraint``, ``osim.elsewhere`` for a part that is not read.
     """
     bodies = body_elements(document)
     frames = Frames(document, bodies)
@@ -163,7 +160,8 @@ def parts_of(document: OsimDocument) -> Parts:
         if element.tag == "Marker":
             frame = child_text(element, "socket_parent_frame") or child_text(element, "body")
             markers.append((element, frames.named(frame, element)))
-    parts = Parts(document, bodies, tuple(joint_elements(document, frames, bodies)), tuple(markers))
+    joints = tuple(joint_elements(document, frames, bodies))
+    parts = Parts(document, bodies, joints, tuple(links(document, frames)), tuple(markers))
     _refuse_elsewhere(parts)
     return parts
 
@@ -172,7 +170,7 @@ def _refuse_elsewhere(parts: Parts) -> None:
     """Refuse parts of the model that stand where they are not looked for, and defaults that change what is left out."""
     document = parts.document
     looked_at = {element for tag in LOOKED_AT if tag != "JointSet" for element in objects(document.model, tag)}
-    looked_at |= {one.element for one in parts.joints}
+    looked_at |= {one.element for one in parts.joints} | set(constraint_elements(document))
     for element in document.model.iterdescendants():
         tag = str(element.tag)
         moves = tag in ("Body", "Marker") or tag not in NO_JOINTS and tag.endswith(("Joint", "Constraint"))
@@ -198,6 +196,10 @@ def model_of(parts: Parts) -> tuple[OsimModel, tuple[Note, ...]]:
     driven = ", ".join(one.name for one in coordinates if one.prescribed)
     if driven:
         notes += (Note("osim.prescribed", f"{driven}: driven by functions of time, taken as free", source),)
+    couplers, markers = read_couplers([one.name for one in coordinates], document), _markers(parts)
+    welds = [weld_of(link) for link in parts.links if link.element.tag == WELD]
+    span = spanning(joints, welds, coordinates, couplers, markers)
+    _refuse_unjoined(span.joints, parts)
     model = OsimModel(
         source=document.source,
         name=document.model.get("name", ""),
@@ -207,10 +209,12 @@ def model_of(parts: Parts) -> tuple[OsimModel, tuple[Note, ...]]:
         stated=stated,
         inertias=inertias,
         coordinates=coordinates,
-        joints=_outwards(joints, parts),
-        couplers=read_couplers([one.name for one in coordinates], document),
-        markers=_markers(parts),
+        joints=span.joints,
+        closing=span.closing,
+        couplers=couplers,
+        markers=markers,
     )
+    notes += _notes_of_loops(span, parts)
     return model, (*unread(document.model, WORDS, source), *notes)
 
 
@@ -218,6 +222,9 @@ def _joints(parts: Parts) -> tuple[list[OsimJoint], tuple[OsimCoordinate, ...]]:
     joints: list[OsimJoint] = []
     coordinates: list[OsimCoordinate] = []
     for stated in parts.joints:
+        if stated.parent.frame.body == stated.child.frame.body:
+            remedy = "Let it stand between two bodies."
+            raise parts.document.fault(stated.element, "osim.loop", "a joint of a body with itself", remedy=remedy)
         joint, own = read_joint(stated, len(coordinates), parts.document)
         known = {one.name for one in coordinates}
         twice = [joint.name] if joint.name in {one.name for one in joints} else []
@@ -230,22 +237,31 @@ def _joints(parts: Parts) -> tuple[list[OsimJoint], tuple[OsimCoordinate, ...]]:
     return joints, tuple(coordinates)
 
 
-def _outwards(joints: list[OsimJoint], parts: Parts) -> tuple[OsimJoint, ...]:
-    """Order the joints from ground outwards; one whose child is nearer to ground is turned round."""
-    order: list[OsimJoint] = []
-    reached, waiting = {GROUND}, dict(enumerate(joints))
-    while near := [k for k, joint in waiting.items() if {joint.parent.body, joint.child.body} & reached]:
-        joint = waiting.pop(near[0])
-        if {joint.parent.body, joint.child.body} <= reached:
-            element, remedy = parts.joints[near[0]].element, "Open the loop: closed chains cannot be read."
-            raise parts.document.fault(element, "osim.loop", "a joint closes a loop", remedy=remedy)
-        order.append(replace(joint, outward=joint.parent.body in reached))
-        reached |= {joint.parent.body, joint.child.body}
+def _refuse_unjoined(joints: Sequence[OsimJoint], parts: Parts) -> None:
+    reached = {joint.carried.body for joint in joints}
     for body, element in enumerate(parts.bodies.values()):
         if body not in reached:
             remedy = "Join it to ground or to a body that is; a FreeJoint leaves it free."
             raise parts.document.fault(element, "osim.unjoined", "no chain of joints leads to ground", remedy=remedy)
-    return tuple(order)
+
+
+def _notes_of_loops(span: Spanning, parts: Parts) -> tuple[Note, ...]:
+    """What holds bodies in the file and not in the model, and what hangs by a weld instead of its own free joint."""
+    source, names = str(parts.document.source), ("ground", *parts.bodies)
+    hung = [joint.name for joint in span.joints if joint.kind == WELD]
+    left = {joint.name for joint in (*span.closing, *span.opened)}
+    found, opened = [], []
+    for one in (*parts.joints, *parts.links):
+        said = f"{one.element.tag} {one.name.rpartition('/')[2]}"
+        said += f" ({names[one.parent.frame.body + 1]}, {names[one.child.frame.body + 1]})"
+        if one.name in hung:
+            found.append(Note("osim.hung", f"{said} carries what a joint of its own leaves free", source))
+        elif one.name in left or one in parts.links:
+            opened.append(said)
+    if opened:
+        said = f"{', '.join(opened)}: kept in the file, but not held: markers tell where these bodies are"
+        found.append(Note("osim.opened", said, source))
+    return tuple(found)
 
 
 def _markers(parts: Parts) -> tuple[Marker, ...]:

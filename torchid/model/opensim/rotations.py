@@ -15,10 +15,15 @@ def about_axis(axis: Float[Tensor, "3"], angle: Float[Tensor, "*batch"]) -> Floa
         axis: unit vector.
         angle: angles [rad].
     """
-    x, y, z = axis.tolist()
-    K = angle.new_tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    K = cross_matrix(axis.to(angle))
     sine, versine = angle.sin()[..., None, None], (1.0 - angle.cos())[..., None, None]
     return torch.eye(3).to(angle) + sine * K + versine * (K @ K)
+
+
+def cross_matrix(axis: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """Return the matrix that takes the cross product of an axis with what it is given."""
+    x, y, z = axis.tolist()
+    return axis.new_tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def body_xyz(angles: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:

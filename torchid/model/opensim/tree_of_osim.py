@@ -6,20 +6,21 @@ add, so that those in any directions are three along the axes of its frame. Bodi
 """
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchid.errors import InputError
 from torchid.model.coupling import CoupledAxis, Coupling
 from torchid.model.mechanics import as_rotation
 from torchid.model.model import Geometry
-from torchid.model.opensim.binding import OsimBinding, affine
+from torchid.model.opensim.binding import OsimBinding
 from torchid.model.opensim.functions import Constant, Function, LinearFunction
+from torchid.model.opensim.joint_values import affine
 from torchid.model.opensim.model import OsimJoint, OsimModel, TransformAxis
 from torchid.model.opensim.posing import joint_pose
+from torchid.model.opensim.reversed_slides import ReversedSlide
 from torchid.model.opensim.roots import Root, root_of
 from torchid.model.opensim.rotations import R_OW, inverse, pose
 from torchid.model.skeleton import BASE_SD
@@ -34,13 +35,11 @@ def tree_of_osim(model: OsimModel) -> tuple[Tree, Geometry, OsimBinding]:
     The tree's base floats, whatever freedoms the file gives the body that carries the person; what stands in the file
     beside the person is no part of the tree.
 
-    Raises:
-        InputError: ``osim.root`` where coordinates of the joint that carries the person drive something else as well;
-            ``osim.reversed`` for a joint with slides whose child carries its parent.
+    A coupler that goes beyond the coordinates of the tree is opened: the binding's model is without it.
     """
     root = root_of(model)
-    _refuse_shared(model, model.joints[root.row])
     groups, joints = _welded(model, root)
+    model = _uncoupled(model, {row for joint in joints for row in joint.rows} - set(model.joints[root.row].rows))
     poses = _poses_in_groups(model, root, joints)
     binding = OsimBinding(model, tuple(map(tuple, groups)), poses, root.row)
     builder = _Builder(model, binding, [joint.rows for joint in joints])
@@ -49,13 +48,15 @@ def tree_of_osim(model: OsimModel) -> tuple[Tree, Geometry, OsimBinding]:
     return builder.tree(), builder.geometry(), binding
 
 
-def _refuse_shared(model: OsimModel, root: OsimJoint) -> None:
-    follows = {row for one in model.couplers for row in (one.dependent, one.independent)}
-    if follows & set(root.rows):
-        raise InputError(
-            "osim.root", "coordinates of the joint that carries the person lead or follow others", source=model.source,
-            place=root.name, remedy="Remove their couplers: markers tell where the person is.",
-        )  # fmt: skip
+def _uncoupled(model: OsimModel, rows: set[int]) -> OsimModel:
+    """The model without couplers of what the tree moves by coordinates with what it does not: coordinates of the joint
+    that carries the person, of joints that close loops, and of what stands beside."""
+    kept = []
+    for one in model.couplers:
+        inside = rows & {one.dependent, *one.independents}
+        if not inside or inside == {one.dependent, *one.independents}:
+            kept.append(one)
+    return replace(model, couplers=tuple(kept))
 
 
 def _welded(model: OsimModel, root: Root) -> tuple[list[list[int]], list[OsimJoint]]:
@@ -123,7 +124,8 @@ class _Builder:
                 self.row[row] = self.follow(one.name, (), Constant(one.default))
         for coupler in model.couplers:
             name = model.coordinates[coupler.dependent].name
-            self.row[coupler.dependent] = self.follow(name, (self.row[coupler.independent],), coupler.function)
+            rows = tuple(self.row[row] for row in coupler.independents)
+            self.row[coupler.dependent] = self.follow(name, rows, coupler.function)
 
     def follow(self, name: str, rows: tuple[int, ...], function: Function) -> int:
         """A new follower's row."""
@@ -174,11 +176,7 @@ class _Builder:
     def _slides(self, joint: OsimJoint) -> list[Slide]:
         """Slides along the axes of the joint's frame, each the sum of what the file's slides do there."""
         if joint.slides and not joint.outward:
-            remedy = "Exchange the joint's parent and child."
-            raise InputError(
-                "osim.reversed", "a joint with slides whose child is nearer to ground", source=self.model.source,
-                place=joint.name, remedy=remedy,
-            )  # fmt: skip
+            return self._reversed(joint)
         values = [self._value(joint, slide) for slide in joint.slides]
         units = [slide.unit.tolist() for slide in joint.slides]
         found = []
@@ -191,6 +189,16 @@ class _Builder:
                 rows = tuple(row for row, _ in parts)
                 found.append(Slide(component, self.follow(f"{joint.name}_slide", rows, LinearFunction(slopes, 0.0))))
         return found
+
+    def _reversed(self, joint: OsimJoint) -> list[Slide]:
+        """Slides that follow all turns and slides of a joint whose child carries its parent."""
+        rows = tuple(self._value(joint, axis) for axis in (*joint.turns, *joint.slides))
+        axes, directions = (
+            torch.stack([axis.unit for axis in kind]) if kind else torch.zeros(0, 3, dtype=torch.float64)
+            for kind in (joint.turns, joint.slides)
+        )
+        functions = [ReversedSlide(component, axes, directions) for component in range(3)]
+        return [Slide(k, self.follow(f"{joint.name}_slide", rows, one)) for k, one in enumerate(functions)]
 
     def tree(self) -> Tree:
         """The tree of all that was added."""

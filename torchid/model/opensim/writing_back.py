@@ -180,7 +180,7 @@ def _bodies(model: OsimModel, before: OsimModel, parts: Parts, wanted: _Wanted) 
 def _joints(model: OsimModel, before: OsimModel, parts: Parts, wanted: _Wanted) -> None:
     old = {joint.name: joint for joint in before.joints}
     _same("joint", model, [joint.name for joint in model.joints], list(old))
-    stated = {parts.document.name(one.element): one for one in parts.joints}
+    stated = {one.name: one for one in (*parts.joints, *parts.links)}
     for joint in model.joints:
         holder = stated[joint.name]
         _frame(joint.parent, holder.parent, wanted, holder.element)
