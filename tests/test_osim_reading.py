@@ -364,7 +364,12 @@ def test_a_driven_coordinate_is_said(tmp_path: Path) -> None:
 
 PIN = joint("PinJoint", "q0")
 TWO_MARKERS = 2 * MARKER.format("M", "/ground")
-LOOP = joint("PinJoint", "q1", parent="/bodyset/a", child="/bodyset/b") + joint("WeldJoint", child="/bodyset/b")
+OWN = f"<SimmSpline>{POINTS}</SimmSpline>"
+TWO = "<LinearFunction><coefficients>1 2 3</coefficients></LinearFunction>"
+FEW = (
+    "<MultivariatePolynomialFunction><dimension>2</dimension><order>1</order><coefficients>1 2</coefficients>"
+    "</MultivariatePolynomialFunction>"
+)
 BOMB = (
     '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]>'
     '<OpenSimDocument Version="40500">&b;</OpenSimDocument>'
@@ -391,7 +396,7 @@ def _custom(rest: str) -> str:
         ("osim.body", osim(PIN, bodies="aa"), "two bodies"),
         ("osim.body", osim(PIN).replace("<Body name", "<Boddy name").replace("</Body>", "</Boddy>"), "Boddy"),
         ("osim.body", osim(bodies=""), "no bodies"),
-        ("osim.elsewhere", osim(PIN, rest="<components><WeldConstraint name='w'/></components>"), "'w'"),
+        ("osim.elsewhere", osim(PIN, rest="<components><Marker name='w'/></components>"), "'w'"),
         ("osim.elsewhere", osim(PIN, rest="<defaults><Coordinate name='d'/></defaults>"), "'d'"),
         ("osim.mass", osim(PIN).replace("<mass>2", "<mass>-2"), "found: -2"),
         ("osim.mass", osim(PIN).replace("<mass>2</mass>", ""), "found: none"),
@@ -402,7 +407,7 @@ def _custom(rest: str) -> str:
         ("osim.joint", osim(joint("PinJoint", "q0", "q1")), "2 instead of 1"),
         ("osim.joint", osim(joint("PinJoint")), "0 instead of 1"),
         ("osim.joint", _custom(""), "SpatialTransform"),
-        ("osim.loop", osim(PIN, LOOP, bodies="ab"), "loop"),
+        ("osim.loop", osim(joint("PinJoint", "q0", parent="/bodyset/a")), "itself"),
         ("osim.unjoined", osim(PIN, bodies="ab"), "name='b'"),
         ("osim.twice", osim(PIN, joint("PinJoint", "q0", child="/bodyset/b"), bodies="ab"), "q0"),
         ("osim.twice", osim(PIN, rest=f"<MarkerSet><objects>{TWO_MARKERS}</objects></MarkerSet>"), "M"),
@@ -419,11 +424,13 @@ def _custom(rest: str) -> str:
         ("osim.function", _custom(SPLINE.replace("SimmSpline", "GCVSpline")), "GCVSpline"),
         ("osim.function", _custom(SPLINE.replace("<x>0 1", "<x>1 1")), "increase"),
         ("osim.function", _custom(SPLINE.replace("<x>0 1", "<x>0 1 2")), "as many x as y"),
-        ("osim.constraint", _coupled('<WeldConstraint name="w"/>'), "WeldConstraint"),
-        ("osim.coupler", _coupled(COUPLER.format("c", "q0 q1", "q2", "true", POINTS)), "q0, q1"),
+        ("osim.constraint", _coupled('<OtherConstraint name="w"/>'), "OtherConstraint"),
+        ("osim.frame", _coupled('<WeldConstraint name="w"/>'), "'w'"),
+        ("osim.coupler", _coupled(COUPLER.format("c", "q0", "q2", "true", POINTS).replace(OWN, TWO)), "one of 2"),
+        ("osim.function", _coupled(COUPLER.format("c", "q0", "q2", "true", POINTS).replace(OWN, FEW)), "every term"),
         ("osim.coupler", _coupled(COUPLER.format("c", "x", "q2", "true", POINTS)), "found: x"),
         ("osim.coupler", _coupled(COUPLER.format("c", "q2", "q2", "true", POINTS)), "circle"),
-        ("osim.coupler", _coupled(*(COUPLER.format(n, n, "q2", "true", POINTS) for n in ("q0", "q1"))), "two others"),
+        ("osim.coupler", _coupled(*(COUPLER.format(n, n, "q2", "true", POINTS) for n in ("q0", "q1"))), "two ways"),
         ("osim.coupler", _coupled(COUPLER.format("c", "q0", "q2", "true", "")).replace("coupled_", ""), "a function"),
     ],
 )  # fmt: skip
@@ -535,10 +542,3 @@ def test_the_words_are_those_of_opensim() -> None:
         one = getattr(opensim, tag)()
         names = {one.getPropertyByIndex(k).getName() for k in range(one.getNumProperties())} - {"ground"}
         assert names <= {word.rstrip("*") for word in WORDS[tag][1].split()}, tag
-
-
-def test_a_disabled_constraint_is_passed_over(tmp_path: Path) -> None:
-    """Constraints that are switched off do not matter, in the words of either version."""
-    for word in ("<isEnforced>false</isEnforced>", "<isDisabled>true</isDisabled>"):
-        text = _coupled(f'<WeldConstraint name="w">{word}</WeldConstraint>')
-        assert not read_osim(_write(tmp_path / "a.osim", text))[0].couplers

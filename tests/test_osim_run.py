@@ -11,21 +11,20 @@ import torch
 import yaml
 from harness.opensim_forces import as_free, osim_inverse_dynamics
 from osim_dynamics import opensim_consistency, opensim_forces
-from osim_files import MARKER, NAMES, draw, joint, osim, transform
+from osim_files import MARKER, NAMES, joint, osim, transform
 from osim_session import FUNCTION_KNEES, identified
+from osim_trees import checked, drawn_state
 from torch import Tensor
 from torch.testing import assert_close
 
 from torchid.config import load_config
 from torchid.dynamics.rows import residual_rms
-from torchid.errors import ConfigError, InputError, Note
+from torchid.errors import ConfigError
 from torchid.kinematics.chain import chain_points, chain_poses
-from torchid.model.files import load_model
-from torchid.model.model import Model
 from torchid.model.opensim.as_model import LEAST_MASS, read_osim_model
 from torchid.model.opensim.group_inertia import of_bodies, of_groups
-from torchid.model.opensim.model import GROUND, OsimModel
-from torchid.model.opensim.posing import body_poses, coupled, marker_places
+from torchid.model.opensim.model import GROUND
+from torchid.model.opensim.posing import body_poses, marker_places
 from torchid.model.opensim.reading import read_osim
 from torchid.model.opensim.rotations import R_OW
 from torchid.model.opensim.tree_of_osim import tree_of_osim
@@ -43,20 +42,6 @@ def _path(name: str, data_dir: Path) -> Path:
     return path
 
 
-def _state(model: OsimModel, rng: np.random.Generator, frames: int = 4) -> tuple[Tensor, Tensor, Tensor]:
-    """Coordinates, rates and accelerations, locked ones at rest, couplers obeyed."""
-    q = draw(model, rng, frames)
-    v, a = (torch.tensor(rng.normal(size=q.shape)) for _ in range(2))
-    still = [row for row, one in enumerate(model.coordinates) if one.locked]
-    q[:, still], v[:, still], a[:, still] = model.defaults[still], 0.0, 0.0
-
-    def rate(q: Tensor, v: Tensor) -> Tensor:
-        return torch.func.jvp(lambda x: coupled(model, x), (q,), (v,))[1]
-
-    v, a = torch.func.jvp(rate, (q, v), (v, a))
-    return coupled(model, q), v, a
-
-
 @pytest.mark.data
 @pytest.mark.parametrize("name", NAMES)
 def test_trees_pose_bodies_and_markers_as_the_file(name: str, data_dir: Path, seed: int) -> None:
@@ -65,7 +50,7 @@ def test_trees_pose_bodies_and_markers_as_the_file(name: str, data_dir: Path, se
     binding, tree = made.osim, made.tree
     assert binding is not None
     model, geometry = binding.model, made.geometry.geometry(made.geometry.mean)
-    q, v, a = _state(model, np.random.default_rng(seed))
+    q, v, a = drawn_state(model, np.random.default_rng(seed))
     ours, _, _ = binding.to_tree(tree.dof_names, q, v, a)
     X_WT, X_GB = chain_poses(tree, ours, geometry), body_poses(model, q)
     for k, members in enumerate(binding.groups):
@@ -93,7 +78,7 @@ def test_forces_equal_opensims(name: str, data_dir: Path, seed: int) -> None:
     pytest.importorskip("opensim")
     path = _path(name, data_dir)
     model, _ = read_osim(path)
-    q, v, a = _state(model, np.random.default_rng(seed), frames=3)
+    q, v, a = drawn_state(model, np.random.default_rng(seed), frames=3)
     plain = all(sum(bool(axis.rows) for axis in one.turns) <= len(one.rows) for one in model.joints)
     v = v if plain else 0.0 * v
     ours = osim_inverse_dynamics(as_free(model), q, v, a)
@@ -109,7 +94,7 @@ def test_forces_equal_opensims(name: str, data_dir: Path, seed: int) -> None:
 def test_forces_are_lagranges(name: str, data_dir: Path, seed: int) -> None:
     """Rates included, forces are those of Lagrange's equation for the energies of the file's own bodies."""
     model = as_free(read_osim(_path(name, data_dir))[0])
-    q, v, a = _state(model, np.random.default_rng(seed), frames=2)
+    q, v, a = drawn_state(model, np.random.default_rng(seed), frames=2)
     body_poses(model, q)  # frames remember their poses, which must not be made while derivatives are
 
     def kinetic(q: Tensor, v: Tensor) -> Tensor:
@@ -139,7 +124,7 @@ def test_accelerations_of_opensims_function_knees_are_no_rates(data_dir: Path, s
     pytest.importorskip("opensim")
     path = _path(FUNCTION_KNEES, data_dir)
     model, _ = read_osim(path)
-    q, v, _ = _state(model, np.random.default_rng(seed), frames=1)
+    q, v, _ = drawn_state(model, np.random.default_rng(seed), frames=1)
     missed = {}
     for body in ("femur_r", "tibia_r"):
         asked = path, model.coordinate_names, body, q.tolist(), torch.ones_like(v).tolist()
@@ -152,7 +137,7 @@ def test_accelerations_of_opensims_function_knees_are_no_rates(data_dir: Path, s
 def test_leading_coordinates_bear_what_follows_them(data_dir: Path, seed: int) -> None:
     """Force of a knee is that of OpenSim's free knee and that of its kneecap's coordinate, by virtual work."""
     model, _ = read_osim(_path(FUNCTION_KNEES, data_dir))
-    q, v, a = _state(model, np.random.default_rng(seed))
+    q, v, a = drawn_state(model, np.random.default_rng(seed))
     free, held = osim_inverse_dynamics(as_free(model), q, v, a), osim_inverse_dynamics(model, q, v, a)
     for one in model.couplers:
         leading, following = (model.coordinate_names[row] for row in (*one.independents, one.dependent))
@@ -182,7 +167,7 @@ def test_identified_models_are_what_opensim_opens(name: str, data_dir: Path, see
     assert tree.names == made.tree.names and tree.dof_names == made.tree.dof_names
     assert_close(read.offset, geometry.offset, rtol=0, atol=1e-12)
     assert_close(of_groups(other, again.inertias.phi), phi, rtol=1e-9, atol=1e-9)
-    q, v, a = _state(again, rng, frames=2)
+    q, v, a = drawn_state(again, rng, frames=2)
     ours = osim_inverse_dynamics(as_free(again), q, 0.0 * v, a)
     theirs = opensim_forces(tmp_path / "a.osim", again.coordinate_names, *(x.tolist() for x in (q, 0.0 * v, a)))
     expected = torch.tensor(theirs, dtype=torch.float64)
@@ -220,7 +205,7 @@ def test_torques_in_the_files_coordinates_do_the_same_work(data_dir: Path, seed:
     made, _ = read_osim_model(_path(FUNCTION_KNEES, data_dir))
     binding, rng = made.osim, np.random.default_rng(seed)
     assert binding is not None
-    q, v, a = _state(binding.model, rng)
+    q, v, a = drawn_state(binding.model, rng)
     q[:, binding.root.rows[1]] = 0.4 * q[:, binding.root.rows[1]].sin()  # short of the pole of the root's angles
     states = binding.to_tree(made.tree.dof_names, q, v, a)
     tau = torch.tensor(rng.normal(size=states[0].shape))
@@ -296,7 +281,7 @@ BESIDE = {
 @pytest.mark.parametrize("case", ROOTS)
 def test_a_person_floats_whatever_the_root_leaves_free(case: str, seed: int, tmp_path: Path) -> None:
     """Poses are the file's, coordinates come back from them, and what the file does not show is said."""
-    made, notes = _check(tmp_path, osim(*ROOTS[case], bodies="ab"), np.random.default_rng(seed))
+    made, notes = checked(tmp_path, osim(*ROOTS[case], bodies="ab"), np.random.default_rng(seed))
     assert made.tree.dof_names[6:] == ("q6",)
     assert [note.code for note in notes if note.code.startswith("osim.")] == ["osim.floats"]
 
@@ -305,7 +290,7 @@ def test_a_person_floats_whatever_the_root_leaves_free(case: str, seed: int, tmp
 def test_what_stands_beside_a_person_stays_in_the_file(case: str, seed: int, tmp_path: Path) -> None:
     """Neither body nor coordinate of it is identified; written back it has its own numbers, the person others."""
     text = osim(*BESIDE[case], bodies="abc", rest=MARKS.format(MARKER.format("M", "/bodyset/a")))
-    made, notes = _check(tmp_path, text, np.random.default_rng(seed))
+    made, notes = checked(tmp_path, text, np.random.default_rng(seed))
     assert made.osim is not None
     assert made.tree.names == ("a", "b") and made.tree.dof_names[6:] == ("q6",) and set(made.landmarks) == {"M"}
     assert "c: no part of the person" in next(note.message for note in notes if note.code == "osim.beside")
@@ -322,7 +307,7 @@ def test_a_shoulder_blade_is_no_person_of_its_own(seed: int, tmp_path: Path) -> 
     """It slides on a thorax that is fixed on ground and bears no markers: its slides follow its turns."""
     radii = "<thoracic_ellipsoid_radii_x_y_z>0.07 0.15 0.07</thoracic_ellipsoid_radii_x_y_z>"
     blade = joint("ScapulothoracicJoint", *SIX[:4], **PIN, rest=radii)
-    made, _ = _check(tmp_path, osim(joint("WeldJoint"), blade, bodies="ab"), np.random.default_rng(seed))
+    made, _ = checked(tmp_path, osim(joint("WeldJoint"), blade, bodies="ab"), np.random.default_rng(seed))
     assert made.tree.names == ("a", "b") and made.tree.dof_names[6:] == SIX[:4]
 
 
@@ -330,7 +315,7 @@ def test_a_marker_on_a_treadmill_makes_it_no_person(seed: int, tmp_path: Path) -
     """One on the belt, more on the person."""
     marks = [MARKER.format(f"M{k}", f"/bodyset/{body}") for k, body in enumerate("caab")]
     text = osim(*BESIDE["moving below"], bodies="abc", rest=MARKS.format("".join(marks)))
-    made, _ = _check(tmp_path, text, np.random.default_rng(seed))
+    made, _ = checked(tmp_path, text, np.random.default_rng(seed))
     assert made.tree.names == ("a", "b") and set(made.landmarks) == {"M1", "M2", "M3"}
 
 
@@ -368,24 +353,18 @@ def test_a_limited_root_shows_the_nearest_pose(seed: int, tmp_path: Path) -> Non
         assert bool((missed(other) > least).all())
 
 
-def test_roots_that_lead_others_and_reversed_slides_are_refused(tmp_path: Path) -> None:
-    """Each by name."""
-    knee = joint("PinJoint", "q6", **PIN)
+def test_couplers_with_where_the_person_is_are_opened(seed: int, tmp_path: Path) -> None:
+    """A coordinate that would follow the pelvis is free, and that is said."""
     coupler = (
         "<ConstraintSet><objects><CoordinateCouplerConstraint name='k'><coupled_coordinates_function>"
         f"{STRAIGHT.format(1, 0)}</coupled_coordinates_function><independent_coordinate_names>q0"
         "</independent_coordinate_names><dependent_coordinate_name>q6</dependent_coordinate_name>"
         "</CoordinateCouplerConstraint></objects></ConstraintSet>"
     )
-    free = joint("FreeJoint", *SIX)
-    cases = {
-        "osim.root": osim(free, knee, bodies="ab", rest=coupler),
-        "osim.reversed": osim(free, joint("SliderJoint", "q6", parent="/bodyset/b", child="/bodyset/a"), bodies="ab"),
-    }
-    for code, text in cases.items():
-        (tmp_path / "a.osim").write_text(text)
-        with pytest.raises(InputError, match=code.replace(".", r"\.")):
-            load_model(tmp_path / "a.osim")
+    text = osim(joint("FreeJoint", *SIX), joint("PinJoint", "q6", **PIN), bodies="ab", rest=coupler)
+    made, notes = checked(tmp_path, text, np.random.default_rng(seed))
+    assert made.tree.dof_names[6:] == ("q6",)
+    assert [note.message.partition(":")[0] for note in notes if note.code == "osim.uncoupled"] == ["k"]
 
 
 def test_every_kind_of_joint_hangs_in_a_tree(seed: int, tmp_path: Path) -> None:
@@ -394,11 +373,9 @@ def test_every_kind_of_joint_hangs_in_a_tree(seed: int, tmp_path: Path) -> None:
     plain = {"PinJoint": 1, "UniversalJoint": 2, "BallJoint": 3, "SliderJoint": 1, "PlanarJoint": 3, "FreeJoint": 6}
     for kind, count in plain.items():
         own = [next(names) for _ in range(count)]
-        ways = [("/bodyset/a", "/bodyset/b")]
-        ways += [("/bodyset/b", "/bodyset/a")] if kind in ("PinJoint", "UniversalJoint", "BallJoint") else []
-        for parent, child in ways:
-            text = osim(joint("FreeJoint", *SIX), joint(kind, *own, parent=parent, child=child), bodies="ab")
-            _check(tmp_path, text, rng)
+        for parent, child in (("/bodyset/a", "/bodyset/b"), ("/bodyset/b", "/bodyset/a")):
+            second = joint(kind, *own, parent=parent, child=child).replace(f"{kind}_a", "second", 1)
+            checked(tmp_path, osim(joint("FreeJoint", *SIX), second, bodies="ab"), rng)
     line, bend = (f"<LinearFunction><coefficients>{x}</coefficients></LinearFunction>" for x in ("1 0", "-1 0"))
     curve = "<PolynomialFunction><coefficients>0.3 -0.2 0.4 0.1</coefficients></PolynomialFunction>"
     axes = {
@@ -409,28 +386,9 @@ def test_every_kind_of_joint_hangs_in_a_tree(seed: int, tmp_path: Path) -> None:
         "translation2": ("q6", "0.6 0.8 0", curve),
         "translation3": ("", "0 0 1", "<Constant><value>0.05</value></Constant>"),
     }
-    custom = joint("CustomJoint", "q6", parent="/bodyset/a", child="/bodyset/b", rest=transform(axes))
-    _check(tmp_path, osim(joint("FreeJoint", *SIX), custom, bodies="ab"), rng)
-
-
-def _check(folder: Path, text: str, rng: np.random.Generator) -> tuple[Model, tuple[Note, ...]]:
-    """The model of a file, its poses and its coordinates compared with the file's."""
-    (folder / "a.osim").write_text(text)
-    made, notes = read_osim_model(folder / "a.osim")
-    binding, names = made.osim, made.tree.dof_names
-    assert binding is not None
-    q, v, a = _state(binding.model, rng)
-    states, _, _ = binding.to_tree(names, q, v, a)
-    X_WT = chain_poses(made.tree, states, made.geometry.geometry(made.geometry.mean))
-    X_GB = body_poses(binding.model, q)
-    for body in binding.bodies:
-        X_WB = X_WT[:, binding.group_of(body)] @ binding.X_TB[body]
-        assert_close(R_OW @ X_WB[:, :3, :3], X_GB[:, body, :3, :3], rtol=0, atol=1e-9)
-        assert_close(X_WB[:, :3, 3] @ R_OW.T, X_GB[:, body, :3, 3], rtol=0, atol=1e-9)
-    back = body_poses(binding.model, binding.from_tree(names, states))
-    if len(binding.bodies) == len(binding.model.bodies):
-        assert_close(back, X_GB, rtol=0, atol=1e-8)
-    return made, notes
+    for parent, child in (("/bodyset/a", "/bodyset/b"), ("/bodyset/b", "/bodyset/a")):
+        custom = joint("CustomJoint", "q6", parent=parent, child=child, rest=transform(axes))
+        checked(tmp_path, osim(joint("FreeJoint", *SIX), custom, bodies="ab"), rng)
 
 
 def test_bodies_without_mass_get_a_little_and_it_is_said(tmp_path: Path) -> None:
@@ -488,7 +446,7 @@ def test_bodies_without_markers_go_on_following(data_dir: Path, seed: int) -> No
     assert set(made.tree.dof_names) - set(held.tree.dof_names) == {"mtp_angle_r"}
     assert "mtp_angle_r" in notes[0].message and "knee_angle_r" not in notes[0].message
     assert made.osim is not None
-    q, v, a = _state(made.osim.model, np.random.default_rng(seed))
+    q, v, a = drawn_state(made.osim.model, np.random.default_rng(seed))
     q[:, made.osim.model.coordinate_names.index("mtp_angle_r")] = 0.0
     before, after = (
         chain_poses(

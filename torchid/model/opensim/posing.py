@@ -42,7 +42,8 @@ def coupled(model: OsimModel, q: Float[Tensor, "*batch coordinates"]) -> Float[T
     """
     rows = list(q.unbind(-1))
     for coupler in model.couplers:
-        rows[coupler.dependent] = coupler.function(torch.stack([*(rows[row] for row in coupler.independents)], dim=-1))
+        leading = [rows[row] for row in coupler.independents]
+        rows[coupler.dependent] = coupler.function(torch.stack(leading, dim=-1) if leading else q[..., :0])
     return torch.stack(rows, dim=-1) if rows else q
 
 

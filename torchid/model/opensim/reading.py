@@ -16,6 +16,7 @@ from torchid.model.opensim.constraints import PROPERTIES, WELD, constraint_eleme
 from torchid.model.opensim.couplers import read_couplers
 from torchid.model.opensim.frames import Frames, Stated, body_elements
 from torchid.model.opensim.function_elements import READERS
+from torchid.model.opensim.joint_values import is_floating
 from torchid.model.opensim.joints import ELLIPSOID, KINDS, SCAPULOTHORACIC, JointElement, joint_elements, read_joint
 from torchid.model.opensim.model import Marker, OsimCoordinate, OsimJoint, OsimModel
 from torchid.model.opensim.spanning import Spanning, spanning
@@ -249,14 +250,14 @@ def _notes_of_loops(span: Spanning, parts: Parts) -> tuple[Note, ...]:
     """What holds bodies in the file and not in the model, and what hangs by a weld instead of its own free joint."""
     source, names = str(parts.document.source), ("ground", *parts.bodies)
     hung = [joint.name for joint in span.joints if joint.kind == WELD]
-    left = {joint.name for joint in (*span.closing, *span.opened)}
+    left = {joint.name for joint in span.closing if not is_floating(joint)} | {weld.name for weld in span.opened}
     found, opened = [], []
     for one in (*parts.joints, *parts.links):
         said = f"{one.element.tag} {one.name.rpartition('/')[2]}"
         said += f" ({names[one.parent.frame.body + 1]}, {names[one.child.frame.body + 1]})"
         if one.name in hung:
             found.append(Note("osim.hung", f"{said} carries what a joint of its own leaves free", source))
-        elif one.name in left or one in parts.links:
+        elif one.name in left or one in parts.links and one.element.tag != WELD:
             opened.append(said)
     if opened:
         said = f"{', '.join(opened)}: kept in the file, but not held: markers tell where these bodies are"

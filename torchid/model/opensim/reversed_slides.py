@@ -40,7 +40,7 @@ class ReversedSlide(Function):
         for k, axis in enumerate(self.axes):
             rate = cross_matrix(axis.to(x)) @ turns[k]
             found.append(-(self._column([*turns[:k], rate, *turns[k + 1 :]]) * way).sum(-1))
-        along = -(self._column(turns) @ self.directions.to(x).T)
+        along = -(self._column(turns) @ self.directions.to(x).T).expand(*x.shape[:-1], -1)
         return torch.cat([*(slope[..., None] for slope in found), along], dim=-1)
 
     def _turns(self, x: Tensor) -> list[Tensor]:

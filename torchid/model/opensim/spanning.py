@@ -1,7 +1,8 @@
 """Which joints of a file are the tree, where joints and welds close loops.
 
 A joint that leaves all six freedoms holds nothing. Of a loop with such a joint and a weld the weld is exactly what the
-file means: the body hangs there. Of any other loop something must be opened, and what stands last in the file is.
+file means: the body hangs there. Of any other loop something must be opened, and what stands last in the file is, but
+that bodies which no marker tells hang by a weld on one that a marker tells, not by a joint whose coordinates none does.
 """
 
 from collections.abc import Sequence
@@ -46,11 +47,27 @@ def spanning(
     kept += parts.joined(person)
     kept += parts.joined(welds)
     kept += parts.joined([joint for joint in free if joint not in person])
-    return Spanning(
-        _outwards([joint for joint in (*joints, *welds) if joint in kept]),
-        tuple(joint for joint in joints if joint not in kept),
-        tuple(weld for weld in welds if weld not in kept),
-    )
+    kept += parts.joined([joint for joint in free if joint not in person])
+    tree = _outwards([joint for joint in (*joints, *welds) if joint in kept])
+    seen = {marker.frame.body for marker in markers} - {GROUND}
+    for weld in welds:
+        if weld.name not in {joint.name for joint in tree}:
+            tree = _hung(weld, tree, seen)
+    names = {joint.name for joint in tree}
+    closing, opened = (tuple(one for one in some if one.name not in names) for some in (joints, welds))
+    return Spanning(tree, closing, opened)
+
+
+def _hung(weld: OsimJoint, tree: tuple[OsimJoint, ...], seen: set[int]) -> tuple[OsimJoint, ...]:
+    """The tree with a weld instead of the moving joint of a body that no marker tells, nor any that it carries."""
+    moving = {joint.carried.body for joint in tree if joint.rows}
+    for on, body in ((weld.parent.body, weld.child.body), (weld.child.body, weld.parent.body)):
+        below = {body}
+        for joint in tree:
+            below |= {joint.carried.body} if joint.carrier.body in below else set()
+        if on in seen and body in moving and not below & {on, *seen}:
+            return _outwards([*(joint for joint in tree if joint.carried.body != body), weld])
+    return tree
 
 
 @dataclass
