@@ -92,7 +92,7 @@ def test_damaged_files_are_refused_or_read_as_by_opensim(seed: int, tmp_path: Pa
     for _ in range(250):
         path.write_text(damaged(rng.choice(SOUND), rng), encoding="utf-8")
         try:
-            model, _ = read_osim(path)
+            model, notes = read_osim(path)
         except TorchidError as error:
             assert error.remedy
             refused += 1
@@ -104,6 +104,8 @@ def test_damaged_files_are_refused_or_read_as_by_opensim(seed: int, tmp_path: Pa
             errors = largest_errors(model, twin, closed(model, draw(model, np.random.default_rng(seed), 1)))
         except RuntimeError:  # OpenSim refuses names and collinear axes that do no harm here
             continue
+        if "osim.opened" in {note.code for note in notes}:  # a joint that became another one
+            del errors["couplers"]
         compared += 1
         assert max(errors.values()) < 1e-5, (errors, path.read_text(encoding="utf-8"))
     assert compared > 20 and refused > 20

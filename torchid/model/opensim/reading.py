@@ -256,7 +256,8 @@ def _notes_of_loops(span: Spanning, parts: Parts) -> tuple[Note, ...]:
         said = f"{one.element.tag} {one.name.rpartition('/')[2]}"
         said += f" ({names[one.parent.frame.body + 1]}, {names[one.child.frame.body + 1]})"
         if one.name in hung:
-            found.append(Note("osim.hung", f"{said} carries what a joint of its own leaves free", source))
+            said += ": one hangs on the other by it, not by its own joint, which is free or which no marker tells"
+            found.append(Note("osim.hung", said, source))
         elif one.name in left or one in parts.links and one.element.tag != WELD:
             opened.append(said)
     if opened:

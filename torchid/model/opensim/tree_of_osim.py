@@ -39,7 +39,7 @@ def tree_of_osim(model: OsimModel) -> tuple[Tree, Geometry, OsimBinding]:
     """
     root = root_of(model)
     groups, joints = _welded(model, root)
-    model = _uncoupled(model, {row for joint in joints for row in joint.rows} - set(model.joints[root.row].rows))
+    model = _uncoupled(model, {row for joint in joints for row in joint.rows}, set(model.joints[root.row].rows))
     poses = _poses_in_groups(model, root, joints)
     binding = OsimBinding(model, tuple(map(tuple, groups)), poses, root.row)
     builder = _Builder(model, binding, [joint.rows for joint in joints])
@@ -48,14 +48,11 @@ def tree_of_osim(model: OsimModel) -> tuple[Tree, Geometry, OsimBinding]:
     return builder.tree(), builder.geometry(), binding
 
 
-def _uncoupled(model: OsimModel, rows: set[int]) -> OsimModel:
-    """The model without couplers of what the tree moves by coordinates with what it does not: coordinates of the joint
-    that carries the person, of joints that close loops, and of what stands beside."""
-    kept = []
-    for one in model.couplers:
-        inside = rows & {one.dependent, *one.independents}
-        if not inside or inside == {one.dependent, *one.independents}:
-            kept.append(one)
+def _uncoupled(model: OsimModel, rows: set[int], roots: set[int]) -> OsimModel:
+    """The model without couplers of coordinates of the tree, ``rows``, with others: those of what stands beside and of
+    joints that close loops, and ``roots``, those of the joint that carries the person."""
+    coupled = [(one, {one.dependent, *one.independents}) for one in model.couplers]
+    kept = [one for one, own in coupled if not own & roots and (own <= rows or not own & rows)]
     return replace(model, couplers=tuple(kept))
 
 
