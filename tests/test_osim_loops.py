@@ -368,23 +368,23 @@ def _any_model(rng: np.random.Generator) -> str:
 def test_what_opensim_opens_is_opened_and_posed_alike(seed: int, tmp_path: Path) -> None:
     """Models by lot: all are read, written back as they are, and become trees that pose bodies as the file does.
 
-    Where OpenSim assembles one and nothing but free joints closes loops, bodies are where it has them.
+    Where nothing but free joints closes loops, OpenSim has the bodies there and finds all constraints fulfilled but
+    those that are opened, which are switched off for it: to assemble them can take it minutes.
     """
-    rng, compared, hung = np.random.default_rng(seed), 0, 0
+    rng, path, compared, hung = np.random.default_rng(seed), tmp_path / "a.osim", 0, 0
     for _ in range(MODELS):
         text = _any_model(rng)
         checked(tmp_path, text, rng)
-        path = tmp_path / "a.osim"
         model, notes = read_osim(path)
         write_back(model, tmp_path / "b.osim")
         assert (tmp_path / "b.osim").read_bytes() == path.read_bytes()
-        try:
-            twin = Twin(path)
-        except RuntimeError:
-            continue
         if not all(len(joint.rows) == 6 for joint in model.closing):
             continue
-        errors = largest_errors(model, twin, closed(model, draw(model, rng, 2)))
+        welds = {joint.name.rpartition("/")[2] for joint in model.joints if joint.kind == WELD}
+        for name in {"w0", "w1", "w2"} - welds:
+            text = text.replace(f'name="{name}">', f'name="{name}"><isEnforced>false</isEnforced>')
+        (tmp_path / "b.osim").write_text(text)
+        errors = largest_errors(model, Twin(tmp_path / "b.osim"), closed(model, draw(model, rng, 2)))
         compared, hung = compared + 1, hung + any(note.code == "osim.hung" for note in notes)
-        assert max(errors[key] for key in ("places", "turns", "markers")) < CLOSE, (errors, text)
+        assert max(errors.values()) < CLOSE, (errors, text)
     assert compared >= at_least(0.8, MODELS) and hung >= at_least(0.3, MODELS), (compared, hung)

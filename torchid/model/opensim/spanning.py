@@ -50,17 +50,19 @@ def spanning(
     kept += parts.joined([joint for joint in free if joint not in person])
     tree = _outwards([joint for joint in (*joints, *welds) if joint in kept])
     seen = {marker.frame.body for marker in markers} - {GROUND}
+    loose = {joint.name for joint in joints if joint.rows and not used & set(joint.rows)}
     for weld in welds:
         if weld.name not in {joint.name for joint in tree}:
-            tree = _hung(weld, tree, seen)
+            tree = _hung(weld, tree, seen, loose)
     names = {joint.name for joint in tree}
     closing, opened = (tuple(one for one in some if one.name not in names) for some in (joints, welds))
     return Spanning(tree, closing, opened)
 
 
-def _hung(weld: OsimJoint, tree: tuple[OsimJoint, ...], seen: set[int]) -> tuple[OsimJoint, ...]:
-    """The tree with a weld instead of the moving joint of a body that no marker tells, nor any that it carries."""
-    moving = {joint.carried.body for joint in tree if joint.rows}
+def _hung(weld: OsimJoint, tree: tuple[OsimJoint, ...], seen: set[int], loose: set[str]) -> tuple[OsimJoint, ...]:
+    """The tree with a weld instead of the joint, one that nothing else moves or locks, of a body that no marker tells,
+    nor any that it carries."""
+    moving = {joint.carried.body for joint in tree if joint.name in loose}
     for on, body in ((weld.parent.body, weld.child.body), (weld.child.body, weld.parent.body)):
         below = {body}
         for joint in tree:
