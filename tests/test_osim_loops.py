@@ -160,10 +160,12 @@ def test_other_constraints_are_opened_and_said(kind: str, old: bool, seed: int, 
         assert made.tree.names == ("a", "b") and made.tree.dof_names[6:] == ("q6",)
         said = [note.message for note in notes if note.code == "osim.opened"]
         assert len(said) == 1 and said[0].startswith(f"{kind} w (b, {second})")
-        path, twin = tmp_path / "a.osim", Twin(tmp_path / "a.osim")
-        model, _ = read_osim(path)
-        errors = largest_errors(model, twin, draw(model, rng, 3))
-        assert max(errors[key] for key in ("places", "turns")) < CLOSE, errors
+        model, _ = read_osim(tmp_path / "a.osim")
+        # Switched off for OpenSim, which takes minutes to find that some cannot be fulfilled.
+        off = text.replace('name="w">', 'name="w"><isEnforced>false</isEnforced>')
+        (tmp_path / "b.osim").write_text(off)
+        errors = largest_errors(model, Twin(tmp_path / "b.osim"), draw(model, rng, 3))
+        assert max(errors.values()) < CLOSE, errors
 
 
 def test_words_of_other_versions_switch_nothing_off(seed: int, tmp_path: Path) -> None:

@@ -261,7 +261,7 @@ def _notes_of_loops(span: Spanning, parts: Parts) -> tuple[Note, ...]:
         elif one.name in left or one in parts.links and one.element.tag != WELD:
             opened.append(said)
     if opened:
-        said = f"{', '.join(opened)}: kept in the file, but not held: markers tell where these bodies are"
+        said = f"{', '.join(opened)}: kept in the file, not held: markers tell where bodies are; those without rest"
         found.append(Note("osim.opened", said, source))
     return tuple(found)
 
