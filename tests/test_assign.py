@@ -9,6 +9,8 @@ from small_session import session, template
 
 from torchid.errors import DataError
 from torchid.geometry.assign import Assignment, assign_markers
+from torchid.geometry.placing import place
+from torchid.geometry.placing.matching import allowed, bodies, matched_on_bodies, places
 from torchid.model.marker_set import load_marker_set
 from torchid.recording import Trial
 
@@ -130,6 +132,30 @@ def test_labels_that_say_nothing_are_placed(share, seed):
     assert sum(told[x] != own[x] for x in told) <= 1, {x: (told[x], own[x]) for x in told if told[x] != own[x]}
     often = [x for x in out if list(own.values()).count(own[x]) >= 3]
     assert sum(told.get(x) == own[x] for x in often) >= 0.7 * len(often), told
+
+
+def test_where_known_markers_hold_the_body_nobody_need_be_seen_to_stand(monkeypatch):
+    """One label of many costs a fit, not a search among headings and postures."""
+    monkeypatch.setattr(place, "stand", lambda *given, **options: pytest.fail("a standing person was looked for"))
+    label = next(x for x in session().subject.labels if "THI" in x)
+    found = assign_markers(template(), marker_set(label), trials())
+    assert segment(found, label).startswith("thigh")
+
+
+def test_markers_are_matched_with_landmarks_one_to_one(seed):
+    """Markers near landmarks are on these, in whatever order; one far from all is on none, and of two
+    on one place no more than one is."""
+    model, draw = template(), torch.Generator().manual_seed(seed)
+    order = torch.randperm(len(model.landmarks), generator=draw)
+    own = places(model)[order]
+    markers = torch.cat([own + 0.003 * torch.randn(own.shape, generator=draw, dtype=own.dtype), own[:1], own[:1] + 3.0])
+    seen = torch.full((len(model.tree.names), len(markers), 3), torch.nan, dtype=own.dtype)
+    for row, landmark in enumerate([*order.tolist(), int(order[0]), int(order[0])]):
+        seen[bodies(model)[landmark], row] = markers[row]
+    match = matched_on_bodies(model, seen, allowed(model, len(markers), {}), 0.02)
+    assert match[1:-2].argmax(1).tolist() == order[1:].tolist()
+    assert float(match[-1].sum()) < 1e-6
+    assert bool((match.sum(0) <= 1.0 + 1e-6).all())
 
 
 def test_a_static_trial_that_shows_nothing_does_not_stop_the_others():

@@ -55,12 +55,12 @@ def _performed(out: Path, config: str) -> Row:
         "key": config,
         "markers": [str(found["hand"].config.markers), proposal.markers.name],
         "static": static["hand"] == static["folder"],
-        "segments": _segments(found["hand"]) == _segments(found["folder"]),
-        **{way: _figures(one, found.values()) for way, one in found.items()},
+        "segments": segments_of(found["hand"]) == segments_of(found["folder"]),
+        **{way: figures_of(one, found.values()) for way, one in found.items()},
     }
 
 
-def _figures(one: Outcome, both) -> dict[str, float]:
+def figures_of(one: Outcome, both) -> dict[str, float]:
     """Marker RMSE over the recordings that both have, total mass, residual of the fit."""
     files = set.intersection(*({t.file for t in other.config.trials if t.role != "static"} for other in both))
     common = [t.name for t in one.config.trials if t.file in files]
@@ -73,7 +73,7 @@ def _figures(one: Outcome, both) -> dict[str, float]:
     }
 
 
-def _segments(one: Outcome) -> dict[str, str]:
+def segments_of(one: Outcome) -> dict[str, str]:
     """Each marker's segment."""
     attachment, tree = one.session.assignment.attachment, one.session.assignment.model.tree
     return {label: tree.names[int(k)] for label, k in zip(attachment.labels, attachment.body, strict=True)}

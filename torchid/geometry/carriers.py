@@ -14,11 +14,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.geometry.attachment import attach, settle_bare
-from torchid.geometry.fit import fit_geometry
+from torchid.geometry.fit import fit_geometry, joint_frames
 from torchid.geometry.options import GeometryOptions
-from torchid.geometry.posture.initial_posture import evenly
 from torchid.geometry.result import GeometryFit
-from torchid.geometry.trial_problem import posture_prior, settled, trial_problem
 from torchid.kinematics.plan import plan_tree
 from torchid.kinematics.recursion import poses
 from torchid.model.marker_set import MarkerSpec
@@ -27,7 +25,7 @@ from torchid.recording import Markers, Trial
 
 ELSEWHERE = 0.020
 """Scatter along an axis of its segment that what is on none that could be asked may have by chance [m]; chosen."""
-NOISE = 0.012
+NOISE = 0.004
 """Scatter that skin, cameras and the template's joints alone make [m]; chosen."""
 POSTURES = 4.0
 """Independent postures that a session shows: frames of one motion resemble each other. Chosen on eleven recordings, as
@@ -38,15 +36,45 @@ NOWHERE = 0.02
 """Probability, before it is seen to move, that a marker is on no segment; chosen."""
 JUDGES = 2
 """Other markers by which a segment can be asked: one or two markers would go wherever the marker itself puts them."""
-WITHIN = 0.7
+WITHIN = 0.9
 """Share of the frames whose scatter counts: the rest may be a swap or a slip."""
-FRAMES, POSED, STEPS = 150, 60, 25
-"""Resolution. Frames of all trials that the body is fitted to, frames of each in which markers are looked at, and most
-steps of the fit."""
+FRAMES, STEPS = 90, 25
+"""Resolution. Frames of all trials that the body is fitted to and markers are looked at in, and most steps of the
+fit."""
+STILL = 5
+"""Frames of standing among them; chosen: nothing turns there, and more would hide motion."""
 LOOKED_AT = 6
 """Recordings that are looked at, the longest; chosen. In one alone, the joint between two segments may hardly turn."""
 LOST = -20.0
 """Least log evidence of a marker; chosen: one that is lost in every hypothesis shall not decide between them."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Markers as they are seen from every body of a subject who is followed through all trials."""
+
+    labels: tuple[str, ...]
+    segments: tuple[str, ...]
+    place: Float[Tensor, "segments labels 3"]
+    """Where each marker mostly is in the axes of every body [m]; NaN where it is never seen."""
+    scatter: Float[Tensor, "segments labels"]
+    """How far it strays from there, along an axis [m]."""
+    weight: Float[Tensor, "segments labels"]
+    """Log likelihood by motion and by the distance from bones; minus infinity of bodies that bear no markers."""
+
+    def carriers(self, before: Float[Tensor, "labels segments"], absent: Set[str] = frozenset()) -> "Carriers":
+        """Return how likely markers are on the segments.
+
+        Args:
+            before: probability of every segment before motion is looked at.
+            absent: segments that nobody has put markers on.
+        """
+        weight = self.weight + before.T.clamp(min=1e-12).log().to(self.weight)
+        weight[[name in absent for name in self.segments]] = -torch.inf
+        nowhere = weight.new_full((1, len(self.labels)), math.log(NOWHERE / len(self.segments)))
+        every = torch.cat([weight, nowhere])
+        evidence = float(every.logsumexp(0).clamp(min=LOST).sum())
+        return Carriers(self.labels, self.segments, every.softmax(0)[:-1].T, self.scatter.T, evidence)
 
 
 @dataclass(frozen=True)
@@ -91,68 +119,58 @@ class Carrier:
         return self.probability >= SURE
 
 
-def carriers(
-    labels: Sequence[str],
-    known: Mapping[str, MarkerSpec],
-    model: Model,
-    trials: Sequence[Trial],
-    before: Float[Tensor, "labels segments"] | None = None,
-    absent: Set[str] = frozenset(),
-) -> Carriers:
-    """Return how likely markers are on the segments of a body that is fitted to others.
+def followed(labels: Sequence[str], known: Mapping[str, MarkerSpec], model: Model, trials: Sequence[Trial]) -> Followed:
+    """Fit a body to markers whose segments are known, and return how all look from it.
 
     Args:
         labels: of the markers that are asked for; those among the known ones are judged like any other.
         known: markers that the body is fitted to, three of them on the root.
         model: template of the subject.
         trials: all trials of the session.
-        before: probability of every segment before motion is looked at; default: all alike.
-        absent: segments that nobody has put markers on.
 
     Raises:
         DataError: as ``fit_geometry``.
     """
     tree = model.tree
-    fit = _fitted(model, known, trials)
-    longest = sorted(trials, key=lambda trial: -_seconds(trial.markers))[:LOOKED_AT]
-    paths = torch.cat([_seen_from(fit, trial.markers, labels) for trial in longest], dim=3)
+    fit, frames = _fitted(model, known, trials)
+    paths = _seen_from(fit, frames, labels)
     place = paths.nanmedian(dim=3).values
     scatter = _scatter(paths, place)
     motion = -0.5 * POSTURES * torch.log((scatter.square() + NOISE**2) / (ELSEWHERE**2 + NOISE**2))
     motion = _asked(motion.nan_to_num(0.0), _others(labels, known, model))
     flesh = -0.5 * (_from_bones(fit, model, place) / FLESH).square()
-    prior = torch.full((len(labels), len(tree.names)), 1.0 / len(tree.names)) if before is None else before
-    weight = prior.T.clamp(min=1e-12).log().to(motion) + motion + flesh.nan_to_num(-torch.inf)
+    weight = motion + flesh.nan_to_num(-torch.inf)
     marked = {spec.segment for spec in known.values()}
-    bare = [name not in marked and not _bears_markers(model, k) for k, name in enumerate(tree.names)]
-    weight[[gone or name in absent for gone, name in zip(bare, tree.names, strict=True)]] = -torch.inf
-    nowhere = weight.new_full((1, len(labels)), math.log(NOWHERE / len(tree.names)))
-    every = torch.cat([weight, nowhere])
-    evidence = float(every.logsumexp(0).clamp(min=LOST).sum())
-    return Carriers(tuple(labels), tree.names, every.softmax(0)[:-1].T, scatter.T, evidence)
+    weight[[name not in marked and not _bears_markers(model, k) for k, name in enumerate(tree.names)]] = -torch.inf
+    return Followed(tuple(labels), tree.names, place, scatter, weight)
 
 
-def _fitted(model: Model, known: Mapping[str, MarkerSpec], trials: Sequence[Trial]) -> GeometryFit:
-    """The body fitted to the known markers, roughly."""
+def _fitted(
+    model: Model, known: Mapping[str, MarkerSpec], trials: Sequence[Trial]
+) -> tuple[GeometryFit, list[Markers]]:
+    """The body fitted to the known markers, roughly, and the frames that it was fitted to."""
     settled_model, _ = settle_bare(model, {spec.segment for spec in known.values()})
     static = next((trial.markers for trial in trials if trial.role == "static"), None)
     moving = {trial.name: trial.markers for trial in trials if trial.role != "static"}
     longest = sorted(moving, key=lambda name: -_seconds(moving[name]))[:LOOKED_AT]
     every = {name: moving[name] for name in longest} or {trial.name: trial.markers for trial in trials}
-    options = GeometryOptions(max_frames=FRAMES, iterations=STEPS)
-    return fit_geometry(settled_model, attach(settled_model, known), every, static, options)
+    options = GeometryOptions(max_frames=FRAMES, static_frames=STILL, iterations=STEPS)
+    fit = fit_geometry(settled_model, attach(settled_model, known), every, static, options)
+    return fit, joint_frames(every, static, options)
 
 
 def _seconds(markers: Markers) -> float:
     return float(markers.time[-1] - markers.time[0])
 
 
-def _seen_from(fit: GeometryFit, markers: Markers, labels: Sequence[str]) -> Float[Tensor, "bodies labels 3 frames"]:
-    """Places of markers in the axes of every body, in some frames of a trial [m]."""
-    index = evenly(len(markers.time), POSED)
-    problem = trial_problem(fit, markers, posture_prior(fit), index)
-    at = poses(problem.plan, settled(fit, problem), problem.split(fit.xi)[0])
-    p_WM_W = markers.frames(index).select(tuple(labels)).position.to(fit.xi).permute(1, 2, 0)
+def _seen_from(
+    fit: GeometryFit, frames: Sequence[Markers], labels: Sequence[str]
+) -> Float[Tensor, "bodies labels 3 frames"]:
+    """Places of markers in the axes of every body, in the frames that it was fitted to [m]."""
+    assert fit.solution is not None
+    at = poses(plan_tree(fit.model.tree), fit.solution.q, fit.geometry)
+    each = [markers.select(tuple(labels)).position for markers in frames]
+    p_WM_W = torch.cat(each).to(fit.xi).permute(1, 2, 0)
     order = _in_tree_order(fit, at.p)
     return torch.einsum("baxt,mbxt->bmat", at.R[order], p_WM_W[:, None] - at.p[order])  # R's columns come first
 
@@ -195,7 +213,7 @@ def _bears_markers(model: Model, body: int) -> bool:
 
 def _from_bones(fit: GeometryFit, model: Model, place: Float[Tensor, "bodies labels 3"]) -> Tensor:
     """Distances (bodies, labels) from the lines between each body's joint and its next joints and landmarks [m]."""
-    offset, mean = fit.prior.geometry(fit.xi[: len(fit.prior.mean)]).offset, model.inertia.mean
+    offset, mean = fit.geometry.offset, model.inertia.mean
     found = []
     for body, name in enumerate(model.tree.names):
         ends = [offset[k] for k, one in enumerate(model.tree.bodies) if one.parent == body]

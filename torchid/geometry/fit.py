@@ -170,19 +170,21 @@ def joint_problem(
     Returns:
         The problem, the postures to start from (dofs, frames), and the number of frames of each trial.
     """
-    total = sum(len(m.time) for m in trials.values())
-    share = min(1.0, fit.options.max_frames / max(total, 1))
     pieces = []
-    for markers in trials.values():
-        index = evenly(len(markers.time), max(2, round(share * len(markers.time))))
-        problem = trial_problem(fit, markers, posture_prior(fit), index)
-        pieces.append((problem, settled(fit, problem)))
-    if static is not None:
-        posture = posture_prior(fit, fit.options.static_posture_sd)
-        problem = trial_problem(fit, static, posture, evenly(len(static.time), fit.options.static_frames))
+    for markers in joint_frames(trials, static, fit.options):
+        posture = posture_prior(fit, fit.options.static_posture_sd if len(pieces) == len(trials) else None)
+        problem = trial_problem(fit, markers, posture)
         pieces.append((problem, settled(fit, problem)))
     q = torch.cat([piece[1] for piece in pieces], dim=1)
     return side_by_side([piece[0] for piece in pieces]), q, tuple(piece[1].shape[1] for piece in pieces)
+
+
+def joint_frames(trials: dict[str, Markers], static: Markers | None, options: GeometryOptions) -> list[Markers]:
+    """Return the frames of each fit trial, and of the static one behind them, that the joint problem takes."""
+    total = sum(len(m.time) for m in trials.values())
+    share = min(1.0, options.max_frames / max(total, 1))
+    found = [m.frames(evenly(len(m.time), max(2, round(share * len(m.time))))) for m in trials.values()]
+    return found if static is None else [*found, static.frames(evenly(len(static.time), options.static_frames))]
 
 
 def _run_solver(

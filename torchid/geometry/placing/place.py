@@ -5,15 +5,16 @@ all others are, and whether these are right (``geometry/carriers``). Ways to sta
 fitted, and motion decides: knees bend one way.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import DataError
-from torchid.geometry.carriers import SURE, Carriers, carriers
+from torchid.geometry.carriers import JUDGES, SURE, Carriers, Followed, followed
+from torchid.geometry.placing.matching import allowed, bodies, matched_on_bodies
 from torchid.geometry.placing.sizes import of_sizes
 from torchid.geometry.placing.standing import SCHEDULES, Standing, stand
 from torchid.geometry.posture.initial_posture import evenly
@@ -21,11 +22,10 @@ from torchid.model.marker_set import MarkerSpec
 from torchid.model.model import Model
 from torchid.recording import Trial
 
-FIRST_SURE = 0.8
-"""Probability of a segment, by places alone, from which a marker takes part in the first fit; chosen."""
 LIKELY = 0.5
-"""Probability from which a marker takes part in later fits, and is put on a landmark; chosen."""
-NEAR = 30.0
+"""Probability from which a marker takes part in a fit, and is put on a landmark; chosen. By places alone even one that
+is on its landmark has at most 0.86, since it may be on none."""
+NEAR = 20.0
 """Log odds by which another way to stand may be less likely and is fitted nevertheless; chosen."""
 MOTION_FRAMES = 5
 """Frames of motion that are looked at where nobody stands still; chosen: in one of them legs are nearly straight."""
@@ -38,6 +38,9 @@ LEAST = 0.0
 -0.2 where a child met a template of another stature. Where most markers are known, these hold the body in place."""
 UNDECIDED = 0.02
 """Probability that places leave open even where they are sure; chosen."""
+SCATTER = 0.02
+"""Scatter of markers about the template's landmarks on a fitted body, beside the landmarks' own [m]; chosen, the last
+of ``standing.SCHEDULES``."""
 FEWEST_TOLD = 6
 """Markers below which no body is fitted; chosen."""
 
@@ -64,16 +67,31 @@ def place_markers(
         known: markers whose segments are known.
     """
     every = (*labels, *known)
-    model, frames = _sized(every, model, trials, known)
-    found = [one for way in _ways(every, model, frames, known) if (one := _moved(every, way, model, trials, known))]
+    if _held(labels, model, known):
+        ways: Iterable[_Way] = [_Way(0.0, frozenset(), {}, {})]
+    else:
+        model, frames = _sized(every, model, trials, known)
+        ways = _ways(every, model, frames, known)
+    # A first fit asks few segments, and fewer in one way than in another: they are compared by the second.
+    found = [
+        _again(every, one, model, trials, known) for way in ways if (one := _moved(every, way, model, trials, known))
+    ]
     if not found:
         return None
     best = max(found, key=lambda one: one.told.evidence + one.way.score)
-    best = _moved(every, best.way, model, trials, known, best) or best
+    best = _again(every, best, model, trials, known)
     if len(known) < len(labels) and best.told.evidence < LEAST * len(every):
         return None
     specs = best.specs(SURE, model)
     return Placed({label: specs[label] for label in labels if label in specs}, best.told)
+
+
+def _held(labels: Sequence[str], model: Model, known: Mapping[str, MarkerSpec]) -> bool:
+    """Return whether known markers hold the body so well that nobody need be seen to stand: no segment whose parent
+    bears none is without them, or too few labels are asked for to tell of one."""
+    tree, marked = model.tree, [spec.segment for spec in known.values()]
+    loose = [one for one in tree.bodies if not {one.name, tree.names[one.parent]} & {*marked}]
+    return marked.count(tree.names[0]) >= JUDGES and (not loose or len(labels) <= JUDGES)
 
 
 def _sized(
@@ -112,6 +130,8 @@ class _Moved:
     """A way to stand whose body was followed through all trials."""
 
     way: _Way
+    fitted: Mapping[str, MarkerSpec]
+    """What its body was fitted to."""
     told: Carriers
 
     def specs(self, least: float, model: Model) -> dict[str, MarkerSpec]:
@@ -137,10 +157,13 @@ def _ways(
 
 def _way(labels: Sequence[str], model: Model, one: Standing) -> _Way:
     """Return what a way to stand says of every label."""
-    bodies = torch.tensor([model.tree.index(landmark.segment) for landmark in model.landmarks.values()])
-    segment = one.match.new_zeros(len(labels), len(model.tree.names)).index_add_(1, bodies, one.match)
-    segments, landmarks = (dict(zip(labels, x, strict=True)) for x in (segment, one.match))
-    return _Way(one.score, one.absent, segments, landmarks)
+    return _Way(one.score, one.absent, **_shares(labels, model, one.match))
+
+
+def _shares(labels: Sequence[str], model: Model, match: Float[Tensor, "markers landmarks"]) -> dict[str, dict]:
+    """Return a match by label: the shares of segments, and of landmarks."""
+    segment = match.new_zeros(len(labels), len(model.tree.names)).index_add_(1, bodies(model), match)
+    return {what: dict(zip(labels, x, strict=True)) for what, x in (("segment", segment), ("landmark", match))}
 
 
 def _standing_frames(labels: Sequence[str], trials: Sequence[Trial]) -> Float[Tensor, "frames markers 3"]:
@@ -156,23 +179,42 @@ def _standing_frames(labels: Sequence[str], trials: Sequence[Trial]) -> Float[Te
 
 
 def _moved(
-    labels: Sequence[str],
-    way: _Way,
-    model: Model,
-    trials: Sequence[Trial],
-    known: Mapping[str, MarkerSpec],
+    labels: Sequence[str], way: _Way, model: Model, trials: Sequence[Trial], known: Mapping[str, MarkerSpec],
     before: _Moved | None = None,
-) -> _Moved | None:
+) -> _Moved | None:  # fmt: skip
     """Fit a body to the markers that are told so far, and judge all; None where too few are told, or no body fits."""
     told = _first(labels, way, model) if before is None else before.specs(LIKELY, model)
     specs = {**told, **known}
     if len(specs) < FEWEST_TOLD:
         return None
     try:
-        found = carriers(labels, specs, model, trials, _before(labels, way, model), way.absent)
+        seen = followed(labels, specs, model, trials)
     except DataError:
         return None
-    return _Moved(way, found)
+    if before is not None or not way.segment:
+        way = _matched_again(labels, way, model, seen, known)
+    return _Moved(way, specs, seen.carriers(_before(labels, way, model), way.absent))
+
+
+def _again(
+    labels: Sequence[str], best: _Moved, model: Model, trials: Sequence[Trial], known: Mapping[str, MarkerSpec]
+) -> _Moved:
+    """Return what is told when the body is fitted to all that is told; the same where nothing is left to tell."""
+    if all(best.told.of(label).sure for label in labels if label not in known):
+        return best
+    if {**best.specs(LIKELY, model), **known} == best.fitted:
+        return best
+    return _moved(labels, best.way, model, trials, known, best) or best
+
+
+def _matched_again(
+    labels: Sequence[str], way: _Way, model: Model, seen: Followed, known: Mapping[str, MarkerSpec]
+) -> _Way:
+    """Return the way with markers and landmarks matched by where they are on the fitted body."""
+    there = torch.tensor([one.segment not in way.absent for one in model.landmarks.values()], dtype=torch.bool)
+    may = allowed(model, len(labels), _rows(labels, model, known)) & there
+    match = matched_on_bodies(model, seen.place, may, SCATTER)
+    return replace(way, **_shares(labels, model, match))
 
 
 def _first(labels: Sequence[str], way: _Way, model: Model) -> dict[str, MarkerSpec]:
@@ -180,7 +222,7 @@ def _first(labels: Sequence[str], way: _Way, model: Model) -> dict[str, MarkerSp
     found = {}
     for label in labels if way.segment else ():
         best = int(way.segment[label].argmax())
-        if float(way.segment[label][best]) > FIRST_SURE:
+        if float(way.segment[label][best]) > LIKELY:
             segment = model.tree.names[best]
             found[label] = MarkerSpec(segment, _landmark(way, label, segment, model))
     return found
@@ -193,10 +235,8 @@ def _landmark(way: _Way, label: str, segment: str, model: Model) -> str | None:
     return max(likely, key=likely.__getitem__, default=None)
 
 
-def _before(labels: Sequence[str], way: _Way, model: Model) -> Float[Tensor, "labels segments"] | None:
+def _before(labels: Sequence[str], way: _Way, model: Model) -> Float[Tensor, "labels segments"]:
     """Probabilities of segments by places; what they leave open is on any of them."""
-    if not way.segment:
-        return None
     by_place = torch.stack([way.segment[label] for label in labels])
     left = (1.0 - by_place.sum(dim=1, keepdim=True)).clamp(min=UNDECIDED)
     return by_place + left / len(model.tree.names)

@@ -10,13 +10,23 @@ Reference: Gold, Rangarajan, Lu, Pappu, Mjolsness, Pattern Recognition 31:1019 (
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchid.geometry.arrow.inverse_kinematics import solve_poses
+from torchid.geometry.placing.matching import (
+    LONE_LANDMARK,
+    LONE_MARKER,
+    NEVER,
+    allowed,
+    bodies,
+    matched,
+    places,
+    variance,
+)
 from torchid.geometry.problem import MarkerProblem, PosturePrior
 from torchid.geometry.trial_problem import LIMITLESS
 from torchid.kinematics.plan import Plan, plan_tree
@@ -31,9 +41,6 @@ SCHEDULES = (
 )
 """Scatters of markers about the landmarks of the template, beside the landmarks' own, step by step [m]; chosen. A wide
 beginning finds arms that are held apart, a narrow one is not drawn to clusters of markers; the better match counts."""
-LONE_MARKER, LONE_LANDMARK = -3.0, -1.0
-"""Prices of a marker on no landmark and of a landmark without marker, as log odds; chosen on eleven recordings
-(``python -m batteries.unlisted --seed 77``): half of a laboratory's markers are on no landmark."""
 HEADINGS = 8
 """Headings that the template starts in, evenly about the circle; chosen."""
 ARMS = ((0.0, 0.1, 0.1), (0.0, 1.4, 0.0), (0.0, 0.7, 0.3), (0.8, 0.2, 1.4), (0.3, 0.2, 0.6))
@@ -48,10 +55,10 @@ STIFF, STIFFNESS = ("spine", "neck", "wrist"), 4.0
 """Joints that hardly bend in one who stands, and how much less they scatter in variance; chosen."""
 LIMIT_SD = 0.03
 """Softness of joint limits [rad]; chosen."""
-SWEEPS, LAST_SWEEPS, POSE_STEPS, ROUNDS = 8, 20, 5, 2
-"""Resolution. Normalisations of a match, and of the last; steps of poses between matches; rounds at a scatter."""
-NEVER = -1e6
-"""Resolution. Log odds of what cannot be."""
+SWEEPS, POSE_STEPS, ROUNDS = 8, 5, 2
+"""Resolution. Normalisations of a match but the last; steps of poses between matches; rounds at a scatter."""
+FOLLOWED = 0.25
+"""Resolution. Share of the hypotheses that are followed beyond the middle of a schedule: the best."""
 OTHERWISE = 1.0
 """Headings that differ by more than this are other hypotheses [rad]; chosen."""
 MOST_HYPOTHESES = 3
@@ -99,17 +106,15 @@ def stand(
         schedules: scatters, step by step; the best match of all is taken.
     """
     starts = _starts(model, position)
-    landmarks = tuple(model.landmarks.values())
     there = _there(model, starts)
-    allowed = _allowed(model, position.shape[1], known)[:, :, None] & there[None]
+    may = allowed(model, position.shape[1], known)[:, :, None] & there[None]
     target = position[starts.frame].permute(1, 2, 0)
-    body = torch.tensor(plan_tree(model.tree).position)[[model.tree.index(one.segment) for one in landmarks]]
+    body = torch.tensor(plan_tree(model.tree).position)[bodies(model)]
     prior = _prior(model, _ground(model, position))
-    fit = _Fit(model, plan_tree(model.tree), body, target, allowed, prior)
+    fit = _Fit(model, plan_tree(model.tree), body, target, may, prior)
     every = [fit.annealed(starts.q, schedule) for schedule in schedules]
-    q, match, score = (torch.cat(parts, dim=-1) for parts in zip(*every, strict=True))
-    score = score + LONE_LANDMARK * there.sum(0).repeat(len(schedules))
-    return tuple(_distinct(model, starts.without.repeat(len(schedules)), q, match, score))
+    kept, q, match, score = (torch.cat(parts, dim=-1) for parts in zip(*every, strict=True))
+    return tuple(_distinct(model, starts.without[kept], q, match, score))
 
 
 @dataclass(frozen=True)
@@ -123,56 +128,47 @@ class _Fit:
     allowed: Bool[Tensor, "markers landmarks starts"]
     prior: PosturePrior
 
-    @property
-    def place(self) -> Float[Tensor, "landmarks 3"]:
-        """Return the places of the landmarks on their bodies [m]."""
-        return torch.tensor([one.p_BM_B for one in self.model.landmarks.values()], dtype=torch.float64)
-
-    def annealed(self, q: Float[Tensor, "dofs starts"], schedule: Sequence[float]) -> tuple[Tensor, Tensor, Tensor]:
-        """Coordinates, matches and log odds of all hypotheses after all scatters."""
-        for scatter in schedule:
+    def annealed(
+        self, q: Float[Tensor, "dofs starts"], schedule: Sequence[float]
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Indices of the hypotheses that were followed to the end, their coordinates, matches and log odds."""
+        fit, kept = self, torch.arange(q.shape[1])
+        for step, scatter in enumerate(schedule):
             for _ in range(ROUNDS):
-                q = self.posed(q, self.match(self.odds(q, scatter), SWEEPS), scatter)
-        odds = self.odds(q, schedule[-1])
-        match = self.match(odds, LAST_SWEEPS)
-        gain = (match * (odds - LONE_MARKER - LONE_LANDMARK).clamp(min=-1e3)).sum((0, 1))
-        return q, match, gain - self.prior.cost(q).sum(0)
+                q = fit.posed(q, matched(fit.odds(q, scatter), SWEEPS), scatter)
+            if step == len(schedule) // 2:
+                kept = fit.judged(q, scatter)[1].topk(math.ceil(FOLLOWED * q.shape[1])).indices
+                fit, q = fit.some(kept), q[:, kept]
+        return kept, q, *fit.judged(q, schedule[-1])
 
-    def variance(self, scatter: float) -> Float[Tensor, " landmarks"]:
-        """Return the variance of a marker about a landmark, along an axis [m^2]."""
-        own = torch.tensor([one.sd for one in self.model.landmarks.values()], dtype=torch.float64)
-        return scatter**2 + own.square().mean(1)
+    def judged(self, q: Float[Tensor, "dofs starts"], scatter: float) -> tuple[Tensor, Float[Tensor, " starts"]]:
+        """Matches, and their log odds against a match of nothing."""
+        odds = self.odds(q, scatter)
+        match = matched(odds)
+        gain = (match * (odds - LONE_MARKER - LONE_LANDMARK).clamp(min=-1e3)).sum((0, 1))
+        return match, gain - self.prior.cost(q).sum(0) + LONE_LANDMARK * self.allowed.any(0).sum(0)
+
+    def some(self, index: Int[Tensor, " starts"]) -> "_Fit":
+        """Return some of the hypotheses."""
+        return replace(self, target=self.target[:, :, index], allowed=self.allowed[:, :, index])
 
     def odds(self, q: Float[Tensor, "dofs starts"], scatter: float) -> Float[Tensor, "markers landmarks starts"]:
         """Log odds of every pair by its distance."""
         xi = self.model.geometry.mean
-        p = points(poses(self.plan, q, self.model.geometry.geometry(xi)), self.body, self.place)
+        p = points(poses(self.plan, q, self.model.geometry.geometry(xi)), self.body, places(self.model))
         square = (self.target[:, None] - p[None]).square().sum(2)
         return torch.where(
-            self.allowed & square.isfinite(), -0.5 * square / self.variance(scatter)[None, :, None], NEVER
+            self.allowed & square.isfinite(), -0.5 * square / variance(self.model, scatter)[None, :, None], NEVER
         )
-
-    def match(self, odds: Float[Tensor, "markers landmarks starts"], sweeps: int) -> Tensor:
-        """Probabilities of pairs, each marker and landmark in one or in none (Sinkhorn)."""
-        markers, landmarks, starts = odds.shape
-        table = torch.cat([odds, odds.new_full((markers, 1, starts), LONE_MARKER)], dim=1)
-        last = torch.cat(
-            [odds.new_full((1, landmarks, starts), LONE_LANDMARK), odds.new_full((1, 1, starts), NEVER)], 1
-        )
-        table = torch.cat([table, last])
-        for _ in range(sweeps):
-            table[:markers] -= table[:markers].logsumexp(1, keepdim=True)
-            table[:, :landmarks] -= table[:, :landmarks].logsumexp(0, keepdim=True)
-        return table[:markers, :landmarks].exp()
 
     def posed(self, q: Float[Tensor, "dofs starts"], match: Tensor, scatter: float) -> Float[Tensor, "dofs starts"]:
         """Coordinates after some steps towards the matched markers."""
         share = match.sum(0)
         target = torch.einsum("msh,mxh->sxh", match, self.target.nan_to_num()) / share.clamp(min=1e-9)[:, None]
-        weight = share / self.variance(scatter)[:, None]
-        sd, none = torch.ones_like(self.place), torch.arange(0)  # places on the bodies are known
+        weight = share / variance(self.model, scatter)[:, None]
+        place, none = places(self.model), torch.arange(0)  # places on the bodies are known
         problem = MarkerProblem(
-            self.plan, self.model.geometry, self.body, target, weight, self.place, sd, none, self.prior
+            self.plan, self.model.geometry, self.body, target, weight, place, torch.ones_like(place), none, self.prior
         )
         return solve_poses(problem, q, self.model.geometry.mean, iterations=POSE_STEPS)[0]
 
@@ -202,9 +198,8 @@ def _ground(model: Model, position: Float[Tensor, "frames markers 3"]) -> float:
     """Return how much higher the root stands than at rest, so that the lowest marker is on the lowest landmark [m]."""
     rest = torch.tensor([[dof.rest] for dof in model.tree.dofs], dtype=torch.float64)
     geometry, plan = model.geometry.geometry(model.geometry.mean), plan_tree(model.tree)
-    body = torch.tensor(plan.position)[[model.tree.index(one.segment) for one in model.landmarks.values()]]
-    place = torch.tensor([one.p_BM_B for one in model.landmarks.values()], dtype=torch.float64)
-    lowest = points(poses(plan, rest, geometry), body, place)[:, 2].min()
+    body = torch.tensor(plan.position)[bodies(model)]
+    lowest = points(poses(plan, rest, geometry), body, places(model))[:, 2].min()
     return float(position[..., 2].nan_to_num(math.inf).min() - lowest)
 
 
@@ -229,15 +224,6 @@ def _there(model: Model, starts: _Starts) -> Bool[Tensor, "landmarks starts"]:
     missing = [_absent(model, k) if set(parts) <= set(model.tree.names) else () for k, parts in enumerate(WITHOUT)]
     kinds = torch.tensor([[one.segment not in gone for gone in missing] for one in model.landmarks.values()])
     return kinds[:, starts.without]
-
-
-def _allowed(model: Model, markers: int, known: Mapping[int, MarkerSpec]) -> Bool[Tensor, "markers landmarks"]:
-    """Return whether a marker may be on a landmark by what is known of it."""
-    allowed = torch.ones(markers, len(model.landmarks), dtype=torch.bool)
-    for row, spec in known.items():
-        for column, (name, one) in enumerate(model.landmarks.items()):
-            allowed[row, column] = one.segment == spec.segment and spec.landmark in (None, name)
-    return allowed
 
 
 def _prior(model: Model, floor: float) -> PosturePrior:
