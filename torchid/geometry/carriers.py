@@ -50,15 +50,15 @@ LOST = -20.0
 
 
 @dataclass(frozen=True)
-class Followed:
+class Sightings:
     """Markers as they are seen from every body of a subject who is followed through all trials."""
 
     labels: tuple[str, ...]
     segments: tuple[str, ...]
     place: Float[Tensor, "segments labels 3"]
-    """Where each marker mostly is in the axes of every body [m]; NaN where it is never seen."""
+    """Usual place of each marker in the axes of every body [m]; NaN where it is never seen."""
     scatter: Float[Tensor, "segments labels"]
-    """How far it strays from there, along an axis [m]."""
+    """Scatter about that place, along an axis [m]."""
     weight: Float[Tensor, "segments labels"]
     """Log likelihood by motion and by the distance from bones; minus infinity of bodies that bear no markers."""
 
@@ -119,7 +119,9 @@ class Carrier:
         return self.probability >= SURE
 
 
-def followed(labels: Sequence[str], known: Mapping[str, MarkerSpec], model: Model, trials: Sequence[Trial]) -> Followed:
+def followed(
+    labels: Sequence[str], known: Mapping[str, MarkerSpec], model: Model, trials: Sequence[Trial]
+) -> Sightings:
     """Fit a body to markers whose segments are known, and return how all look from it.
 
     Args:
@@ -142,7 +144,7 @@ def followed(labels: Sequence[str], known: Mapping[str, MarkerSpec], model: Mode
     weight = motion + flesh.nan_to_num(-torch.inf)
     marked = {spec.segment for spec in known.values()}
     weight[[name not in marked and not _bears_markers(model, k) for k, name in enumerate(tree.names)]] = -torch.inf
-    return Followed(tuple(labels), tree.names, place, scatter, weight)
+    return Sightings(tuple(labels), tree.names, place, scatter, weight)
 
 
 def _fitted(

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import DataError
-from torchid.geometry.carriers import JUDGES, SURE, Carriers, Followed, followed
+from torchid.geometry.carriers import JUDGES, SURE, Carriers, Sightings, followed
 from torchid.geometry.placing.matching import allowed, bodies, matched_on_bodies
 from torchid.geometry.placing.sizes import of_sizes
 from torchid.geometry.placing.standing import SCHEDULES, Standing, stand
@@ -131,7 +131,7 @@ class _Moved:
 
     way: _Way
     fitted: Mapping[str, MarkerSpec]
-    """What its body was fitted to."""
+    """Markers that its body was fitted to."""
     told: Carriers
 
     def specs(self, least: float, model: Model) -> dict[str, MarkerSpec]:
@@ -208,7 +208,7 @@ def _again(
 
 
 def _matched_again(
-    labels: Sequence[str], way: _Way, model: Model, seen: Followed, known: Mapping[str, MarkerSpec]
+    labels: Sequence[str], way: _Way, model: Model, seen: Sightings, known: Mapping[str, MarkerSpec]
 ) -> _Way:
     """Return the way with markers and landmarks matched by where they are on the fitted body."""
     there = torch.tensor([one.segment not in way.absent for one in model.landmarks.values()], dtype=torch.bool)
