@@ -123,7 +123,7 @@ def _step(cause: Cause, found: Diagnosis, unused: bool) -> str:
     if cause.effect not in FAULTS:
         return ""
     if cause.applied and not unused and own.correction is not Correction.WRENCH:
-        return _line_of(cause, found)
+        return _beyond_this_run(cause, found)
     if own.correction is Correction.LABELS:
         return _rename(cause.where, cause.trials)
     if FAULTS[cause.effect] is InstrumentFault.MOVED:
@@ -132,11 +132,13 @@ def _step(cause: Cause, found: Diagnosis, unused: bool) -> str:
     return f"{why}, record {own.advice}"
 
 
-def _line_of(cause: Cause, found: Diagnosis) -> str:
-    """The config line for what was corrected here alone; empty where there is none."""
+def _beyond_this_run(cause: Cause, found: Diagnosis) -> str:
+    """What rids `evaluate` and `live` of a wrong reading that was corrected here; empty of all else."""
+    if effect(cause.effect).correction is not Correction.READING:
+        return ""
     (finding,) = instrument_findings(replace(found, causes=(cause,)))
     if not finding.cures:
-        return ""
+        return f"`evaluate` and `live` still have {called(cause)}: to mend it, record {effect(cause.effect).advice}"
     single = effect(cause.effect).site is Site.TRIAL and cause.where != SESSION.where
     where = listing(list(cause.where)) if single else "the trials"
     line = finding.cures[0].config

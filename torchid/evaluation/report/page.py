@@ -105,7 +105,8 @@ def _corrections(found: Evaluation, ledger: Ledger) -> list[Block]:
     """Faults that the diagnosis took out of body and recordings before anything was compared."""
     if not found.corrections:
         return []
-    said = "Corrections that the diagnosis made to the body and to the trials without a device:"
+    said = ("Corrections that the diagnosis made where the body was identified. Trials without a device have those of "
+            "markers, too; forces of all trials are as they were read, so that conditions compare alike:")  # fmt: skip
     lines = (f"{one.what} Probability {chance(one.confidence)}." for one in found.corrections)
     return [Paragraph(said), Items(tuple(ledger.say("correction", clean(text, 600)) for text in lines))]
 

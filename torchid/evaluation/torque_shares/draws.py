@@ -42,14 +42,14 @@ def torque_deviations(
 
 
 def with_trials(outcome: Outcome, trials: Sequence[ConditionTrial], feet: FeetWrenches) -> Outcome:
-    """The outcome of the body's run with the trials that it has left out, as held-out ones."""
+    """The outcome of the body's run with the trials that it has left out, as held-out ones; readings as they were."""
     new = [trial for trial in trials if trial.name not in outcome.session.trials]
     recordings = outcome.session.trials | {trial.name: trial.recording for trial in new}
     files = outcome.session.files | {trial.name: trial.file for trial in new}
     session = replace(outcome.session, trials=recordings, files=files)
     followed = outcome.followed | {trial.name: trial.followed for trial in new}
     under = {name: one for name, one in feet.items() if one is not None}
-    return replace(outcome, session=session, followed=followed, under=under)
+    return replace(outcome, session=session, followed=followed, under=under, corrected={})
 
 
 def device_deviations(
