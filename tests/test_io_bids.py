@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -9,14 +10,21 @@ import torch
 from numpy.testing import assert_allclose
 from walker import walking_trial
 
+from torchid.config import Config, load_config
 from torchid.errors import InputError
+from torchid.evaluation import trials
 from torchid.folder.people import told_of
 from torchid.folder.statements import Person
 from torchid.folder.survey import survey
+from torchid.geometry.result import GeometryFit
 from torchid.io import read_trial
 from torchid.io.pairing import find_recordings
 from torchid.io.storage import write_storage
+from torchid.live import run as live
 from torchid.recording import Markers
+from torchid.run.sequence import run_key
+from torchid.session import Session
+from torchid.storage.results import OutputFolder
 
 NAME = "sub-01_ses-1_task-walk_tracksys-omc"
 
@@ -120,3 +128,25 @@ def test_what_is_absent_is_asked_for(tmp_path: Path, markers: Markers):
     path.with_name(f"{NAME}_channels.tsv").unlink()
     with pytest.raises(InputError, match=f"{NAME}_channels.tsv beside it"):
         read_trial("walk", path)
+
+
+def keys_of(config: Config) -> list[str]:
+    """Of what a run, an evaluation and a stream store."""
+    folder = Mock(spec=OutputFolder)
+    folder.stage.return_value = Mock(spec=GeometryFit)
+    live._from_standing(config, Mock(spec=Session), folder, lambda stage, part: None)
+    return [run_key(config), str(trials._files(config, list(config.trials))), folder.stage.call_args.args[1]]
+
+
+@pytest.mark.parametrize("file", [f"{NAME}_channels.tsv", f"{NAME}_channels.json", "../../../task-walk_motion.json"])
+def test_what_is_stored_is_not_taken_up_after_a_description_was_corrected(tmp_path: Path, markers: Markers, file: str):
+    """Its unit, its axes or its rate: each is part of the recording, wherever it stands."""
+    path = save(tmp_path, markers)
+    written = tmp_path / "c.yaml"
+    trial = f"{{name: x, file: {path.relative_to(tmp_path)}}}"
+    written.write_text(f"subject: {{name: s}}\nmarkers: plug_in_gait\ntrials: [{trial}]\n")
+    config = load_config(written)
+    before, changed = keys_of(config), path.parent / file
+    assert keys_of(config) == before
+    changed.write_text(changed.read_text() + "\n")
+    assert all(one != other for one, other in zip(keys_of(config), before, strict=True))

@@ -5,13 +5,14 @@ other trials have identified.
 """
 
 from dataclasses import dataclass, replace
+from itertools import chain
 
 from torchid.config import Config
 from torchid.config.sections import TrialFile
 from torchid.errors import DataError, InputError
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
-from torchid.io.files import file_on_disk
+from torchid.io.files import files_on_disk
 from torchid.recording import Trial
 from torchid.run.sequence import run_key
 from torchid.session import Followed, Outcome, Session
@@ -100,7 +101,7 @@ def _refuse_strange(outcome: Outcome, session: Session) -> None:
 
 def _files(config: Config, worn: list) -> dict[str, object]:
     paths = [path for file in worn for path in (file.file, file.forces) if path is not None]
-    hashes = [file_sha256(path) for path in dict.fromkeys(map(file_on_disk, paths))]
+    hashes = [file_sha256(path) for path in dict.fromkeys(chain.from_iterable(map(files_on_disk, paths)))]
     return {"trials": [file.model_dump(mode="json") for file in worn], "hashes": hashes}
 
 

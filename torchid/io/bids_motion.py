@@ -7,7 +7,6 @@ folder of the file or in one above it, under a name that has some of the file's 
 
 import csv
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +14,10 @@ from jaxtyping import Float
 
 from torchid.errors import InputError, Note
 from torchid.io.clock import Clock, uniform_clock
-from torchid.io.files import MOTION_BIDS, read_bytes, read_lines
+from torchid.io.files import MOTION_BIDS, bids_subject, described_in, read_bytes, read_lines
 from torchid.io.raw import MarkerTable
 from torchid.io.table import Rows, parse_rows
 
-PLACES = re.compile(r"motion|(sub|ses)-.*")
-"""Folders of a data set that have another of it above."""
 COLUMNS = ("component", "type", "tracked_point", "units")
 """Columns of ``_channels.tsv`` that are read."""
 Channels = list[dict[str, str]]
@@ -48,32 +45,17 @@ def read_bids_motion(file: Path) -> MarkerTable:
     if len(units) > 1:
         raise _wrong("positions have several units", ", ".join(sorted(units)), source)
     position = np.stack([rows.values[:, columns] for columns in points.values()], axis=1)
-    facts = [("subject", part) for part in file.name.split("_") if part.startswith("sub-")]
+    subject = bids_subject(file)
     return MarkerTable(
         tuple(points), clock.time, clock.spread(position), clock.spread(rows.lines, 0), units.pop(), tuple(notes),
-        tuple(facts[:1]), _up(file, channels, points), "z", "BIDS",
+        () if subject is None else (("subject", subject),), _up(file, channels, points), "z", "BIDS",
     )  # fmt: skip
-
-
-def _described(file: Path, ending: str) -> list[Path]:
-    """Files with this ending that describe a recording, the nearest first."""
-    places = [file.absolute().parent]
-    while PLACES.fullmatch(places[-1].name):
-        places.append(places[-1].parent)
-    own = set(file.name.split("_"))
-    found = [
-        sorted(
-            one for one in place.iterdir() if f"_{one.name}".endswith(ending) and set(one.name.split("_")[:-1]) <= own
-        )
-        for place in places
-    ]
-    return [one for some in found for one in sorted(some, key=lambda one: -len(one.name.split("_")))]
 
 
 def _merged(file: Path, ending: str) -> dict:
     """What JSON files say together, of which the nearest has the last word."""
     merged: dict = {}
-    for one in reversed(_described(file, ending)):
+    for one in reversed(described_in(file, ending)):
         try:
             said = json.loads(read_bytes(one).decode("utf-8-sig", "replace"))
         except (ValueError, RecursionError) as error:
@@ -86,7 +68,7 @@ def _merged(file: Path, ending: str) -> dict:
 
 def _channels(file: Path) -> Channels:
     """What each column is."""
-    found = _described(file, "_channels.tsv")
+    found = described_in(file, "_channels.tsv")
     if not found:
         raise InputError(
             "bids.sidecar", "no file says what its columns are", source=file,

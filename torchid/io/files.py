@@ -1,5 +1,6 @@
-"""Reading whole files within limits."""
+"""Reading whole files within limits, and which files make up a recording."""
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
@@ -13,6 +14,10 @@ CONTAINERS = (".b3d",)
 """Endings of files that hold many trials, each of which is named as if the file were a folder: ``S1.b3d/walk``."""
 MOTION_BIDS = "_motion.tsv"
 """Ending of a file of positions of the Brain Imaging Data Structure."""
+MOTION_BIDS_ABOUT = ("_channels.tsv", "_channels.json", "_motion.json")
+"""Endings of files that describe one: its columns, what their words mean, and its rate."""
+BIDS_FOLDER = re.compile(r"motion|(sub|ses)-.*")
+"""Folders of a data set that have another of it above."""
 
 
 def container_of(path: Path) -> Path | None:
@@ -23,6 +28,50 @@ def container_of(path: Path) -> Path | None:
 def file_on_disk(path: Path) -> Path:
     """The file in which a recording lies: its own, or the one that holds it among others."""
     return container_of(path) or path
+
+
+def files_on_disk(path: Path) -> tuple[Path, ...]:
+    """All files on which a recording depends: the one it lies in, and those that are there to describe it.
+
+    Args:
+        path: of the recording.
+    """
+    about = MOTION_BIDS_ABOUT if path.name.endswith(MOTION_BIDS) else ()
+    return file_on_disk(path), *(one for ending in about for one in described_in(path, ending))
+
+
+def recording_name(path: Path) -> str:
+    """The name of a recording without its ending; that of a trial among others, ``S1.b3d/speed_1.2``, has none."""
+    return path.stem if container_of(path) in (None, path) else path.name
+
+
+def bids_subject(path: Path) -> str | None:
+    """The person in the name of a recording of Motion-BIDS, ``sub-01``; None where its name says none."""
+    parts = path.name.split("_") if path.name.endswith(MOTION_BIDS) else []
+    return next((part for part in parts if part.startswith("sub-")), None)
+
+
+def bids_places(folder: Path) -> list[Path]:
+    """A folder and those above it, up to the root of its data set; itself alone where it is none of a person's."""
+    places = [folder]
+    while BIDS_FOLDER.fullmatch(places[-1].name):
+        places.append(places[-1].parent)
+    return places
+
+
+def described_in(file: Path, ending: str) -> list[Path]:
+    """Files with this ending that describe a recording of Motion-BIDS, the nearest first.
+
+    They lie beside it or above it, up to the root of its data set, and have no entity in their name that it lacks.
+    """
+    own = set(file.name.split("_"))
+    found = [
+        sorted(
+            one for one in place.glob("*") if f"_{one.name}".endswith(ending) and set(one.name.split("_")[:-1]) <= own
+        )
+        for place in bids_places(file.absolute().parent)
+    ]
+    return [one for some in found for one in sorted(some, key=lambda one: -len(one.name.split("_")))]
 
 
 def unique_names(names: Sequence[str]) -> list[str]:

@@ -14,7 +14,7 @@ from torchid.errors import ConfigError, DataError
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import track
 from torchid.inertia.identify import Identified
-from torchid.io.files import file_on_disk
+from torchid.io.files import files_on_disk
 from torchid.live.estimation.identifier import LiveSubject
 from torchid.live.estimation.pipeline import Moment, Pipeline
 from torchid.live.exercises.exercises import Possibilities
@@ -172,9 +172,9 @@ def _refuse_intervals(config: Config) -> None:
 
 
 def _from_standing(config: Config, session: Session, folder: OutputFolder, progress: OnStage) -> GeometryFit:
-    paths = [file_on_disk(path) for file in config.trials for path in (file.file, file.forces) if path is not None]
+    paths = [path for file in config.trials for path in (file.file, file.forces) if path is not None]
     own = config.model_dump(mode="json", exclude={*UNKEYED, "diagnosis", "inertia"})
-    key = stage_key(inputs=[file_sha256(path) for path in paths], config=own)
+    key = stage_key(inputs=[file_sha256(one) for path in paths for one in files_on_disk(path)], config=own)
     return folder.stage("live_geometry", key, lambda: fit_session(config.geometry, session, True, progress))
 
 

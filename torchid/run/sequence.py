@@ -15,7 +15,7 @@ from torchid.errors import DataError, Note
 from torchid.extension.verdict import with_verdict
 from torchid.geometry.result import GeometryFit
 from torchid.geometry.tracking import Tracked, track
-from torchid.io.files import file_on_disk
+from torchid.io.files import files_on_disk
 from torchid.motion.impossible_rates import frames_of, impossible_steps
 from torchid.recording import Trial
 from torchid.report import write_report
@@ -114,7 +114,7 @@ def _claim(folder: OutputFolder, config: Config) -> None:
 
 def _inputs(config: Config) -> list:
     files = [path for trial in config.trials for path in (trial.file, trial.forces) if path is not None]
-    return list(dict.fromkeys(map(file_on_disk, files))) + [
+    return list(dict.fromkeys(chain.from_iterable(map(files_on_disk, files)))) + [
         path for path in (config.model, config.markers) if not isinstance(path, str)
     ]
 
