@@ -17,8 +17,8 @@ from torchid.cli import app
 from torchid.config import Config, load_config
 from torchid.errors import ConfigError, DataError, InputError
 from torchid.folder.config_text import config_text
-from torchid.folder.people import people_in, stature_of, told_of
-from torchid.folder.proposal import Proposal, propose
+from torchid.folder.people import PersonFacts, people_in, stature_of, told_of
+from torchid.folder.proposal import Proposal, _doubts, propose
 from torchid.folder.statements import Person, statements_of
 from torchid.folder.survey import STATED, Surveyed, names_of, survey
 from torchid.folder.writing import write_config
@@ -124,6 +124,9 @@ def test_what_files_state_of_the_person_is_taken_and_its_source_said(person: Sim
         ("session.yaml", "mass: 70\nage: 31 years\n", (70.0, None, None, 31.0)),
         ("subject.json", '{"mass": 70, "age": "18-30", "ageMonths": 84}', (70.0, None, None)),
         ("subject.json", '{"mass": 70, "ageYears": 0}', (70.0, None, None)),
+        ("subject.json", '{"mass": "70 kg", "height": "1.7 m", "age": "18m"}', (70.0, 1.7, None)),
+        ("subject.json", '{"mass": "70 m", "height": "2 kg", "age": "8 yrs", "sex": "f"}', (None, None, "female", 8)),
+        ("subject.json", '{"mass": 70, "bodyAge": 52}', (70.0, None, None)),
         # Of other contents, of several people, in other units, or damaged: nothing.
         ("subject.json", "{broken", (None, None, None)),
         ("subject.json", "[" * 100000, (None, None, None)),
@@ -173,6 +176,56 @@ def test_people_are_told_apart_by_what_is_stated_of_them(tmp_path: Path) -> None
     found = people_in([standing(a, "w1"), standing(b, "w2")], tmp_path)
     assert {name: [one.name for one in some] for name, some in found.items()} == {"a": ["w1"], "b": ["w2"]}
     assert statements_of(standing(a, "w1"), tmp_path) == [(Person(mass_kg=61.0), "a/_subject.json")]
+
+
+@pytest.mark.parametrize(("age", "mean"), [(None, "of adults"), (8.0, "of that age")])
+def test_the_mean_stature_that_is_taken_is_said(age: float | None, mean: str) -> None:
+    """Of the age that is stated, else of adults."""
+    told = PersonFacts(Person(age_years=age), {})
+    assert any(f"the mean {mean} is taken" in doubt for doubt in _doubts(told, ()))
+
+
+@pytest.mark.parametrize("folder", ["sub-02", "sub-02/ses-1", "sub-02/ses-1/motion"])
+def test_a_part_of_a_bids_data_set_sees_its_participants(folder: str, tmp_path: Path) -> None:
+    """A row with an age alone says something; files above the data set, and above other folders, say nothing."""
+    name = "sub-02_ses-1_task-a_motion.tsv"
+    (tmp_path / "subject.json").write_text('{"massKg": 99}')
+    (tmp_path / "ds").mkdir()
+    (tmp_path / "ds" / "participants.tsv").write_text("participant_id\tage\nsub-01\t71\nsub-02\t24\n")
+    file = tmp_path / "ds" / "sub-02" / "ses-1" / "motion" / name
+    one = Surveyed("a", file, None, stated={"subject": "sub-02"})
+    top = tmp_path / "ds" / folder
+    told = told_of(top, (one,), Person())
+    assert told.person == Person(age_years=24.0)
+    assert (top / told.sources["age_years"]).resolve() == tmp_path / "ds" / "participants.tsv"
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "people"),
+    [
+        ({"sex": "male"}, {"sex": "F"}, 2), ({"age_years": "24"}, {"age_years": "71"}, 2),
+        ({"age_years": "24"}, {"age_years": "25"}, 1), ({"sex": "male"}, {"age_years": "71"}, 1),
+        ({"mass_kg": "60", "sex": "male"}, {"mass_kg": "60.5", "sex": "female"}, 2),
+    ],
+)  # fmt: skip
+def test_every_fact_tells_people_apart(one: dict, other: dict, people: int, tmp_path: Path) -> None:
+    """Sexes and ages too; a birthday between two recordings makes nobody another, nor does what is left out."""
+    both = [standing(tmp_path, "a", subject="S", **one), standing(tmp_path, "b", subject="S", **other)]
+    found = people_in(both, tmp_path)
+    assert len(found) == people and sum(map(len, found.values())) == 2
+
+
+def test_people_of_a_bids_data_set_are_those_of_its_names(tmp_path: Path) -> None:
+    """Though nobody states anything of them, or the same of all; two sessions are of one person."""
+    names = ("sub-01_ses-1_task-a", "sub-01_ses-2_task-a", "sub-02_ses-1_task-a")
+    every = [
+        Surveyed(name, tmp_path / name[:6] / "motion" / f"{name}_motion.tsv", None, stated={"subject": name[:6]})
+        for name in names
+    ]
+    for text in ("", "participant_id\tsex\tage\nsub-01\tM\t20\nsub-02\tM\t20\n"):
+        (tmp_path / "participants.tsv").write_text(text)
+        found = {name: [one.name for one in some] for name, some in people_in(every, tmp_path).items()}
+        assert found == {"sub-01": list(names[:2]), "sub-02": [names[2]]}
 
 
 def test_of_several_people_one_has_to_be_named(person: SimulatedSession, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from statistics import linear_regression
 
 from torchid.folder.statements import SMALLEST_M, TALLEST_M, Person, statements_of
 from torchid.folder.survey import Surveyed, plain_name
+from torchid.io.files import bids_subject, unique_names
 from torchid.kinematics.chain import chain_poses
 from torchid.model.marker_set import MarkerSet
 from torchid.model.model import Model
@@ -16,6 +17,9 @@ from torchid.model.whole_body import whole_body
 
 ALIKE = 0.02
 """Choice. Part by which two statements may differ about a mass or a stature and still be of one person."""
+BIRTHDAY = 1.0
+"""Choice. Years by which two statements may differ about an age and still be of one person: one was made before a
+birthday, the other after it."""
 UPRIGHT = ("c7", "jugular_notch", "acromion", "asis", "psis", "knee_lateral", "ankle_lateral")
 """Landmarks whose heights tell the stature of one who stands."""
 SPAN = 0.3
@@ -50,15 +54,17 @@ def told_of(folder: Path, found: Sequence[Surveyed], given: Person) -> PersonFac
         for key, value in person.known.items():
             if key not in facts:
                 facts[key], sources[key] = value, source
-            elif not _same(value, facts[key]):
+            elif not _same(key, value, facts[key]):
                 against[f"{key} is {facts[key]} ({sources[key]}) and {value} elsewhere"] = None
     return PersonFacts(Person(**facts), sources, tuple(against))  # pyright: ignore[reportArgumentType]
 
 
-def _same(one: str | float, other: str | float) -> bool:
+def _same(key: str, one: str | float, other: str | float) -> bool:
     """Return whether two statements of one fact agree."""
     if isinstance(one, str) or isinstance(other, str):
         return one == other
+    if key == "age_years":
+        return abs(one - other) <= BIRTHDAY
     return abs(one / other - 1.0) <= ALIKE
 
 
@@ -97,8 +103,9 @@ def _template_heights(model: Model) -> dict[str, float]:
 def people_in(found: Sequence[Surveyed], folder: Path) -> dict[str, list[Surveyed]]:
     """Return the recordings of each person, by a name of its own.
 
-    Recordings show one person unless they, or files beside them, state masses or statures that differ: the name of a
-    subject is often that of a template. Those of which nobody states anything belong to whom their folder belongs to.
+    Recordings show one person unless they, or files beside them, state masses, statures, sexes or ages that differ: the
+    name of a subject is often that of a template. In names of Motion-BIDS it is the person's. Those of which nobody
+    states anything belong to whom their folder belongs to.
 
     Args:
         found: the recordings.
@@ -107,12 +114,12 @@ def people_in(found: Sequence[Surveyed], folder: Path) -> dict[str, list[Surveye
     groups: list[tuple[Person, list[Surveyed]]] = []
     silent: list[Surveyed] = []
     for one in found:
-        stated = statements_of(one, folder)
-        own = next((members for person, members in groups if stated and _alike(person, stated[0][0])), None)
-        if not stated:
+        stated = told_of(folder, (one,), Person(bids_subject(one.file))).person
+        own = next((members for person, members in groups if _alike(person, stated)), None)
+        if not stated.known:
             silent.append(one)
         elif own is None:
-            groups.append((stated[0][0], [one]))
+            groups.append((stated, [one]))
         else:
             own.append(one)
     if len(groups) < 2:
@@ -123,10 +130,17 @@ def people_in(found: Sequence[Surveyed], folder: Path) -> dict[str, list[Surveye
             if own == max(depth):
                 members.append(one)
     names = [_name_of(members, _common(members)) for _, members in groups]
-    masses = [f"{name}_{person.mass_kg or person.height_m:g}" for name, (person, _) in zip(names, groups, strict=True)]
-    named = [name if names.count(name) == 1 else longer for name, longer in zip(names, masses, strict=True)]
-    assert len(set(named)) == len(groups)
-    return dict(zip(named, (members for _, members in groups), strict=True))
+    named = [
+        name if names.count(name) == 1 else plain_name("_".join((name, *_said(person))))
+        for name, (person, _) in zip(names, groups, strict=True)
+    ]
+    return dict(zip(unique_names(named), (members for _, members in groups), strict=True))
+
+
+def _said(person: Person) -> list[str]:
+    """Return what is known of a person, in words for a name."""
+    facts = person.known.values()
+    return [fact if isinstance(fact, str) else f"{fact:g}" for fact in facts]
 
 
 def _shared(one: Surveyed, other: Surveyed) -> int:
@@ -141,8 +155,7 @@ def _common(some: Sequence[Surveyed]) -> Path:
 
 def _alike(one: Person, other: Person) -> bool:
     """Return whether two statements may be of one person."""
-    pairs = ((one.mass_kg, other.mass_kg), (one.height_m, other.height_m))
-    return all(a is None or b is None or _same(a, b) for a, b in pairs)
+    return all(_same(key, one.known[key], other.known[key]) for key in one.known.keys() & other.known.keys())
 
 
 def _name_of(some: Sequence[Surveyed], folder: Path) -> str:

@@ -161,7 +161,8 @@ def _doubts(facts: PersonFacts, uses: Sequence[Use]) -> Iterator[str]:
     if facts.sources.get("height_m", "").startswith("markers of"):
         yield f"no stature is stated; {person.height_m:.2f} m is what standing markers tell, to about 3 %"
     elif person.height_m is None:
-        yield "no stature is stated: the mean of adults is taken, which no child has"
+        mean = "of adults is taken, which no child has" if person.age_years is None else "of that age is taken"
+        yield f"no stature is stated: the mean {mean}"
     if person.age_years is None and person.height_m is not None and person.height_m < CHILD_M[1]:
         yield "no age is stated: the stature tells it, which a small adult's does not"
     if not any(use.role and use.serves_inertia for use in uses):

@@ -3,6 +3,7 @@
 import csv
 import json
 import logging
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from torchid.errors import TorchidError
 from torchid.folder.survey import Surveyed
+from torchid.io.files import bids_places
 from torchid.model.markup import read_xml
 from torchid.storage.documents import read_document
 
@@ -33,12 +35,14 @@ KEYS = {
     "mass_kg": re.compile(r"(subject|body)?_?(mass|weight)(_?kg)?"),
     "height_m": re.compile(r"(subject|body)?_?(height|stature)(_?(m|cm|mm))?"),
     "sex": re.compile(r"(biological)?_?(sex|gender)(_?mf)?"),
-    "age_years": re.compile(r"(subject|body)?_?age(_?(y|yrs?|years?))?"),
+    "age_years": re.compile(r"(subject)?_?age(_?(y|yrs?|years?))?"),
 }
-"""What the facts are called, in small letters."""
+"""What the facts are called, in small letters. ``body_age`` is what scales make of fat and water."""
+UNITS = {"mass_kg": r"kg", "height_m": r"m|cm|mm", "age_years": r"y|yrs?|years?"}
+"""Units in which people write them. A number in another unit is none: 18 m is no age of 18 years."""
 SEXES = {"m": "male", "male": "male", "f": "female", "female": "female", "w": "female"}
-VALUE = re.compile(r"\s*(\d+(?:[.,]\d+)?(?:[eE][-+]?\d{1,2})?)\s*(kg|m|cm|mm|y|yrs?|years?)?\s*")
-"""A number as people write it, with its unit."""
+NUMBER = r"\s*(\d+(?:[.,]\d+)?(?:[eE][-+]?\d{1,2})?)\s*"
+"""A number as people write it."""
 log = logging.getLogger(__name__)
 
 
@@ -64,14 +68,15 @@ def statements_of(one: Surveyed, folder: Path) -> list[tuple[Person, str]]:
 
     Args:
         one: the recording.
-        folder: above which nothing is looked for.
+        folder: above which nothing is looked for, but for the data set of BIDS in which it lies.
     """
     stated = _person_of(dict(one.stated))
     found = [(stated, one.file.name)] if stated.known else []
+    root = bids_places(folder)[-1]
     for place in (one.file.parent, *one.file.parent.parents):
-        if place != folder and folder not in place.parents:
+        if place != root and root not in place.parents:
             break
-        found += [(person, str(file.relative_to(folder))) for file, person in _in_folder(place, _names(one, folder))]
+        found += [(person, os.path.relpath(file, folder)) for file, person in _in_folder(place, _names(one, root))]
     return found
 
 
@@ -99,6 +104,8 @@ def _person_in(file: Path, names: frozenset[str]) -> Person:
     except (OSError, ValueError, csv.Error, RecursionError, TorchidError) as error:
         log.warning("%s says nothing of a person: %s", file, error)
         return Person()
+    if PARTICIPANTS.fullmatch(file.name):
+        return next((one for one in people if one.known), Person())
     # A height alone may be a camera's, or a picture's.
     return next((one for one in people if one.mass_kg or one.sex), Person())
 
@@ -137,7 +144,7 @@ def _person_of(pairs: Mapping[str, object]) -> Person:
     for key, value in pairs.items():
         small = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", str(key)).lower()
         found |= {name: str(value) for name, word in KEYS.items() if word.fullmatch(small) and name not in found}
-    mass, height, age = (_number(found.get(key, "")) for key in ("mass_kg", "height_m", "age_years"))
+    mass, height, age = (_number(found.get(key, ""), unit) for key, unit in UNITS.items())
     if height and height > TALLEST_M:  # cm, or mm
         height /= 1000.0 if height > 100.0 * TALLEST_M else 100.0
     sex = SEXES.get(found.get("sex", "").strip().lower())
@@ -150,6 +157,6 @@ def _person_of(pairs: Mapping[str, object]) -> Person:
     )
 
 
-def _number(text: str) -> float | None:
-    match = VALUE.fullmatch(text)
+def _number(text: str, unit: str) -> float | None:
+    match = re.fullmatch(rf"{NUMBER}({unit})?\s*", text)
     return float(match[1].replace(",", ".")) if match else None
