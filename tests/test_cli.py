@@ -199,3 +199,15 @@ def test_progress_survives_any_order_of_stages():
         for stage, fraction in (("a[b]", 0.0), ("c", 1.0), ("a[b]", 0.5), ("[/red]", 0.1)):
             progress(stage, fraction)
     assert set(progress.tasks) == {"a[b]", "c", "[/red]"}
+
+
+@pytest.mark.parametrize("command", ["run", "evaluate", "simulate"])
+@pytest.mark.parametrize("name", ["S1.b3d/walk", "sub-01_motion.tsv", "walk.c3d", "walk.TRC", "walk_grf.mot"])
+def test_a_recording_in_place_of_a_config_is_refused(command: str, name: str, tmp_path: Path):
+    """Whatever its kind, with what there is to do."""
+    file = tmp_path / name
+    (tmp_path / "S1.b3d").touch()
+    if file.parent == tmp_path:
+        file.write_text("a\tb: [\n")
+    said = " ".join(runner.invoke(app, [command, str(file)]).output.split())
+    assert "a recording is no config" in said and f"torchid new {file.parent}`" in said

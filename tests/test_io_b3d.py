@@ -16,7 +16,7 @@ from torchid.cli import app
 from torchid.config import load_config
 from torchid.conventions import y_up_to_z_up
 from torchid.errors import ConfigError, InputError
-from torchid.folder.survey import survey
+from torchid.folder.survey import names_of, survey
 from torchid.io import ReadOptions, read_trial
 from torchid.io.files import file_on_disk
 from torchid.io.mend import ForcesAs
@@ -180,10 +180,30 @@ def test_check_takes_a_file_of_trials_as_a_folder(tmp_path: Path, walk: Trial) -
     path = save(tmp_path / "S1.b3d", walk, stored(walk, "a"), stored(walk, "b"))
     assert pair_files([path]) == [(path / "a", None), (path / "b", None)]
     assert pair_files([path / "b"]) == [(path / "b", None)]
-    with pytest.raises(InputError, match="without markers"):
-        pair_files([path, tmp_path / "a.mot"])
+    assert pair_files([path / "b", tmp_path / "a.mot"]) == [(path / "b", tmp_path / "a.mot")]
+    for whole in (path, tmp_path):
+        with pytest.raises(InputError, match="without markers"):
+            pair_files([whole, tmp_path / "a.mot"])
     said = CliRunner().invoke(app, ["check", str(path)]).output
     assert said.count("220 frames") == 2
+
+
+def test_what_stands_behind_a_dot_is_part_of_a_trial_s_name(tmp_path: Path, walk: Trial) -> None:
+    """Speeds, in a session as in a check."""
+    path = save(tmp_path / "S1.b3d", walk, stored(walk, "speed_1.2"), stored(walk, "speed_1.4"))
+    (tmp_path / "b").mkdir()
+    save(tmp_path / "b" / "S2.b3d", walk, stored(walk, "speed_1.4"))
+    files = [file for file, _ in find_recordings(tmp_path)]
+    whole = [file for file, _ in find_recordings(path)]
+    assert sorted(names_of(files, tmp_path)) == ["S1.b3d_speed_1.4", "S2.b3d_speed_1.4", "speed_1.2"]
+    assert names_of(whole, path) == ["speed_1.2", "speed_1.4"]
+    assert "speed_1.2" in CliRunner().invoke(app, ["check", str(path)]).output.splitlines()
+
+
+def test_a_file_that_is_not_there_is_said_to_be_absent(tmp_path: Path) -> None:
+    """It is no empty folder."""
+    said = CliRunner().invoke(app, ["check", str(tmp_path / "S1.b3d")])
+    assert said.exit_code == 2 and "No such file" in said.output and "folder" not in said.output
 
 
 def test_a_damaged_file_among_others_is_one_recording_that_is_refused(tmp_path: Path, walk: Trial) -> None:

@@ -351,10 +351,11 @@ def _findings(what: list[str]) -> Iterator:
         yield from foreseen(config)
     else:
         from torchid.checks.report import Given, check_recordings
+        from torchid.io.files import recording_name
         from torchid.io.pairing import pair_files
 
         pairs = pair_files([Path(text) for text in what])
-        yield from check_recordings(Given(file.stem, file, forces) for file, forces in pairs)
+        yield from check_recordings(Given(recording_name(file), file, forces) for file, forces in pairs)
 
 
 def _shown(findings: Iterator) -> Iterator:

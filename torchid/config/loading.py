@@ -12,7 +12,8 @@ from torchid.config.explain import InvalidConfig, explain
 from torchid.config.sections import Config
 from torchid.config.study import Study
 from torchid.errors import ConfigError
-from torchid.io.files import file_on_disk
+from torchid.io.files import container_of, file_on_disk
+from torchid.io.pairing import is_recording
 from torchid.storage.documents import Document, dump_document, parse_document, read_document
 
 Kind = TypeVar("Kind", bound=BaseModel)
@@ -74,6 +75,12 @@ def load_evaluation(path: str | Path, overrides: Sequence[str] = ()) -> Config |
 
 
 def _document(path: Path, overrides: Sequence[str]) -> dict[str, Document]:
+    if is_recording(path):
+        raise ConfigError(
+            "config.recording", "a recording is no config", source=path,
+            remedy=f"`torchid new {container_of(path) or path.parent}` makes one of all recordings there; one that is "
+            f"written by hand names it under trials, as file: {path}",
+        )  # fmt: skip
     document = read_document(path)
     if not isinstance(document, dict):
         raise ConfigError(

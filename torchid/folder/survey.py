@@ -11,7 +11,7 @@ from torch import Tensor
 from torchid.checks.recording import TrialCheck
 from torchid.checks.report import Given, Refusal, check_recordings
 from torchid.conventions import SAMPLE_LOADED_N
-from torchid.io.files import unique_names
+from torchid.io.files import recording_name, unique_names
 from torchid.io.pairing import find_recordings, trial_name
 from torchid.recording import Markers, Trial
 
@@ -108,7 +108,7 @@ def names_of(files: list[Path], folder: Path) -> list[str]:
     with_folder = [
         f"{file.parent.name}_{name}" if trial_name(file) else name for file, name in zip(files, own, strict=True)
     ]
-    whole = ["_".join(file.relative_to(folder).with_suffix("").parts) for file in files]
+    whole = ["_".join((*file.relative_to(folder).parent.parts, recording_name(file))) for file in files]
     names = [plain_name(name) for name in own]
     for longer in (with_folder, whole):
         alike = [k for k, name in enumerate(names) if names.count(name) > 1]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from torchid.errors import InputError
 from torchid.io.b3d_header import read_header
-from torchid.io.files import CONTAINERS, MOTION_BIDS, container_of
+from torchid.io.files import CONTAINERS, MOTION_BIDS, container_of, recording_name
 
 MARKER_SUFFIXES = (".c3d", ".trc")
 FORCE_SUFFIXES = (".mot", ".sto")
@@ -37,18 +37,19 @@ def pair_files(files: list[Path]) -> list[tuple[Path, Path | None]]:
             ``check.empty`` for a folder without recordings.
     """
     pairs: list[tuple[Path, Path | None]] = []
-    for file in files:
-        kind = file.suffix.lower()
-        if file.is_dir() or container_of(file) == file:
+    for before, file in zip([None, *files], files, strict=False):
+        forces = file.suffix.lower() in FORCE_SUFFIXES and not container_of(file)
+        if file.is_dir() or (container_of(file) == file and file.exists()):
             pairs += find_recordings(file)
-        elif _is_markers(file) or container_of(file):
+        elif not forces and is_recording(file):
             pairs.append((file, None))
-        elif kind in FORCE_SUFFIXES and pairs and pairs[-1][1] is None and not container_of(pairs[-1][0]):
+        elif forces and pairs and pairs[-1] == (before, None):
             pairs[-1] = (pairs[-1][0], file)
-        elif kind in FORCE_SUFFIXES:
+        elif forces:
             raise InputError(
-                "check.order", "forces without markers", source=file, remedy="Name its marker file before it."
-            )
+                "check.order", "forces without markers", source=file,
+                remedy="Name the recording before it (walk.trc, S1.b3d/walk), not a whole folder or .b3d file",
+            )  # fmt: skip
         else:
             known = ", ".join(
                 (*MARKER_SUFFIXES, MOTION_BIDS, *CONTAINERS, *FORCE_SUFFIXES, "a config (.yaml, .yml, .json), a folder")
@@ -85,6 +86,11 @@ def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
     lone = [file for file, own in by_name.items() if own is None]
     by_time = _same_time(lone, [file for file in forces if file not in by_name.values()]) if lone else {}
     return [(file, by_name.get(file) or by_time.get(file)) for file in markers]
+
+
+def is_recording(file: Path) -> bool:
+    """Whether a path names a recording, of markers or of forces, or a file of many."""
+    return _is_markers(file) or container_of(file) is not None or file.suffix.lower() in FORCE_SUFFIXES
 
 
 def _is_markers(file: Path) -> bool:
@@ -170,7 +176,8 @@ def _has_forces(file: Path) -> bool:
 
 def trial_name(file: Path) -> str:
     """The part of a file's name that says which trial it is: empty for ``markers.trc`` and ``grf.mot``."""
-    stem = TRACKING.sub("", file.stem) if file.name.endswith(MOTION_BIDS) else file.stem
+    stem = recording_name(file)
+    stem = TRACKING.sub("", stem) if file.name.endswith(MOTION_BIDS) else stem
     parts = re.split(r"([\s_\-.]+)", stem)  # words and what stands between them
     kept = [k for k in range(0, len(parts), 2) if parts[k] and not KIND.fullmatch(parts[k])]
     return "".join((parts[k - 1] if n else "") + parts[k] for n, k in enumerate(kept))
