@@ -166,11 +166,13 @@ def test_what_was_changed_is_said_with_its_source():
         (1.2, 23.0, 7.0): "a child of 7 years (Jensen", (1.2, 23.0, None): "about 7 years, as the stature tells",
         (1.46, 40.0, None): "a child or a small adult", (1.7, 70.0, 72.0): "for 72 years (Jensen & Fletcher 1994",
         (1.74, 103.0, None): "body mass index of 34 (Zatsiorsky",
+        (0.8, 11.0, 2.0): "a child of 2 years, taken for 4 years",
     }  # fmt: skip
     for (height, mass, age), words in said.items():
         model = whole_body(height, mass, age=age)
         (line,) = model.build
         assert words in line and line in model.sources[-1]
+    assert any("mean at 2 years, taken for 4 years" in line for line in whole_body(None, None, age=2.0).sources)
 
 
 @pytest.mark.parametrize("age", [0.0, -3.0, 120.0, float("nan")])

@@ -149,12 +149,17 @@ def _heaviness(index: float) -> float:
     return max(min(whole, beyond), 0.0) if index > BMI else min(max(whole, beyond), 0.0)
 
 
+def age_said(age: float) -> str:
+    """An age in words, with the one for which it is taken where that is another."""
+    return f"{age:g} years" + (f", taken for {YOUNGEST:g} years" if age < YOUNGEST else "")
+
+
 def _said(build: Build, age: float | None, index: float | None) -> list[str]:
     """What the tables were changed for."""
     lines = []
     if build.growing > 0.0:
-        child = "a child of about {} years, as the stature tells" if age is None else "a child of {} years"
-        child = child.format(number(GROWN - build.growing, 0) if age is None else f"{age:g}")
+        about = f"about {number(GROWN - build.growing, 0)} years, as the stature tells"
+        child = f"a child of {about if age is None else age_said(age)}"
         child = child if build.growing_sd <= AGE_SD else "a child or a small adult, which the stature does not tell"
         lines.append(f"shifted and wider for {child} (Jensen 1986, 1989; Yokoi et al. 1986)")
     if build.ageing > 0.0:

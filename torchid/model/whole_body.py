@@ -6,7 +6,7 @@ import torch
 
 from torchid.errors import ConfigError, Note
 from torchid.model.anthropometry import inertial_prior
-from torchid.model.build import build_of
+from torchid.model.build import age_said, build_of
 from torchid.model.geometry_prior import whole_body_geometry
 from torchid.model.landmarks import whole_body_landmarks
 from torchid.model.model import GeometryPrior, Model
@@ -43,7 +43,7 @@ def whole_body(
     shape = proportions(sex)
     tree = whole_body_tree(shape.hip_height * tall)
     geometry = whole_body_geometry(tree, shape, tall, tall_sd)
-    of_whom = "of adults" if age is None else f"at {age:g} years"
+    of_whom = "of adults" if age is None else f"at {age_said(age)}"
     sources = SOURCES if height is not None else (*SOURCES, f"height not given: {tall:.3f} m, mean {of_whom} ({sex})")
     build = build_of(height, mass, age).said
     return Model(
