@@ -170,6 +170,12 @@ def test_overrides_set_single_keys(write):
     assert config.subject.name == "no"
 
 
+def test_a_word_in_place_of_a_list_is_told_how_a_list_is_written(write):
+    """As it would be right, which loads."""
+    assert "[parquet]" in problems(write(MINIMAL), "tables=parquet")["tables"].remedy
+    assert load_config(write(MINIMAL), ["tables=[parquet]"]).tables == ("parquet",)
+
+
 @pytest.mark.parametrize(("text", "subject"), [("BodyL", "BodyL"), ("[BodyL, ArmL]", ("BodyL", "ArmL"))])
 def test_a_trial_names_one_subject_or_several_bodies(write, text, subject):
     """``subject`` of a trial is a prefix or a list of them."""

@@ -123,8 +123,14 @@ def test_descriptions_that_do_not_fit_are_refused(tmp_path: Path, markers: Marke
 def test_what_is_absent_is_asked_for(tmp_path: Path, markers: Markers):
     """The rate, and the description of the columns."""
     path = save(tmp_path, markers, SamplingFrequency="n/a")
-    with pytest.raises(InputError, match="SamplingFrequency"):
+    with pytest.raises(InputError, match="SamplingFrequency.*n/a"):
         read_trial("walk", path)
+    (tmp_path / "task-walk_motion.json").write_text("{}")
+    with pytest.raises(InputError, match="SamplingFrequency") as refused:
+        read_trial("walk", path)
+    assert refused.value.found == ""
+    (tmp_path / "task-walk_motion.json").write_text('{"SamplingFrequency": "100"}')
+    assert read_trial("walk", path).markers.rate == pytest.approx(100.0)
     path.with_name(f"{NAME}_channels.tsv").unlink()
     with pytest.raises(InputError, match=f"{NAME}_channels.tsv beside it"):
         read_trial("walk", path)

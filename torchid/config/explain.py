@@ -143,6 +143,7 @@ def _explain_one(
         value = _value(document, place)
         found = repr(value)[:80] if place and not isinstance(value, dict | list) else ""
         remedy = _did_you_mean(str(value), _literals(details)) or _REMEDIES.get(kind, "Correct this value.")
+        remedy = f"Write it in brackets: [{value}]." if kind == "tuple_type" and found else remedy
     code = _CODES.get(kind, "config.invalid_value")
     return ConfigError(code, message, source=source, place=dotted(place), found=found, remedy=remedy)
 

@@ -111,10 +111,18 @@ def _wrong(message: str, found: str, source: str) -> InputError:
     )
 
 
+def _number(value: object) -> float | None:
+    """A number, or a text that is one."""
+    try:
+        return float(value) if isinstance(value, int | float | str) else None
+    except (ValueError, OverflowError):
+        return None
+
+
 def _clock(rows: Rows, channels: Channels, stated: dict, source: str, notes: list[Note]) -> Clock:
     """The clock that latencies tell, or a rate."""
-    rates = [stated.get(f"SamplingFrequency{kind}") for kind in ("Effective", "")]
-    rate = next((float(one) for one in rates if isinstance(one, int | float) and 0.0 < one < np.inf), None)
+    rates = [stated.get(f"SamplingFrequency{kind}", "") for kind in ("Effective", "")]
+    rate = next((hertz for one in rates if (hertz := _number(one)) is not None and 0.0 < hertz < np.inf), None)
     latencies = [k for k, channel in enumerate(channels) if channel["type"].strip().upper() == "LATENCY"]
     if latencies:
         time: Float[np.ndarray, " rows"] = rows.values[:, latencies[0]]

@@ -47,7 +47,6 @@ def spanning(
     kept += parts.joined(person)
     kept += parts.joined(welds)
     kept += parts.joined([joint for joint in free if joint not in person])
-    kept += parts.joined([joint for joint in free if joint not in person])
     tree = _outwards([joint for joint in (*joints, *welds) if joint in kept])
     seen = {marker.frame.body for marker in markers} - {GROUND}
     loose = {joint.name for joint in joints if joint.rows and not used & set(joint.rows)}
