@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from torchid import run
 from torchid.checks import report as check_report
 from torchid.cli import app
+from torchid.cohort import cohort
 from torchid.evaluation import evaluate
 from torchid.evaluation.study import write
 from torchid.folder import survey as folder_survey
@@ -75,6 +76,8 @@ def laid_out(folder: Path) -> None:
             path.touch()
     shutil.copytree(PROJECT / "configs", folder / "configs")
     (folder / "session.xdf").touch()
+    (folder / "subjects.csv").write_text("subject,folder\nS04,OpenCapSubject\n")
+    shutil.copytree(folder / "OpenCapSubject", folder / "recordings" / "S04")
 
 
 @pytest.mark.parametrize("command", commands(), ids=lambda one: f"{one.page}:{one.line}")
@@ -91,6 +94,7 @@ def test_a_command_of_a_page_reaches_its_work(command, tmp_path, monkeypatch):
     for where, name in (
         (run, "run_experiment"), (run, "run_simulation"), (demo, "run_simulation"), (evaluate, "evaluate"),
         (live, "prepare_subject"), (live, "open_as_recorded"), (finished.FinishedRun, "__init__"),
+        (cohort, "run_cohort"), (cohort, "missing"),
         (check_report, "check_recordings"),
         (checking, "check_recordings"),
         (folder_survey, "check_recordings"),

@@ -427,8 +427,8 @@ def test_random_names_are_placed(person: SimulatedSession, tmp_path: Path, seed:
     assert done.exit_code == 0, done.output
     assert "places and motion tell" in done.output
     setup = setup_of(load_config(config))
-    assert setup.unlisted == "assign"
     told = setup.markers.specs
+    assert setup.unlisted == ("assign" if len(told) < len(names) else "leave_out")
     wrong = {label: told[name].segment for label, name in names.items() if name in told}
     wrong = {label: segment for label, segment in wrong.items() if segment != segments[label]}
     assert len(wrong) <= 1, wrong

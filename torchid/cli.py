@@ -1,6 +1,7 @@
 """The ``torchid`` command: reads the config, runs what it asks for, and turns errors into one line and an exit code.
 
 Exit codes: 0 done; 2 the config or a file is at fault; 3 the data do not support a result; 1 a defect of torchid;
+4 some subjects of a cohort are set aside;
 130 interrupted. Heavy imports wait inside the commands, because torch alone takes seconds.
 """
 
@@ -18,8 +19,10 @@ from rich.text import Text
 
 from torchid.errors import ConfigError, DataError, InputError, TorchidError, said_of_defect
 from torchid.storage.allocator import keep_memory
-from torchid.terminal import Terminal, complain, print_lights, progress_bars, unbroken
+from torchid.terminal import Terminal, cohort_progress, complain, print_lights, progress_bars, unbroken
 
+SOME_ASIDE = 4
+"""Exit code of a cohort of which some are set aside."""
 CONFIG_SUFFIXES = (".yaml", ".yml", ".json")
 
 app = typer.Typer(
@@ -150,6 +153,44 @@ def demo(
         with progress_bars() as progress:
             for line in demonstrate(demo_config(seed, overrides), progress):
                 Terminal().print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+@app.command()
+def cohort(
+    who: Annotated[
+        Path, typer.Argument(metavar="TABLE|FOLDER", help="CSV of subjects, or a folder of each.", show_default=False)
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of all results.", show_default=False)],
+    scheduler: Annotated[str | None, typer.Option(help="Address or file of a Dask scheduler that is there.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Runs at once; default: by cores and memory.")] = None,
+    memory: Annotated[float, typer.Option(min=0.5, help="GiB that one run may take.")] = 4.0,
+    minutes: Annotated[float, typer.Option(min=0.1, help="That one run may take.")] = 60.0,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Many subjects, each as `torchid run` has it, one table and page of all; ends with 4 where some are set aside."""
+    with _exit_codes(debug):
+        from torchid.cohort.cohort import missing, run_cohort
+        from torchid.cohort.members import members_of
+        from torchid.cohort.task import Limits
+
+        members, console = members_of(who), Terminal()
+        if dry_run:
+            _, left = missing(members, output.resolve())
+            for member in members:
+                word = "run" if member in left else "done"
+                console.print(f"{word:5}{member.name}  {member.source}", highlight=False, markup=False, soft_wrap=True)
+            console.print(f"{len(left)} of {len(members)} to run", highlight=False)
+            return
+        with cohort_progress() as shown:
+            rows = run_cohort(members, output, Limits(memory, 60.0 * minutes), workers, scheduler, shown, shown.open)
+        aside = [row for row in rows if row["status"] != "done"]
+        for row in aside:
+            complain(f"{row['subject']}: {row['reason']}")
+        said = f"Done: {output / 'cohort.html'}, {len(rows) - len(aside)} of {len(rows)} subjects"
+        console.print(said, soft_wrap=True, highlight=False, markup=False)
+        if aside:
+            raise typer.Exit(SOME_ASIDE)
 
 
 @app.command()

@@ -1,12 +1,20 @@
 """What people read on a terminal: lines that cannot do harm, bars, errors, a verdict in colours."""
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -53,6 +61,36 @@ def progress_bars() -> Iterator[Bar]:
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Terminal(stderr=True), disable=not sys.stderr.isatty()) as bars:
         yield Bar(bars)
+
+
+class CohortBar:
+    """One bar for all subjects, with how many failed and the time that is left; without a terminal, a line each."""
+
+    def __init__(self, bars: Progress) -> None:
+        self.bars, self.task, self.failed = bars, bars.add_task("subjects", total=None, failed=""), 0
+
+    def open(self, address: str) -> None:
+        """Say where the cluster can be watched."""
+        self.bars.console.print(f"workers: {address}", highlight=False, markup=False, soft_wrap=True)
+
+    def __call__(self, row: "Mapping[str, Any]", done: int, total: int) -> None:
+        self.failed += row["status"] != "done"
+        failed = f"{self.failed} set aside" if self.failed else ""
+        self.bars.update(self.task, completed=done, total=total, failed=failed)
+        if self.bars.disable:
+            said = f"{done} of {total}  {row['subject']}: {row['status']}"
+            self.bars.console.print(said, highlight=False, markup=False, soft_wrap=True)
+
+
+@contextmanager
+def cohort_progress() -> Iterator[CohortBar]:
+    columns = (
+        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+        TextColumn("{task.fields[failed]}"),
+        TimeElapsedColumn(), TimeRemainingColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=Terminal(stderr=True), disable=not sys.stderr.isatty()) as bars:
+        yield CohortBar(bars)
 
 
 def complain(error: object, traceback: bool = False) -> None:

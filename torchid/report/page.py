@@ -21,7 +21,7 @@ from torchid.report.joints import joints_section
 from torchid.report.method import method_section
 from torchid.report.skeleton import skeleton_section
 from torchid.report.summary import head_section
-from torchid.scene.embedded import OPENER, EmbeddedPage
+from torchid.scene.embedded import OPENER, EmbeddedPage, hashed
 from torchid.session import Outcome
 from torchid.session.joint_cycles import joint_cycles
 from torchid.session.judging import quality_of
@@ -68,6 +68,11 @@ def render_report(outcome: Outcome, failure: DataError | None = None, replay: Em
     return render_page(title, sections(outcome, failure, replay), failure, replay)
 
 
+def running(script: str) -> str:
+    """The policy of a page on which one script runs and no other."""
+    return f"{INERT}; script-src {hashed(script)}"
+
+
 def _shown(text: str) -> Markup:
     """Text of the page: numbers stay with their units, what stands between grave accents is typed as it is."""
     return Markup(_TYPED.sub(r"<code>\1</code>", str(escape(bind(text)))))  # noqa: S704 - escaped before
@@ -79,6 +84,7 @@ def render_page(
     failure: DataError | None = None,
     replay: EmbeddedPage | None = None,
     styles: str = "",
+    script: str = "",
 ) -> str:
     """Sections as one page of text; every name from the data is escaped by the template.
 
@@ -86,6 +92,7 @@ def render_page(
         chapters: in the order in which they are read.
         failure: why the rest was not found; said at the top.
         styles: more rules beside those that all pages share.
+        script: that runs, of the package's own; a page with a replay has the replay's.
     """
     environment = Environment(
         loader=PackageLoader("torchid.report", "."),
@@ -100,8 +107,8 @@ def render_page(
         title=title,
         css=Markup(css),  # noqa: S704 - the package's own file
         sections=list(chapters),
-        opener=None if replay is None else Markup(OPENER),  # noqa: S704 - the package's own
-        policy=Markup(INERT if replay is None else replay.policy),  # noqa: S704 - quotes it needs, of our own making
+        opener=Markup(OPENER if replay else script),  # noqa: S704 - the package's own
+        policy=Markup(replay.policy if replay else running(script) if script else INERT),  # noqa: S704 - quotes it needs, of our own making
         failure=None if failure is None else clean(str(failure), 1000),
         alarm=REFUSED if failure is not None and failure.code.startswith("result.") else STOPPED,
         maker=_maker(),

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import chain
+from pathlib import Path
 
 import torch
 
@@ -76,7 +77,7 @@ def run_experiment(config: Config, progress: OnStage = lambda stage, fraction: N
         with folder.timed("write"):
             write_outcome(outcome, folder, failure)
             write_report(outcome, folder.path("report.html"), failure, _replay(outcome, folder))
-        write_json(folder.path("provenance.json"), provenance(_inputs(config), config.seed, folder.times))
+        write_json(folder.path("provenance.json"), provenance(inputs(config), config.seed, folder.times))
         progress("write", 1.0)
         if failure is not None:
             raise failure
@@ -112,7 +113,8 @@ def _claim(folder: OutputFolder, config: Config) -> None:
         folder.claim(CONFIGS[1:])
 
 
-def _inputs(config: Config) -> list:
+def inputs(config: Config) -> list[Path]:
+    """Return every file on which a run of a config depends, itself apart."""
     files = [path for trial in config.trials for path in (trial.file, trial.forces) if path is not None]
     return list(dict.fromkeys(chain.from_iterable(map(files_on_disk, files)))) + [
         path for path in (config.model, config.markers) if not isinstance(path, str)
@@ -122,7 +124,7 @@ def _inputs(config: Config) -> list:
 def run_key(config: Config) -> str:
     """Key of a run's stages: files and options."""
     own = {k: v for k, v in config.model_dump(mode="json").items() if k not in UNKEYED}
-    return stage_key(inputs=[file_sha256(path) for path in _inputs(config)], config=own)
+    return stage_key(inputs=[file_sha256(path) for path in inputs(config)], config=own)
 
 
 def compute_outcome(

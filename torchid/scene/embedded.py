@@ -32,7 +32,7 @@ def policy(html: str) -> str:
     """Return a Content-Security-Policy that lets the scripts of a page run, and ``OPENER``, known by their hashes."""
     found = _Scripts()
     found.feed(html)
-    hashes = [CLIENT, *sorted(map(_hashed, {OPENER, *found.all}))]
+    hashes = [CLIENT, *sorted(map(hashed, {OPENER, *found.all}))]
     return (
         f"default-src 'none'; style-src 'unsafe-inline'; script-src {' '.join(hashes)} 'wasm-unsafe-eval'; "
         "worker-src blob: data:; connect-src blob: data:; img-src blob: data:; font-src data:; base-uri 'none'; "
@@ -40,7 +40,8 @@ def policy(html: str) -> str:
     )
 
 
-def _hashed(script: str) -> str:
+def hashed(script: str) -> str:
+    """Return the word by which a policy allows a script."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 

@@ -7,6 +7,7 @@ import platform
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,7 @@ def _update(digest: Any, value: Any) -> None:
         digest.update(repr(value if isinstance(value, float) else plain(value)).encode())
 
 
+@cache
 def code_sha256() -> str:
     """Hash of torchid's own source files, so that no result outlives the code that made it."""
     root = Path(__file__).parents[1]
@@ -88,6 +90,7 @@ def versions() -> dict[str, str]:
     return found | {name: _version(name) for name in DEPENDENCIES}
 
 
+@cache
 def _version(name: str) -> str:
     try:
         return importlib.metadata.version(name)

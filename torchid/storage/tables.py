@@ -21,6 +21,11 @@ SHEET = (1 << 20) - 1
 """Resolution. Lines of a sheet of Excel below its head."""
 
 
+def installed(forms: Iterable[Form]) -> tuple[Form, ...]:
+    """Return those forms of tables whose package is installed."""
+    return tuple(form for form in forms if find_spec(PACKAGES[form]) is not None)
+
+
 def refuse_missing(forms: Iterable[Form]) -> None:
     """Refuse forms of tables whose package is not installed.
 
@@ -28,7 +33,7 @@ def refuse_missing(forms: Iterable[Form]) -> None:
         ConfigError: ``tables.package``.
     """
     for form in forms:
-        if find_spec(PACKAGES[form]) is None:
+        if form not in installed((form,)):
             raise ConfigError(
                 "tables.package", f"tables as {form} need the package {PACKAGES[form]}, which is not installed",
                 place="tables", found=form, remedy="pip install 'torchid[tables]', or leave it out: CSV is there",
