@@ -9,8 +9,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from b3d_bytes import B3dTrial, write_b3d
 from typer.testing import CliRunner
 
 from torchid import run
@@ -76,6 +78,8 @@ def laid_out(folder: Path) -> None:
             path.touch()
     shutil.copytree(PROJECT / "configs", folder / "configs")
     (folder / "session.xdf").touch()
+    walk = B3dTrial("walk", np.ones((10, 3, 3)), *np.ones((3, 10, 2, 3)))
+    write_b3d(folder / "S1.b3d", ("LASI", "RASI", "SACR"), [walk], 100.0)
     (folder / "subjects.csv").write_text("subject,folder\nS04,OpenCapSubject\n")
     shutil.copytree(folder / "OpenCapSubject", folder / "recordings" / "S04")
 
