@@ -270,7 +270,7 @@ def test_a_cohort_runs_whoever_is_killed_meanwhile(tmp_path):
     orphans = _runs(first.pid)
     first.kill()
     first.wait()
-    _until(lambda: not any(psutil.pid_exists(one) for one in orphans))
+    _until(lambda: not any(map(_runs_on, orphans)))
 
     second = subprocess.run(command, capture_output=True, text=True, check=False)
     assert second.returncode == 4 and "D: " in second.stderr and "3 of 4 subjects" in second.stdout
@@ -298,6 +298,14 @@ def _runs(pid: int) -> list[int]:
         except psutil.Error:
             continue
     return found
+
+
+def _runs_on(pid: int) -> bool:
+    """Whether a process is there and not only waits for somebody to ask how it ended."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
 def _until(holds) -> None:
