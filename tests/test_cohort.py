@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 from torchid.cli import app
 from torchid.cohort import task
 from torchid.cohort.cohort import missing, run_cohort
-from torchid.cohort.members import Member, members_of
+from torchid.cohort.members import Participant, members_of
 from torchid.cohort.page import MEASURES, OUTLYING, outliers, render_cohort
 from torchid.cohort.table import COLUMNS, cohort_table
-from torchid.cohort.task import Limits, content, log_path, looks, perform, row_path, stored
+from torchid.cohort.task import RunLimits, content, log_path, looks, perform, row_path, stored
 from torchid.errors import ConfigError, InputError
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
@@ -121,7 +121,7 @@ def test_a_tree_names_a_subject_a_folder_or_a_session(tmp_path):
 def test_what_has_changed_is_run_again_and_nothing_else(tmp_path):
     """A copy of the same files is the same; other content, another mass, or a lost row is not."""
     folder, out = tree(tmp_path, "a") / "a", tmp_path / "out"
-    one = Member("A", folder)
+    one = Participant("A", folder)
     row_path(one, out).parent.mkdir(parents=True)
     kept = row("A", looks=looks(one), content=content(one), again=False, group="old")
     row_path(one, out).write_text(json.dumps(kept))
@@ -129,7 +129,7 @@ def test_what_has_changed_is_run_again_and_nothing_else(tmp_path):
     (out / "A").mkdir()
     (out / "A" / "report.html").touch()
     assert stored(one, out) is not None and missing([one], out)[1] == []
-    grouped = stored(Member("A", folder, labels={"group": "new"}), out)
+    grouped = stored(Participant("A", folder, labels={"group": "new"}), out)
     assert grouped is not None and grouped["group"] == "new"
     os.utime(folder / "walk.c3d", (1, 1))
     assert stored(one, out) is not None  # touched, and read again
@@ -147,7 +147,7 @@ def test_a_config_member_depends_on_the_recordings_that_it_names(tmp_path):
     """On their content, wherever they lie."""
     config = simulate_session(SHORT, 1, tmp_path / "A").config
     assert config is not None
-    one = Member("A", config.resolve())
+    one = Participant("A", config.resolve())
     before = looks(one), content(one)
     os.utime(tmp_path / "A" / "squats.c3d", (1, 1))
     assert looks(one) != before[0] and content(one) == before[1]
@@ -160,7 +160,7 @@ def test_results_among_recordings_are_refused(tmp_path, where):
     """They would be recordings for the next call."""
     tree(tmp_path, "a")
     with pytest.raises(ConfigError, match=r"cohort\.inside"):
-        run_cohort([Member("a", (tmp_path / "a").resolve())], tmp_path / where, Limits(1.0, 1.0))
+        run_cohort([Participant("a", (tmp_path / "a").resolve())], tmp_path / where, RunLimits(1.0, 1.0))
 
 
 POISON = """
@@ -193,20 +193,21 @@ def test_who_fails_is_tried_again_where_that_may_help_and_set_aside_with_the_rea
     found = {}
     for kind in kinds:
         seconds = 2.0 if kind == "hang" else 60.0
-        found[kind] = perform(Member(kind, tmp_path / kind), out, Limits(1.0, seconds))
+        found[kind] = perform(Participant(kind, tmp_path / kind), out, RunLimits(1.0, seconds))
     tries = {kind: len((out / f"{kind}.tries").read_text()) for kind in kinds}
     assert tries == dict.fromkeys(kinds, 2) | {"refused": 1, "well": 1}
     reasons = {kind: one["reason"] for kind, one in found.items() if one["status"] != "done"}
     assert set(reasons) == {"hang", "hog", "crash", "mute", "refused"} and reasons["refused"] == "no plates"
     for kind, said in (("hang", "took longer than 2 s"), ("hog", "needed more than 1.0 GiB"),
                        ("crash", "was ended by signal 11"), ("mute", "ended with 7 and without a result")):  # fmt: skip
-        assert reasons[kind].startswith(said) and str(log_path(Member(kind, tmp_path), out)) in reasons[kind]
+        assert reasons[kind].startswith(said) and str(log_path(Participant(kind, tmp_path), out)) in reasons[kind]
     for kind in ("well", "refused", "mute"):
-        again = perform(Member(kind, tmp_path / kind), out, Limits(1.0, 60.0))
+        again = perform(Participant(kind, tmp_path / kind), out, RunLimits(1.0, 60.0))
         assert (again == found[kind]) == (kind != "mute")
     tries = {kind: len((out / f"{kind}.tries").read_text()) for kind in kinds}
     assert (tries["well"], tries["refused"], tries["mute"]) == (1, 1, 4)
-    assert not psutil.Process().children(recursive=True)
+    left = [one for one in psutil.Process().children(recursive=True) if str(script) in one.cmdline()]
+    assert not left
 
 
 def test_a_run_that_nobody_waits_for_ends(tmp_path):

@@ -172,7 +172,7 @@ def cohort(
     with _exit_codes(debug):
         from torchid.cohort.cohort import missing, run_cohort
         from torchid.cohort.members import members_of
-        from torchid.cohort.task import Limits
+        from torchid.cohort.task import RunLimits
 
         members, console = members_of(who), Terminal()
         if dry_run:
@@ -183,7 +183,7 @@ def cohort(
             console.print(f"{len(left)} of {len(members)} to run", highlight=False)
             return
         with cohort_progress() as shown:
-            rows = run_cohort(members, output, Limits(memory, 60.0 * minutes), workers, scheduler, shown, shown.open)
+            rows = run_cohort(members, output, RunLimits(memory, 60.0 * minutes), workers, scheduler, shown, shown.open)
         aside = [row for row in rows if row["status"] != "done"]
         for row in aside:
             complain(f"{row['subject']}: {row['reason']}")

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchid.cohort.cluster import ended, workers
-from torchid.cohort.members import Member
+from torchid.cohort.members import Participant
 from torchid.cohort.one_run import Row
 from torchid.cohort.page import render_cohort
 from torchid.cohort.table import cohort_table
-from torchid.cohort.task import TRIES, Limits, log_path, perform, stored
+from torchid.cohort.task import TRIES, RunLimits, log_path, perform, stored
 from torchid.errors import ConfigError
 from torchid.storage.files import safe_name, write_text
 from torchid.storage.results import OutputFolder
@@ -26,7 +26,7 @@ OnRow = Callable[[Row, int, int], None]
 """Is told each row, how many are done, and of how many."""
 
 
-def missing(members: Sequence[Member], out: Path) -> tuple[dict[str, Row], list[Member]]:
+def missing(members: Sequence[Participant], out: Path) -> tuple[dict[str, Row], list[Participant]]:
     """Return rows that an earlier call left and that still hold, by subject, and the members that have none.
 
     Args:
@@ -39,7 +39,8 @@ def missing(members: Sequence[Member], out: Path) -> tuple[dict[str, Row], list[
 
 
 def run_cohort(
-    members: Sequence[Member], out: Path, limits: Limits, count: int | None = None, scheduler: str | None = None,
+    members: Sequence[Participant], out: Path, limits: RunLimits, count: int | None = None,
+    scheduler: str | None = None,
     on_row: OnRow = lambda row, done, total: None, on_cluster: Callable[[str], None] = lambda address: None,
 ) -> list[Row]:  # fmt: skip
     """Run who is missing, and write table and page of all.
@@ -78,7 +79,7 @@ def run_cohort(
     return found
 
 
-def _refuse_inside(members: Sequence[Member], out: Path) -> None:
+def _refuse_inside(members: Sequence[Participant], out: Path) -> None:
     """Refuse results among recordings, which they would change for the next call."""
     for member in members:
         own = out / safe_name(member.name)
@@ -89,7 +90,7 @@ def _refuse_inside(members: Sequence[Member], out: Path) -> None:
             )  # fmt: skip
 
 
-def _performed(client: "Client", members: Sequence[Member], out: Path, limits: Limits) -> Iterator[Row]:
+def _performed(client: "Client", members: Sequence[Participant], out: Path, limits: RunLimits) -> Iterator[Row]:
     """Rows in the order in which they are done; a worker that was killed costs the run that it was at."""
     waiting = {client.submit(perform, member, out, limits, pure=False, retries=TRIES): member for member in members}
     for future in ended(waiting):
@@ -100,7 +101,7 @@ def _performed(client: "Client", members: Sequence[Member], out: Path, limits: L
         future.release()
 
 
-def failed(member: Member, out: Path, error: BaseException) -> Row:
+def failed(member: Participant, out: Path, error: BaseException) -> Row:
     """Return the row of a member whose task itself has failed, because its worker was lost again and again, say.
 
     Args:

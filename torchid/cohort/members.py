@@ -36,7 +36,7 @@ LABELS = ("group", "session", "laboratory")
 
 
 @dataclass(frozen=True)
-class Member:
+class Participant:
     """One session of one subject."""
 
     name: str
@@ -49,7 +49,7 @@ class Member:
     """Group, session and laboratory, where the table has them."""
 
 
-def members_of(where: Path) -> tuple[Member, ...]:
+def members_of(where: Path) -> tuple[Participant, ...]:
     """Return whom a table or a tree of folders names, in its order.
 
     A table has a line for every session: ``subject``, ``folder`` or ``config`` (relative to the table), and if they are
@@ -82,13 +82,13 @@ def members_of(where: Path) -> tuple[Member, ...]:
     return found
 
 
-def _of_names(members: Sequence[Member]) -> Iterator[str]:
+def _of_names(members: Sequence[Participant]) -> Iterator[str]:
     names = Counter(safe_name(one.name).casefold() for one in members)
     yield from (f"{name} names {count}" for name, count in names.items() if count > 1)
     yield from (f"{name} is a name of the cohort's own" for name in names if name.partition(".")[0] in RESERVED)
 
 
-def _of_tree(where: Path) -> Iterator[Member]:
+def _of_tree(where: Path) -> Iterator[Participant]:
     sessions = [one for one in where.glob("sub-*/ses-*") if one.is_dir()]
     others = [one for one in where.iterdir() if not any(one in session.parents for session in sessions)]
     others = [one for one in others if one.name.startswith("sub-")] if sessions else others
@@ -96,12 +96,12 @@ def _of_tree(where: Path) -> Iterator[Member]:
         own = (one / STATE).exists() or one.name.startswith(".")  # results, of a cohort say
         inside = one.rglob("*") if one.is_dir() and not own else ()
         if container_of(one) == one:
-            yield Member(one.stem, one.resolve())
+            yield Participant(one.stem, one.resolve())
         elif any(map(is_recording, inside)):
-            yield Member("_".join(one.relative_to(where).parts), one.resolve())
+            yield Participant("_".join(one.relative_to(where).parts), one.resolve())
 
 
-def _of_table(where: Path) -> tuple[Member, ...]:
+def _of_table(where: Path) -> tuple[Participant, ...]:
     if where.suffix.lower() not in TABLES:
         raise ConfigError(
             "cohort.table", "not a known kind of table", source=str(where), found=where.suffix or "no ending",
@@ -109,7 +109,7 @@ def _of_table(where: Path) -> tuple[Member, ...]:
         )  # fmt: skip
     head, rows = _read(where)
     faults = list(_of_head(head))
-    found: list[Member] = []
+    found: list[Participant] = []
     for number, row in () if faults else rows:
         try:
             found.append(_member(row, where.parent))
@@ -177,7 +177,7 @@ def _of_head(head: Sequence[str]) -> Iterator[str]:
     yield from (f"two columns {one}" for one, count in Counter(head).items() if count > 1)
 
 
-def _member(row: Mapping[str, str], base: Path) -> Member:
+def _member(row: Mapping[str, str], base: Path) -> Participant:
     """A line as a member.
 
     Raises:
@@ -197,7 +197,7 @@ def _member(row: Mapping[str, str], base: Path) -> Member:
     facts: dict[str, Any] = {key: _fact(key, row[key], name) for key in FACTS if row.get(key)}
     if facts and row.get(CONFIG):
         raise ValueError(f"{name}: its config says whom it is about ({listing(list(facts))} given here, too)")
-    return Member(name, source, Person(name=name, **facts), {key: row[key] for key in LABELS if row.get(key)})
+    return Participant(name, source, Person(name=name, **facts), {key: row[key] for key in LABELS if row.get(key)})
 
 
 def _fact(key: str, text: str, name: str) -> Any:

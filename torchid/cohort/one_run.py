@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from torchid.cohort.members import Member
+from torchid.cohort.members import Participant
 from torchid.config import Config, load_config
 from torchid.errors import TorchidError, said_of_defect
 from torchid.folder.proposal import propose
@@ -34,7 +34,7 @@ Row = dict[str, Any]
 """What a table says of a member, by its columns."""
 
 
-def write_order(order: Path, member: Member, out: Path, config: Path, row: Path) -> None:
+def write_order(order: Path, member: Participant, out: Path, config: Path, row: Path) -> None:
     """Write what one process is to run.
 
     Args:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 
-from torchid.cohort.members import LABELS, Member
+from torchid.cohort.members import LABELS, Participant
 from torchid.cohort.one_run import Row, write_order
 from torchid.config import load_config
 from torchid.errors import TorchidError
@@ -38,14 +38,14 @@ ALONE = True
 
 
 @dataclass(frozen=True)
-class Limits:
+class RunLimits:
     """What one run may take."""
 
     memory_gb: float
     seconds: float
 
 
-def row_path(member: Member, out: Path) -> Path:
+def row_path(member: Participant, out: Path) -> Path:
     """Return the file of a member's row.
 
     Args:
@@ -55,7 +55,7 @@ def row_path(member: Member, out: Path) -> Path:
     return out / ROWS / f"{safe_name(member.name)}.json"
 
 
-def log_path(member: Member, out: Path) -> Path:
+def log_path(member: Participant, out: Path) -> Path:
     """Return the file of what a member's run said, beside its row's.
 
     Args:
@@ -65,7 +65,7 @@ def log_path(member: Member, out: Path) -> Path:
     return out / LOGS / f"{safe_name(member.name)}.txt"
 
 
-def files_of(member: Member) -> list[Path]:
+def files_of(member: Participant) -> list[Path]:
     """Return the files on which a member's run depends: all of its folder, or its config and what that names.
 
     Args:
@@ -80,7 +80,7 @@ def files_of(member: Member) -> list[Path]:
     return sorted({member.source, *map(Path.resolve, named)})
 
 
-def looks(member: Member) -> str:
+def looks(member: Participant) -> str:
     """Return what tells a member's files from others without reading them: names, sizes, times of change.
 
     Args:
@@ -94,7 +94,7 @@ def looks(member: Member) -> str:
     return stage_key(person=member.person.known, files=seen)
 
 
-def content(member: Member) -> str:
+def content(member: Participant) -> str:
     """Return what tells a member's recordings from others: what is in its files.
 
     Args:
@@ -107,7 +107,7 @@ def content(member: Member) -> str:
     return stage_key(person=member.person.known, files=seen)
 
 
-def stored(member: Member, out: Path) -> Row | None:
+def stored(member: Participant, out: Path) -> Row | None:
     """Return the row of an earlier call; None where there is none, or files, facts or torchid have changed since.
 
     Neither is one kept of a run that crashed or exceeded its limits: another may end otherwise.
@@ -132,11 +132,11 @@ def stored(member: Member, out: Path) -> Row | None:
     return {key: value for key, value in row.items() if key not in LABELS} | _who(member)
 
 
-def _who(member: Member) -> Row:
+def _who(member: Participant) -> Row:
     return {"subject": member.name, **member.labels}
 
 
-def perform(member: Member, out: Path, limits: Limits) -> Row:
+def perform(member: Participant, out: Path, limits: RunLimits) -> Row:
     """Run a member and keep its row.
 
     Args:
@@ -161,7 +161,7 @@ def perform(member: Member, out: Path, limits: Limits) -> Row:
     return row
 
 
-def _attempt(member: Member, out: Path, limits: Limits) -> Row:
+def _attempt(member: Participant, out: Path, limits: RunLimits) -> Row:
     """The row of one run; ``again`` where another try may end otherwise."""
     name = safe_name(member.name)
     config, log = out / CONFIGS / name / f"{name}.yaml", log_path(member, out)
@@ -188,7 +188,7 @@ def _one_thread() -> dict[str, str]:
     return os.environ | {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")}
 
 
-def _watched(process: subprocess.Popen, limits: Limits) -> str:
+def _watched(process: subprocess.Popen, limits: RunLimits) -> str:
     """Wait for a run; why it was killed, empty where it ended by itself."""
     begin, own = time.monotonic(), psutil.Process(process.pid)
     while process.poll() is None:
@@ -201,7 +201,7 @@ def _watched(process: subprocess.Popen, limits: Limits) -> str:
     return ""
 
 
-def _beyond(process: psutil.Process, seconds: float, limits: Limits) -> str:
+def _beyond(process: psutil.Process, seconds: float, limits: RunLimits) -> str:
     if seconds > limits.seconds:
         return f"took longer than {limits.seconds:.0f} s"
     try:
