@@ -11,6 +11,8 @@ from torchid.checks.marker_tracks.statement import TrackFault, TrackStatement
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.verdict.records import Cause, Diagnosis, Twin
+from torchid.diagnosis.verdict.table import verdict_table
+from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.place import Interval
 from torchid.io.mend import ForcesAs, PlateAs
 from torchid.report.cause_sentences import told
@@ -18,11 +20,13 @@ from torchid.report.glance import LINES, SETTLED, glance, next_step, unnamed
 from torchid.report.page import render_report
 from torchid.report.read_as import read_as
 from torchid.report.recording_faults import LEFT_OUT, MASSES, NOT_DONE, Fault, recording_faults
+from torchid.run.scalars import results_table
 from torchid.run.sequence import with_torques
 from torchid.session import Outcome
 from torchid.session.following import limb, torques
 from torchid.session.judging import quality_of
 from torchid.session.outcome import Quality, QualityLevel
+from torchid.session.tables import geometry_table
 from torchid.storage.results import OutputFolder
 from torchid.terminal import print_lights
 
@@ -110,6 +114,17 @@ def test_moments_of_joints_are_of_forces_that_are_put_right(run, tmp_path):
     taken_off = replace(followed, wrench=replace(followed.wrench, wrench=0.5 * followed.wrench.wrench))
     own = [torques(one, tree, fit.geometry, run.outcome.phi, trial) for one in (followed, taken_off)]
     torch.testing.assert_close(*own, equal_nan=True)
+
+
+def test_sizes_of_every_effect_are_numbers_of_the_table(run):
+    """Vectors and matrices, too: a line for each of their numbers."""
+    every = tuple(replace(alone(name), where=("x",)) for name in CATALOGUE)
+    table = results_table(run.outcome, {
+        "geometry.json": geometry_table(run.outcome), "diagnosis.json": verdict_table(found(*every)),
+    }, None)  # fmt: skip
+    sizes = table[(table.group == "cause") & (table.quantity != "confidence")]
+    asked = sum(int(entry["value"].numel()) for one in every for entry in one.parameters.values())
+    assert len(sizes) == asked > len(CATALOGUE) and bool(sizes.value.notna().all())
 
 
 def test_what_cannot_be_told_apart_is_certain_and_its_cause_is_not(run):

@@ -54,7 +54,7 @@ def main() -> None:
     print(f"{'config':34}{'without':>10}{'with':>10}{'times':>8}{'first scan':>12}")
     with tempfile.TemporaryDirectory() as folder:
         configs = args.configs or [simulate_session(SUBJECT, 1, Path(folder) / "recordings").config]
-        times = [own for config in configs if (own := _compared(config, Path(folder))) is not None]
+        times = [own for config in configs if config and (own := _compared(config, Path(folder))) is not None]
     if times:
         print(f"times the run without: median {median(times):.2f}, most {max(times):.2f}; asked for: {ASKED}")
 

@@ -146,7 +146,12 @@ def _causes(causes: list[dict[str, Any]]) -> Iterator[Scalar]:
         said = f"{one['level']}, {'corrected' if one['applied'] else 'not corrected'}"
         yield _bare("cause", item, "confidence", one["confidence"], "", f"probability of it, or of a twin: {said}")
         for key, entry in one["parameters"].items():
-            values, sds = (entry[k] if isinstance(entry[k], list) else [entry[k]] for k in ("value", "sd"))
+            values, sds = (_flat(entry[k]) for k in ("value", "sd"))
             for k, (value, sd) in enumerate(zip(values, sds, strict=True)):
                 name = f"{key}_{k}" if len(values) > 1 else key
                 yield Scalar("cause", item, name, value, sd, units_of(key)[0], f"size: {said}")
+
+
+def _flat(value: Any) -> list[float | None]:
+    """The numbers of a value, row by row where it is a matrix."""
+    return [number for one in value for number in _flat(one)] if isinstance(value, list) else [value]
