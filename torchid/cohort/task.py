@@ -33,8 +33,6 @@ COMMAND = (sys.executable, "-m", "torchid.cohort.one_run")
 """What runs an order."""
 ROWS, CONFIGS, LOGS = "rows", "configs", "logs"
 """Folders of a cohort beside those of its members' results."""
-ALONE = True
-"""How a run is started: an interrupt of the command is none of its own, it ends when nobody waits for it."""
 
 
 @dataclass(frozen=True)
@@ -171,8 +169,9 @@ def _attempt(member: Participant, out: Path, limits: RunLimits) -> Row:
         file.parent.mkdir(parents=True, exist_ok=True)
     write_order(order, member, out / name, config, found)
     with log.open("wb") as said:
+        # In a session of its own: an interrupt of the command is none of the run's, which ends when none waits for it.
         process = subprocess.Popen(  # noqa: S603 - our own
-            [*COMMAND, str(order)], stdout=said, stderr=said, env=_one_thread(), start_new_session=ALONE
+            [*COMMAND, str(order)], stdout=said, stderr=said, env=_one_thread(), start_new_session=True
         )
         with process:
             why = _watched(process, limits)
