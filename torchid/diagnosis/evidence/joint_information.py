@@ -5,6 +5,7 @@ The blocks on its diagonal are those of ``gains.informed``; the others say how m
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
@@ -36,6 +37,27 @@ class JointInformation:
             other: index of that of its columns.
         """
         return self.value[self.at[one]][:, self.at[other]]
+
+    def taken_by_each(self, one: int, scatter: Float[Tensor, "n n"]) -> Float[Tensor, " candidates"]:
+        """Return the mean energy that each candidate, with a unit prior, takes away of what one of them does.
+
+        Args:
+            one: index of the one.
+            scatter: mean square of its parameters, in units of their priors.
+        """
+        seen = self._whitened[:, self.at[one]]
+        energy, owner = ((seen @ scatter) * seen).sum(1), torch.arange(len(self.at), device=seen.device)
+        sizes = torch.tensor([len(at) for at in self.at], device=seen.device)
+        return energy.new_zeros(len(self.at)).index_add_(0, owner.repeat_interleave(sizes), energy)
+
+    @cached_property
+    def _whitened(self) -> Float[Tensor, "all all"]:
+        """Rows of the information of each candidate, times the inverse factor of its own block with the prior."""
+        found = torch.empty_like(self.value)
+        for at in self.at:
+            factor = torch.linalg.cholesky(self.value[at][:, at] + torch.eye(len(at)).to(self.value))
+            found[at] = torch.linalg.solve_triangular(factor, self.value[at], upper=False)
+        return found
 
 
 def joint_information(statistics: Statistics, base: Posterior, candidates: Sequence[Candidate]) -> JointInformation:

@@ -142,3 +142,13 @@ def moments_along(
     """
     value, vector = torch.linalg.eigh(information)
     return Moments(value.clamp(min=0.0), vector, noise @ vector, pushed @ vector)
+
+
+def stacked(some: Sequence[Moments]) -> Moments:
+    """Return moments of effects with equally many parameters as those of one effect at all their places.
+
+    Args:
+        some: the moments.
+    """
+    parts = zip(*((one.value, one.vector, one.noise, one.pushed) for one in some), strict=True)
+    return Moments(*map(torch.cat, parts))

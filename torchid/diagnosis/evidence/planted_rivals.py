@@ -50,13 +50,12 @@ def rival_moments(
 def _nearest(joint: JointInformation, one: int, direction: Float[Tensor, "draws n"]) -> list[int]:
     """Return the other effects or places that could take most of what a candidate's effect does to the data, each at
     the frequency that takes most."""
-    own = joint.candidates[one]
+    own, odds = joint.candidates[one], [math.log(other.odds) for other in joint.candidates]
     best: dict[tuple[str, tuple[str, ...]], tuple[float, int]] = {}
-    for k, other in enumerate(joint.candidates):
+    for k, taken in enumerate(joint.taken_by_each(one, direction.mT @ direction / len(direction)).tolist()):
+        other = joint.candidates[k]
         if not _same(other, own):
-            taken = _taken(joint.between(k, k), direction @ joint.between(one, k))
-            found = 0.5 * taken + math.log(other.odds), k
-            key = other.effect.name, other.place.where
+            found, key = (0.5 * taken + odds[k], k), (other.effect.name, other.place.where)
             best[key] = max(best.get(key, found), found)
     return [k for _, k in sorted(best.values(), reverse=True)[:RIVALS]]
 
@@ -64,9 +63,3 @@ def _nearest(joint: JointInformation, one: int, direction: Float[Tensor, "draws 
 def _same(one: Candidate, other: Candidate) -> bool:
     """Return whether two candidates are one effect at one place."""
     return one.effect.name == other.effect.name and one.place.where == other.place.where
-
-
-def _taken(information: Float[Tensor, "n n"], moment: Float[Tensor, "draws n"]) -> float:
-    """Return the mean energy that parameters with a unit prior take away of such moments."""
-    grown = information + torch.eye(len(information)).to(information)
-    return float((moment * torch.linalg.solve(grown, moment.mT).mT).sum(1).mean())

@@ -5,12 +5,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.apparent import SIZES, has_appearance, shares_of
-from torchid.diagnosis.evidence.planted_moments import Mixture, Moments
+from torchid.diagnosis.evidence.planted_moments import Mixture, Moments, stacked
 from torchid.diagnosis.options import NamingOptions
 
 CHANCE = 0.8
@@ -34,8 +34,8 @@ class PlantedRules:
     """Log evidence."""
     apparent: Mixture | None
     """Log evidence of the appearance; None: the effect has none."""
-    rivals: tuple[tuple["PlantedRules", ...], ...] = ()
-    """Rules of what else would explain the effect, for each place; none: nothing else would."""
+    rivals: tuple[tuple[Int[Tensor, " some"], "PlantedRules"], ...] = ()
+    """Rules of what else would explain the effect, with the place that each is a rival of; none: nothing else would."""
 
     @classmethod
     def of(
@@ -58,8 +58,15 @@ class PlantedRules:
         seems = asked and asked.evidence(one.new_tensor(SIZES).square(), shares_of(effect).to(one).log())
         positives = effect.positives(some[0].place)
         odds, evidence = one.new_tensor([c.odds for c in some]), whole.evidence(one, 0.0 * one)
-        others = tuple(tuple(cls.of([c], own) for c, own in each) for each in rivals)
-        return cls(odds, positives, whole, evidence, seems, others)
+        groups: dict[tuple[int, int], list[tuple[int, Candidate, Moments]]] = {}
+        for place, each in enumerate(rivals):
+            for c, own in each:
+                groups.setdefault((c.effect.positives(c.place), own.value.shape[1]), []).append((place, c, own))
+        others = []
+        for group in groups.values():
+            places, own, moments = zip(*group, strict=True)
+            others.append((torch.tensor(places, device=one.device), cls.of(own, stacked(moments))))
+        return cls(odds, positives, whole, evidence, seems, tuple(others))
 
     def named(self, size: Float[Tensor, " some"], naming: NamingOptions) -> Bool[Tensor, " some"]:
         """Return where effects of a size would be named in ``CHANCE`` of the draws, see ``Round``.
@@ -83,9 +90,8 @@ class PlantedRules:
     def _best_rival(self, size: Float[Tensor, " some"]) -> Float[Tensor, "some draws"]:
         """Return the log odds of what else explains each place best; minus infinity where nothing does."""
         best = size.new_full((len(size), self.moments.noise.shape[1]), -math.inf)
-        for k, rivals in enumerate(self.rivals):
-            for one in rivals:
-                best[k] = torch.maximum(best[k], one._score(size[k, None])[0])
+        for places, rivals in self.rivals:
+            best.scatter_reduce_(0, places[:, None].expand(-1, best.shape[1]), rivals._score(size[places]), "amax")
         return best
 
 
