@@ -97,7 +97,7 @@ def _followed_anew(
 ) -> tuple[GeometryFit, dict[str, Tracked]]:  # fmt: skip
     """Geometry fitted to corrected markers, and all trials followed by it."""
     name, key = _stage("geometry_extended", key, causes)
-    fit = folder.stage(name, key, lambda: fit_session(config.geometry, session, True, progress))
+    fit = folder.stage(name, key, lambda: fit_session(config.geometry, session, True, progress, relabelled.fit))
     # All others are followed from where the markers that were measured led.
     renamed = {own.trial for cause in swap_causes(causes) for own in cause.when or ()}
     tracked = {}

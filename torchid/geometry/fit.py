@@ -115,6 +115,7 @@ def fit_geometry(
     options: GeometryOptions = GeometryOptions(),
     free: bool = True,
     progress: OnIteration | None = None,
+    near: GeometryFit | None = None,
 ) -> GeometryFit:
     """Identify the geometry of a subject and the places of the markers on the segments.
 
@@ -126,6 +127,8 @@ def fit_geometry(
         options: see ``GeometryOptions``.
         free: False keeps the template's geometry and finds only where the markers sit (the scaled template).
         progress: called after every iteration of the joint fit.
+        near: fit of the same frames with nearly these markers, from whose solution to begin; None begins from the
+            template.
 
     Returns:
         The fit with its uncertainty and solution; both are None where ``free`` is False and the static trial placed the
@@ -135,6 +138,8 @@ def fit_geometry(
         ConfigError: ``geometry.group``, when the options name a group of parameters that cannot be one.
         DataError: ``geometry.static``, when the static trial shows none of the markers.
     """
+    if near is not None and near.solution is not None:
+        return _fit_jointly(replace(near, uncertainty=None, solution=None), trials, static, progress, near.solution)
     fit = start_fit(model, attachment, trials, static, options, free)
     if not free and static is not None:
         return fit
@@ -142,15 +147,20 @@ def fit_geometry(
 
 
 def _fit_jointly(
-    fit: GeometryFit, trials: dict[str, Markers], static: Markers | None, progress: OnIteration | None
-) -> GeometryFit:
+    fit: GeometryFit, trials: dict[str, Markers], static: Markers | None, progress: OnIteration | None,
+    near: Solution | None = None,
+) -> GeometryFit:  # fmt: skip
     """Solve all fit trials and the static one as one problem, three times, with weights from the residuals before.
 
     A marker weighs 1 / sigma^2 times the share of its frames that count as independent: skin that slides the same way
-    for a second is one observation, not a hundred, and would otherwise drag joint centres away from any prior.
+    for a second is one observation, not a hundred, and would otherwise drag joint centres away from any prior. A
+    solution near by stands for the first one.
     """
-    problem, q, lengths = joint_problem(fit, trials, static)
-    solution = _run_solver(fit, replace(problem, robust=None), q, fit.xi, WEIGHTS_TOLERANCE, progress)
+    problem, q, lengths = joint_problem(fit, trials, static, None if near is None else near.q)
+    if near is None:
+        solution = _run_solver(fit, replace(problem, robust=None), q, fit.xi, WEIGHTS_TOLERANCE, progress)
+    else:
+        solution = replace(near, q=q)
     for tolerance in (*[WEIGHTS_TOLERANCE] * (ROUNDS - 2), fit.options.tolerance):
         fit, problem = reweighted(fit, problem, solution, lengths)
         solution = _run_solver(fit, problem, solution.q, solution.xi, tolerance, progress)
@@ -158,23 +168,26 @@ def _fit_jointly(
 
 
 def joint_problem(
-    fit: GeometryFit, trials: dict[str, Markers], static: Markers | None
-) -> tuple[MarkerProblem, Tensor, tuple[int, ...]]:
+    fit: GeometryFit, trials: dict[str, Markers], static: Markers | None,
+    near: Float[Tensor, "dofs frames"] | None = None,
+) -> tuple[MarkerProblem, Tensor, tuple[int, ...]]:  # fmt: skip
     """Build the joint problem of all fit trials and the static one, and solve its postures at the fit's geometry.
 
     Args:
         fit: first scale of the subject.
         trials: fit trials by name; of all of them together at most ``options.max_frames`` frames are taken.
         static: standing trial, None if there is none.
+        near: postures of the same frames that are nearly right; None finds them from rest.
 
     Returns:
         The problem, the postures to start from (dofs, frames), and the number of frames of each trial.
     """
-    pieces = []
+    pieces, at = [], 0
     for markers in joint_frames(trials, static, fit.options):
         posture = posture_prior(fit, fit.options.static_posture_sd if len(pieces) == len(trials) else None)
         problem = trial_problem(fit, markers, posture)
-        pieces.append((problem, settled(fit, problem)))
+        at, first = at + len(markers.time), at
+        pieces.append((problem, settled(fit, problem, None if near is None else near[:, first:at])))
     q = torch.cat([piece[1] for piece in pieces], dim=1)
     return side_by_side([piece[0] for piece in pieces]), q, tuple(piece[1].shape[1] for piece in pieces)
 

@@ -78,8 +78,10 @@ REFUSED_FOR_FORCES = ("inertia.prior_conflict", "inertia.unexplained")
 """Refusals of the inertial fit that another weight than the body's explains."""
 
 
-def fit_session(options: GeometryOptions, session: Session, free: bool, progress: OnStage) -> GeometryFit:
-    """Geometry on the fit trials; not free, the template is scaled."""
+def fit_session(
+    options: GeometryOptions, session: Session, free: bool, progress: OnStage, near: GeometryFit | None = None
+) -> GeometryFit:
+    """Geometry on the fit trials; not free, the template is scaled. ``near`` is a fit of nearly the same markers."""
     static = session.static
     trials = {name: trial.markers for name, trial in session.fit("geometry").items()}
     if not trials:
@@ -88,7 +90,7 @@ def fit_session(options: GeometryOptions, session: Session, free: bool, progress
     most = options.iterations if options.solver == "arrow" else options.gradient_iterations
     return fit_geometry(
         assignment.model, assignment.attachment, trials, markers, options, free,
-        Pace("geometry", most, ROUNDS, progress),
+        Pace("geometry", most, ROUNDS, progress), near,
     )  # fmt: skip
 
 

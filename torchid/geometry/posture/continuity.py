@@ -7,6 +7,8 @@ of frames around it, and of all that is found the sequence with the least sum of
 IEEE Trans Inf Theory 13:260 (1967)).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -30,6 +32,36 @@ ROUNDS = 3
 """Times that this is done, each beginning from the postures of the one before; chosen."""
 
 
+@dataclass
+class _Tried:
+    """Postures that were found for frames, each from a start, so that none is looked for twice."""
+
+    start: Float[Tensor, "starts dofs frames"]
+    """Where each was begun; NaN where none was."""
+    way: Float[Tensor, "starts dofs frames"]
+    """What was found there."""
+    cost: Float[Tensor, "starts frames"]
+    """Its cost."""
+
+    @classmethod
+    def none(cls, q: Float[Tensor, "dofs frames"], starts: int) -> "_Tried":
+        """Return what is known before any was looked for."""
+        empty = q.new_full((starts, *q.shape), torch.nan)
+        return cls(empty, empty.clone(), empty[:, 0].clone())
+
+    def from_starts(
+        self, problem: MarkerProblem, starts: Float[Tensor, "starts dofs some"], some: Tensor, xi: Tensor
+    ) -> tuple[Float[Tensor, "starts dofs some"], Float[Tensor, "starts some"]]:
+        """Return the postures of some frames from each start, and their costs."""
+        which, at = (starts != self.start[:, :, some]).any(1).nonzero(as_tuple=True)
+        if len(which):
+            begun, frames = starts[which, :, at].T, some[at]
+            solved, cost = solve_poses(problem.frames(frames), begun, xi)
+            self.start[which, :, frames], self.way[which, :, frames] = begun.T, solved.T
+            self.cost[which, frames] = cost
+        return self.way[:, :, some], self.cost[:, some]
+
+
 def continuous(
     problem: MarkerProblem,
     q: Float[Tensor, "dofs frames"],
@@ -43,7 +75,7 @@ def continuous(
         problem: consecutive frames of one trial.
         q: postures of all frames, each found by itself.
         rate_hz: frame rate [Hz].
-        near: other postures to begin from too.
+        near: postures that followed nearly these markers; no fewer breaks are looked for than they have.
 
     Returns:
         The postures of all frames; those far from any break are as given.
@@ -51,23 +83,31 @@ def continuous(
     # Chosen: with three and ten times as much, five trials of two children kept nearly the same breaks.
     price = float(problem.frame_cost(q, xi).median())
     apart = sorted({max(1, round(s * rate_hz)) for s in APART_S})
+    steps = [k for d in apart for k in (-d, d)]
+    tried, least = _Tried.none(q, len(steps)), 0
+    if near is not None:
+        least, before = int(breaks(problem, near, xi).sum()), _Tried.none(q, 1)
+        if int((broken := breaks(problem, q, xi)).sum()) > least:
+            some = _around(broken, max(apart)).nonzero()[:, 0]
+            q = _chosen(problem, q, xi, some, price, before.from_starts(problem, near[None, :, some], some, xi))
     for _ in range(ROUNDS):
-        around = _around(breaks(problem, q, xi), max(apart))
-        if not bool(around.any()):
+        broken = breaks(problem, q, xi)
+        if int(broken.sum()) <= least:
             break
-        q = _chosen(problem, q, xi, around, apart, price, near)
+        some = _around(broken, max(apart)).nonzero()[:, 0]
+        starts = torch.stack([q[:, (some + k).clamp(0, q.shape[1] - 1)] for k in steps])
+        q = _chosen(problem, q, xi, some, price, tried.from_starts(problem, starts, some, xi))
     return q
 
 
 def _chosen(
-    problem: MarkerProblem, q: Tensor, xi: Tensor, around: Tensor, apart: list[int], price: float, near: Tensor | None
+    problem: MarkerProblem, q: Tensor, xi: Tensor, some: Tensor, price: float, others: tuple[Tensor, Tensor]
 ) -> Float[Tensor, "dofs frames"]:
-    """Return postures in which frames around breaks follow the cheapest sequence of all that is found for them."""
-    some, found = around.nonzero()[:, 0], q.clone()
-    last = q.shape[1] - 1
-    starts = [q[:, (some + k).clamp(0, last)] for d in apart for k in (-d, d)]
-    starts += [] if near is None else [near[:, some]]
-    ways, costs = _solved(problem, q[:, some], starts, some, xi)
+    """Return postures in which some frames follow the cheapest sequence of their own and others that were found for
+    them."""
+    found, last = q.clone(), q.shape[1] - 1
+    ways = torch.cat([q[None, :, some], others[0]])
+    costs = torch.cat([problem.frames(some).frame_cost(q[:, some], xi)[None], others[1]])
     for run in _runs(some):
         cost, at = costs[:, run], some[run]
         # What goes on unbroken before and behind is tied to it.
@@ -75,15 +115,6 @@ def _chosen(
         best = _cheapest(cost, price, _breaks_between(problem.frames(at), ways[..., run], xi))
         found[:, at] = ways[best, :, some.new_tensor(range(run.start, run.stop))].T
     return found
-
-
-def _solved(
-    problem: MarkerProblem, q: Tensor, starts: list[Tensor], some: Tensor, xi: Tensor
-) -> tuple[Float[Tensor, "ways dofs some"], Float[Tensor, "ways some"]]:
-    """Return postures of some frames as they are and as found from each start, all at once, and their costs."""
-    solved, cost = solve_poses(problem.frames(some.repeat(len(starts))), torch.cat(starts, 1), xi)
-    ways = torch.stack([q, *solved.split(len(some), 1)])
-    return ways, torch.stack([problem.frames(some).frame_cost(q, xi), *cost.split(len(some))])
 
 
 def breaks(problem: MarkerProblem, q: Float[Tensor, "dofs frames"], xi: Float[Tensor, " xi"]) -> Bool[Tensor, " steps"]:
