@@ -8,6 +8,8 @@ from torchid.cohort.cluster import ended, workers
 from torchid.cohort.members import Participant
 from torchid.cohort.one_run import Row
 from torchid.cohort.page import render_cohort
+from torchid.cohort.shared_faults import NAME as LABORATORIES
+from torchid.cohort.shared_faults import laboratories_section, laboratories_table
 from torchid.cohort.table import cohort_table
 from torchid.cohort.task import TRIES, RunLimits, log_path, perform, stored
 from torchid.errors import ConfigError
@@ -63,7 +65,7 @@ def run_cohort(
     """
     _refuse_inside(members, out.resolve())
     with OutputFolder(out, beside=True) as folder:
-        folder.claim(f"{NAME}.{ending}" for ending in ("csv", "html", *FORMS))
+        folder.claim([*(f"{NAME}.{ending}" for ending in ("csv", "html", *FORMS)), LABORATORIES])
         rows, left = missing(members, folder.out)
         for number, row in enumerate(rows.values(), 1):
             on_row(row, number, len(members))
@@ -75,7 +77,8 @@ def run_cohort(
                     on_row(row, len(rows), len(members))
         found = [rows[member.name] for member in members]
         write_table(cohort_table(found, folder.out), NAME, installed(FORMS), folder.path)
-        write_text(folder.path(f"{NAME}.html"), render_cohort(found, folder.out))
+        told = laboratories_table(found, folder.out, folder.path(LABORATORIES))
+        write_text(folder.path(f"{NAME}.html"), render_cohort(found, folder.out, laboratories_section(told)))
     return found
 
 

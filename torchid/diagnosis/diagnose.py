@@ -92,7 +92,7 @@ def _verdict(
     return Diagnosis(
         plates, unseen.fit(()).errors, extended.errors, _ordered(found, causes), rest,
         untested(observed, plates), nearest(found.rounds[-1], limits.confidence.rivals),
-        _refuted(upheld), (*found.trace, *contradicted, *positions), found.detectable,
+        _refuted(upheld), (*found.trace, *contradicted, *positions), found.detectable, found.laboratory,
     )  # fmt: skip
 
 

@@ -26,6 +26,8 @@ from torchid.run.opensim_setup import SUFFIXES, ToolFiles, write_tool_files
 from torchid.run.scalars import cycles_table, results_table
 from torchid.session import Followed, Outcome
 from torchid.session.joint_cycles import joint_cycles
+from torchid.session.laboratory import NAME as LABORATORY
+from torchid.session.laboratory import laboratory_dataset
 from torchid.session.tables import diagnosis_table, geometry_table, inertia_table
 from torchid.storage.files import safe_name, write_json
 from torchid.storage.netcdf import write_netcdf
@@ -37,6 +39,7 @@ PIECE = 8192
 """Frames of a motion file that are put together at a time."""
 TABLES = (
     "geometry.json", "inertia.json", "diagnosis.json", "model.urdf", "model.osim", "report.html", "provenance.json",
+    LABORATORY,
 )  # fmt: skip
 COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
 """Names of a wrench's components in files."""
@@ -66,6 +69,9 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
     for name, table in tables.items():
         write_json(folder.path(name), table)
     strides = joint_cycles(outcome)
+    found = outcome.diagnosis
+    if found is not None and found.laboratory is not None:
+        write_netcdf(folder.path(LABORATORY), [laboratory_dataset(found.laboratory, found.plates)])
     forms = outcome.config.tables
     write_table(results_table(outcome, tables, strides), "results", forms, folder.path)
     if strides is not None:

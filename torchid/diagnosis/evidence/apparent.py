@@ -28,7 +28,9 @@ thirteen public sessions of seven laboratories as recorded, none of them kept as
 (``python -m batteries.apparent``)."""
 
 
-def apparent_evidence(statistics: Statistics, posterior: Posterior, candidates: Sequence[Candidate]) -> list[float]:
+def apparent_evidence(
+    statistics: Statistics, posterior: Posterior, candidates: Sequence[Candidate], largest: float | None = None
+) -> list[float]:
     """Return the log evidence of the appearance of each candidate over nothing [nat]; at least zero.
 
     What bodies themselves do is no appearance, nor what is there in full or not at all (``Traits.mistaken``): zero.
@@ -37,13 +39,15 @@ def apparent_evidence(statistics: Statistics, posterior: Posterior, candidates: 
         statistics: of all trials, without what is stated without a body model.
         posterior: of the base, on these.
         candidates: candidates, of the same design.
+        largest: share of those without an effect that seem to have as much of it as one that has it; None: the
+            effect's own.
     """
     found = [0.0] * len(candidates)
     which = [k for k, c in enumerate(candidates) if has_appearance(c.effect)]
     sizes = torch.tensor(SIZES, dtype=torch.float64)
     for rows, told, left in informed(statistics, posterior, [candidates[k] for k in which]):
         nats = evidence_of_sizes(told, left, sizes.to(told))
-        shares = torch.stack([shares_of(candidates[which[k]].effect) for k in rows]).to(told)
+        shares = torch.stack([shares_of(candidates[which[k]].effect, largest) for k in rows]).to(told)
         for k, x in zip(rows, torch.logsumexp(nats + shares.log(), 1).tolist(), strict=True):
             found[which[k]] = max(x, 0.0)
     return found
@@ -58,11 +62,12 @@ def has_appearance(effect: Effect) -> bool:
     return effect.mistaken > 0.0 and not effect.bodily
 
 
-def shares_of(effect: Effect) -> Float[Tensor, " sizes"]:
+def shares_of(effect: Effect, largest: float | None = None) -> Float[Tensor, " sizes"]:
     """Return the share of sessions without an effect that seem to have each of ``SIZES`` of it.
 
     Args:
         effect: the effect.
+        largest: share of the largest; None: the effect's own.
     """
-    largest = effect.mistaken
+    largest = effect.mistaken if largest is None else largest
     return torch.tensor([*((1.0 - largest) * share for share in SHARES), largest], dtype=torch.float64)

@@ -72,7 +72,7 @@ def detectable(
     bare, kept = marginalise_per_trial(statistics.unstated, chosen)
     whole, _ = marginalise_per_trial(statistics, chosen)
     base, less = fit(whole, kept), fit(bare, kept)
-    asked, beside = ([c for c in some if _has_size(c.effect)] for some in (candidates, rivals))
+    asked, beside = ([c for c in some if has_size(c.effect)] for some in (candidates, rivals))
     joint, found = joint_information(whole, base, [*asked, *beside]), []
     for name in dict.fromkeys(c.effect.name for c in asked):
         own = [c for c in asked if c.effect.name == name]
@@ -82,8 +82,12 @@ def detectable(
     return tuple(found)
 
 
-def _has_size(effect: Effect) -> bool:
-    """Return whether one number can say how much of an effect there is, and forces decide whether it is named."""
+def has_size(effect: Effect) -> bool:
+    """Return whether one number can say how much of an effect there is, and forces decide whether it is named.
+
+    Args:
+        effect: the effect.
+    """
     other = effect.proof in (Proof.DISTANCES, Proof.SMOOTHNESS)
     return not (effect.intermittent or effect.per_trial or effect.all_or_nothing or effect.widespread or other)
 

@@ -7,6 +7,7 @@ from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.columns.design import Design
 from torchid.diagnosis.evidence.detectable import Detectable
 from torchid.diagnosis.evidence.gains import gains
+from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.diagnosis.evidence.model import LinearModel
 from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import Posterior, fit
@@ -36,6 +37,8 @@ class SearchResult:
     """Every decision so far."""
     detectable: tuple[Detectable, ...] = ()
     """Smallest sizes that would have been named beside the chosen effects."""
+    laboratory: LaboratoryEvidence | None = None
+    """What the session says of its laboratory's instruments."""
 
     @property
     def named(self) -> list[Candidate]:

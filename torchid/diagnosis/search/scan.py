@@ -39,6 +39,8 @@ class Scanned:
     """Candidates with their evidence from all trials."""
     options: NamingOptions
     """Thresholds of naming."""
+    largest: float | None = None
+    """Share of sessions that seem to have as much of an effect as one that has it; None: the effect's own."""
 
     @cached_property
     def round(self) -> Round:
@@ -60,7 +62,7 @@ class Scanned:
         """Return ``Round.appearance`` of the places of an effect."""
         statistics, chosen = self.given
         bare, others = marginalise_per_trial(statistics.unstated, chosen)
-        apparent = apparent_evidence(bare, fit(bare, others), [r.candidate for r in places])
+        apparent = apparent_evidence(bare, fit(bare, others), [r.candidate for r in places], self.largest)
         both = zip(places, apparent, strict=True)
         return _mean([max(x - r.ordinary, 0.0) + math.log(r.candidate.odds) for r, x in both])
 
@@ -71,6 +73,7 @@ def scan_all(
     chosen: Sequence[Candidate],
     options: NamingOptions,
     told: Told = NOTHING_TOLD,
+    largest: float | None = None,
 ) -> Scanned:
     """Return what each candidate would add beside the chosen effects.
 
@@ -80,6 +83,8 @@ def scan_all(
         chosen: effects that the model has.
         options: thresholds of naming.
         told: what other proof than forces says.
+        largest: share of those without an effect that seem to have as much of it as one that has it; None: that of
+            sessions.
     """
     given = statistics, chosen
     statistics, chosen = marginalise_per_trial(statistics, chosen)
@@ -87,7 +92,7 @@ def scan_all(
     gain, energy = (x.tolist() for x in gains(statistics, posterior, left))
     each = zip(left, gain, energy, _ordinary(statistics, posterior, left), strict=True)
     rivals = tuple(Rival(c, g, g, e - 0.5 * c.size, o, options=options, told=told_nats(told, c)) for c, g, e, o in each)
-    return Scanned(statistics, chosen, given, rivals, options)
+    return Scanned(statistics, chosen, given, rivals, options, largest)
 
 
 def _ordinary(statistics: Statistics, posterior: Posterior, left: Sequence[Candidate]) -> list[float]:

@@ -16,6 +16,7 @@ from torchid.diagnosis.columns.relinearise import relinearised
 from torchid.diagnosis.columns.statement_rows import with_statements
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
 from torchid.diagnosis.evidence.gains import gains
+from torchid.diagnosis.evidence.laboratory import laboratory_evidence
 from torchid.diagnosis.evidence.model import Identification, LinearModel, make_model, spectra_of
 from torchid.diagnosis.evidence.noise import Noise
 from torchid.diagnosis.evidence.noise_estimation import estimate_noise
@@ -99,8 +100,9 @@ def search(
         state = _narrow(added)
         del model, added  # gigabytes that the next round does without
     shown = sizes_shown(model, state.chosen, _open(state), options.naming)
+    shared = laboratory_evidence(model.statistics, state.chosen, model.design.candidates)
     found = reduced(state.model, state.chosen, state.rounds, options, state.trace)
-    return believed(settle(replace(found, detectable=shown), SUPPORTED), observed, limit)
+    return believed(settle(replace(found, detectable=shown, laboratory=shared), SUPPORTED), observed, limit)
 
 
 def _begin(

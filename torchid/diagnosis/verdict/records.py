@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.evidence.detectable import Detectable
+from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.trace import Trace
 from torchid.effects.catalogue import effect
@@ -166,6 +167,8 @@ class Diagnosis:
     """Every entry, exit, discount and refusal, in order."""
     detectable: tuple[Detectable, ...] = ()
     """Smallest sizes of effects that would have been named beside the causes."""
+    laboratory: LaboratoryEvidence | None = None
+    """What the session says of its laboratory's instruments, for other sessions of the same."""
     aside: tuple[Interval, ...] = ()
     """Intervals that no model is fitted to: something unmeasured bears a good part of the weight there."""
 

@@ -1,0 +1,131 @@
+"""Laboratories of a cohort: sessions on the same plates, and each plate under one name."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
+from torchid.observation.plate_registry import SAME_CORNERS, SAME_PRESSURE
+from torchid.session.laboratory import SessionEvidence
+
+
+@dataclass(frozen=True)
+class LaboratoryPlate:
+    """A plate that sessions share."""
+
+    name: str
+    """``plate_1`` and so on, one list for the whole laboratory."""
+    position: Float[Tensor, " 3"]
+    """Its middle in W, as the first session has it [m]."""
+    corners: Float[Tensor, "4 3"]
+    """Its corners in W [m]; NaN where no file has them."""
+
+
+@dataclass(frozen=True)
+class Visit:
+    """One session of a laboratory."""
+
+    name: str
+    """Of the member whose session it is."""
+    when: str
+    """The table's word for the session, which orders them; empty where it has none."""
+    evidence: LaboratoryEvidence
+    """What it says, with the laboratory's names of the plates."""
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """Sessions whose instruments are the same."""
+
+    name: str
+    """As the table has it, or ``laboratory_1`` and so on."""
+    plates: tuple[LaboratoryPlate, ...]
+    """Plates of all sessions."""
+    visits: tuple[Visit, ...]
+    """Sessions, in the order of ``when`` where all have one."""
+
+
+def laboratories(
+    found: Mapping[str, SessionEvidence], labels: Mapping[str, Mapping[str, str]]
+) -> tuple[Laboratory, ...]:
+    """Return the laboratories in which sessions were recorded.
+
+    Sessions belong together whose plates are in the same places, unless the table calls their laboratories by different
+    names. Those without any plate that another one has are a laboratory each.
+
+    Args:
+        found: what each session says, by its name.
+        labels: what a table says of each: ``laboratory``, ``session``.
+    """
+    every: list[Laboratory] = []
+    for name, session in found.items():
+        said = labels.get(name, {})
+        known = next((k for k, one in enumerate(every) if _shares(one, session, said)), None)
+        home = Laboratory(said.get("laboratory") or "", (), ()) if known is None else every[known]
+        grown = _with(home, name, said.get("session", ""), session)
+        if known is None:
+            every.append(grown)
+        else:
+            every[known] = grown
+    taken = {one.name for one in every}
+    free = (name for k in range(1, 2 * len(every) + 1) if (name := f"laboratory_{k}") not in taken)
+    return tuple(replace(one, name=one.name or next(free), visits=_ordered(one.visits)) for one in every)
+
+
+def _ordered(visits: Sequence[Visit]) -> tuple[Visit, ...]:
+    return tuple(sorted(visits, key=lambda one: one.when)) if all(one.when for one in visits) else tuple(visits)
+
+
+def _shares(home: Laboratory, session: SessionEvidence, said: Mapping[str, str]) -> bool:
+    """Whether a session was recorded in a laboratory: on one of its plates, and under no other name."""
+    if said.get("laboratory") and home.name and said["laboratory"] != home.name:
+        return False
+    return any(_known(home.plates, p.p_WF, c) is not None for p, c in zip(session.plates, session.corners, strict=True))
+
+
+def _known(plates: Sequence[LaboratoryPlate], position: Tensor, corners: Tensor) -> LaboratoryPlate | None:
+    """The plate that lies there; None where it is a new one."""
+    cornered = bool(corners.isfinite().all())
+    for one in plates:
+        if bool(one.corners.isfinite().all()) is not cornered:
+            continue
+        away = (one.corners - corners).norm(dim=1).max() if cornered else (one.position - position)[:2].norm()
+        if float(away) < (SAME_CORNERS if cornered else SAME_PRESSURE):
+            return one
+    return None
+
+
+def _with(home: Laboratory, name: str, when: str, session: SessionEvidence) -> Laboratory:
+    """The laboratory with one more session, and the plates that are new with it."""
+    plates, called = list(home.plates), {}
+    for own, corners in zip(session.plates, session.corners, strict=True):
+        known = _known(plates, own.p_WF, corners)
+        if known is None:
+            known = LaboratoryPlate(f"plate_{len(plates) + 1}", own.p_WF, corners)
+            plates.append(known)
+        called[own.name] = known.name
+    faults = tuple(
+        (effect, tuple(sorted(called.get(place, place) for place in where)))
+        for effect, where in session.evidence.faults
+    )
+    visit = Visit(name, when, replace(session.evidence, faults=faults))
+    return replace(home, plates=tuple(plates), visits=(*home.visits, visit))
+
+
+def parameters_of(visits: Sequence[Visit]) -> tuple[dict[tuple[str, tuple[str, ...]], Tensor], int]:
+    """Return where the parameters of each fault stand in a vector of those of all sessions, and its length.
+
+    Args:
+        visits: sessions of a laboratory.
+    """
+    at: dict[tuple[str, tuple[str, ...]], Tensor] = {}
+    length = 0
+    for visit in visits:
+        for fault, size in zip(visit.evidence.faults, visit.evidence.sizes, strict=True):
+            if fault not in at:
+                at[fault] = torch.arange(length, length + size)
+                length += size
+    return at, length

@@ -1,0 +1,71 @@
+"""What one session says of its laboratory's instruments, everything that is a person's integrated out.
+
+Instruments that a laboratory owns (plates, the clock between them and the cameras, the calibration of these) err alike
+in all of its sessions. So information and moment of their faults (the information form of a normal distribution) add up
+over sessions, and are all that has to be kept of one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.diagnosis.candidates.candidate import Candidate
+from torchid.diagnosis.evidence.detectable import has_size
+from torchid.diagnosis.evidence.joint_information import joint_information
+from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
+from torchid.diagnosis.evidence.posterior import fit
+from torchid.diagnosis.evidence.statistics import Statistics
+from torchid.effects.instrument_faults import FAULTS
+
+
+@dataclass(frozen=True)
+class LaboratoryEvidence:
+    """Information that a session holds of lasting faults of instruments."""
+
+    faults: tuple[tuple[str, tuple[str, ...]], ...]
+    """Effect and names of the place of each fault."""
+    sizes: tuple[int, ...]
+    """Number of parameters of each fault."""
+    information: Float[Tensor, "all all"]
+    """Information of all parameters, in units of the effects' priors."""
+    moment: Float[Tensor, " all"]
+    """Moment of the data: the parameters would be estimated as the information's inverse times it."""
+    stated_information: Float[Tensor, "all all"]
+    """Share of the information that statements have which need no body model."""
+    stated_moment: Float[Tensor, " all"]
+    """Share of the moment that these have."""
+
+
+def lasting(one: Candidate) -> bool:
+    """Return whether a candidate is a fault of an instrument that all sessions of a laboratory would share.
+
+    Args:
+        one: the candidate.
+    """
+    effect, (_, trials) = one.effect, one.effect.source(one.place)
+    return effect.name in FAULTS and has_size(effect) and trials is None
+
+
+def laboratory_evidence(
+    statistics: Statistics, chosen: Sequence[Candidate], candidates: Sequence[Candidate]
+) -> LaboratoryEvidence:
+    """Return what a session says of lasting faults of instruments, beside the other effects that its model has.
+
+    Args:
+        statistics: statistics of all trials.
+        chosen: effects that the model has; those that are such faults themselves are asked about, too.
+        candidates: candidates of the same design.
+    """
+    asked = [one for one in candidates if lasting(one)]
+    others = [one for one in chosen if not lasting(one)]
+    whole, bare = (
+        joint_information(some, fit(some, kept), asked)
+        for some, kept in (marginalise_per_trial(raw, others) for raw in (statistics, statistics.unstated))
+    )
+    return LaboratoryEvidence(
+        tuple((one.effect.name, one.place.where) for one in whole.candidates),
+        tuple(len(at) for at in whole.at),
+        whole.value, whole.moment, whole.value - bare.value, whole.moment - bare.moment,
+    )  # fmt: skip

@@ -1,0 +1,123 @@
+"""What a run keeps of its laboratory's instruments for other sessions of the same: ``laboratory.nc``.
+
+Information and moment of all lasting faults together, in the information form of a normal distribution, with the plates
+that they are about. A hundred such files pool in seconds, and another session adds to them.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import xarray
+from jaxtyping import Float
+from torch import Tensor
+
+from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
+from torchid.effects.catalogue import CATALOGUE
+from torchid.effects.place import Place
+from torchid.effects.scene import PlateFrame
+from torchid.errors import InputError
+from torchid.observation.plate_registry import SessionPlate
+
+NAME = "laboratory.nc"
+"""Of the file in a run's folder."""
+FORM = 1
+"""Version of its form."""
+BETWEEN = " + "
+"""Word between the names of a place of several plates."""
+
+
+@dataclass(frozen=True)
+class SessionEvidence:
+    """What a finished run says of its laboratory."""
+
+    evidence: LaboratoryEvidence
+    """Information that it holds of lasting faults."""
+    plates: tuple[PlateFrame, ...]
+    """Plates that the faults are about."""
+    corners: Float[Tensor, "plates 4 3"]
+    """Corners of these in W [m]; NaN where no file has them."""
+
+
+def laboratory_dataset(evidence: LaboratoryEvidence, plates: tuple[SessionPlate, ...]) -> xarray.Dataset:
+    """Return the content of ``laboratory.nc``.
+
+    Args:
+        evidence: what the diagnosis kept.
+        plates: plates of the session.
+    """
+    unknown = torch.full((4, 3), torch.nan, dtype=torch.float64)
+    corners = [unknown if one.corners is None else one.corners for one in plates]
+    square = ("parameter", "other")
+    owners = np.repeat(np.arange(len(evidence.sizes)), evidence.sizes)
+    return xarray.Dataset(
+        {
+            "information": (square, evidence.information.numpy()),
+            "moment": (("parameter",), evidence.moment.numpy()),
+            "stated_information": (square, evidence.stated_information.numpy()),
+            "stated_moment": (("parameter",), evidence.stated_moment.numpy()),
+            "prior_sd": (("parameter",), np.array(_scales(evidence)), {"units": "those of the effect's parameters"}),
+            "fault": (("parameter",), owners.astype(np.int64)),
+            "plate_position": (("plate", "axis"), _stacked([one.frame.p_WF for one in plates], (0, 3))),
+            "plate_axes": (("plate", "axis", "column"), _stacked([one.frame.R_WF for one in plates], (0, 3, 3))),
+            "plate_corners": (("plate", "corner", "axis"), _stacked(corners, (0, 4, 3))),
+        },
+        coords={"plate": [one.frame.name for one in plates], "axis": list("xyz")},
+        attrs={
+            "form": FORM,
+            "effects": [name for name, _ in evidence.faults],
+            "places": [BETWEEN.join(where) for _, where in evidence.faults],
+            "meaning": "information and moment of all lasting faults of instruments, in units of prior_sd",
+        },
+    )  # fmt: skip
+
+
+def read_laboratory(path: Path) -> SessionEvidence:
+    """Return what a finished run says of its laboratory.
+
+    Args:
+        path: its ``laboratory.nc``.
+
+    Raises:
+        InputError: ``laboratory.unreadable``, or ``laboratory.form`` where another version of torchid wrote it.
+    """
+    try:
+        with xarray.open_dataset(path, engine="h5netcdf") as file:
+            found = file.load()
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(
+            "laboratory.unreadable",
+            "this is no laboratory.nc",
+            source=path,
+            found=str(error)[:80],
+            remedy="Run the session again",
+        ) from None
+    try:
+        effects, places = (np.atleast_1d(found.attrs[name]).tolist() for name in ("effects", "places"))
+        faults = tuple((name, tuple(place.split(BETWEEN))) for name, place in zip(effects, places, strict=True))
+        sizes = tuple(np.bincount(found["fault"].values, minlength=len(faults)).tolist())
+        values = {name: torch.tensor(found[name].values) for name in found.data_vars}
+        evidence = LaboratoryEvidence(
+            faults, sizes, values["information"], values["moment"],
+            values["stated_information"], values["stated_moment"],
+        )  # fmt: skip
+        same = int(found.attrs["form"]) == FORM and found["prior_sd"].values.tolist() == _scales(evidence)
+    except KeyError:
+        same = False
+    if not same:
+        raise InputError(
+            "laboratory.form", "another version of torchid wrote this file", source=path,
+            remedy="Run the session again",
+        )  # fmt: skip
+    named = zip(found["plate"].values.tolist(), values["plate_position"], values["plate_axes"], strict=True)
+    return SessionEvidence(evidence, tuple(PlateFrame(*one) for one in named), values["plate_corners"])
+
+
+def _scales(evidence: LaboratoryEvidence) -> list[float]:
+    """Return the prior standard deviations of all parameters."""
+    return [sd for name, where in evidence.faults for sd in CATALOGUE[name].scale(Place(where))]
+
+
+def _stacked(some: list[Tensor], shape: tuple[int, ...]) -> np.ndarray:
+    return torch.stack(some).numpy() if some else np.zeros(shape)
