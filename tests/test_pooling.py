@@ -11,7 +11,7 @@ import torch
 from draws import seed_of
 
 from torchid.cohort.laboratories import Laboratory, laboratories
-from torchid.cohort.pooling import Pooled, pooled
+from torchid.cohort.pooling import LaboratoryVerdict, pooled
 from torchid.cohort.shared_faults import NAME, laboratories_section, laboratories_table, laboratory_table
 from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.effects.scene import PlateFrame
@@ -77,7 +77,7 @@ def hidden(draw: np.random.Generator) -> tuple[int, np.ndarray]:
     return fault, theta
 
 
-def likely(found: Pooled) -> list[tuple[str, tuple[str, ...]]]:
+def likely(found: LaboratoryVerdict) -> list[tuple[str, tuple[str, ...]]]:
     """Effects and places that are more than possible."""
     return [(one.effect, one.where) for one in found.faults if one.confidence > 0.5]
 

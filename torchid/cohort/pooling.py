@@ -75,7 +75,7 @@ class SharedFault:
 
 
 @dataclass(frozen=True)
-class Pooled:
+class LaboratoryVerdict:
     """What all sessions of a laboratory say together."""
 
     laboratory: Laboratory
@@ -86,7 +86,7 @@ class Pooled:
     """Standard deviation of each effect between sessions, in units of its prior."""
 
 
-def pooled(laboratory: Laboratory, options: NamingOptions = NamingOptions()) -> Pooled:
+def pooled(laboratory: Laboratory, options: NamingOptions = NamingOptions()) -> LaboratoryVerdict:
     """Return what the sessions of a laboratory say of its instruments together.
 
     Args:
@@ -109,7 +109,7 @@ def pooled(laboratory: Laboratory, options: NamingOptions = NamingOptions()) -> 
     found = (
         pool.fault(k, chosen, rounds, scatter) for k, one in enumerate(chosen) if not one.ordinary
     )  # of the others nothing tells that they are more than bodies do
-    return Pooled(laboratory, tuple(found), scatter)
+    return LaboratoryVerdict(laboratory, tuple(found), scatter)
 
 
 @dataclass(frozen=True)

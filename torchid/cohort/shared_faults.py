@@ -8,7 +8,7 @@ from typing import Any
 
 from torchid.cohort.laboratories import Laboratory, laboratories
 from torchid.cohort.one_run import Row
-from torchid.cohort.pooling import Pooled, SharedFault, pooled
+from torchid.cohort.pooling import LaboratoryVerdict, SharedFault, pooled
 from torchid.diagnosis.verdict.records import CERTAIN, EVEN
 from torchid.effects.catalogue import effect
 from torchid.errors import InputError
@@ -67,7 +67,7 @@ def _sessions(rows: Sequence[Row], out: Path) -> dict[str, SessionEvidence]:
     return found
 
 
-def laboratory_table(found: Pooled) -> Said:
+def laboratory_table(found: LaboratoryVerdict) -> Said:
     """Return what the sessions of a laboratory say together, as the file has it.
 
     Args:

@@ -1,4 +1,4 @@
-"""What one session says of its laboratory's instruments, everything that is a person's integrated out.
+"""This module keeps what one session says of its laboratory's instruments, with all that is a person's integrated out.
 
 Instruments that a laboratory owns (plates, the clock between them and the cameras, the calibration of these) err alike
 in all of its sessions. So information and moment of their faults (the information form of a normal distribution) add up

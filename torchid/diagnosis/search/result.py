@@ -38,7 +38,7 @@ class SearchResult:
     detectable: tuple[Detectable, ...] = ()
     """Smallest sizes that would have been named beside the chosen effects."""
     laboratory: LaboratoryEvidence | None = None
-    """What the session says of its laboratory's instruments."""
+    """Evidence of the session on its laboratory's instruments."""
 
     @property
     def named(self) -> list[Candidate]:

@@ -168,7 +168,7 @@ class Diagnosis:
     detectable: tuple[Detectable, ...] = ()
     """Smallest sizes of effects that would have been named beside the causes."""
     laboratory: LaboratoryEvidence | None = None
-    """What the session says of its laboratory's instruments, for other sessions of the same."""
+    """Evidence of the session on its laboratory's instruments, for other sessions of the same."""
     aside: tuple[Interval, ...] = ()
     """Intervals that no model is fitted to: something unmeasured bears a good part of the weight there."""
 

@@ -37,11 +37,11 @@ class _Tried:
     """Postures that were found for frames, each from a start, so that none is looked for twice."""
 
     start: Float[Tensor, "starts dofs frames"]
-    """Where each was begun; NaN where none was."""
+    """Start of each; NaN where there was none."""
     way: Float[Tensor, "starts dofs frames"]
-    """What was found there."""
+    """Posture that was found from it."""
     cost: Float[Tensor, "starts frames"]
-    """Its cost."""
+    """Cost of that posture."""
 
     @classmethod
     def none(cls, q: Float[Tensor, "dofs frames"], starts: int) -> "_Tried":
