@@ -70,10 +70,11 @@ def laboratory(draw: np.random.Generator, theta: np.ndarray, begin: int = 0, dat
 
 
 def hidden(draw: np.random.Generator) -> tuple[int, np.ndarray]:
-    """A fault by lot, of one prior standard deviation in a direction by lot."""
+    """A fault by lot, of one prior standard deviation in a direction by lot; a clock of more than bodies' lag hides."""
     fault, theta = int(draw.integers(len(FAULTS))), np.zeros(PARAMETERS)
     direction = draw.standard_normal(SIZES[fault])
-    theta[columns(fault)] = direction / np.linalg.norm(direction)
+    size = 2.5 if FAULTS[fault][0] == "time_offset" else 1.0
+    theta[columns(fault)] = size * direction / np.linalg.norm(direction)
     return fault, theta
 
 

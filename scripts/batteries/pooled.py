@@ -12,7 +12,7 @@ of a fault. Without a fault, nothing may be named.
 import json
 import shutil
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import torch
 from harness.command import DATA, Command, said_seed
 from harness.pool import performed
 from harness.rows import read_lines
@@ -31,13 +32,16 @@ from planted_faults.real_plates import RealPlate, used_plates
 from planted_faults.real_sessions import CHILDREN, SESSIONS, File, RealSession
 
 from batteries.remembered import remembering
+from torchid.cohort.laboratories import Laboratory, laboratories
+from torchid.cohort.pooling import SharedFault, pooled
 from torchid.config import load_config
+from torchid.diagnosis.verdict.records import EVEN
 from torchid.errors import TorchidError
 from torchid.extension.diagnosing import diagnose_outcome
 from torchid.extension.statements import panel_of
 from torchid.run import run_experiment
 from torchid.session import Outcome
-from torchid.session.laboratory import NAME
+from torchid.session.laboratory import NAME, read_laboratory
 from torchid.simulate.options import SimulateOptions
 from torchid.simulate.session import simulate_session
 
@@ -82,8 +86,8 @@ def planted(kind: str, recorded: Recorded, seed: int) -> tuple[Recorded, dict[st
 
 
 def _plate(recorded: Recorded, which: float) -> RealPlate:
-    """One that bears something in most sessions, by lot: their order is that of their places."""
-    some = sorted(used_plates(recorded), key=lambda one: one.frame.p_WF.tolist())
+    """One that bears something in most sessions, by lot: their order is that of their places, to a centimetre."""
+    some = sorted(used_plates(recorded), key=lambda one: one.frame.p_WF.round(decimals=2).tolist())
     return some[int(which * len(some))]
 
 
@@ -177,6 +181,48 @@ def _first_verdict(outcome: Outcome, folder: Any, key: str, progress: Any) -> Ou
     return replace(outcome, diagnosis=diagnose_outcome(outcome, folder.room, panel_of(outcome)))
 
 
+def tables(rows: Sequence[dict[str, Any]], evidence: Path) -> Iterator[str]:
+    """A line for each fault: what all sessions together say, and how many say it alone."""
+    for kind, seed in dict.fromkeys((row["kind"], row["seed"]) for row in rows):
+        own = {r["session"]: r for r in rows if (r["kind"], r["seed"]) == (kind, seed) and "failed" not in r}
+        found = {name: read_laboratory(evidence / f"{row['key']}.nc") for name, row in own.items()}
+        home = max(laboratories(found, {}), key=lambda one: len(one.visits))
+        faults = [one for one in pooled(home).faults if one.confidence > EVEN]
+        truth = next(iter(own.values()))["truth"]
+        said = "; ".join(_said_of(one, home, truth) for one in faults) or "nothing"
+        alone = sum(
+            any(effect == truth.get("effect") and sure > EVEN for effect, _, sure in r["alone"]) for r in own.values()
+        )
+        right = not faults if not truth else bool(faults) and all(_is(one, home, truth) for one in faults)
+        yield f"{kind:10s} seed {seed}, {len(own)} sessions: {'right' if right else 'wrong'}: {said}; alone {alone}"
+
+
+def _is(one: SharedFault, home: Laboratory, truth: dict[str, Any]) -> bool:
+    """Whether a fault is what was planted."""
+    if one.effect != truth.get("effect"):
+        return False
+    if truth["centre"] is None:
+        return True
+    centre = torch.tensor(truth["centre"], dtype=torch.float64)
+    near = {plate.name for plate in home.plates if float((plate.position - centre)[:2].norm()) < NEAR_M}
+    return set(one.where) == near
+
+
+def _said_of(one: SharedFault, home: Laboratory, truth: dict[str, Any]) -> str:
+    """A fault with its confidence and, where it is right, how far its size is off."""
+    said = f"{one.effect} ({', '.join(one.where)}) {one.confidence:.2f}"
+    if not _is(one, home, truth):
+        return said
+    for key, true in truth["parameters"].items():
+        wanted, value = (
+            torch.as_tensor(x, dtype=torch.float64).reshape(-1) for x in (true, one.parameters[key]["value"])
+        )
+        zero = torch.ones_like(wanted) if key in ("gain", "scale") else torch.zeros_like(wanted)
+        off = float((value - wanted).norm() / (wanted - zero).norm())
+        said += f", {key} off by {100.0 * off:.0f} %"
+    return said
+
+
 def main(given: Sequence[str] | None = None) -> None:
     """Run what is missing, pool, print tables."""
     command = Command(
@@ -195,7 +241,7 @@ def main(given: Sequence[str] | None = None) -> None:
             performed(jobs, partial(perform, some=some, out=asked.out), asked.jobs, asked.out / "rows.jsonl"), 1
         ):
             print(f"{number:4d}/{len(jobs)} {row['key']} {row.get('failed', '')}", flush=True)
-    print(len(read_lines(asked.out / "rows.jsonl")))
+    print("\n".join(tables(read_lines(asked.out / "rows.jsonl"), asked.out / "evidence")))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ fault, and what the fault varies by. With delta integrated out,
 
 so that sessions are to a laboratory what trials are to a session, and the same scan names its faults, with the consent
 of each session. D has one variance for each effect, of the sizes that sound sessions seem to have (``SIZES``), the
-likeliest of them. A fault may also begin or end between two sessions.
+likeliest of them. A fault may also begin or end between two sessions. Forces of all bodies come late by themselves
+(``USUAL_LAG_S``), which a clock has to exceed: that lag, with its mean, is one more parameter of the laboratory.
 
 Reference: Laird & Ware, Biometrics 38:963 (1982), on such random effects.
 """
@@ -22,6 +23,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchid.checks.clocks import USUAL_LAG_S
 from torchid.cohort.laboratories import Laboratory, Visit, parameters_of
 from torchid.diagnosis.candidates.candidate import Candidate, ColumnSource
 from torchid.diagnosis.evidence.apparent import SIZES, shares_of
@@ -34,7 +36,8 @@ from torchid.diagnosis.search.scan import scan_all
 from torchid.diagnosis.verdict.causes import parameter_table
 from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.parameter import propagated
-from torchid.effects.place import Place
+from torchid.effects.place import SESSION, Place
+from torchid.effects.timing import TimeOffset
 from torchid.observation.statements import Statements
 
 MOST = 6
@@ -44,6 +47,8 @@ SPANS = 0.2
 COMMON = 0.5 / (7 + 1)
 """Share of laboratories all of whose sound sessions seem to have as much of an effect as one that has it: none of the
 seven whose sessions gave ``SIZES``, by Jeffreys' prior (Proc R Soc A 186:453 (1946)); derived."""
+BODIES_LAG_S = sum(USUAL_LAG_S.values()) / len(USUAL_LAG_S)
+"""Mean over laboratories, and as large its standard deviation, of the lag of bodies [s]; derived."""
 SWEEPS = 2
 """Times that the variances of all effects are chosen in turn; resolution."""
 
@@ -114,10 +119,12 @@ def pooled(laboratory: Laboratory, options: NamingOptions = NamingOptions()) -> 
 
 @dataclass(frozen=True)
 class _Pool:
-    """Sessions as trials of a design that has a column for each parameter of each fault."""
+    """Sessions as trials of a design that has a column for each parameter of each fault, behind that of bodies' lag."""
 
     visits: tuple[Visit, ...]
     candidates: tuple[Candidate, ...]
+    base: int
+    """Number of columns of what bodies are like."""
     effects: dict[str, Tensor]
     """Columns of each effect."""
     whole: tuple[Float[Tensor, "visits all all"], Float[Tensor, "visits all"]]
@@ -128,16 +135,20 @@ class _Pool:
     @classmethod
     def of(cls, laboratory: Laboratory) -> "_Pool":
         at, length = parameters_of(laboratory.visits)
+        clock = at.get((TimeOffset.name, SESSION.where))
+        base = 0 if clock is None else 1
         effects: dict[str, list[Tensor]] = {}
         for (name, _), columns in at.items():
             effects.setdefault(name, []).append(columns)
         each = [visit.evidence for visit in laboratory.visits]
         where = [torch.cat([at[fault] for fault in one.faults] or [torch.arange(0)]) for one in each]
-        whole = _spread([(one.information, one.moment) for one in each], where, length)
+        whole = _beside_bodies(*_spread([(one.information, one.moment) for one in each], where, length), clock)
         stated = _spread([(one.stated_information, one.stated_moment) for one in each], where, length)
+        stated = _beside_bodies(*stated, clock)
         bare = whole[0] - stated[0], whole[1] - stated[1]
-        every = {name: torch.cat(some) for name, some in effects.items()}
-        return cls(laboratory.visits, tuple(_candidates(laboratory, at)), every, whole, bare)
+        every = {name: base + torch.cat(some) for name, some in effects.items()}
+        columns = {fault: base + own for fault, own in at.items()}
+        return cls(laboratory.visits, tuple(_candidates(laboratory, columns)), base, every, whole, bare)
 
     def likeliest(self, chosen: Sequence[Candidate], scatter: Mapping[str, float]) -> dict[str, float]:
         """Return the standard deviation of each effect between sessions that is likeliest beside the chosen faults."""
@@ -182,14 +193,14 @@ class _Pool:
     def _evidence(self, chosen: Sequence[Candidate], scatter: Mapping[str, float]) -> float:
         """Log evidence of all sessions with the chosen faults and a scatter between sessions [nat]."""
         information, moment, nats = _without(*self.whole, self._root(scatter))
-        return fit(_statistics(information, moment), chosen).log_evidence + float(nats.sum())
+        return fit(_statistics(self.base, information, moment), chosen).log_evidence + float(nats.sum())
 
     def statistics(self, scatter: Mapping[str, float]) -> Statistics:
         """Return statistics of all sessions in which what varies between them is integrated out."""
         root = self._root(scatter)
         information, moment, _ = _without(*self.whole, root)
         less, weaker, _ = _without(*self.bare, root)
-        return _statistics(information, moment, (information - less, moment - weaker))
+        return _statistics(self.base, information, moment, (information - less, moment - weaker))
 
     def _root(self, scatter: Mapping[str, float]) -> Float[Tensor, " all"]:
         """Standard deviations of all parameters between sessions."""
@@ -208,7 +219,7 @@ class _Pool:
         # What is only ordinary would share the size of what is named.
         named = [other for other in chosen if not other.ordinary]
         posterior = fit(self.statistics(self.likeliest(named, scatter)), named)
-        first = sum(c.size for c in named[: next(j for j, other in enumerate(named) if other is one)])
+        first = self.base + sum(c.size for c in named[: next(j for j, other in enumerate(named) if other is one)])
         part = slice(first, first + one.size)
         scale = one.relative * torch.tensor(one.source.scale, dtype=torch.float64)
         theta, covariance = scale * posterior.mean[part], scale[:, None] * posterior.covariance[part, part] * scale
@@ -254,7 +265,20 @@ def _spread(
     return square, line
 
 
+def _beside_bodies(
+    information: Float[Tensor, "visits n n"], moment: Float[Tensor, "visits n"], clock: Tensor | None
+) -> tuple[Float[Tensor, "visits all all"], Float[Tensor, "visits all"]]:
+    """What sessions say of faults, beside the lag of bodies, as the first column, with its mean taken off."""
+    if clock is None:
+        return information, moment
+    usual = torch.zeros(1, moment.shape[1], dtype=torch.float64)
+    usual[0, clock] = BODIES_LAG_S / TimeOffset().scale(SESSION)[0]
+    both = torch.cat([usual, torch.eye(moment.shape[1], dtype=torch.float64)])
+    return both @ information @ both.mT, (moment - information @ usual[0]) @ both.mT
+
+
 def _statistics(
+    base: int,
     information: Float[Tensor, "visits all all"],
     moment: Float[Tensor, "visits all"],
     stated: tuple[Float[Tensor, "visits all all"], Float[Tensor, "visits all"]] | None = None,
@@ -264,7 +288,7 @@ def _statistics(
     grams, moments = torch.nn.functional.pad(information, (0, 1, 0, 1)), torch.nn.functional.pad(moment, (0, 1))
     said = [None] * len(moment) if stated is None else [Statements(every, *one) for one in zip(*stated, strict=True)]
     trials = (TrialStatistics(every, *one) for one in zip(grams, moments, said, strict=True))
-    return Statistics(0, len(every), tuple(trials))
+    return Statistics(base, len(every), tuple(trials))
 
 
 def _without(

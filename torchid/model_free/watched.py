@@ -134,7 +134,10 @@ def watch(
     if not contact.feet:
         return Watched(scene, reading, measured, centre)
     ends = torch.stack([soles[foot][:, [0, -1]] for foot in contact.feet])
-    return Watched(scene, reading, measured, centre, contact.feet, ends, contact.plate)
+    # A foot that stands where no plate reads it may be on this one, too: then it bears none alone.
+    astray = contact.beside.any(1) | contact.unread.any(1)
+    alone = torch.where(astray[:, None], -2, contact.plate)
+    return Watched(scene, reading, measured, centre, contact.feet, ends, alone)
 
 
 def longest_stretch(measured: Bool[Tensor, " frames"], frames: int) -> slice:

@@ -53,13 +53,16 @@ def laboratory_evidence(
 ) -> LaboratoryEvidence:
     """Return what a session says of lasting faults of instruments, beside the other effects that its model has.
 
+    A lag of the body is not beside them: it is a clock's to these rows, and what bodies' lags are like is for all
+    sessions together to weigh.
+
     Args:
         statistics: statistics of all trials.
         chosen: effects that the model has; those that are such faults themselves are asked about, too.
         candidates: candidates of the same design.
     """
     asked = [one for one in candidates if lasting(one)]
-    others = [one for one in chosen if not lasting(one)]
+    others = [one for one in chosen if not (lasting(one) or one.effect.shifts_time)]
     whole, bare = (
         joint_information(some, fit(some, kept), asked)
         for some, kept in (marginalise_per_trial(raw, others) for raw in (statistics, statistics.unstated))
