@@ -65,7 +65,7 @@ def test_a_form_without_its_package_is_refused_before_the_run(
 def test_forms_of_tables_change_no_result(tmp_path: Path) -> None:
     """Stages that are done are taken up again; only the files are more, and claimed."""
     (tmp_path / "c.yaml").write_text(CONFIG)
-    plain, more = (load_config(tmp_path / "c.yaml", own) for own in ([], ["tables=[xlsx]"]))
+    plain, more = (load_config(tmp_path / "c.yaml", own) for own in ([], ["tables=[xlsx]", "bids=true"]))
     assert run_key(plain) == run_key(more)
     assert set(result_names(["a"], more.tables)) - set(result_names(["a"])) == {"results.xlsx", "cycles.xlsx"}
 

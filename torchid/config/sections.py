@@ -195,6 +195,8 @@ class Config(ConfigSection):
     """Folder of the results."""
     tables: tuple[Form, ...] = ()
     """Forms beside CSV in which the tables of results and cycles are written: `pip install 'torchid[tables]'`."""
+    bids: bool = False
+    """True writes what was measured and found of each trial as a data set of Motion-BIDS, too (docs/results.md)."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Of all random draws."""
 

@@ -137,10 +137,12 @@ def _clock(rows: Rows, channels: Channels, stated: dict, source: str, notes: lis
 
 
 def _up(file: Path, channels: Channels, points: dict[str, list[int]]) -> str:
-    """The axis that points up by the frame of the positions (``SpatialAxes: ALS``); empty where nothing says so."""
+    """The axis that points up by the frame of the positions, in either spelling of the specification (``SpatialAxes:
+    ALS``, ``FLU``); empty where nothing says so."""
     frames = {channels[columns[0]].get("reference_frame", "") for columns in points.values()}
     about = _merged(file, "_channels.json").get("reference_frame", {})
     levels = about.get("Levels", {}) if isinstance(about, dict) else {}
     level = levels.get(next(iter(frames)), {}) if isinstance(levels, dict) and len(frames) == 1 else {}
     axes = str(level.get("SpatialAxes", "")) if isinstance(level, dict) else ""
-    return {1: "y", 2: "z"}.get(axes.upper().find("S"), "") if len(axes) == 3 else ""
+    upwards = [k for k, letter in enumerate(axes.upper()) if letter in "SU"]
+    return {1: "y", 2: "z"}.get(upwards[0], "") if len(axes) == 3 and len(upwards) == 1 else ""

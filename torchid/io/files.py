@@ -1,5 +1,6 @@
 """Reading whole files within limits, and which files make up a recording."""
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,8 @@ MOTION_BIDS = "_motion.tsv"
 """Ending of a file of positions of the Brain Imaging Data Structure."""
 MOTION_BIDS_ABOUT = ("_channels.tsv", "_channels.json", "_motion.json")
 """Endings of files that describe one: its columns, what their words mean, and its rate."""
+BIDS_DESCRIPTION = "dataset_description.json"
+"""File in which a data set says what it is."""
 BIDS_FOLDER = re.compile(r"motion|(sub|ses)-.*")
 """Folders of a data set that have another of it above."""
 
@@ -72,6 +75,15 @@ def described_in(file: Path, ending: str) -> list[Path]:
         for place in bids_places(file.absolute().parent)
     ]
     return [one for some in found for one in sorted(some, key=lambda one: -len(one.name.split("_")))]
+
+
+def is_derivative(folder: Path) -> bool:
+    """Whether a folder is a data set of BIDS that was computed from another, as torchid writes one."""
+    try:
+        said = json.loads((folder / BIDS_DESCRIPTION).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(said, dict) and said.get("DatasetType") == "derivative"
 
 
 def unique_names(names: Sequence[str]) -> list[str]:

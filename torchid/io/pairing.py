@@ -8,7 +8,7 @@ from pathlib import Path
 
 from torchid.errors import InputError
 from torchid.io.b3d_header import read_header
-from torchid.io.files import CONTAINERS, MOTION_BIDS, container_of, recording_name
+from torchid.io.files import CONTAINERS, MOTION_BIDS, container_of, is_derivative, recording_name
 
 MARKER_SUFFIXES = (".c3d", ".trc")
 FORCE_SUFFIXES = (".mot", ".sto")
@@ -154,11 +154,11 @@ def unpaired_forces(folder: Path, pairs: Sequence[tuple[Path, Path | None]]) -> 
 
 
 def _visible(folder: Path) -> Iterator[Path]:
-    """Files below the folder, but for hidden ones and those in hidden folders; a file itself."""
+    """Files below the folder, but for hidden ones, those in hidden folders and in results of BIDS; a file itself."""
     if folder.is_file():
         yield folder
     for place, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]
+        folders[:] = [name for name in folders if not name.startswith(".") and not is_derivative(Path(place, name))]
         yield from (Path(place, name) for name in names if not name.startswith("."))
 
 

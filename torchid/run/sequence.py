@@ -102,13 +102,14 @@ GEOMETRY = "geometry"
 """Stage of the identified geometry."""
 
 
-UNKEYED = frozenset({"out", "threads", "tables"})
+UNKEYED = frozenset({"out", "threads", "tables", "bids"})
 """Keys of a config on which no result depends."""
 
 
 def _claim(folder: OutputFolder, config: Config) -> None:
     """No work for results that have no place: InputError where a file of the user's has the name of one."""
-    folder.claim(result_names((trial.name for trial in config.trials), config.tables))
+    names, subject = (trial.name for trial in config.trials), config.subject.name if config.bids else None
+    folder.claim(result_names(names, config.tables, subject))
     if not folder.owns(CONFIGS[0]):
         folder.claim(CONFIGS[1:])
 

@@ -22,6 +22,7 @@ from torchid.model.opensim.writing_back import identified_model, write_back
 from torchid.model.osim import osim_coordinates, osim_forces, osim_names, write_osim
 from torchid.model.urdf import write_urdf
 from torchid.recording import Plate
+from torchid.run.bids import bids_names, write_bids_about, write_bids_trial
 from torchid.run.opensim_setup import SUFFIXES, ToolFiles, write_tool_files
 from torchid.run.scalars import cycles_table, results_table
 from torchid.session import Followed, Outcome
@@ -48,15 +49,18 @@ SERIES = ("motion_{}.nc", "forces_{}.nc", "{}_ik.mot", "{}_id.sto")
 """Names of a trial's files beside those for OpenSim's tool (``opensim_setup.SUFFIXES``)."""
 
 
-def result_names(trials: Iterable[str], forms: Iterable[Form] = ()) -> list[str]:
+def result_names(trials: Iterable[str], forms: Iterable[Form] = (), subject: str | None = None) -> list[str]:
     """Every file that a run may write, but for its config.
 
     Args:
         trials: their names.
         forms: of its tables, beside CSV.
+        subject: whom its data set of Motion-BIDS shows; None where it writes none.
     """
+    trials = list(trials)
     tables = [f"{name}.{form}" for form in ("csv", *forms) for name in ("results", "cycles")]
-    return [*TABLES, *tables, *(name.format(safe_name(trial)) for trial in trials for name in (*SERIES, *SUFFIXES))]
+    series = [name.format(safe_name(trial)) for trial in trials for name in (*SERIES, *SUFFIXES)]
+    return [*TABLES, *tables, *series, *([] if subject is None else bids_names(subject, trials))]
 
 
 def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | None) -> None:
@@ -76,6 +80,8 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
     write_table(results_table(outcome, tables, strides), "results", forms, folder.path)
     if strides is not None:
         write_table(cycles_table(strides), "cycles", forms, folder.path)
+    if outcome.config.bids:
+        write_bids_about(outcome.config.subject, folder.path)
     for name in outcome.session.trials:
         _write_trial(outcome, name, folder)
         release()
@@ -105,6 +111,8 @@ def _write_trial(outcome: Outcome, name: str, folder: OutputFolder) -> None:
     if under is not None and under.contacts:
         grf, loads, setup = (folder.path(file.format(safe_name(name))) for file in SUFFIXES)
         write_tool_files(under, item.motion.time, ToolFiles(grf, loads, setup, kinematics))
+    if outcome.config.bids:
+        write_bids_trial(outcome, name, pieces, folder.path)
 
 
 def opensim_tables(
