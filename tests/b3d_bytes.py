@@ -77,11 +77,22 @@ class B3dTrial:
         return doubles(1, np.zeros(4)) + b"".join(doubles(6 + n, values) for n, values in enumerate(given))
 
 
-def b3d_bytes(labels: tuple[str, ...], trials: list[B3dTrial], rate: float, plates: int = 2) -> bytes:
+MODELS = ((0, "<OpenSimDocument/>"),)
+"""Type and text of the model of the passes of a file that is asked for no model."""
+
+
+def b3d_bytes(
+    labels: tuple[str, ...],
+    trials: list[B3dTrial],
+    rate: float,
+    plates: int = 2,
+    models: tuple[tuple[int, str], ...] = MODELS,
+) -> bytes:
     """A file of trials of a woman of 72.5 kg, 1.76 m and 31 years."""
     frames = [frame for trial in trials for frame in trial.frames(plates)]
     head = [whole(1, 4), whole(2, len(trials)), whole(3, len(frames[0][0])), whole(4, len(frames[0][1]))]
-    head += [packed(5, packed(2, "<OpenSimDocument/>")), packed(6, "calcn_r"), packed(6, "calcn_l")]
+    head += [packed(5, (whole(1, kind) if kind else b"") + packed(2, text)) for kind, text in models]
+    head += [packed(6, "calcn_r"), packed(6, "calcn_l")]
     head += [packed(9, trial.header(1.0 / rate)) for trial in trials]
     head += [whole(10, 4), packed(13, "female"), double(14, 1.76), double(15, 72.5), whole(16, 31)]
     head += [packed(17, label) for label in labels]

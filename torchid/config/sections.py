@@ -25,7 +25,7 @@ from torchid.simulate.options import SimulateOptions
 from torchid.storage.tables import Form
 
 BUILTIN_MODELS = ("whole_body",)
-MODEL_SUFFIXES = (".urdf", ".xml", ".osim")
+MODEL_SUFFIXES = (".urdf", ".xml", ".osim", ".b3d")
 MARKER_SUFFIXES = (".yaml", ".yml", ".json")
 
 
@@ -156,7 +156,7 @@ class Config(ConfigSection):
     subject: Subject
     """Whom the recordings show."""
     model: ModelSource = "whole_body"
-    """The built-in template, or the path of a URDF, MJCF (.xml) or OpenSim file."""
+    """The built-in template, or the path of a URDF, MJCF (.xml) or OpenSim file, or of a .b3d that holds one."""
     scatter: FileScatter = FileScatter()
     """How uncertain the numbers of a model file are."""
     markers: MarkerSource = "auto"

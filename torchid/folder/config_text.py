@@ -9,6 +9,8 @@ from pathlib import Path
 from torchid.errors import InputError
 from torchid.folder.proposal import Proposal
 from torchid.folder.roles import Use
+from torchid.io.b3d_header import read_b3d_model
+from torchid.io.files import container_of
 from torchid.model.marker_set import MarkerSpec
 from torchid.model.recognition import Recognised
 from torchid.wording import clean, listing
@@ -29,7 +31,10 @@ def config_text(proposal: Proposal, beside: Path, marker_map: str = "") -> str:
         beside: the folder in which the config will lie; recordings below it are named by relative paths.
         marker_map: name of the file there that holds ``marker_map_text``; empty: a built-in set is named.
     """
-    parts = (_head(proposal), _markers(proposal.markers, marker_map), _trials(proposal, beside), _tail(proposal))
+    parts = (
+        _head(proposal), _markers(proposal.markers, marker_map), _model(proposal, beside), _trials(proposal, beside),
+        _tail(proposal),
+    )  # fmt: skip
     return "\n".join(line for part in parts for line in part) + "\n"
 
 
@@ -75,6 +80,18 @@ def _markers(markers: Recognised, marker_map: str) -> Iterator[str]:
         yield f"# Not told: {named}. Each joins the segment that it surely moves with, or is left out."
         if marker_map:
             yield "unlisted: assign  # leave_out: they take no part"
+
+
+def _model(proposal: Proposal, beside: Path) -> Iterator[str]:
+    """Return what to write for the OpenSim model that the first file of several trials holds, where one does."""
+    for file in dict.fromkeys(container_of(use.of.file) for use in proposal.uses):
+        try:
+            if file is not None and read_b3d_model(file):
+                yield f"# In place of the built-in body, the OpenSim model in the file: model: {_path(file, beside)}"
+                yield "# and markers: model (docs/opensim.md)."
+                return
+        except InputError:
+            continue
 
 
 def _trials(proposal: Proposal, beside: Path) -> Iterator[str]:

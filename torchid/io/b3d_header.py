@@ -12,9 +12,16 @@ from pathlib import Path
 from torchid.errors import InputError
 from torchid.io.files import FileBytes, unique_names
 from torchid.io.protobuf import Message
+from torchid.wording import listing
 
 LENGTH = 8
 """Bytes in which the header's length is written."""
+PASSES, PASS_TYPE, MODEL = 5, 1, 2
+"""Fields of the passes of processing in the header; of the type and the model's text in a pass."""
+TYPES = ("kinematics", "dynamics", "low-pass filter", "acceleration-minimising filter")
+"""What the numbers of ``ProcessingPassType`` mean."""
+FITTING = (0, 1)
+"""Types of the passes that fit a model; a filter leaves it as it was."""
 PART = re.compile(r"_split\d+$")
 """Ending of a file's name that holds a part of a subject's trials."""
 
@@ -85,6 +92,26 @@ def read_header(path: Path) -> B3dHeader:
             found=f"{file.size} of {start} bytes", remedy="Download or export the file again",
         )  # fmt: skip
     return B3dHeader(file, said, sensors, passes, tuple(trials))
+
+
+def read_b3d_model(path: Path) -> bytes:
+    """The text of the OpenSim model in a file, as the last pass that fitted one left it.
+
+    Raises:
+        InputError: as ``read_header``; ``b3d.model`` where no pass of kinematics or dynamics holds a model.
+    """
+    passes = read_header(path).said.messages(PASSES)
+    texts = [one.text(MODEL) for one in passes if one.whole(PASS_TYPE) in FITTING]
+    found = next((text for text in reversed(texts) if text.strip()), None)
+    if found is None:
+        kinds = [one.whole(PASS_TYPE) for one in passes]
+        named = listing([TYPES[kind] if kind in range(len(TYPES)) else f"type {kind}" for kind in kinds], 6)
+        raise InputError(
+            "b3d.model", "the file holds no OpenSim model of a pass of kinematics or dynamics", source=path,
+            found=f"passes: {named}",
+            remedy="Name the subject's .osim file under model:, or leave model: out",
+        )  # fmt: skip
+    return found.encode("utf-8")
 
 
 def _no_b3d(path: Path, found: str) -> InputError:

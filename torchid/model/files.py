@@ -9,11 +9,11 @@ from torchid.model.opensim.as_model import read_osim_model
 from torchid.model.tree_of_links import FileScatter
 from torchid.model.urdf import read_urdf
 
-READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".osim": read_osim_model}
+READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".osim": read_osim_model, ".b3d": read_osim_model}
 
 
 def load_model(path: str | Path, scatter: FileScatter | None = None) -> tuple[Model, tuple[Note, ...]]:
-    """Model of a ``.urdf``, MJCF ``.xml`` or ``.osim`` file, and what was changed in reading it.
+    """Model of a ``.urdf``, MJCF ``.xml`` or ``.osim`` file, or in a ``.b3d``, and what was changed in reading it.
 
     Args:
         scatter: how uncertain its numbers are; default ``FileScatter()``.

@@ -10,6 +10,8 @@ import torch
 
 from torchid.conventions import GRAVITY
 from torchid.errors import InputError, Note
+from torchid.io.b3d_header import read_b3d_model
+from torchid.io.files import container_of
 from torchid.model.markup import Element, Vocabulary, parse_xml, read_bytes, unread
 from torchid.model.opensim.bodies import consistent, read_inertias
 from torchid.model.opensim.constraints import PROPERTIES, WELD, constraint_elements, links, weld_of
@@ -108,7 +110,7 @@ class Parts:
 
 
 def read_osim(path: str | Path) -> tuple[OsimModel, tuple[Note, ...]]:
-    """Read the model of an OpenSim file of version 2, 3 or 4.
+    """Read the model of an OpenSim file of version 2, 3 or 4, or the one in a .b3d of AddBiomechanics.
 
     Muscles, other forces, wrapping and looks are passed over.
 
@@ -117,13 +119,22 @@ def read_osim(path: str | Path) -> tuple[OsimModel, tuple[Note, ...]]:
 
     Raises:
         InputError: ``xml.*`` for what is no XML, or has entities; ``osim.*`` for what is no such model, or holds
-            something that cannot be read exactly. It names the line.
+            something that cannot be read exactly. It names the line. As ``osim_bytes``.
     """
     path = Path(path)
-    model, notes = model_of(parts_of(open_document(read_bytes(path), path)))
+    model, notes = model_of(parts_of(open_document(osim_bytes(path), path)))
     for note in notes:
         log.warning("%s", note)
     return model, notes
+
+
+def osim_bytes(path: Path) -> bytes:
+    """Return the text of the model in a file, which is the file or, of a .b3d, a part of it.
+
+    Raises:
+        InputError: ``xml.unreadable``, ``xml.too_large``; of a .b3d as ``read_b3d_model``.
+    """
+    return read_b3d_model(path) if container_of(path) == path else read_bytes(path)
 
 
 def open_document(content: bytes, path: Path) -> OsimDocument:

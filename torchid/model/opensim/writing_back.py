@@ -9,14 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchid.errors import DataError
-from torchid.model.markup import Element, place, read_bytes, spelt
+from torchid.model.markup import Element, place, spelt
 from torchid.model.model import Geometry
 from torchid.model.opensim.binding import OsimBinding
 from torchid.model.opensim.bodies import MOMENTS, SPELT, compact, stated_moments
 from torchid.model.opensim.frames import Stated
 from torchid.model.opensim.group_inertia import of_bodies
 from torchid.model.opensim.model import Frame, OsimJoint, OsimModel
-from torchid.model.opensim.reading import Parts, model_of, open_document, parts_of
+from torchid.model.opensim.reading import Parts, model_of, open_document, osim_bytes, parts_of
 from torchid.model.opensim.rotations import inverse, moved
 from torchid.model.opensim.spans import Edit, edited, element_spans, new_child, new_text
 from torchid.storage.files import atomic_write
@@ -124,7 +124,7 @@ def write_back(model: OsimModel, path: str | Path) -> None:
             ``osim.not_finite``, ``osim.negative_mass``.
         InputError: the source cannot be read any more, ``osim.encoding``, or the file cannot be written.
     """
-    content = read_bytes(model.source)
+    content = osim_bytes(model.source)
     parts = parts_of(open_document(content, model.source))
     before, _ = model_of(parts)
     wanted = _Wanted(model.source)
