@@ -23,7 +23,7 @@ from torchid.extension.model_free_checks import with_witnesses
 from torchid.extension.statements import panel_of
 from torchid.model_free.panel import Panel
 from torchid.model_free.testimony import Claim, answers
-from torchid.model_free.watched import shares
+from torchid.model_free.watched import shares, watch
 from torchid.session import Outcome
 from torchid.session.fitting import identify
 from torchid.session.following import Following
@@ -273,3 +273,22 @@ def test_a_verdict_says_levels_witnesses_and_what_is_published() -> None:
     assert heard["marker_shift"] == ("possible", [("marker_distances", a, True)])
     assert heard["marker_swap"] == ("certain", [("marker_distances", f"{b}, {c}", True)])
     assert heard["filter_lag"][0] == "likely" and {one[0] for one in heard["filter_lag"][1]} <= {"marker_quickness"}
+
+
+def test_a_foot_that_no_plate_reads_leaves_the_other_ones_pressure_untold() -> None:
+    """Both feet on one plate: its pressure is between them, whatever it is nearer to."""
+    base = outcome()
+    seen = next(one for one in panel(base).trials if one.foot_on is not None and bool((one.foot_on == 0).any()))
+    contact = base.followed[seen.name].contact
+    assert contact is not None and seen.soles is not None
+    bears = (contact.plate == 0).any(1)
+    both = replace(
+        contact, touching=torch.ones_like(contact.touching), supported=torch.ones_like(contact.supported),
+        plate=torch.where(contact.plate == 0, 0, -1),
+    )  # fmt: skip
+    soles = {foot: seen.soles[k] for k, foot in enumerate(seen.feet)}
+    one_alone = replace(both, touching=contact.touching & (torch.arange(len(contact.feet)) == 0))
+    told = watch(seen.scene, seen.reading, seen.measured, soles, one_alone)
+    untold = watch(seen.scene, seen.reading, seen.measured, soles, both)
+    assert told.foot_on is not None and untold.foot_on is not None
+    assert bool(((told.foot_on == 0).any(1) == bears).all()) and not bool((untold.foot_on == 0).any())
