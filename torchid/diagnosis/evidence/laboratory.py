@@ -18,6 +18,7 @@ from torchid.diagnosis.evidence.per_trial import marginalise_per_trial
 from torchid.diagnosis.evidence.posterior import fit
 from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.effects.instrument_faults import FAULTS
+from torchid.effects.traits import Proof
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,14 @@ class LaboratoryEvidence:
 
 
 def lasting(one: Candidate) -> bool:
-    """Return whether a candidate is a fault of an instrument that all sessions of a laboratory would share.
+    """Return whether a candidate is a fault of an instrument that all sessions of a laboratory would share, and that
+    something in them bears out: what nothing can, such as a scale of the cameras, stays what bodies imitate.
 
     Args:
         one: the candidate.
     """
     effect, (_, trials) = one.effect, one.effect.source(one.place)
-    return effect.name in FAULTS and has_size(effect) and trials is None
+    return effect.name in FAULTS and has_size(effect) and effect.proof is Proof.FORCES and trials is None
 
 
 def laboratory_evidence(
