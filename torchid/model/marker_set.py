@@ -9,6 +9,7 @@ import difflib
 import fnmatch
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import torch
@@ -116,7 +117,13 @@ def load_marker_set(
                 "markers.unknown_set", "no such marker set", source=str(name_or_path),
                 remedy=_suggest(str(name_or_path), known, "built-in sets") + "; or give the path of a YAML file",
             )  # fmt: skip
-        path = FOLDER / f"{name_or_path}.yaml"
+        return _built_in(FOLDER / f"{name_or_path}.yaml", segments, landmarks)
+    return _parse(_read(path), path, segments, landmarks)
+
+
+@cache
+def _built_in(path: Path, segments: tuple[str, ...], landmarks: tuple[str, ...]) -> MarkerSet:
+    """One of torchid's own sets, read once: to recognise labels asks for all of them, recording after recording."""
     return _parse(_read(path), path, segments, landmarks)
 
 
