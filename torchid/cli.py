@@ -6,6 +6,7 @@ Exit codes: 0 done; 2 the config or a file is at fault; 3 the data do not suppor
 """
 
 import io
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -421,6 +422,8 @@ def _exit_codes(debug: bool) -> Iterator[None]:
     from torchid.storage.logs import configure_logging
 
     configure_logging(debug)
+    # As `threads` of a config, before torch is imported: threads that share small matrices mostly wait for each other.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     try:
         yield
     except (typer.Exit, typer.Abort):
