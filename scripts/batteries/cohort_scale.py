@@ -134,10 +134,10 @@ def plan(lab: Laboratory, path: Path) -> Iterator[str]:
     figure, axes = plt.subplots(figsize=(6.0, 3.6), layout="constrained")
     axes.loglog(WORKERS, [one["speedup"] for one in found], "o-", label="10,000 subjects")
     axes.loglog(WORKERS, WORKERS, "--", color="grey", label="as many times as workers")
-    for name, bound in bounds.items():
+    for k, (name, bound) in enumerate(bounds.items()):
         if bound < 2.0 * WORKERS[-1]:
             axes.axvline(bound, color="tab:red", linewidth=0.8)
-            axes.text(bound, 1.5, f" {name}", rotation=90, va="bottom", ha="right", fontsize=8)
+            axes.text(bound, 1.5 * 4.0**k, f"{name}  ", va="bottom", ha="right", fontsize=8)
     axes.set(xlabel="workers", ylabel="speed against one worker")
     axes.legend()
     figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
