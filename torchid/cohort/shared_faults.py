@@ -13,11 +13,12 @@ from torchid.diagnosis.verdict.records import CERTAIN, EVEN
 from torchid.effects.catalogue import effect
 from torchid.errors import InputError
 from torchid.report.blocks import Section, Table
+from torchid.report.cause_sentences import chance
 from torchid.session.laboratory import NAME as EVIDENCE
 from torchid.session.laboratory import SessionEvidence, read_laboratory
 from torchid.storage.files import plain, safe_name, write_json
 from torchid.storage.provenance import stage_key
-from torchid.wording import clean, listing, number, plural
+from torchid.wording import clean, listing, plural
 
 NAME = "laboratories.json"
 """Of the file in a cohort's folder."""
@@ -112,7 +113,7 @@ def laboratories_section(table: Sequence[Mapping[str, Any]]) -> Section | None:
         return Section("laboratories", "Laboratories", finding, (sessions,))
     faults = Table(
         "Told by all sessions together; a single one mostly cannot.",
-        ("Laboratory", "What is wrong", "Sessions", "Or", "sure [%]"), tuple(lines), 4, True,
+        ("Laboratory", "What is wrong", "Sessions", "Or it is", "Sure"), tuple(lines), 5, True,
     )  # fmt: skip
     return Section("laboratories", "Laboratories", finding, (faults, sessions), "care" if sure else "")
 
@@ -123,5 +124,5 @@ def _line(home: Mapping[str, Any], fault: Mapping[str, Any]) -> tuple[str, ...]:
     sentence = fault["sentence"]
     return (
         clean(home["name"]), clean(sentence[:1].upper() + sentence[1:], 300), clean(span, 200),
-        clean(listing(others, 2), 120), number(100.0 * fault["confidence"], 2),
+        clean(listing(others, 2), 120), chance(fault["confidence"]),
     )  # fmt: skip
