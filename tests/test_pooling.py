@@ -20,6 +20,7 @@ from torchid.observation.plate_registry import SessionPlate
 from torchid.session.laboratory import NAME as EVIDENCE
 from torchid.session.laboratory import SessionEvidence, laboratory_dataset, read_laboratory
 from torchid.storage.netcdf import write_netcdf
+from torchid.storage.results import OutputFolder
 
 FAULTS = (
     ("time_offset", ("session",)), ("plate_gain", ("plate_1",)), ("plate_gain", ("plate_2",)),
@@ -65,7 +66,8 @@ def here(evidence: LaboratoryEvidence, away: float = 0.0, swapped: bool = False)
 def laboratory(draw: np.random.Generator, theta: np.ndarray, begin: int = 0, dated: bool = False) -> Laboratory:
     """A laboratory whose sessions have these parameters from one on."""
     each = {f"s{k:02d}": here(session(draw, theta if k >= begin else 0.0 * theta)) for k in range(SESSIONS)}
-    (found,) = laboratories(each, {name: {"session": name if dated else ""} for name in each})
+    days = {name: f"2024-03-{k + 1:02d}" if dated else "" for k, name in enumerate(each)}
+    (found,) = laboratories(each, {name: {"session": day} for name, day in days.items()})
     return found
 
 
@@ -175,24 +177,73 @@ def test_page_and_file_say_what_sessions_share(tmp_path: Path) -> None:
     table = [json.loads(json.dumps(laboratory_table(found), default=lambda one: one.tolist()))]
     (fault,) = table[0]["faults"]
     assert fault["effect"] == "plate_pose" and fault["throughout"] and "lies elsewhere" in fault["sentence"]
-    section = laboratories_section(table)
-    assert section is not None and section.finding.startswith("1 laboratory with several sessions; 1 fault")
-    assert laboratories_section([]) is None
+    section = laboratories_section({"laboratories": table, "without": ["lost"]})
+    assert section is not None and section.finding == "1 laboratory with several sessions; 1 fault that sessions share."
+    assert laboratories_section({"laboratories": [], "without": []}) is None
+
+
+def kept(folder: Path, name: str, own: SessionEvidence) -> dict:
+    """A row of a session whose evidence is in its folder."""
+    plates = tuple(SessionPlate(f, c, {}, {}) for f, c in zip(own.plates, own.corners, strict=True))
+    (folder / name).mkdir(exist_ok=True)
+    write_netcdf(folder / name / EVIDENCE, [laboratory_dataset(own.evidence, plates)])
+    return {"subject": name, "status": "done"}
+
+
+def told(rows: list[dict], out: Path) -> dict:
+    """What a call of the cohort writes, by way of its folder."""
+    with OutputFolder(out, beside=True) as folder:
+        return laboratories_table(rows, folder.out, folder.path(NAME))
 
 
 def test_nothing_is_pooled_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     draw = np.random.default_rng(seed_of("twice"))
-    rows = []
-    for name in ("a", "b"):
-        own = here(session(draw, np.zeros(PARAMETERS)))
-        plates = tuple(SessionPlate(f, c, {}, {}) for f, c in zip(own.plates, own.corners, strict=True))
-        (tmp_path / name).mkdir()
-        write_netcdf(tmp_path / name / EVIDENCE, [laboratory_dataset(own.evidence, plates)])
-        rows.append({"subject": name, "status": "done", "content": name})
-    first = laboratories_table(rows, tmp_path, tmp_path / NAME)
-    assert [one["sessions"] for one in first] == [["a", "b"]]
+    rows = [kept(tmp_path, name, here(session(draw, np.zeros(PARAMETERS)))) for name in ("a", "b", "c")]
+    rows.append({"subject": "lost", "status": "done"})
+    first = told(rows, tmp_path)
+    assert [one["sessions"] for one in first["laboratories"]] == [["a", "b", "c"]] and first["without"] == ["lost"]
     with monkeypatch.context() as forbidden:
         forbidden.setattr("torchid.cohort.shared_faults.pooled", lambda one: pytest.fail("pooled again"))
-        assert laboratories_table(rows, tmp_path, tmp_path / NAME) == first
-    rows[1]["content"] = "changed"
-    assert laboratories_table(rows, tmp_path, tmp_path / NAME) == first
+        assert told(rows, tmp_path) == first
+    (tmp_path / "c" / EVIDENCE).unlink()
+    assert told(rows, tmp_path)["laboratories"][0]["sessions"] == ["a", "b"]
+
+
+def test_sessions_that_say_nothing_of_a_laboratory_harm_nobody(tmp_path: Path) -> None:
+    none = torch.zeros(0, dtype=torch.float64)
+    empty = LaboratoryEvidence((), (), none[:, None] @ none[None], none, none[:, None] @ none[None], none)
+    (silent,) = laboratories({"a": here(empty), "b": here(empty)}, {})
+    assert not pooled(silent).faults
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / EVIDENCE).write_bytes(b"damaged")
+    said = told([{"subject": "a", "status": "done"}], tmp_path)
+    assert said["without"] == ["a"] and not said["laboratories"]
+
+
+def test_two_plates_without_corners_stay_two() -> None:
+    """Belts of a treadmill are nearer to each other than pressures scatter; a plate that bore nothing is nowhere."""
+    draw, eye = np.random.default_rng(seed_of("belts")), torch.eye(3, dtype=torch.float64)
+    unknown = torch.full((2, 4, 3), torch.nan, dtype=torch.float64)
+
+    def belts(y: float, other: float) -> SessionEvidence:
+        places = (torch.tensor([0.0, at, 0.0], dtype=torch.float64) for at in (y, other))
+        frames = tuple(PlateFrame(f"plate_{k}", p, eye) for k, p in enumerate(places, 1))
+        return SessionEvidence(session(draw, np.zeros(PARAMETERS)), frames, unknown)
+
+    (home,) = laboratories({"a": belts(0.0, 0.25), "b": belts(0.27, 0.02)}, {})
+    assert len(home.plates) == 2 and home.visits[1].evidence.faults[1] == ("plate_gain", ("plate_2",))
+    apart = laboratories({"a": belts(0.0, math.nan), "b": belts(5.0, math.nan)}, {})
+    assert len(apart) == 2
+
+
+def test_order_in_time_is_of_dates_and_numbers_alone() -> None:
+    draw = np.random.default_rng(seed_of("order"))
+    each = {name: here(session(draw, np.zeros(PARAMETERS))) for name in ("a", "b", "c")}
+
+    def ranks(*when: str) -> tuple[tuple[str, ...], tuple[int, ...]]:
+        (home,) = laboratories(each, {name: {"session": own} for name, own in zip(each, when, strict=True)})
+        return tuple(one.name for one in home.visits), home.ranks
+
+    assert ranks("10", "9", "1") == (("c", "b", "a"), (0, 1, 2))
+    assert ranks("2024-05-01", "2024-03-01", "2024-03-01") == (("b", "c", "a"), (0, 0, 1))
+    assert ranks("pre", "post", "") == (("a", "b", "c"), ())

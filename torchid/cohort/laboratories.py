@@ -1,7 +1,9 @@
 """Laboratories of a cohort: sessions on the same plates, and each plate under one name."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import date
 
 import torch
 from jaxtyping import Float
@@ -45,7 +47,9 @@ class Laboratory:
     plates: tuple[LaboratoryPlate, ...]
     """Plates of all sessions."""
     visits: tuple[Visit, ...]
-    """Sessions, in the order of ``when`` where all have one."""
+    """Sessions: in the order of time where all tell theirs, else in that of the table."""
+    ranks: tuple[int, ...] = ()
+    """Rank of each session in time, alike where these are; none where not all tell theirs."""
 
 
 def laboratories(
@@ -61,48 +65,58 @@ def laboratories(
         labels: what a table says of each: ``laboratory``, ``session``.
     """
     every: list[Laboratory] = []
-    for name, session in found.items():
+    # Those with a name come first, so that who has none joins them and cannot hold two names together.
+    for name in sorted(found, key=lambda one: not labels.get(one, {}).get("laboratory")):
         said = labels.get(name, {})
-        known = next((k for k, one in enumerate(every) if _shares(one, session, said)), None)
+        known = next((k for k, one in enumerate(every) if _shares(one, found[name], said)), None)
         home = Laboratory(said.get("laboratory") or "", (), ()) if known is None else every[known]
-        grown = _with(home, name, said.get("session", ""), session)
+        grown = _with(home, name, said.get("session", ""), found[name])
         if known is None:
             every.append(grown)
         else:
             every[known] = grown
     taken = {one.name for one in every}
     free = (name for k in range(1, 2 * len(every) + 1) if (name := f"laboratory_{k}") not in taken)
-    return tuple(replace(one, name=one.name or next(free), visits=_ordered(one.visits)) for one in every)
+    order = {name: k for k, name in enumerate(found)}
+    return tuple(_in_time(replace(one, name=one.name or next(free)), order) for one in every)
 
 
-def _ordered(visits: Sequence[Visit]) -> tuple[Visit, ...]:
-    return tuple(sorted(visits, key=lambda one: one.when)) if all(one.when for one in visits) else tuple(visits)
+def _in_time(home: Laboratory, order: Mapping[str, int]) -> Laboratory:
+    """The laboratory with its sessions in order, by dates or by numbers where all have such."""
+    visits = sorted(home.visits, key=lambda one: order[one.name])
+    for read in (date.fromisoformat, float):
+        with suppress(ValueError):
+            when = {one.name: read(one.when) for one in visits}
+            ranks = {moment: k for k, moment in enumerate(sorted(set(when.values())))}
+            visits = sorted(visits, key=lambda one: ranks[when[one.name]])
+            return replace(home, visits=tuple(visits), ranks=tuple(ranks[when[one.name]] for one in visits))
+    return replace(home, visits=tuple(visits))
 
 
 def _shares(home: Laboratory, session: SessionEvidence, said: Mapping[str, str]) -> bool:
     """Whether a session was recorded in a laboratory: on one of its plates, and under no other name."""
-    if said.get("laboratory") and home.name and said["laboratory"] != home.name:
+    if said.get("laboratory") and said["laboratory"] != home.name:
         return False
     return any(_known(home.plates, p.p_WF, c) is not None for p, c in zip(session.plates, session.corners, strict=True))
 
 
 def _known(plates: Sequence[LaboratoryPlate], position: Tensor, corners: Tensor) -> LaboratoryPlate | None:
-    """The plate that lies there; None where it is a new one."""
+    """The nearest plate that lies there; None where it is a new one, or where nothing tells where it is."""
     cornered = bool(corners.isfinite().all())
-    for one in plates:
-        if bool(one.corners.isfinite().all()) is not cornered:
-            continue
-        away = (one.corners - corners).norm(dim=1).max() if cornered else (one.position - position)[:2].norm()
-        if float(away) < (SAME_CORNERS if cornered else SAME_PRESSURE):
-            return one
-    return None
+    alike = [one for one in plates if bool(one.corners.isfinite().all()) is cornered]
+    away = [
+        float((one.corners - corners).norm(dim=1).max() if cornered else (one.position - position)[:2].norm())
+        for one in alike
+    ]
+    near = [k for k, apart in enumerate(away) if apart < (SAME_CORNERS if cornered else SAME_PRESSURE)]
+    return alike[min(near, key=away.__getitem__)] if near else None
 
 
 def _with(home: Laboratory, name: str, when: str, session: SessionEvidence) -> Laboratory:
     """The laboratory with one more session, and the plates that are new with it."""
     plates, called = list(home.plates), {}
     for own, corners in zip(session.plates, session.corners, strict=True):
-        known = _known(plates, own.p_WF, corners)
+        known = _known([one for one in plates if one.name not in called.values()], own.p_WF, corners)
         if known is None:
             known = LaboratoryPlate(f"plate_{len(plates) + 1}", own.p_WF, corners)
             plates.append(known)

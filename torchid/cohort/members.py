@@ -11,8 +11,8 @@ import pandas as pd
 
 from torchid.errors import ConfigError, InputError
 from torchid.folder.statements import HEAVIEST_KG, OLDEST_YEARS, SEXES, SMALLEST_M, TALLEST_M, Person
-from torchid.io.files import container_of
-from torchid.io.pairing import is_recording
+from torchid.io.files import container_of, is_derivative
+from torchid.io.pairing import is_recording, visible_files
 from torchid.storage.files import safe_name
 from torchid.storage.results import STATE
 from torchid.storage.tables import refuse_missing
@@ -94,7 +94,7 @@ def _of_tree(where: Path) -> Iterator[Participant]:
     others = [one for one in others if one.name.startswith("sub-")] if sessions else others
     for one in sorted([*sessions, *others]):
         own = (one / STATE).exists() or one.name.startswith(".")  # results, of a cohort say
-        inside = one.rglob("*") if one.is_dir() and not own else ()
+        inside = visible_files(one) if one.is_dir() and not own and not is_derivative(one) else ()
         if container_of(one) == one:
             yield Participant(one.stem, one.resolve())
         elif any(map(is_recording, inside)):

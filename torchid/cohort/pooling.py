@@ -104,6 +104,8 @@ def pooled(laboratory: Laboratory, options: NamingOptions = NamingOptions()) -> 
     scatter = pool.likeliest(chosen, dict.fromkeys(pool.effects, 0.0))
     while len(chosen) < MOST:
         left = [one for one in pool.candidates if one not in chosen]
+        if not left:
+            break
         closer, varies = pool.closer(chosen, left, scatter)
         scan = scan_all(pool.statistics(closer), left, chosen, options, largest=COMMON).round
         if scan.named is None:
@@ -235,23 +237,21 @@ class _Pool:
 
 def _candidates(laboratory: Laboratory, at: Mapping[tuple[str, tuple[str, ...]], Tensor]) -> Iterator[Candidate]:
     """Yield every fault, throughout and, where sessions have an order, from or up to each of them."""
-    every = len(laboratory.visits)
-    ordered = every > 1 and all(one.when for one in laboratory.visits)
+    whole = frozenset(range(len(laboratory.visits)))
+    spans, later = [whole], sorted(set(laboratory.ranks))[1:]  # sessions of one day have no order among them
+    for rank in later:
+        since = frozenset(k for k, own in enumerate(laboratory.ranks) if own >= rank)
+        spans += [since, whole - since]
     places = {name: sum(other == name for other, _ in at) for name, _ in at}
     for (name, where), columns in at.items():
         effect = CATALOGUE[name]
-        spans = [frozenset(range(every))]
-        if ordered:
-            spans += [frozenset(range(k, every)) for k in range(1, every)] + [
-                frozenset(range(k)) for k in range(1, every)
-            ]
         for k, span in enumerate(spans):
             # Each span is a place of its own, by which rivals are told apart.
             place = Place(where)
             scale, part = effect.scale(place), slice(int(columns[0]), int(columns[-1]) + 1)
             source = ColumnSource(effect, place, part, (0.0,) * len(scale), scale)
             odds = 1.0 if k == 0 else SPANS / (len(spans) - 1)
-            yield Candidate(effect, place, source, span, odds / (places[name] * (1.0 + SPANS * ordered)))
+            yield Candidate(effect, place, source, span, odds / (places[name] * (1.0 + SPANS * bool(later))))
 
 
 def _spread(

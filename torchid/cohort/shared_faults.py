@@ -1,7 +1,7 @@
 """What a cohort's sessions say of their laboratories together, as ``laboratories.json`` and on the page."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,13 @@ from torchid.cohort.pooling import LaboratoryVerdict, SharedFault, pooled
 from torchid.diagnosis.verdict.records import CERTAIN, EVEN
 from torchid.effects.catalogue import effect
 from torchid.errors import InputError
-from torchid.report.blocks import Section, Table
+from torchid.report.blocks import Block, Paragraph, Section, Table
 from torchid.report.cause_sentences import chance
 from torchid.session.laboratory import NAME as EVIDENCE
 from torchid.session.laboratory import SessionEvidence, read_laboratory
-from torchid.storage.files import plain, safe_name, write_json
+from torchid.storage.files import file_sha256, plain, safe_name, write_json
 from torchid.storage.provenance import stage_key
-from torchid.wording import clean, listing, plural
+from torchid.wording import clean, listing, number, plural
 
 NAME = "laboratories.json"
 """Of the file in a cohort's folder."""
@@ -28,44 +28,44 @@ Said = dict[str, Any]
 """What the file says of a laboratory, or of a fault."""
 
 
-def laboratories_table(rows: Sequence[Row], out: Path, path: Path) -> list[Said]:
-    """Return what the sessions of each laboratory say together, and write it.
+def laboratories_table(rows: Sequence[Row], out: Path, path: Path) -> Said:
+    """Return what the sessions of each laboratory say together, and who says nothing of his, and write it.
 
-    Nothing is computed again where no session has changed since the file was written.
+    Nothing is computed again where no session has changed since an earlier call wrote it.
 
     Args:
         rows: of all members.
-        out: folder of the cohort, with each member's results.
-        path: of ``laboratories.json``.
+        out: folder of the cohort, with each member's results, and ``laboratories.json`` of an earlier call.
+        path: of the new one.
 
     Raises:
         InputError: the file cannot be written.
     """
-    done = [row for row in rows if row["status"] == "done"]
-    key = stage_key(rows=[[row["subject"], row.get("content", ""), *_labels(row).values()] for row in done])
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        said = json.loads(path.read_text(encoding="utf-8"))
-        if said["key"] == key:
-            return said["laboratories"]
-    found = _sessions(done, out)
-    every = laboratories(found, {row["subject"]: _labels(row) for row in done})
-    table = [plain(laboratory_table(pooled(one))) for one in every if len(one.visits) >= FEWEST]
-    write_json(path, {"key": key, "laboratories": table})
-    return table
+    done = {row["subject"]: _labels(row) for row in rows if row["status"] == "done"}
+    files = {name: out / safe_name(name) / EVIDENCE for name in done}
+    signs = {name: file_sha256(file) if file.is_file() else "" for name, file in files.items()}
+    key = stage_key(sessions=[[name, signs[name], *labels.values()] for name, labels in done.items()])
+    said: Said = {}
+    with suppress(OSError, ValueError):
+        said = json.loads((out / NAME).read_text(encoding="utf-8"))
+    if not isinstance(said, dict) or said.get("key") != key:
+        found = {name: one for name, file in files.items() if (one := _read(file)) is not None}
+        every = [one for one in laboratories(found, done) if len(one.visits) >= FEWEST]
+        table = [plain(laboratory_table(pooled(one))) for one in every]
+        said = {"key": key, "laboratories": table, "without": [name for name in done if name not in found]}
+    write_json(path, said)
+    return said
 
 
 def _labels(row: Row) -> dict[str, str]:
     return {name: str(row.get(name) or "") for name in ("laboratory", "session")}
 
 
-def _sessions(rows: Sequence[Row], out: Path) -> dict[str, SessionEvidence]:
-    """What each session says; those without any evidence of their laboratory are left out."""
-    found = {}
-    for row in rows:
-        path = out / safe_name(row["subject"]) / EVIDENCE
-        with suppress(InputError):
-            found[row["subject"]] = read_laboratory(path)
-    return found
+def _read(path: Path) -> SessionEvidence | None:
+    """What a session says of its laboratory; None where it says nothing that can be read."""
+    with suppress(InputError):
+        return read_laboratory(path)
+    return None
 
 
 def laboratory_table(found: LaboratoryVerdict) -> Said:
@@ -91,31 +91,44 @@ def _fault(one: SharedFault, home: Laboratory) -> Said:
     return said | {"sentence": effect(one.effect).sentence(one), "throughout": len(one.visits) == len(home.visits)}
 
 
-def laboratories_section(table: Sequence[Mapping[str, Any]]) -> Section | None:
+def laboratories_section(said: Mapping[str, Any]) -> Section | None:
     """Return the chapter of the page; None where no two sessions share a laboratory.
 
     Args:
-        table: what ``laboratories.json`` has.
+        said: what ``laboratories.json`` has.
     """
+    table = said["laboratories"]
     if not table:
         return None
-    lines = [_line(home, fault) for home in table for fault in home["faults"]]
-    count = f"{len(table)} {'laboratory' if len(table) == 1 else 'laboratories'}"
-    sure = [one for home in table for one in home["faults"] if one["level"] != "possible"]
-    finding = f"{count} with several sessions; {plural(len(sure), 'fault')} that all sessions of one share."
-    if not sure:
-        finding = f"{count} with several sessions; no fault that the sessions of one share."
-    sessions = Table(
-        "Sessions on the same plates are one laboratory's.", ("Laboratory", "Sessions", "number"),
-        tuple((clean(h["name"]), clean(listing(h["sessions"], 6), 300), str(len(h["sessions"]))) for h in table), 2,
-    )  # fmt: skip
-    if not lines:
-        return Section("laboratories", "Laboratories", finding, (sessions,))
-    faults = Table(
-        "Told by all sessions together; a single one mostly cannot.",
-        ("Laboratory", "What is wrong", "Sessions", "Or it is", "Sure"), tuple(lines), 5, True,
-    )  # fmt: skip
-    return Section("laboratories", "Laboratories", finding, (faults, sessions), "care" if sure else "")
+    count = f"{len(table)} {'laboratory' if len(table) == 1 else 'laboratories'} with several sessions"
+    faults = [(home, fault) for home in table for fault in home["faults"]]
+    sure = sum(fault["level"] != "possible" for _, fault in faults)
+    finding = (
+        f"{count}; {plural(sure, 'fault')} that sessions share." if sure else f"{count}; no fault that they share."
+    )
+    blocks: list[Block] = []
+    if faults:
+        blocks += [
+            Table(
+                "Told by sessions together. One alone mostly cannot tell it.",
+                ("Laboratory", "What is wrong", "Sessions", "Or it is", "Sure"),
+                tuple(_line(*both) for both in faults), 5, True,
+            ),
+            Table("Plates, by the laboratory's numbers.", ("Laboratory", "Plate", "x [m]", "y [m]"),
+                  tuple(_plates(table)), 2),
+        ]  # fmt: skip
+    sessions = tuple((clean(h["name"]), clean(listing(h["sessions"], 6), 300), str(len(h["sessions"]))) for h in table)
+    blocks.append(Table("Sessions on the same plates.", ("Laboratory", "Sessions", "number"), sessions, 2))
+    if said["without"]:
+        names = clean(listing(said["without"], 6), 300)
+        blocks.append(Paragraph(f"Without a word of their laboratory: {names}."))
+    return Section("laboratories", "Laboratories", finding, tuple(blocks), "care" if sure else "")
+
+
+def _plates(table: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
+    for home in table:
+        for name, plate in home["plates"].items():
+            yield clean(home["name"]), clean(name), *(number(x, 2) for x in plate["position_m"][:2])
 
 
 def _line(home: Mapping[str, Any], fault: Mapping[str, Any]) -> tuple[str, ...]:

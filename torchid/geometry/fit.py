@@ -127,8 +127,8 @@ def fit_geometry(
         options: see ``GeometryOptions``.
         free: False keeps the template's geometry and finds only where the markers sit (the scaled template).
         progress: called after every iteration of the joint fit.
-        near: fit of the same frames with nearly these markers, from whose solution to begin; None begins from the
-            template.
+        near: fit of the same model, attachment, options and frames to nearly these markers, from whose solution to
+            begin; None begins from the template.
 
     Returns:
         The fit with its uncertainty and solution; both are None where ``free`` is False and the static trial placed the

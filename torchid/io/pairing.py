@@ -71,7 +71,7 @@ def find_recordings(folder: Path) -> list[tuple[Path, Path | None]]:
     Raises:
         InputError: ``check.empty``.
     """
-    files = sorted(_visible(folder))
+    files = sorted(visible_files(folder))
     markers = [one for file in files for one in _recordings_in(file)]
     forces = [file for file in files if file.suffix.lower() in FORCE_SUFFIXES and _has_forces(file)]
     if not markers:
@@ -149,11 +149,11 @@ def unpaired_forces(folder: Path, pairs: Sequence[tuple[Path, Path | None]]) -> 
         pairs: that it found.
     """
     taken = {forces for _, forces in pairs}
-    files = (file for file in sorted(_visible(folder)) if file.suffix.lower() in FORCE_SUFFIXES)
+    files = (file for file in sorted(visible_files(folder)) if file.suffix.lower() in FORCE_SUFFIXES)
     return [file for file in files if file not in taken and _has_forces(file)]
 
 
-def _visible(folder: Path) -> Iterator[Path]:
+def visible_files(folder: Path) -> Iterator[Path]:
     """Files below the folder, but for hidden ones, those in hidden folders and in results of BIDS; a file itself."""
     if folder.is_file():
         yield folder

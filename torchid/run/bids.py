@@ -58,7 +58,8 @@ README = """\
 One person in Motion-BIDS, written by torchid {version}.
 Each trial has one table of channels over time. LATENCY counts seconds on the clock of the recording.
 
-- POS: places of markers as the run used them [m], not filtered; n/a where one was not seen or was taken out as wrong.
+- POS: places of markers as read, before what the diagnosis puts right [m], not filtered; n/a where one was not seen
+  or was taken out as wrong.
 - JNTANG: joint angles of the identified body [rad], filtered; n/a where markers do not tell them.
 - MISC, of joints: net moments of joints [N*m], and forces of those that slide [N], filtered.
 - MISC, of plates: force [N] and moment about the origin of W [N*m] that each plate puts on the person, as measured.
@@ -179,7 +180,7 @@ def _blocks(outcome: Outcome, name: str) -> Iterator[_Block]:
 
 
 def _markers(outcome: Outcome, name: str) -> _Block:
-    """Markers that are seen at some time, as the run used them."""
+    """Markers that are seen at some time, as they were read: what the diagnosis puts right is in the angles alone."""
     markers, attachment = outcome.session.trials[name].markers, outcome.fit.attachment
     bodies = [outcome.fit.model.tree.names[k] for k in attachment.body.tolist()]
     placement = dict(zip(attachment.labels, bodies, strict=True))

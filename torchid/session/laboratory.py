@@ -4,6 +4,7 @@ Information and moment of all lasting faults together, in the information form o
 that they are about. A hundred such files pool in seconds, and another session adds to them.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,7 +60,7 @@ def laboratory_dataset(evidence: LaboratoryEvidence, plates: tuple[SessionPlate,
             "stated_moment": (("parameter",), evidence.stated_moment.numpy()),
             "prior_sd": (("parameter",), np.array(_scales(evidence)), {"units": "those of the effect's parameters"}),
             "fault": (("parameter",), owners.astype(np.int64)),
-            "plate_position": (("plate", "axis"), _stacked([one.frame.p_WF for one in plates], (0, 3))),
+            "plate_position": (("plate", "axis"), _stacked([_middle(one) for one in plates], (0, 3))),
             "plate_axes": (("plate", "axis", "column"), _stacked([one.frame.R_WF for one in plates], (0, 3, 3))),
             "plate_corners": (("plate", "corner", "axis"), _stacked(corners, (0, 4, 3))),
         },
@@ -80,7 +81,8 @@ def read_laboratory(path: Path) -> SessionEvidence:
         path: its ``laboratory.nc``.
 
     Raises:
-        InputError: ``laboratory.unreadable``, or ``laboratory.form`` where another version of torchid wrote it.
+        InputError: ``laboratory.unreadable``, or ``laboratory.form`` where another version of torchid wrote it or not
+            all of it is there.
     """
     try:
         with xarray.open_dataset(path, engine="h5netcdf") as file:
@@ -93,25 +95,37 @@ def read_laboratory(path: Path) -> SessionEvidence:
             found=str(error)[:80],
             remedy="Run the session again",
         ) from None
-    try:
-        effects, places = (np.atleast_1d(found.attrs[name]).tolist() for name in ("effects", "places"))
-        faults = tuple((name, tuple(place.split(BETWEEN))) for name, place in zip(effects, places, strict=True))
-        sizes = tuple(np.bincount(found["fault"].values, minlength=len(faults)).tolist())
-        values = {name: torch.tensor(found[name].values) for name in found.data_vars}
-        evidence = LaboratoryEvidence(
-            faults, sizes, values["information"], values["moment"],
-            values["stated_information"], values["stated_moment"],
-        )  # fmt: skip
-        same = int(found.attrs["form"]) == FORM and found["prior_sd"].values.tolist() == _scales(evidence)
-    except KeyError:
-        same = False
-    if not same:
-        raise InputError(
-            "laboratory.form", "another version of torchid wrote this file", source=path,
-            remedy="Run the session again",
-        )  # fmt: skip
-    named = zip(found["plate"].values.tolist(), values["plate_position"], values["plate_axes"], strict=True)
-    return SessionEvidence(evidence, tuple(PlateFrame(*one) for one in named), values["plate_corners"])
+    with suppress(KeyError, ValueError, TypeError):
+        if int(found.attrs["form"]) == FORM:
+            evidence = _evidence(found)
+            numbers = (evidence.information, evidence.moment, evidence.stated_information, evidence.stated_moment)
+            if found["prior_sd"].values.tolist() == _scales(evidence) and all(
+                bool(x.isfinite().all()) for x in numbers
+            ):
+                return SessionEvidence(evidence, _frames(found), torch.tensor(found["plate_corners"].values))
+    raise InputError(
+        "laboratory.form", "another version of torchid wrote this file, or it is damaged", source=path,
+        remedy="Run the session again",
+    )  # fmt: skip
+
+
+def _evidence(file: xarray.Dataset) -> LaboratoryEvidence:
+    effects, places = (np.atleast_1d(file.attrs[name]).tolist() for name in ("effects", "places"))
+    faults = tuple((name, tuple(place.split(BETWEEN))) for name, place in zip(effects, places, strict=True))
+    sizes = tuple(np.bincount(file["fault"].values, minlength=len(faults)).tolist())
+    names = ("information", "moment", "stated_information", "stated_moment")
+    return LaboratoryEvidence(faults, sizes, *(torch.tensor(file[name].values) for name in names))
+
+
+def _frames(file: xarray.Dataset) -> tuple[PlateFrame, ...]:
+    where = (torch.tensor(file[name].values) for name in ("plate_position", "plate_axes"))
+    return tuple(PlateFrame(*one) for one in zip(file["plate"].values.tolist(), *where, strict=True))
+
+
+def _middle(plate: SessionPlate) -> Tensor:
+    """Middle of a plate in W; NaN where neither corners nor a pressure tell it [m]."""
+    untold = plate.corners is None and not bool(plate.frame.p_WF.any())
+    return torch.full_like(plate.frame.p_WF, torch.nan) if untold else plate.frame.p_WF
 
 
 def _scales(evidence: LaboratoryEvidence) -> list[float]:

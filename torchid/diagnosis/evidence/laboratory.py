@@ -52,8 +52,9 @@ def lasting(one: Candidate) -> bool:
 
 def laboratory_evidence(
     statistics: Statistics, chosen: Sequence[Candidate], candidates: Sequence[Candidate]
-) -> LaboratoryEvidence:
-    """Return what a session says of lasting faults of instruments, beside the other effects that its model has.
+) -> LaboratoryEvidence | None:
+    """Return what a session says of lasting faults of instruments, beside the other effects that its model has; None
+    where none is asked about.
 
     A lag of the body is not beside them: it is a clock's to these rows, and what bodies' lags are like is for all
     sessions together to weigh.
@@ -64,6 +65,8 @@ def laboratory_evidence(
         candidates: candidates of the same design.
     """
     asked = [one for one in candidates if lasting(one)]
+    if not asked:
+        return None
     others = [one for one in chosen if not (lasting(one) or one.effect.shifts_time)]
     whole, bare = (
         joint_information(some, fit(some, kept), asked)
