@@ -34,7 +34,7 @@ class PlantedRules:
     """Log evidence."""
     apparent: Mixture | None
     """Log evidence of the appearance; None: the effect has none."""
-    rivals: tuple[tuple[Int[Tensor, " some"], "PlantedRules"], ...] = ()
+    rivals: tuple[tuple[Int[Tensor, " _"], "PlantedRules"], ...] = ()
     """Rules of what else would explain the effect, with the place that each is a rival of; none: nothing else would."""
 
     @classmethod
