@@ -36,7 +36,7 @@ WORKERS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
 @dataclass(frozen=True)
-class Laboratory:
+class Assumptions:
     """What a plan assumes; times are those measured on this machine."""
 
     subjects: int = 10_000
@@ -94,7 +94,7 @@ def empty(count: int) -> tuple[float, float]:
         return spent / count, psutil.Process().memory_info().rss / 2**30
 
 
-def schedule(lab: Laboratory, count: int, seed: int = 0) -> dict[str, float]:
+def schedule(lab: Assumptions, count: int, seed: int = 0) -> dict[str, float]:
     """Hours that all subjects take on so many workers, by events, and the share of time in which these wait."""
     draw = np.random.default_rng(seed)
     computing = lab.task_s * np.exp(lab.spread * draw.standard_normal(lab.subjects))
@@ -114,7 +114,7 @@ def schedule(lab: Laboratory, count: int, seed: int = 0) -> dict[str, float]:
     return {"workers": count, "hours": end / 3600.0, "busy": busy / (count * end), "speedup": busy / end}
 
 
-def limits(lab: Laboratory) -> dict[str, float]:
+def limits(lab: Assumptions) -> dict[str, float]:
     """Numbers of workers that each part of a laboratory can keep busy."""
     mean = lab.task_s * float(np.exp(0.5 * lab.spread**2))
     return {
@@ -124,7 +124,7 @@ def limits(lab: Laboratory) -> dict[str, float]:
     }
 
 
-def plan(lab: Laboratory, path: Path) -> Iterator[str]:
+def plan(lab: Assumptions, path: Path) -> Iterator[str]:
     """Lines of the plan, which is written as JSON and drawn."""
     found = [schedule(lab, count) for count in WORKERS]
     bounds = limits(lab)
@@ -151,8 +151,8 @@ def main(given: Sequence[str] | None = None) -> None:
     asked = Command(
         __doc__, again=(int, "subjects of a second call"), empty=(int, "tasks that do nothing"),
         plan=(Path, "path of the plan's JSON and picture, without its ending"),
-        task_s=(Laboratory.task_s, "median time of a subject [s]"),
-        overhead_s=(Laboratory.overhead_s, "time of the scheduler for a task [s]"),
+        task_s=(Assumptions.task_s, "median time of a subject [s]"),
+        overhead_s=(Assumptions.overhead_s, "time of the scheduler for a task [s]"),
     ).asked(given)  # fmt: skip
     if asked.again:
         print(f"second call, {asked.again} subjects: {again(asked.again):.1f} s")
@@ -160,7 +160,7 @@ def main(given: Sequence[str] | None = None) -> None:
         seconds, memory = empty(asked.empty)
         print(f"{asked.empty} empty tasks: {1e3 * seconds:.2f} ms each, {memory:.2f} GiB where they are scheduled")
     if asked.plan:
-        print("\n".join(plan(Laboratory(task_s=asked.task_s, overhead_s=asked.overhead_s), asked.plan)))
+        print("\n".join(plan(Assumptions(task_s=asked.task_s, overhead_s=asked.overhead_s), asked.plan)))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Any
 from torchid.cohort.laboratories import Laboratory, laboratories
 from torchid.cohort.one_run import Row
 from torchid.cohort.pooling import LaboratoryVerdict, SharedFault, pooled
-from torchid.diagnosis.verdict.records import CERTAIN, EVEN
+from torchid.diagnosis.verdict.records import level_of
 from torchid.effects.catalogue import effect
 from torchid.errors import InputError
 from torchid.report.blocks import Block, Paragraph, Section, Table
@@ -86,8 +86,7 @@ def laboratory_table(found: LaboratoryVerdict) -> Said:
 
 def _fault(one: SharedFault, home: Laboratory) -> Said:
     names = ("effect", "where", "parameters", "confidence", "indistinguishable", "first", "last", "visits")
-    level = "certain" if one.confidence > CERTAIN else "likely" if one.confidence > EVEN else "possible"
-    said = {name: getattr(one, name) for name in names} | {"level": level}
+    said = {name: getattr(one, name) for name in names} | {"level": level_of(one.confidence)}
     return said | {"sentence": effect(one.effect).sentence(one), "throughout": len(one.visits) == len(home.visits)}
 
 

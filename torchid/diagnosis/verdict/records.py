@@ -21,6 +21,17 @@ EVEN, CERTAIN = 0.5, 0.99
 """Wording. Confidences above which a cause is more than possible, and practically certain."""
 
 
+def level_of(confidence: float) -> str:
+    """Return how sure a confidence is: ``possible``, ``likely`` or ``certain``.
+
+    Args:
+        confidence: probability that something is there.
+    """
+    if confidence > CERTAIN:
+        return "certain"
+    return "likely" if confidence > EVEN else "possible"
+
+
 @dataclass(frozen=True)
 class Alternative:
     """Another explanation of what a cause explains, with its posterior probability."""
@@ -82,9 +93,7 @@ class Cause:
     @property
     def level(self) -> str:
         """Return how sure it is: ``possible``, ``likely`` or ``certain``."""
-        if self.confidence > CERTAIN:
-            return "certain"
-        return "likely" if self.confidence > EVEN else "possible"
+        return level_of(self.confidence)
 
     def scaled(self, factor: float) -> "Cause":
         """Return the cause with its confidence, and that of its rivals, times a factor.
