@@ -12,13 +12,12 @@ from draws import seed_of
 
 from torchid.cohort.laboratories import Laboratory, laboratories
 from torchid.cohort.pooling import LaboratoryVerdict, pooled
-from torchid.cohort.shared_faults import NAME, laboratories_section, laboratories_table, laboratory_table
+from torchid.cohort.shared_faults import laboratories_section, laboratories_table, laboratory_table
 from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.effects.scene import PlateFrame
 from torchid.errors import InputError
-from torchid.observation.plate_registry import SessionPlate
 from torchid.session.laboratory import NAME as EVIDENCE
-from torchid.session.laboratory import SessionEvidence, laboratory_dataset, read_laboratory
+from torchid.session.laboratory import LaboratoryPlate, SessionEvidence, laboratory_dataset, read_laboratory
 from torchid.storage.netcdf import write_netcdf
 from torchid.storage.results import OutputFolder
 
@@ -58,9 +57,8 @@ def here(evidence: LaboratoryEvidence, away: float = 0.0, swapped: bool = False)
     corners = torch.stack([SQUARE + torch.tensor([away, y, 0.0], dtype=torch.float64) for y in (0.0, 0.6)])
     names = ("plate_2", "plate_1") if swapped else ("plate_1", "plate_2")
     eye = torch.eye(3, dtype=torch.float64)
-    return SessionEvidence(
-        evidence, tuple(PlateFrame(n, c.mean(0), eye) for n, c in zip(names, corners, strict=True)), corners
-    )
+    frames = (PlateFrame(n, c.mean(0), eye) for n, c in zip(names, corners, strict=True))
+    return SessionEvidence(evidence, tuple(map(LaboratoryPlate, frames, corners)))
 
 
 def laboratory(draw: np.random.Generator, theta: np.ndarray, begin: int = 0, dated: bool = False) -> Laboratory:
@@ -143,13 +141,13 @@ def test_sessions_on_the_same_plates_are_one_laboratory_whatever_their_files_num
 def test_evidence_comes_back_from_its_file(tmp_path: Path) -> None:
     evidence = session(np.random.default_rng(seed_of("file")), np.zeros(PARAMETERS))
     own = here(evidence)
-    plates = tuple(SessionPlate(frame, corners, {}, {}) for frame, corners in zip(own.plates, own.corners, strict=True))
     path = tmp_path / EVIDENCE
-    write_netcdf(path, [laboratory_dataset(evidence, plates)])
+    write_netcdf(path, [laboratory_dataset(own)])
     found = read_laboratory(path)
     assert found.evidence.faults == FAULTS and found.evidence.sizes == SIZES
     assert torch.equal(found.evidence.information, evidence.information)
-    assert torch.equal(found.corners, own.corners) and found.plates[1].name == "plate_2"
+    for one, other in zip(found.plates, own.plates, strict=True):
+        assert torch.equal(one.corners, other.corners) and one.frame.name == other.frame.name
 
 
 @pytest.mark.parametrize("content", [b"", b"no netCDF", None])
@@ -163,7 +161,7 @@ def test_a_file_that_is_no_evidence_is_refused(tmp_path: Path, content: bytes | 
 
 def test_evidence_of_other_priors_is_refused(tmp_path: Path) -> None:
     evidence = session(np.random.default_rng(0), np.zeros(PARAMETERS))
-    data = laboratory_dataset(evidence, ())
+    data = laboratory_dataset(SessionEvidence(evidence, ()))
     path = tmp_path / EVIDENCE
     write_netcdf(path, [data.assign(prior_sd=2.0 * data["prior_sd"])])
     with pytest.raises(InputError, match="another version"):
@@ -184,16 +182,15 @@ def test_page_and_file_say_what_sessions_share(tmp_path: Path) -> None:
 
 def kept(folder: Path, name: str, own: SessionEvidence) -> dict:
     """A row of a session whose evidence is in its folder."""
-    plates = tuple(SessionPlate(f, c, {}, {}) for f, c in zip(own.plates, own.corners, strict=True))
     (folder / name).mkdir(exist_ok=True)
-    write_netcdf(folder / name / EVIDENCE, [laboratory_dataset(own.evidence, plates)])
+    write_netcdf(folder / name / EVIDENCE, [laboratory_dataset(own)])
     return {"subject": name, "status": "done"}
 
 
 def told(rows: list[dict], out: Path) -> dict:
     """What a call of the cohort writes, by way of its folder."""
     with OutputFolder(out, beside=True) as folder:
-        return laboratories_table(rows, folder.out, folder.path(NAME))
+        return laboratories_table(rows, folder)
 
 
 def test_nothing_is_pooled_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,7 +225,7 @@ def test_two_plates_without_corners_stay_two() -> None:
     def belts(y: float, other: float) -> SessionEvidence:
         places = (torch.tensor([0.0, at, 0.0], dtype=torch.float64) for at in (y, other))
         frames = tuple(PlateFrame(f"plate_{k}", p, eye) for k, p in enumerate(places, 1))
-        return SessionEvidence(session(draw, np.zeros(PARAMETERS)), frames, unknown)
+        return SessionEvidence(session(draw, np.zeros(PARAMETERS)), tuple(map(LaboratoryPlate, frames, unknown)))
 
     (home,) = laboratories({"a": belts(0.0, 0.25), "b": belts(0.27, 0.02)}, {})
     assert len(home.plates) == 2 and home.visits[1].evidence.faults[1] == ("plate_gain", ("plate_2",))

@@ -77,7 +77,7 @@ def run_cohort(
                     on_row(row, len(rows), len(members))
         found = [rows[member.name] for member in members]
         write_table(cohort_table(found, folder.out), NAME, installed(FORMS), folder.path)
-        told = laboratories_table(found, folder.out, folder.path(LABORATORIES))
+        told = laboratories_table(found, folder)
         write_text(folder.path(f"{NAME}.html"), render_cohort(found, folder.out, laboratories_section(told)))
     return found
 

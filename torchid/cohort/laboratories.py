@@ -6,24 +6,10 @@ from dataclasses import dataclass, replace
 from datetime import date
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
-from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
-from torchid.observation.plate_registry import SAME_CORNERS, SAME_PRESSURE
-from torchid.session.laboratory import SessionEvidence
-
-
-@dataclass(frozen=True)
-class LaboratoryPlate:
-    """A plate that sessions share."""
-
-    name: str
-    """``plate_1`` and so on, one list for the whole laboratory."""
-    position: Float[Tensor, " 3"]
-    """Its middle in W, as the first session has it [m]."""
-    corners: Float[Tensor, "4 3"]
-    """Its corners in W [m]; NaN where no file has them."""
+from torchid.diagnosis.evidence.laboratory import Fault, LaboratoryEvidence
+from torchid.session.laboratory import LaboratoryPlate, SessionEvidence, known_plate, names_in, renamed
 
 
 @dataclass(frozen=True)
@@ -97,45 +83,27 @@ def _shares(home: Laboratory, session: SessionEvidence, said: Mapping[str, str])
     """Whether a session was recorded in a laboratory: on one of its plates, and under no other name."""
     if said.get("laboratory") and said["laboratory"] != home.name:
         return False
-    return any(_known(home.plates, p.p_WF, c) is not None for p, c in zip(session.plates, session.corners, strict=True))
-
-
-def _known(plates: Sequence[LaboratoryPlate], position: Tensor, corners: Tensor) -> LaboratoryPlate | None:
-    """The nearest plate that lies there; None where it is a new one, or where nothing tells where it is."""
-    cornered = bool(corners.isfinite().all())
-    alike = [one for one in plates if bool(one.corners.isfinite().all()) is cornered]
-    away = [
-        float((one.corners - corners).norm(dim=1).max() if cornered else (one.position - position)[:2].norm())
-        for one in alike
-    ]
-    near = [k for k, apart in enumerate(away) if apart < (SAME_CORNERS if cornered else SAME_PRESSURE)]
-    return alike[min(near, key=away.__getitem__)] if near else None
+    return any(known_plate(home.plates, one) is not None for one in session.plates)
 
 
 def _with(home: Laboratory, name: str, when: str, session: SessionEvidence) -> Laboratory:
     """The laboratory with one more session, and the plates that are new with it."""
-    plates, called = list(home.plates), {}
-    for own, corners in zip(session.plates, session.corners, strict=True):
-        known = _known([one for one in plates if one.name not in called.values()], own.p_WF, corners)
-        if known is None:
-            known = LaboratoryPlate(f"plate_{len(plates) + 1}", own.p_WF, corners)
-            plates.append(known)
-        called[own.name] = known.name
-    faults = tuple(
-        (effect, tuple(sorted(called.get(place, place) for place in where)))
-        for effect, where in session.evidence.faults
-    )
-    visit = Visit(name, when, replace(session.evidence, faults=faults))
+    called, plates = names_in(home.plates, session.plates), list(home.plates)
+    for one in session.plates:
+        if one.frame.name not in called:
+            called[one.frame.name] = f"plate_{len(plates) + 1}"
+            plates.append(replace(one, frame=replace(one.frame, name=called[one.frame.name])))
+    visit = Visit(name, when, renamed(session.evidence, called))
     return replace(home, plates=tuple(plates), visits=(*home.visits, visit))
 
 
-def parameters_of(visits: Sequence[Visit]) -> tuple[dict[tuple[str, tuple[str, ...]], Tensor], int]:
+def parameters_of(visits: Sequence[Visit]) -> tuple[dict[Fault, Tensor], int]:
     """Return where the parameters of each fault stand in a vector of those of all sessions, and its length.
 
     Args:
         visits: sessions of a laboratory.
     """
-    at: dict[tuple[str, tuple[str, ...]], Tensor] = {}
+    at: dict[Fault, Tensor] = {}
     length = 0
     for visit in visits:
         for fault, size in zip(visit.evidence.faults, visit.evidence.sizes, strict=True):

@@ -15,9 +15,11 @@ from torchid.errors import InputError
 from torchid.report.blocks import Block, Paragraph, Section, Table
 from torchid.report.cause_sentences import chance
 from torchid.session.laboratory import NAME as EVIDENCE
-from torchid.session.laboratory import SessionEvidence, read_laboratory
+from torchid.session.laboratory import SessionEvidence, laboratory_dataset, read_laboratory
 from torchid.storage.files import file_sha256, plain, safe_name, write_json
+from torchid.storage.netcdf import write_netcdf
 from torchid.storage.provenance import stage_key
+from torchid.storage.results import OutputFolder
 from torchid.wording import clean, listing, number, plural
 
 NAME = "laboratories.json"
@@ -28,19 +30,20 @@ Said = dict[str, Any]
 """What the file says of a laboratory, or of a fault."""
 
 
-def laboratories_table(rows: Sequence[Row], out: Path, path: Path) -> Said:
-    """Return what the sessions of each laboratory say together, and who says nothing of his, and write it.
+def laboratories_table(rows: Sequence[Row], folder: OutputFolder) -> Said:
+    """Return what the sessions of each laboratory say together, and who says nothing of his, and write it, with a file
+    for each laboratory that a config's ``laboratory`` takes.
 
     Nothing is computed again where no session has changed since an earlier call wrote it.
 
     Args:
         rows: of all members.
-        out: folder of the cohort, with each member's results, and ``laboratories.json`` of an earlier call.
-        path: of the new one.
+        folder: of the cohort, with each member's results, and what an earlier call wrote.
 
     Raises:
         InputError: the file cannot be written.
     """
+    out = folder.out
     done = {row["subject"]: _labels(row) for row in rows if row["status"] == "done"}
     files = {name: out / safe_name(name) / EVIDENCE for name in done}
     signs = {name: file_sha256(file) if file.is_file() else "" for name, file in files.items()}
@@ -48,13 +51,31 @@ def laboratories_table(rows: Sequence[Row], out: Path, path: Path) -> Said:
     said: Said = {}
     with suppress(OSError, ValueError):
         said = json.loads((out / NAME).read_text(encoding="utf-8"))
-    if not isinstance(said, dict) or said.get("key") != key:
+    if not _holds(said, key, out):
         found = {name: one for name, file in files.items() if (one := _read(file)) is not None}
-        every = [one for one in laboratories(found, done) if len(one.visits) >= FEWEST]
-        table = [plain(laboratory_table(pooled(one))) for one in every]
+        every = [pooled(one) for one in laboratories(found, done) if len(one.visits) >= FEWEST]
+        for one in every:
+            kept = SessionEvidence(one.expected, one.laboratory.plates)
+            write_netcdf(folder.path(file_of(one.laboratory.name)), [laboratory_dataset(kept)])
+        table = [plain(laboratory_table(one)) for one in every]
         said = {"key": key, "laboratories": table, "without": [name for name in done if name not in found]}
-    write_json(path, said)
+    write_json(folder.path(NAME), said)
     return said
+
+
+def _holds(said: Any, key: str, out: Path) -> bool:
+    """Whether what an earlier call wrote is of the same sessions, and all of it is there."""
+    same = isinstance(said, dict) and said.get("key") == key
+    return same and all((out / one["file"]).is_file() for one in said["laboratories"])
+
+
+def file_of(laboratory: str) -> str:
+    """Return the file, in a cohort's folder, of what a laboratory's sessions say of one more.
+
+    Args:
+        laboratory: its name.
+    """
+    return f"laboratories/{safe_name(laboratory)}.nc"
 
 
 def _labels(row: Row) -> dict[str, str]:
@@ -77,8 +98,9 @@ def laboratory_table(found: LaboratoryVerdict) -> Said:
     home = found.laboratory
     return {
         "name": home.name,
+        "file": file_of(home.name),
         "sessions": [one.name for one in home.visits],
-        "plates": {one.name: {"position_m": one.position.tolist()} for one in home.plates},
+        "plates": {one.frame.name: {"position_m": one.frame.p_WF.tolist()} for one in home.plates},
         "faults": [_fault(one, home) for one in found.faults],
         "scatter_prior_sd": found.scatter,
     }

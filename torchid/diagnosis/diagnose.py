@@ -1,9 +1,12 @@
 """The sequence of the diagnosis: search, eliminate, test on held-out motion, and assess what remains."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from torchid.diagnosis.candidates.candidate import Candidate
 from torchid.diagnosis.evidence.adequacy import Adequacy, assess_adequacy
+from torchid.diagnosis.evidence.earlier_sessions import Unlike, unlike
+from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.evidence.other_proof import NOTHING_TOLD, Told
 from torchid.diagnosis.evidence.residuals import residuals
@@ -17,7 +20,7 @@ from torchid.diagnosis.testing.refutation import RULE, Upheld, uphold
 from torchid.diagnosis.testing.vibration import with_vibration
 from torchid.diagnosis.verdict.causes import after_forces, causes_of, nearest, untested
 from torchid.diagnosis.verdict.confidence import bent_by_position, discounted
-from torchid.diagnosis.verdict.records import Cause, Diagnosis, Refuted
+from torchid.diagnosis.verdict.records import AloneEvidence, Cause, Diagnosis, EarlierSessions, Refuted
 from torchid.effects.catalogue import CATALOGUE, effect
 from torchid.effects.effect import Effect
 from torchid.model_free.panel import Panel
@@ -50,6 +53,7 @@ def diagnose(
     options: DiagnosisOptions = DiagnosisOptions(),
     panel: Panel | None = None,
     told: Told = NOTHING_TOLD,
+    earlier: LaboratoryEvidence | None = None,
 ) -> Diagnosis:
     """Return the causes of what the identified model gets wrong, with what remains and the trace of all decisions.
 
@@ -63,13 +67,36 @@ def diagnose(
         options: every threshold that decides.
         panel: what model-free checks state; None: nothing.
         told: what other proof than forces says.
+        earlier: what earlier sessions of the laboratory say; None: nothing. A session that is unlike them is judged
+            without them.
     """
-    found = search(observed, effects, known, limit, options, panel, told)
+    found = search(observed, effects, known, limit, options, panel, told, earlier)
     release()  # the catalogue's memory
+    by = _unlike(found, earlier)
+    if by is not None:
+        found = search(observed, effects, known, limit, options, panel, told)
+        release()
     unseen = HeldOut(found, heldout)
     upheld = uphold(unseen, unseen.acting(), options.naming)
     found = settle(found.having(upheld.chosen, *upheld.trace), AT_LAST)
-    return _verdict(found.having(sorted(found.chosen, key=lambda one: one.ordinary)), unseen, upheld, observed, plates)
+    found = found.having(sorted(found.chosen, key=lambda one: one.ordinary))
+    verdict = _verdict(found, unseen, upheld, observed, plates)
+    return verdict if earlier is None else replace(verdict, earlier=_beside_earlier(found, by))
+
+
+def _unlike(found: SearchResult, earlier: LaboratoryEvidence | None) -> Unlike | None:
+    """Return the fault by which a session is unlike earlier ones; None where it is not."""
+    if earlier is None or found.laboratory is None:
+        return None
+    worst = unlike(found.laboratory, earlier)
+    return None if worst is None or worst.nats < found.options.naming.named_nats else worst
+
+
+def _beside_earlier(found: SearchResult, by: Unlike | None) -> EarlierSessions:
+    """Return how a verdict stands to earlier sessions."""
+    alone = found.model.alone
+    each = (AloneEvidence(c.effect.name, c.place.where, support(alone, found.chosen, c)) for c in found.named)
+    return EarlierSessions(by, tuple(each))
 
 
 def _verdict(

@@ -8,13 +8,17 @@ from torch import Tensor
 from torchid.diagnosis.candidates.marker_faults import MOVED
 from torchid.diagnosis.candidates.missing_weight import EFFECT, MissingWeight, find_missing_weight, set_aside
 from torchid.diagnosis.diagnose import diagnose, select_effects
+from torchid.diagnosis.evidence.earlier_sessions import among
+from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.diagnosis.evidence.model import Identification
 from torchid.diagnosis.options import MissingWeightOptions
 from torchid.diagnosis.verdict.causes import with_marker_faults, with_missing_weight
 from torchid.diagnosis.verdict.records import Diagnosis
 from torchid.dynamics.rows import WrenchTrial
 from torchid.effects.catalogue import CATALOGUE
+from torchid.effects.place import SESSION
 from torchid.effects.scene import PlateFrame
+from torchid.errors import InputError
 from torchid.extension.other_proofs import marker_faults, told
 from torchid.model_free.panel import Panel
 from torchid.model_free.watched import longest_stretch
@@ -23,8 +27,10 @@ from torchid.observation.plate_registry import SessionPlate, recognise
 from torchid.observation.trial import BodyEstimate, TrialObservation, observe_trial
 from torchid.recording import Forces
 from torchid.session import Outcome
+from torchid.session.laboratory import laboratory_plate, names_in, read_laboratory, renamed
 from torchid.storage.allocator import keeping_large
 from torchid.storage.snapshot import in_memory
+from torchid.wording import listing
 
 LONGEST_S = 40.0
 """Of a trial is searched at most: columns of the whole catalogue take 13 MB per second at 100 Hz."""
@@ -34,7 +40,10 @@ MOST = 12
 
 @keeping_large()
 def diagnose_outcome(
-    outcome: Outcome, room: Callable[[Sequence[int]], Tensor] = in_memory, panel: Panel | None = None
+    outcome: Outcome,
+    room: Callable[[Sequence[int]], Tensor] = in_memory,
+    panel: Panel | None = None,
+    earlier: LaboratoryEvidence | None = None,
 ) -> Diagnosis | None:
     """Criticise the identified model on the fit trials and measure on the held-out ones; None without any forces.
 
@@ -43,6 +52,7 @@ def diagnose_outcome(
         room: makes zeros of a shape, where columns lie until they are looked at (``OutputFolder.room``); without it
             they lie in memory.
         panel: what model-free checks state; None: nothing.
+        earlier: what earlier sessions of the laboratory say (``earlier_sessions``); None: nothing.
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
@@ -66,12 +76,41 @@ def diagnose_outcome(
     left = [w for w in (set_aside(w, gone) for w in observed) if any(True for _ in w.rows.blocks())]
     observed = left or observed
     known = Identification(outcome.prior, identified.fit.omega_2, identified.whitening, outcome.fit)
-    found = diagnose(observed, heldout, plates, effects, known, wanted.max_effects, options, panel, told(outcome))
+    found = diagnose(
+        observed, heldout, plates, effects, known, wanted.max_effects, options, panel, told(outcome), earlier
+    )
     found = replace(found, not_testable=found.not_testable | _passed_over(trials["fit"], parts["fit"]))
     named = {cause.where for cause in found.likely if cause.effect == MOVED.name}
     faults = [one for one in marker_faults(outcome) if one.effect in effects]
     faults = [one for one in faults if one.effect is not MOVED or one.place.where not in named]
     return with_marker_faults(with_missing_weight(found, missing, options), faults)
+
+
+def earlier_sessions(outcome: Outcome) -> LaboratoryEvidence | None:
+    """Return what earlier sessions of the laboratory say of this session's instruments; None where the config names
+    none.
+
+    Args:
+        outcome: with its session.
+
+    Raises:
+        InputError: the file cannot be read, or none of its plates is this session's.
+    """
+    path = outcome.config.laboratory
+    if path is None:
+        return None
+    told, plates = read_laboratory(path), [laboratory_plate(one) for one in plate_frames(outcome)[0]]
+    called = names_in(told.plates, plates)
+    if not called:
+        places = [f"({x:.2f}, {y:.2f})" for x, y, _ in (one.frame.p_WF.tolist() for one in told.plates)]
+        raise InputError(
+            "laboratory.other_plates", "none of these plates is one of the session's", source=path,
+            found=f"plates at {listing(places, 4)} m",
+            remedy="Give the file of the laboratory in which the session was recorded, or leave `laboratory` out",
+        )  # fmt: skip
+    own = {theirs: mine for mine, theirs in called.items()}
+    known = [f for f in told.evidence.faults if all(name in own for name in f[1]) or f[1] == SESSION.where]
+    return renamed(among(told.evidence, known), own)
 
 
 def _missing_weight(

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from torchid.diagnosis.verdict.records import Diagnosis
-from torchid.extension.diagnosing import diagnose_outcome
+from torchid.extension.diagnosing import diagnose_outcome, earlier_sessions
 from torchid.extension.model_free_checks import with_witnesses
 from torchid.extension.publishing import publishable
 from torchid.extension.statements import panel_of
@@ -24,10 +24,14 @@ def with_verdict(outcome: Outcome, folder: OutputFolder, key: str, progress: OnS
 
     Raises:
         ConfigError: ``diagnosis.include`` or ``exclude`` names no effect.
+        InputError: ``laboratory.unreadable``, ``form`` or ``other_plates``: what ``laboratory`` names says nothing of
+            this session.
     """
 
+    earlier = earlier_sessions(outcome)
+
     def judged(some: Outcome) -> Diagnosis | None:
-        return diagnose_outcome(some, folder.room, panel_of(some))
+        return diagnose_outcome(some, folder.room, panel_of(some), earlier)
 
     progress("diagnosis", 0.0)
     verdict = folder.stage("diagnosis", key, lambda: judged(outcome))

@@ -27,6 +27,14 @@ class Statements:
         at, kept = positions(self.columns, some)
         return Statements(kept, self.gram[at][:, at], self.moment[at])
 
+    def times(self, factor: float) -> "Statements":
+        """Return the statements as if they were told so many times.
+
+        Args:
+            factor: that number, which may be negative: what is taken back.
+        """
+        return Statements(self.columns, factor * self.gram, factor * self.moment)
+
     def __add__(self, other: "Statements") -> "Statements":
         columns = torch.cat([self.columns, other.columns]).unique()
         n = len(columns)

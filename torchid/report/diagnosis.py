@@ -68,6 +68,8 @@ def _would_be(cause: Cause) -> str:
 POSSIBLE = "Possible (at most 50 %, nothing is corrected): rivals share the odds, or a test contradicts it."
 UNAPPLIED = "It is not corrected: the model that is fitted again with it predicts worse."
 UNAPPLIED_SEVERAL = "These are not corrected: the model that is fitted again with them predicts worse."
+UNLIKE = "This session is unlike the laboratory's earlier ones: they have another {}. So it was judged without them."
+ALIKE = "The laboratory's earlier sessions were asked, too."
 EXTENDED = (
     "Every other figure of this page is of the extended model. The likely causes, but for those that are said not to "
     "be corrected, are taken out of the recordings, or, as a load, kept apart from the body. Then inertia is fitted "
@@ -81,14 +83,26 @@ def _finding(outcome: Outcome, found: Diagnosis) -> str:
     if named:
         first, last = ([told(cause) for cause in named if cause.applied is on] for on in (True, False))
         apart = [*last, UNAPPLIED if len(last) == 1 else UNAPPLIED_SEVERAL] if last else []
-        return " ".join([*first, *_gains(outcome, found), *apart, *_refuted(found)])
+        return " ".join([*first, *_gains(outcome, found), *apart, *_refuted(found), *_earlier(outcome, found)])
     tried = len(select_effects(options.include, options.exclude))
     if found.causes:
         silent = f"No likely fault ({tried} kinds tested); possible ones are listed below: nothing was corrected."
-        return " ".join([silent, *would_show(found.detectable), *_refuted(found)])
+        return " ".join([silent, *would_show(found.detectable), *_refuted(found), *_earlier(outcome, found)])
     silent = f"No fault found ({tried} kinds tested): nothing was corrected."
     near = _nearest(found, options.thresholds.naming.named_nats)
-    return " ".join([silent, *would_show(found.detectable), *_refuted(found), *near])
+    return " ".join([silent, *would_show(found.detectable), *_refuted(found), *near, *_earlier(outcome, found)])
+
+
+def _earlier(outcome: Outcome, found: Diagnosis) -> list[str]:
+    """What the laboratory's earlier sessions have to do with it."""
+    if found.earlier is None:
+        return []
+    if found.earlier.unlike is not None:
+        return [UNLIKE.format(called(found.earlier.unlike))]
+    least, likely = outcome.config.diagnosis.thresholds.naming.named_nats, {(c.effect, c.where) for c in found.likely}
+    silent = [one for one in found.earlier.alone if one.evidence_nats < least and (one.effect, one.where) in likely]
+    said = "The laboratory's earlier sessions tell {}; this one alone would not."
+    return [said.format(listing([called(one) for one in silent]))] if silent else [ALIKE]
 
 
 def _refuted(found: Diagnosis) -> list[str]:

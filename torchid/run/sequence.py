@@ -118,7 +118,7 @@ def inputs(config: Config) -> list[Path]:
     """Return every file on which a run of a config depends, itself apart."""
     files = [path for trial in config.trials for path in (trial.file, trial.forces) if path is not None]
     return list(dict.fromkeys(chain.from_iterable(map(files_on_disk, files)))) + [
-        path for path in (config.model, config.markers) if not isinstance(path, str)
+        path for path in (config.model, config.markers, config.laboratory) if isinstance(path, Path)
     ]
 
 

@@ -28,7 +28,7 @@ from torchid.run.scalars import cycles_table, results_table
 from torchid.session import Followed, Outcome
 from torchid.session.joint_cycles import joint_cycles
 from torchid.session.laboratory import NAME as LABORATORY
-from torchid.session.laboratory import laboratory_dataset
+from torchid.session.laboratory import SessionEvidence, laboratory_dataset, laboratory_plate
 from torchid.session.tables import diagnosis_table, geometry_table, inertia_table
 from torchid.storage.files import safe_name, write_json
 from torchid.storage.netcdf import write_netcdf
@@ -75,7 +75,8 @@ def write_outcome(outcome: Outcome, folder: OutputFolder, failure: DataError | N
     strides = joint_cycles(outcome)
     found = outcome.diagnosis
     if found is not None and found.laboratory is not None:
-        write_netcdf(folder.path(LABORATORY), [laboratory_dataset(found.laboratory, found.plates)])
+        kept = SessionEvidence(found.laboratory, tuple(map(laboratory_plate, found.plates)))
+        write_netcdf(folder.path(LABORATORY), [laboratory_dataset(kept)])
     forms = outcome.config.tables
     write_table(results_table(outcome, tables, strides), "results", forms, folder.path)
     if strides is not None:

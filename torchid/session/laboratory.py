@@ -4,8 +4,9 @@ Information and moment of all lasting faults together, in the information form o
 that they are about. A hundred such files pool in seconds, and another session adds to them.
 """
 
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from torchid.effects.catalogue import CATALOGUE
 from torchid.effects.place import Place
 from torchid.effects.scene import PlateFrame
 from torchid.errors import InputError
-from torchid.observation.plate_registry import SessionPlate
+from torchid.observation.plate_registry import SAME_CORNERS, SAME_PRESSURE, SessionPlate
 
 NAME = "laboratory.nc"
 """Of the file in a run's folder."""
@@ -30,26 +31,94 @@ BETWEEN = " + "
 
 
 @dataclass(frozen=True)
+class LaboratoryPlate:
+    """A plate of a laboratory."""
+
+    frame: PlateFrame
+    """Its name and its frame; its middle is NaN where neither corners nor a pressure tell it."""
+    corners: Float[Tensor, "4 3"]
+    """Its corners in W [m]; NaN where no file has them."""
+
+
+@dataclass(frozen=True)
 class SessionEvidence:
-    """What a finished run says of its laboratory."""
+    """What a finished run, or several together, say of their laboratory."""
 
     evidence: LaboratoryEvidence
-    """Information that it holds of lasting faults."""
-    plates: tuple[PlateFrame, ...]
+    """Information on lasting faults."""
+    plates: tuple[LaboratoryPlate, ...]
     """Plates that the faults are about."""
-    corners: Float[Tensor, "plates 4 3"]
-    """Corners of these in W [m]; NaN where no file has them."""
 
 
-def laboratory_dataset(evidence: LaboratoryEvidence, plates: tuple[SessionPlate, ...]) -> xarray.Dataset:
+def laboratory_plate(plate: SessionPlate) -> LaboratoryPlate:
+    """Return a plate of a session as one of its laboratory.
+
+    Args:
+        plate: the plate.
+    """
+    unknown = torch.full((4, 3), torch.nan, dtype=torch.float64)
+    untold = plate.corners is None and not bool(plate.frame.p_WF.any())
+    frame = replace(plate.frame, p_WF=torch.full_like(plate.frame.p_WF, torch.nan)) if untold else plate.frame
+    return LaboratoryPlate(frame, unknown if plate.corners is None else plate.corners)
+
+
+def known_plate(plates: Sequence[LaboratoryPlate], one: LaboratoryPlate) -> LaboratoryPlate | None:
+    """Return the nearest of a laboratory's plates that lies where one does; None where that is a new one, or where
+    nothing tells where it is.
+
+    Args:
+        plates: of the laboratory.
+        one: the plate to find.
+    """
+    cornered = bool(one.corners.isfinite().all())
+    alike = [other for other in plates if bool(other.corners.isfinite().all()) is cornered]
+    away = [
+        float(
+            (other.corners - one.corners).norm(dim=1).max()
+            if cornered
+            else (other.frame.p_WF - one.frame.p_WF)[:2].norm()
+        )
+        for other in alike
+    ]
+    near = [k for k, apart in enumerate(away) if apart < (SAME_CORNERS if cornered else SAME_PRESSURE)]
+    return alike[min(near, key=away.__getitem__)] if near else None
+
+
+def names_in(plates: Sequence[LaboratoryPlate], own: Sequence[LaboratoryPlate]) -> dict[str, str]:
+    """Return the laboratory's name of each plate of a session that it knows, each at most once.
+
+    Args:
+        plates: of the laboratory.
+        own: of the session.
+    """
+    called: dict[str, str] = {}
+    for one in own:
+        known = known_plate([p for p in plates if p.frame.name not in called.values()], one)
+        if known is not None:
+            called[one.frame.name] = known.frame.name
+    return called
+
+
+def renamed(evidence: LaboratoryEvidence, called: Mapping[str, str]) -> LaboratoryEvidence:
+    """Return evidence with other names of plates.
+
+    Args:
+        evidence: of faults.
+        called: new name of each plate.
+    """
+    faults = tuple(
+        (effect, tuple(sorted(called.get(place, place) for place in where))) for effect, where in evidence.faults
+    )
+    return replace(evidence, faults=faults)
+
+
+def laboratory_dataset(kept: SessionEvidence) -> xarray.Dataset:
     """Return the content of ``laboratory.nc``.
 
     Args:
-        evidence: what the diagnosis kept.
-        plates: plates of the session.
+        kept: what a session, or several, say of their laboratory.
     """
-    unknown = torch.full((4, 3), torch.nan, dtype=torch.float64)
-    corners = [unknown if one.corners is None else one.corners for one in plates]
+    evidence, plates = kept.evidence, kept.plates
     square = ("parameter", "other")
     owners = np.repeat(np.arange(len(evidence.sizes)), evidence.sizes)
     return xarray.Dataset(
@@ -60,9 +129,9 @@ def laboratory_dataset(evidence: LaboratoryEvidence, plates: tuple[SessionPlate,
             "stated_moment": (("parameter",), evidence.stated_moment.numpy()),
             "prior_sd": (("parameter",), np.array(_scales(evidence)), {"units": "those of the effect's parameters"}),
             "fault": (("parameter",), owners.astype(np.int64)),
-            "plate_position": (("plate", "axis"), _stacked([_middle(one) for one in plates], (0, 3))),
+            "plate_position": (("plate", "axis"), _stacked([one.frame.p_WF for one in plates], (0, 3))),
             "plate_axes": (("plate", "axis", "column"), _stacked([one.frame.R_WF for one in plates], (0, 3, 3))),
-            "plate_corners": (("plate", "corner", "axis"), _stacked(corners, (0, 4, 3))),
+            "plate_corners": (("plate", "corner", "axis"), _stacked([one.corners for one in plates], (0, 4, 3))),
         },
         coords={"plate": [one.frame.name for one in plates], "axis": list("xyz")},
         attrs={
@@ -102,7 +171,7 @@ def read_laboratory(path: Path) -> SessionEvidence:
             if found["prior_sd"].values.tolist() == _scales(evidence) and all(
                 bool(x.isfinite().all()) for x in numbers
             ):
-                return SessionEvidence(evidence, _frames(found), torch.tensor(found["plate_corners"].values))
+                return SessionEvidence(evidence, tuple(_plates(found)))
     raise InputError(
         "laboratory.form", "another version of torchid wrote this file, or it is damaged", source=path,
         remedy="Run the session again",
@@ -117,15 +186,10 @@ def _evidence(file: xarray.Dataset) -> LaboratoryEvidence:
     return LaboratoryEvidence(faults, sizes, *(torch.tensor(file[name].values) for name in names))
 
 
-def _frames(file: xarray.Dataset) -> tuple[PlateFrame, ...]:
-    where = (torch.tensor(file[name].values) for name in ("plate_position", "plate_axes"))
-    return tuple(PlateFrame(*one) for one in zip(file["plate"].values.tolist(), *where, strict=True))
-
-
-def _middle(plate: SessionPlate) -> Tensor:
-    """Middle of a plate in W; NaN where neither corners nor a pressure tell it [m]."""
-    untold = plate.corners is None and not bool(plate.frame.p_WF.any())
-    return torch.full_like(plate.frame.p_WF, torch.nan) if untold else plate.frame.p_WF
+def _plates(file: xarray.Dataset) -> Iterator[LaboratoryPlate]:
+    where = (torch.tensor(file[name].values) for name in ("plate_position", "plate_axes", "plate_corners"))
+    for name, position, axes, corners in zip(file["plate"].values.tolist(), *where, strict=True):
+        yield LaboratoryPlate(PlateFrame(name, position, axes), corners)
 
 
 def _scales(evidence: LaboratoryEvidence) -> list[float]:

@@ -8,7 +8,8 @@ over sessions, and are all that has to be kept of one.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from jaxtyping import Float
+import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchid.diagnosis.candidates.candidate import Candidate
@@ -20,12 +21,15 @@ from torchid.diagnosis.evidence.statistics import Statistics
 from torchid.effects.instrument_faults import FAULTS
 from torchid.effects.traits import Proof
 
+Fault = tuple[str, tuple[str, ...]]
+"""Effect, and names of its place."""
+
 
 @dataclass(frozen=True)
 class LaboratoryEvidence:
-    """Information that a session holds of lasting faults of instruments."""
+    """Information that a session, or several, hold of lasting faults of instruments."""
 
-    faults: tuple[tuple[str, tuple[str, ...]], ...]
+    faults: tuple[Fault, ...]
     """Effect and names of the place of each fault."""
     sizes: tuple[int, ...]
     """Number of parameters of each fault."""
@@ -37,6 +41,12 @@ class LaboratoryEvidence:
     """Share of the information that statements have which need no body model."""
     stated_moment: Float[Tensor, " all"]
     """Share of the moment that these have."""
+
+    @property
+    def at(self) -> dict[Fault, Int[Tensor, " _"]]:
+        """Indices of the parameters of each fault."""
+        parts = torch.arange(sum(self.sizes)).split(list(self.sizes)) if self.sizes else ()
+        return dict(zip(self.faults, parts, strict=True))
 
 
 def lasting(one: Candidate) -> bool:

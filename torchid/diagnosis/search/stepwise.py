@@ -15,8 +15,9 @@ from torchid.diagnosis.columns.design import narrower, only
 from torchid.diagnosis.columns.relinearise import relinearised
 from torchid.diagnosis.columns.statement_rows import with_statements
 from torchid.diagnosis.evidence.adequacy import assess_adequacy
+from torchid.diagnosis.evidence.earlier_sessions import with_earlier
 from torchid.diagnosis.evidence.gains import gains
-from torchid.diagnosis.evidence.laboratory import laboratory_evidence
+from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence, laboratory_evidence
 from torchid.diagnosis.evidence.model import Identification, LinearModel, make_model, spectra_of
 from torchid.diagnosis.evidence.noise import Noise
 from torchid.diagnosis.evidence.noise_estimation import estimate_noise
@@ -73,6 +74,7 @@ def search(
     options: DiagnosisOptions = DiagnosisOptions(),
     panel: Panel | None = None,
     told: Told = NOTHING_TOLD,
+    earlier: LaboratoryEvidence | None = None,
 ) -> SearchResult:
     """Return the effects that fit trials support, with everything that later tests ask about.
 
@@ -84,9 +86,10 @@ def search(
         options: thresholds.
         panel: what model-free checks state; None: nothing.
         told: what other proof than forces says.
+        earlier: what earlier sessions of the laboratory say; None: nothing.
     """
     log.info("scanning %d effects in %d trials", len(effects), len(observed))
-    state = _State(_begin(observed, effects, known, options.naming, panel), limit, options, told)
+    state = _State(_begin(observed, effects, known, options.naming, panel, earlier), limit, options, told)
     while True:
         scan, model, looked, silent = _scan(observed, state)
         trace = (*state.trace, *_decisions(scan, looked))
@@ -100,7 +103,7 @@ def search(
         state = _narrow(added)
         del model, added  # gigabytes that the next round does without
     shown = sizes_shown(model, state.chosen, _open(state), options.naming)
-    shared = laboratory_evidence(model.statistics, state.chosen, model.design.candidates)
+    shared = laboratory_evidence(model.alone, state.chosen, model.design.candidates)
     found = reduced(state.model, state.chosen, state.rounds, options, state.trace)
     return believed(settle(replace(found, detectable=shown, laboratory=shared), SUPPORTED), observed, limit)
 
@@ -111,10 +114,11 @@ def _begin(
     known: Identification,
     naming: NamingOptions,
     panel: Panel | None,
+    earlier: LaboratoryEvidence | None,
 ) -> LinearModel:
     """Return the model of the whole catalogue, under the noise that the model without any of it leaves."""
     design = make_design(observed, effects, known.geometry, naming)
-    design = with_statements(design, panel, [one.rows.name for one in observed])
+    design = with_earlier(with_statements(design, panel, [one.rows.name for one in observed]), earlier)
     release()  # pieces of all sizes, which the search has no use for
     model = with_slides(make_model(observed, design, known))
     return _under_own_noise(model, ())

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchid.diagnosis.evidence.adequacy import Adequacy
 from torchid.diagnosis.evidence.detectable import Detectable
+from torchid.diagnosis.evidence.earlier_sessions import Unlike
 from torchid.diagnosis.evidence.laboratory import LaboratoryEvidence
 from torchid.diagnosis.testing.heldout import Errors
 from torchid.diagnosis.trace import Trace
@@ -153,6 +154,28 @@ class Refuted:
 
 
 @dataclass(frozen=True)
+class AloneEvidence:
+    """What a session says by itself for a cause that earlier sessions of the laboratory speak of, too."""
+
+    effect: str
+    """Name of the effect."""
+    where: tuple[str, ...]
+    """Names of its place."""
+    evidence_nats: float
+    """Log evidence of the cause over the others alone, without the earlier sessions [nat]."""
+
+
+@dataclass(frozen=True)
+class EarlierSessions:
+    """How a verdict stands to the earlier sessions of its laboratory."""
+
+    unlike: Unlike | None
+    """The fault by which this session is unlike them, so that they were not asked; None: they were."""
+    alone: tuple[AloneEvidence, ...]
+    """What this session says by itself for each cause that forces tell."""
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Causes of what the model gets wrong, what remains, and how the verdict came about."""
 
@@ -178,6 +201,8 @@ class Diagnosis:
     """Smallest sizes of effects that would have been named beside the causes."""
     laboratory: LaboratoryEvidence | None = None
     """Evidence of the session on its laboratory's instruments, for other sessions of the same."""
+    earlier: EarlierSessions | None = None
+    """How the verdict stands to earlier sessions of the laboratory; None where the config names none."""
     aside: tuple[Interval, ...] = ()
     """Intervals that no model is fitted to: something unmeasured bears a good part of the weight there."""
 

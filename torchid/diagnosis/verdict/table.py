@@ -24,7 +24,8 @@ def verdict_table(diagnosis: Diagnosis) -> dict[str, Any]:
     Args:
         diagnosis: the verdict.
     """
-    return {
+    beside = {} if diagnosis.earlier is None else {"earlier_sessions": dataclasses.asdict(diagnosis.earlier)}
+    return beside | {
         "baseline": {"heldout": dataclasses.asdict(diagnosis.baseline)},
         "causes": [cause_table(cause) for cause in diagnosis.causes],
         "unexplained": diagnosis.unexplained,
